@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every parameter of multilica, each once, with its unit, default and meaning."""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from multilica.errors import ConfigError, SourceNotFoundError, UnknownNameError
+
+__all__ = [
+    "PRESETS",
+    "STAGES",
+    "CalibrationConfig",
+    "CoarseConfig",
+    "CorrespondConfig",
+    "FeaturesConfig",
+    "FineConfig",
+    "GroundConfig",
+    "IngestConfig",
+    "MergeConfig",
+    "PreprocessConfig",
+    "RuntimeConfig",
+    "Stage",
+    "load_config",
+    "preset",
+    "with_overrides",
+]
+
+Stage = Literal["ingest", "preprocess", "features", "correspond", "coarse", "verify", "fine", "merge", "refine", "ground"]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+
+PositiveMetres = Annotated[float, Field(gt=0.0)]
+Metres = Annotated[float, Field(ge=0.0)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class Section(BaseModel):
+    """A table of the configuration: frozen, and closed to unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class IngestConfig(Section):
+    """What is taken from the recording."""
+
+    frames: Count = Field(10, description="frames per LiDAR that are accumulated")
+    start_s: float = Field(0.0, ge=0.0, description="seconds after the first frame at which the window begins")
+    topics: dict[str, str] = Field(
+        default_factory=dict, description="LiDAR name -> topic; empty: every point cloud topic of the recording"
+    )
+
+
+class PreprocessConfig(Section):
+    """Which returns are kept."""
+
+    min_range_m: Metres = Field(1.0, description="nearer returns are dropped: the vehicle's own body")
+    max_range_m: PositiveMetres = Field(100.0, description="farther returns are dropped: too sparse to help")
+    voxel_size_m: Metres = Field(0.05, description="grid on which the clouds are thinned; 0: not at all")
+
+
+class FeaturesConfig(Section):
+    """FPFH descriptors."""
+
+    voxel_size_m: PositiveMetres = Field(0.35, description="grid on which descriptors are computed")
+    normal_radius_voxels: PositiveMetres = Field(2.0, description="neighbourhood of a normal, in voxels")
+    feature_radius_voxels: PositiveMetres = Field(5.0, description="neighbourhood of a descriptor, in voxels")
+    max_range_m: PositiveMetres = Field(40.0, description="returns beyond are left out of the coarse stage")
+    orient_normals: bool = Field(True, description="turn normals towards the sensor that saw the surface")
+
+
+class CorrespondConfig(Section):
+    """Which descriptors are paired."""
+
+    mutual: bool = Field(True, description="keep a pair only if each is the other's nearest")
+    max_matches: Count = Field(4000, description="the best so many matches go to the coarse stage; bounds its memory")
+
+
+class CoarseConfig(Section):
+    """The pose without an initial guess."""
+
+    solver: Literal["cliques", "kiss_matcher", "teaserpp", "ransac", "fgr"] = Field(
+        "cliques", description="cliques: the built-in solver after TEASER++"
+    )
+    noise_bound_m: PositiveMetres = Field(0.35, description="largest error of a correct match; about one voxel")
+    max_hypotheses: Count = Field(8, description="distinct poses that are handed on")
+    normal_tolerance_deg: float = Field(
+        25.0, gt=0.0, le=180.0, description="by how much angles between normals may differ within a clique; 180: ignored"
+    )
+    max_baseline_m: PositiveMetres = Field(25.0, description="LiDARs of one vehicle are not farther apart than this")
+
+
+class FineConfig(Section):
+    """GICP."""
+
+    engine: Literal["small_gicp", "open3d"] = Field("small_gicp", description="implementation of GICP")
+    voxel_size_m: PositiveMetres = Field(0.1, description="grid on which GICP runs")
+    max_correspondence_distances_m: tuple[PositiveMetres, ...] = Field(
+        (2.0, 1.0, 0.5, 0.25), min_length=1, description="one GICP run each, from coarse to fine"
+    )
+    max_iterations: Count = Field(30, description="largest number of iterations of each run")
+    rotation_epsilon_rad: PositiveMetres = Field(1e-5, description="converged when a step turns by less (small_gicp)")
+    translation_epsilon_m: PositiveMetres = Field(1e-5, description="converged when a step moves by less (small_gicp)")
+    gicp_epsilon: PositiveMetres = Field(0.005, description="variance along the normal (open3d)")
+    relative_fitness: PositiveMetres = Field(1e-7, description="converged when fitness changes by less (open3d)")
+    relative_rmse: PositiveMetres = Field(1e-7, description="converged when the RMSE changes by less (open3d)")
+    neighbours: Count = Field(20, description="points from which a covariance is estimated")
+    fitness_distance_m: PositiveMetres = Field(
+        0.25, description="a point nearer than this to the other cloud is an inlier of fitness and RMSE"
+    )
+
+
+class MergeConfig(Section):
+    """Growing the calibrated cloud."""
+
+    mode: Literal["algorithm1", "target_first"] = Field(
+        "algorithm1", description="algorithm1: the paper's; target_first: all to the target, then the rest to the merged cloud"
+    )
+    fitness_threshold: Share = Field(0.2, description="a pair with less fitness is not merged")
+
+
+class GroundConfig(Section):
+    """The plane under the vehicle."""
+
+    enabled: bool = Field(False, description="estimate roll, pitch and z of the base frame")
+    distance_m: PositiveMetres = Field(0.05, description="a point nearer than this to the plane belongs to it")
+    iterations: Count = Field(2000, description="RANSAC draws")
+    max_tilt_deg: float = Field(30.0, gt=0.0, le=90.0, description="planes steeper than this in the target frame are not ground; 90: any")
+
+
+class RuntimeConfig(Section):
+    """How it is computed, not what."""
+
+    threads: Count = Field(1, description="threads; with one the same input gives the same bits")
+    seed: int = Field(0, ge=0, description="seed of everything random")
+
+
+class CalibrationConfig(Section):
+    """The whole configuration; one table per stage."""
+
+    preset: Literal["default", "paper"] = Field("default", description="the preset that this started from")
+    target: str = Field("", description="name of the target LiDAR; empty: the one with the most overlap")
+    until: Stage = Field("ground", description="the last stage to run")
+    ingest: IngestConfig = IngestConfig()
+    preprocess: PreprocessConfig = PreprocessConfig()
+    features: FeaturesConfig = FeaturesConfig()
+    correspond: CorrespondConfig = CorrespondConfig()
+    coarse: CoarseConfig = CoarseConfig()
+    fine: FineConfig = FineConfig()
+    merge: MergeConfig = MergeConfig()
+    ground: GroundConfig = GroundConfig()
+    runtime: RuntimeConfig = RuntimeConfig()
+
+
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "default": {"preset": "default"},
+    "paper": {
+        "preset": "paper",
+        "preprocess": {"voxel_size_m": 0.0, "max_range_m": 1000.0},
+        "features": {"voxel_size_m": 0.35, "feature_radius_voxels": 5.0, "max_range_m": 25.0, "orient_normals": False},
+        "coarse": {"max_hypotheses": 1, "normal_tolerance_deg": 180.0, "max_baseline_m": 1000.0},
+        "fine": {
+            "engine": "open3d",
+            "voxel_size_m": 0.05,
+            "max_correspondence_distances_m": [1.0],
+            "max_iterations": 100,
+            "gicp_epsilon": 0.005,
+            "relative_fitness": 1e-7,
+            "relative_rmse": 1e-7,
+            "fitness_distance_m": 1.0,
+        },
+        "merge": {"mode": "algorithm1", "fitness_threshold": 0.2},
+    },
+}
+
+
+def preset(name: str) -> CalibrationConfig:
+    """The configuration of that preset.
+
+    Raises:
+        UnknownNameError: no such preset.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    return CalibrationConfig.model_validate(PRESETS[name])
+
+
+def load_config(path: Path) -> CalibrationConfig:
+    """Read a TOML file; keys that it leaves out come from the preset that it names, else from `default`.
+
+    Raises:
+        SourceNotFoundError: no such file.
+        ConfigError: not TOML, an unknown key, or a value out of range.
+        UnknownNameError: no such preset.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise SourceNotFoundError(f"No configuration file at {path}.") from error
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path} is not a TOML file that can be read: {error}.") from error
+    base = preset(str(table.get("preset", "default")))
+    return _merged(base, table, str(path))
+
+
+def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> CalibrationConfig:
+    """Apply ``section.key=value`` texts; the value is read as TOML, else as a bare string.
+
+    Raises:
+        ConfigError: a text without ``=``, an unknown key, or a value out of range.
+    """
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals or not key.strip():
+            raise ConfigError(f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30.")
+        config = _merged(config, _nested(key.strip().split("."), _toml_value(text.strip())), f"setting '{override}'")
+    return config
+
+
+def _nested(keys: list[str], value: object) -> dict[str, Any]:
+    return {keys[0]: value if len(keys) == 1 else _nested(keys[1:], value)}
+
+
+def _toml_value(text: str) -> object:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _merged(base: CalibrationConfig, table: Mapping[str, Any], where: str) -> CalibrationConfig:
+    try:
+        return CalibrationConfig.model_validate(_deep_update(base.model_dump(), table))
+    except ValidationError as error:
+        raise ConfigError(_explain(error, where)) from error
+
+
+def _deep_update(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    updated = dict(base)
+    for key, value in table.items():
+        current = updated.get(key)
+        updated[key] = _deep_update(current, value) if isinstance(current, dict) and isinstance(value, Mapping) else value
+    return updated
+
+
+def _explain(error: ValidationError, where: str) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] != "extra_forbidden":
+        return f"In {where}, {key} is {first['input']!r}: {first['msg'][0].lower()}{first['msg'][1:]}."
+    close = _nearest_key(key)
+    hint = f" Did you mean '{close}'?" if close else " `multilica config` lists them all."
+    return f"In {where}, there is no key '{key}'.{hint}"
+
+
+def _nearest_key(key: str) -> str:
+    keys = known_keys()
+    leaves = {known.rpartition(".")[2]: known for known in keys}
+    by_path = difflib.get_close_matches(key, keys, n=1, cutoff=0.6)
+    by_leaf = difflib.get_close_matches(key.rpartition(".")[2], leaves, n=1, cutoff=0.6)
+    return by_path[0] if by_path else leaves[by_leaf[0]] if by_leaf else ""
+
+
+def known_keys() -> tuple[str, ...]:
+    """Every key of the configuration as ``section.key``."""
+    keys: list[str] = []
+    for name, field in CalibrationConfig.model_fields.items():
+        section = field.annotation
+        if isinstance(section, type) and issubclass(section, Section):
+            keys += [f"{name}.{key}" for key in section.model_fields]
+        else:
+            keys.append(name)
+    return tuple(keys)

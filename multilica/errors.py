@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The errors that multilica raises.
+
+::
+
+    MultilicaError
+    ├── UsageError                  the request itself is wrong             exit code 2
+    │   ├── ConfigError             a key, value or file of the configuration
+    │   ├── UnknownNameError        a topic, LiDAR, preset or stage that does not exist
+    │   └── MissingDependencyError  an optional engine that is not installed
+    └── InputError                  the recording cannot be used            exit code 3
+        ├── SourceNotFoundError     nothing at that path
+        ├── UnreadableSourceError   broken, truncated, or not what its name says
+        └── UnfitSnapshotError      readable, yet nothing that can be calibrated
+
+Each message is one sentence that says what was found, where, what was expected and what to do.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = [
+    "ConfigError",
+    "InputError",
+    "MissingDependencyError",
+    "MultilicaError",
+    "SourceNotFoundError",
+    "UnfitSnapshotError",
+    "UnknownNameError",
+    "UnreadableSourceError",
+    "UsageError",
+]
+
+
+class MultilicaError(Exception):
+    """Base of every error that multilica raises on purpose."""
+
+
+class UsageError(MultilicaError):
+    """The request itself is wrong."""
+
+
+class ConfigError(UsageError):
+    """A key, a value or a file of the configuration is wrong."""
+
+
+class UnknownNameError(UsageError):
+    """A name was given that does not exist among those available.
+
+    Args:
+        kind: what was looked for, for instance ``"topic"``.
+        name: the name as given.
+        available: the names that exist.
+        where: the place that was searched, for the message.
+    """
+
+    def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
+        self.kind = kind
+        self.name = name
+        self.available = tuple(sorted(available))
+        place = f" in {where}" if where else ""
+        close = difflib.get_close_matches(name, self.available, n=1)
+        hint = f" Did you mean '{close[0]}'?" if close else ""
+        listed = ", ".join(self.available) or "none"
+        super().__init__(f"There is no {kind} '{name}'{place}; available: {listed}.{hint}")
+
+
+class MissingDependencyError(UsageError):
+    """An optional engine was asked for that is not installed."""
+
+
+class InputError(MultilicaError):
+    """The recording cannot be used."""
+
+
+class SourceNotFoundError(InputError):
+    """Nothing exists at the path that was given."""
+
+
+class UnreadableSourceError(InputError):
+    """The source is broken, truncated, or not what its name says."""
+
+
+class UnfitSnapshotError(InputError):
+    """The source was read, yet holds nothing that can be calibrated."""

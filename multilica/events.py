@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happens during a calibration, for those who watch it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from multilica.config import CalibrationConfig, Stage
+from multilica.geometry import RigidTransform
+from multilica.results import (
+    CalibrationResult,
+    CoarseResult,
+    Correspondences,
+    FeatureCloud,
+    GroundPlane,
+    MergeDecision,
+    PairRegistration,
+    PreprocessedCloud,
+)
+from multilica.snapshot import Snapshot
+
+__all__ = [
+    "CalibrationFinished",
+    "CalibrationStarted",
+    "CloudPreprocessed",
+    "CorrespondencesMatched",
+    "Event",
+    "FeaturesComputed",
+    "GroundEstimated",
+    "HypothesesFound",
+    "MergeStepTaken",
+    "Observer",
+    "PairRegistered",
+    "StageFinished",
+    "StageStarted",
+    "TargetChosen",
+    "ignore",
+]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationStarted:
+    """The snapshot was read and the work begins."""
+
+    snapshot: Snapshot
+    config: CalibrationConfig
+
+
+@dataclass(frozen=True, slots=True)
+class StageStarted:
+    """A stage begins; `steps` is the number of events of this stage to come, 0 if unknown."""
+
+    stage: Stage
+    steps: int
+
+
+@dataclass(frozen=True, slots=True)
+class StageFinished:
+    """A stage is over: the moment at which sinks write to disk."""
+
+    stage: Stage
+    elapsed_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudPreprocessed:
+    """A LiDAR's cloud was cleaned."""
+
+    cloud: PreprocessedCloud
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeaturesComputed:
+    """A LiDAR's descriptors are there."""
+
+    features: FeatureCloud
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorrespondencesMatched:
+    """A pair's descriptors were matched."""
+
+    correspondences: Correspondences
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HypothesesFound:
+    """A pair's coarse poses are there."""
+
+    coarse: CoarseResult
+    correspondences: Correspondences
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairRegistered:
+    """GICP finished on a pair; `best` if no other hypothesis of the pair scored higher so far."""
+
+    registration: PairRegistration
+    best: bool
+
+
+@dataclass(frozen=True, slots=True)
+class TargetChosen:
+    """The root of the result is known."""
+
+    target: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergeStepTaken:
+    """Algorithm 1 took a turn.
+
+    Args:
+        poses: per member of the group that grew, its pose in the group's root frame; empty when the algorithm stopped.
+    """
+
+    decision: MergeDecision
+    poses: tuple[RigidTransform, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundEstimated:
+    """The ground plane was fitted, or `ground` is None and `reason` says why not."""
+
+    ground: GroundPlane | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationFinished:
+    """The outcome is known."""
+
+    result: CalibrationResult
+
+
+Event = (
+    CalibrationStarted
+    | StageStarted
+    | StageFinished
+    | CloudPreprocessed
+    | FeaturesComputed
+    | CorrespondencesMatched
+    | HypothesesFound
+    | PairRegistered
+    | TargetChosen
+    | MergeStepTaken
+    | GroundEstimated
+    | CalibrationFinished
+)
+Observer = Callable[[Event], None]
+
+
+def ignore(event: Event) -> None:
+    """The observer that nobody needs to pass."""
+    del event
+
+

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rigid transforms between named frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+__all__ = ["FloatArray", "RigidTransform", "read_only", "rotation_angle_rad", "skew"]
+
+FloatArray = npt.NDArray[np.float64]
+
+_ORTHONORMAL_TOLERANCE = 1e-6
+
+
+def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[np.generic]:
+    """A contiguous copy of ``array`` that nobody can write to."""
+    copy = np.array(array, dtype=dtype, order="C", copy=True)
+    copy.setflags(write=False)
+    return copy
+
+
+def skew(vectors: FloatArray) -> FloatArray:
+    """Cross-product matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == cross(a, b)``."""
+    x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
+    zero = np.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_angle_rad(rotation: FloatArray) -> float:
+    """Angle of a rotation matrix (3, 3), in radians; exact for small angles too."""
+    return float(Rotation.from_matrix(rotation).magnitude())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidTransform:
+    """``p_target = matrix @ p_source``: where the source frame sits in the target frame.
+
+    Args:
+        target: name of the frame that points are taken to.
+        source: name of the frame that points come from.
+        matrix: (4, 4) homogeneous matrix, metres; its rotation is re-orthonormalised within 1e-6.
+
+    Raises:
+        ValueError: the matrix is not a rigid transform.
+    """
+
+    target: str
+    source: str
+    matrix: FloatArray
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.matrix, dtype=np.float64, copy=True)
+        if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
+            raise ValueError(f"expected a finite 4x4 matrix, found shape {matrix.shape}")
+        if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=_ORTHONORMAL_TOLERANCE):
+            raise ValueError(f"expected the last row 0 0 0 1, found {matrix[3]}")
+        rotation = matrix[:3, :3]
+        residual = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if residual > _ORTHONORMAL_TOLERANCE or np.linalg.det(rotation) < 0.0:
+            raise ValueError(f"expected a rotation, found a matrix off by {residual:.2g}")
+        matrix[3] = [0.0, 0.0, 0.0, 1.0]
+        matrix.setflags(write=False)
+        object.__setattr__(self, "matrix", matrix)
+
+    @classmethod
+    def identity(cls, target: str, source: str) -> Self:
+        """The transform of two frames that coincide."""
+        return cls(target, source, np.eye(4))
+
+    @classmethod
+    def from_rotation_translation(
+        cls, target: str, source: str, rotation: FloatArray, translation_m: npt.ArrayLike
+    ) -> Self:
+        """From a rotation matrix (3, 3) and a translation (3,); the rotation is made orthonormal first."""
+        u, _, vt = np.linalg.svd(np.asarray(rotation, dtype=np.float64))
+        matrix = np.eye(4)
+        matrix[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        matrix[:3, 3] = translation_m
+        return cls(target, source, matrix)
+
+    @classmethod
+    def from_xyz_rpy(cls, target: str, source: str, xyz_m: Sequence[float], rpy_rad: Sequence[float]) -> Self:
+        """From a translation and extrinsic xyz angles: roll, then pitch, then yaw about fixed axes."""
+        rotation = Rotation.from_euler("xyz", rpy_rad).as_matrix()
+        return cls.from_rotation_translation(target, source, rotation, xyz_m)
+
+    @classmethod
+    def from_xyz_quaternion(
+        cls, target: str, source: str, xyz_m: Sequence[float], quaternion_xyzw: Sequence[float]
+    ) -> Self:
+        """From a translation and a quaternion in the order x, y, z, w."""
+        rotation = Rotation.from_quat(quaternion_xyzw).as_matrix()
+        return cls.from_rotation_translation(target, source, rotation, xyz_m)
+
+    @property
+    def rotation(self) -> FloatArray:
+        """(3, 3) rotation matrix."""
+        return self.matrix[:3, :3]
+
+    @property
+    def xyz_m(self) -> FloatArray:
+        """(3,) position of the source's origin in the target frame."""
+        return self.matrix[:3, 3]
+
+    @property
+    def rpy_rad(self) -> FloatArray:
+        """(3,) roll, pitch, yaw about the fixed axes of the target frame."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_euler("xyz", suppress_warnings=True))
+
+    @property
+    def rpy_deg(self) -> FloatArray:
+        """(3,) roll, pitch, yaw in degrees, for print and files."""
+        return np.asarray(np.rad2deg(self.rpy_rad))
+
+    @property
+    def quaternion_xyzw(self) -> FloatArray:
+        """(4,) unit quaternion with w >= 0."""
+        return np.asarray(Rotation.from_matrix(self.rotation).as_quat(canonical=True))
+
+    def inverse(self) -> RigidTransform:
+        """Where the target frame sits in the source frame."""
+        matrix = np.eye(4)
+        matrix[:3, :3] = self.rotation.T
+        matrix[:3, 3] = -self.rotation.T @ self.xyz_m
+        return RigidTransform(self.source, self.target, matrix)
+
+    def __matmul__(self, other: RigidTransform) -> RigidTransform:
+        """``T_a_b @ T_b_c == T_a_c``.
+
+        Raises:
+            ValueError: the inner frames differ.
+        """
+        if self.source != other.target:
+            raise ValueError(
+                f"cannot chain T_{self.target}_{self.source} with T_{other.target}_{other.source}: "
+                f"'{self.source}' is not '{other.target}'"
+            )
+        return RigidTransform.from_rotation_translation(
+            self.target,
+            other.source,
+            self.rotation @ other.rotation,
+            self.rotation @ other.xyz_m + self.xyz_m,
+        )
+
+    def apply(self, points_m: npt.ArrayLike) -> FloatArray:
+        """Points (N, 3) of the source frame, in the target frame."""
+        return np.asarray(points_m, dtype=np.float64) @ self.rotation.T + self.xyz_m
+
+    def rotate(self, vectors: npt.ArrayLike) -> FloatArray:
+        """Directions (N, 3) of the source frame, in the target frame."""
+        return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
+
+    def distance_to(self, other: RigidTransform) -> tuple[float, float]:
+        """Distance in metres between the two source origins, and the angle in radians between the two rotations."""
+        translation_m = float(np.linalg.norm(self.xyz_m - other.xyz_m))
+        return translation_m, rotation_angle_rad(self.rotation.T @ other.rotation)

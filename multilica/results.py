@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each stage finds: one frozen type per stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from multilica.geometry import FloatArray, RigidTransform
+
+__all__ = [
+    "CalibrationResult",
+    "CoarseResult",
+    "Correspondences",
+    "FeatureCloud",
+    "FineStep",
+    "GroundPlane",
+    "Hypothesis",
+    "LidarPlacement",
+    "MergeCandidate",
+    "MergeDecision",
+    "PairKey",
+    "PairRegistration",
+    "PreprocessedCloud",
+    "Status",
+]
+
+IndexArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+PairKey = tuple[str, str]
+"""(target, source): names of the two LiDARs."""
+Status = Literal["complete", "partial", "failed"]
+DropReason = Literal["non_finite", "too_near", "too_far"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreprocessedCloud:
+    """One LiDAR's returns after cleaning.
+
+    Args:
+        lidar: name.
+        points_m: (N, 3) kept and thinned points in the LiDAR's own frame.
+        dropped_m: per reason, the (K, 3) points that were dropped.
+    """
+
+    lidar: str
+    points_m: FloatArray
+    dropped_m: Mapping[str, FloatArray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureCloud:
+    """Descriptors of one LiDAR's thinned cloud.
+
+    Args:
+        points_m: (N, 3); normals: (N, 3) unit; descriptors: (N, 33) FPFH.
+    """
+
+    lidar: str
+    points_m: FloatArray
+    normals: FloatArray
+    descriptors: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Correspondences:
+    """Matched points of two LiDARs, best first; row i of each array belongs to match i.
+
+    Args:
+        target_points_m, source_points_m: (M, 3), each in its own LiDAR's frame.
+        target_normals, source_normals: (M, 3) unit.
+        feature_distances: (M,) distance in descriptor space.
+    """
+
+    target: str
+    source: str
+    target_points_m: FloatArray
+    source_points_m: FloatArray
+    target_normals: FloatArray
+    source_normals: FloatArray
+    feature_distances: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.target_points_m)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hypothesis:
+    """A pose that a set of matches agrees on.
+
+    Args:
+        inliers: (M,) which matches agree; all False where the solver does not tell.
+        score: number of agreeing matches; the order in which hypotheses are tried.
+        origin: the solver, or ``"prior"``.
+    """
+
+    T_target_source: RigidTransform
+    inliers: BoolArray
+    score: float
+    origin: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoarseResult:
+    """The hypotheses of a pair, best first; empty if the matches agree on nothing.
+
+    Args:
+        graph_nodes, graph_edges: size of the consistency graph; 0 where the solver builds none.
+    """
+
+    target: str
+    source: str
+    hypotheses: tuple[Hypothesis, ...]
+    graph_nodes: int = 0
+    graph_edges: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class FineStep:
+    """One observed moment of GICP.
+
+    Args:
+        iteration: iterations done since the start.
+        error: the engine's objective; nan where it does not tell.
+        translation_step_m, rotation_step_rad: movement since the last observed moment.
+    """
+
+    iteration: int
+    max_correspondence_distance_m: float
+    inliers: int
+    error: float
+    translation_step_m: float
+    rotation_step_rad: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairRegistration:
+    """GICP's result for a pair.
+
+    Args:
+        target, source: LiDARs, or during merging the LiDAR and the group it was registered against.
+        fitness: source points within `fine.fitness_distance_m` of the target cloud, as a share of all source points.
+        rmse_m: root mean square distance of those points to their nearest target point.
+        hessian: (6, 6) of the objective, order rotation xyz, translation xyz about the source frame; None where the engine does not tell.
+        hypothesis: index into the pair's hypotheses that this started from; -1 if it started from a merged pose.
+        steps: progress, for the recording.
+    """
+
+    target: str
+    source: str
+    T_target_source: RigidTransform
+    fitness: float
+    rmse_m: float
+    inliers: int
+    converged: bool
+    iterations: int
+    engine: str
+    hypothesis: int = 0
+    hessian: FloatArray | None = None
+    steps: tuple[FineStep, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MergeCandidate:
+    """A pair that a merge step could have chosen."""
+
+    target: str
+    source: str
+    fitness: float
+    rmse_m: float
+    passes: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergeDecision:
+    """One turn of Algorithm 1.
+
+    Args:
+        step: from 0.
+        candidates: what could have been chosen, best first.
+        chosen: the pair that was merged; None when the algorithm stopped.
+        reason: why, in one sentence with its figures.
+        groups: members of every connected group after the step, largest first.
+    """
+
+    step: int
+    candidates: tuple[MergeCandidate, ...]
+    chosen: MergeCandidate | None
+    reason: str
+    groups: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundPlane:
+    """The ground seen from the target LiDAR.
+
+    Args:
+        normal: (3,) unit, upwards, in the target frame.
+        offset_m: ``normal @ p + offset_m == 0`` on the plane, so the target LiDAR's height above ground.
+        T_base_target: roll, pitch and z of the target LiDAR in an ISO 8855 base frame on the ground below it; x, y and yaw are zero.
+        inlier_share: share of the merged cloud that lies on the plane.
+    """
+
+    normal: FloatArray
+    offset_m: float
+    T_base_target: RigidTransform
+    inlier_share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarPlacement:
+    """Where one LiDAR ended, or why it did not."""
+
+    lidar: str
+    placed: bool
+    T_target_source: RigidTransform | None
+    fitness: float
+    rmse_m: float
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationResult:
+    """The outcome.
+
+    Args:
+        target: root of all poses.
+        target_reason: why that LiDAR is the target.
+        placements: per LiDAR in name order, the target with the identity.
+        pairs: registrations of all pairs that were tried, in name order.
+        decisions: the merge steps in order.
+        timing_s: wall time per stage.
+    """
+
+    target: str
+    target_reason: str
+    placements: tuple[LidarPlacement, ...]
+    pairs: tuple[PairRegistration, ...] = ()
+    decisions: tuple[MergeDecision, ...] = ()
+    ground: GroundPlane | None = None
+    timing_s: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def status(self) -> Status:
+        """``complete`` if every LiDAR is placed, ``failed`` if none but the target is."""
+        placed = sum(placement.placed for placement in self.placements)
+        if placed == len(self.placements):
+            return "complete"
+        return "partial" if placed > 1 else "failed"
+
+    def __getitem__(self, lidar: str) -> LidarPlacement:
+        """The placement of that LiDAR; KeyError if the rig has none of that name."""
+        for placement in self.placements:
+            if placement.lidar == lidar:
+                return placement
+        raise KeyError(lidar)

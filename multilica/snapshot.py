@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a rig saw while it stood still."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from multilica.errors import UnknownNameError
+from multilica.geometry import FloatArray, RigidTransform, read_only
+
+__all__ = ["Float32Array", "LidarScans", "Scan", "Snapshot"]
+
+Float32Array = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scan:
+    """One frame of one LiDAR.
+
+    Args:
+        points_m: (N, 3) finite returns in the LiDAR's own frame, float32.
+        stamp_ns: nanoseconds since the epoch; 0 where the format has no time.
+        intensity: (N,) or None.
+    """
+
+    points_m: Float32Array
+    stamp_ns: int = 0
+    intensity: Float32Array | None = None
+
+    def __post_init__(self) -> None:
+        points_m = read_only(self.points_m, np.float32)
+        if points_m.ndim != 2 or points_m.shape[1] != 3:
+            raise ValueError(f"expected points of shape (N, 3), found {points_m.shape}")
+        object.__setattr__(self, "points_m", points_m)
+        if self.intensity is not None:
+            intensity = read_only(self.intensity, np.float32)
+            if intensity.shape != (len(points_m),):
+                raise ValueError(f"expected {len(points_m)} intensities, found shape {intensity.shape}")
+            object.__setattr__(self, "intensity", intensity)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarScans:
+    """The frames that one LiDAR took, oldest first.
+
+    Args:
+        name: how the LiDAR is called everywhere in multilica.
+        scans: at least one frame.
+        frame_id: frame id of the recording; the name where the format has none.
+        topic: topic or file that the frames come from.
+    """
+
+    name: str
+    scans: tuple[Scan, ...]
+    frame_id: str = ""
+    topic: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name:
+            raise ValueError("a LiDAR needs a name")
+        object.__setattr__(self, "scans", tuple(self.scans))
+        object.__setattr__(self, "frame_id", self.frame_id or self.name)
+
+    @property
+    def points_m(self) -> FloatArray:
+        """(N, 3) all frames accumulated, float64."""
+        if not self.scans:
+            return np.empty((0, 3))
+        return np.concatenate([scan.points_m for scan in self.scans]).astype(np.float64)
+
+    @property
+    def points_count(self) -> int:
+        """Number of returns over all frames."""
+        return sum(len(scan.points_m) for scan in self.scans)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Snapshot:
+    """A rig's LiDARs over one stationary window.
+
+    Args:
+        lidars: one entry per LiDAR, names unique, sorted by name.
+        source: the path that it was read from.
+        source_sha256: hash over the bytes of what was read, "" if it was made in memory.
+        static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
+        notes: what the reader noticed and the user should know ("12 of 20 scans, then the file ends").
+    """
+
+    lidars: tuple[LidarScans, ...]
+    source: str = ""
+    source_sha256: str = ""
+    static_transforms: tuple[RigidTransform, ...] = ()
+    notes: tuple[str, ...] = ()
+    _index: Mapping[str, LidarScans] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        lidars = tuple(sorted(self.lidars, key=lambda lidar: lidar.name))
+        index = {lidar.name: lidar for lidar in lidars}
+        if len(index) != len(lidars):
+            raise ValueError(f"LiDAR names must be unique, found {[lidar.name for lidar in lidars]}")
+        object.__setattr__(self, "lidars", lidars)
+        object.__setattr__(self, "_index", index)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """LiDAR names in order."""
+        return tuple(lidar.name for lidar in self.lidars)
+
+    def __getitem__(self, name: str) -> LidarScans:
+        """The LiDAR of that name.
+
+        Raises:
+            UnknownNameError: the snapshot has no such LiDAR.
+        """
+        if name not in self._index:
+            raise UnknownNameError("LiDAR", name, self.names, self.source)
+        return self._index[name]
