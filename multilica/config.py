@@ -27,12 +27,15 @@ __all__ = [
     "PreprocessConfig",
     "RuntimeConfig",
     "Stage",
+    "VerifyConfig",
     "load_config",
     "preset",
     "with_overrides",
 ]
 
-Stage = Literal["ingest", "preprocess", "features", "correspond", "coarse", "verify", "fine", "merge", "refine", "ground"]
+Stage = Literal[
+    "ingest", "preprocess", "features", "correspond", "coarse", "verify", "fine", "merge", "refine", "ground"
+]
 STAGES: tuple[Stage, ...] = get_args(Stage)
 
 PositiveMetres = Annotated[float, Field(gt=0.0)]
@@ -72,13 +75,13 @@ class FeaturesConfig(Section):
     normal_radius_voxels: PositiveMetres = Field(2.0, description="neighbourhood of a normal, in voxels")
     feature_radius_voxels: PositiveMetres = Field(5.0, description="neighbourhood of a descriptor, in voxels")
     max_range_m: PositiveMetres = Field(40.0, description="returns beyond are left out of the coarse stage")
-    orient_normals: bool = Field(True, description="turn normals towards the sensor that saw the surface")
+    orient_normals: bool = Field(default=True, description="turn normals towards the sensor that saw the surface")
 
 
 class CorrespondConfig(Section):
     """Which descriptors are paired."""
 
-    mutual: bool = Field(True, description="keep a pair only if each is the other's nearest")
+    mutual: bool = Field(default=True, description="keep a pair only if each is the other's nearest")
     max_matches: Count = Field(4000, description="the best so many matches go to the coarse stage; bounds its memory")
 
 
@@ -89,11 +92,31 @@ class CoarseConfig(Section):
         "cliques", description="cliques: the built-in solver after TEASER++"
     )
     noise_bound_m: PositiveMetres = Field(0.35, description="largest error of a correct match; about one voxel")
-    max_hypotheses: Count = Field(8, description="distinct poses that are handed on")
+    max_hypotheses: Count = Field(24, description="distinct poses that are handed on")
     normal_tolerance_deg: float = Field(
-        25.0, gt=0.0, le=180.0, description="by how much angles between normals may differ within a clique; 180: ignored"
+        25.0,
+        gt=0.0,
+        le=180.0,
+        description="by how much angles between normals may differ within a clique; 180: ignored",
     )
-    max_baseline_m: PositiveMetres = Field(25.0, description="LiDARs of one vehicle are not farther apart than this")
+    max_baseline_m: PositiveMetres = Field(15.0, description="LiDARs of one vehicle are not farther apart than this")
+
+
+class VerifyConfig(Section):
+    """Judging hypotheses by what the beams prove empty."""
+
+    enabled: bool = Field(
+        default=True, description="off: the hypothesis with the most matches is taken, as the paper does"
+    )
+    max_range_m: PositiveMetres = Field(50.0, description="points beyond are left out")
+    voxel_size_m: PositiveMetres = Field(0.5, description="grid of the short GICP that each hypothesis gets")
+    max_iterations: Count = Field(10, description="iterations of each run of the short GICP")
+    probe_voxel_size_m: PositiveMetres = Field(0.5, description="grid of the points that are judged")
+    tolerance_m: PositiveMetres = Field(0.15, description="a point nearer than this to a measured surface lies on it")
+    tolerance_deg: float = Field(0.5, gt=0.0, description="growth of that tolerance with range: the rotation's error")
+    feature_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
+        (0.25, 0.5), description="further voxel sizes of the descriptors, tried in turn while no hypothesis is accepted"
+    )
 
 
 class FineConfig(Section):
@@ -120,7 +143,8 @@ class MergeConfig(Section):
     """Growing the calibrated cloud."""
 
     mode: Literal["algorithm1", "target_first"] = Field(
-        "algorithm1", description="algorithm1: the paper's; target_first: all to the target, then the rest to the merged cloud"
+        "algorithm1",
+        description="algorithm1: the paper's; target_first: all to the target, then the rest to the merged cloud",
     )
     fitness_threshold: Share = Field(0.2, description="a pair with less fitness is not merged")
 
@@ -128,10 +152,13 @@ class MergeConfig(Section):
 class GroundConfig(Section):
     """The plane under the vehicle."""
 
-    enabled: bool = Field(False, description="estimate roll, pitch and z of the base frame")
+    enabled: bool = Field(default=False, description="estimate roll, pitch and z of the base frame")
+    max_range_m: PositiveMetres = Field(20.0, description="only points this near to the target LiDAR are looked at")
     distance_m: PositiveMetres = Field(0.05, description="a point nearer than this to the plane belongs to it")
-    iterations: Count = Field(2000, description="RANSAC draws")
-    max_tilt_deg: float = Field(30.0, gt=0.0, le=90.0, description="planes steeper than this in the target frame are not ground; 90: any")
+    iterations: Count = Field(1000, description="RANSAC draws")
+    max_tilt_deg: float = Field(
+        60.0, gt=0.0, le=90.0, description="a plane tilted by more against the target's z axis is not ground"
+    )
 
 
 class RuntimeConfig(Section):
@@ -152,6 +179,7 @@ class CalibrationConfig(Section):
     features: FeaturesConfig = FeaturesConfig()
     correspond: CorrespondConfig = CorrespondConfig()
     coarse: CoarseConfig = CoarseConfig()
+    verify: VerifyConfig = VerifyConfig()
     fine: FineConfig = FineConfig()
     merge: MergeConfig = MergeConfig()
     ground: GroundConfig = GroundConfig()
@@ -165,6 +193,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "preprocess": {"voxel_size_m": 0.0, "max_range_m": 1000.0},
         "features": {"voxel_size_m": 0.35, "feature_radius_voxels": 5.0, "max_range_m": 25.0, "orient_normals": False},
         "coarse": {"max_hypotheses": 1, "normal_tolerance_deg": 180.0, "max_baseline_m": 1000.0},
+        "verify": {"enabled": False},
         "fine": {
             "engine": "open3d",
             "voxel_size_m": 0.05,
@@ -218,7 +247,9 @@ def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> Calib
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals or not key.strip():
-            raise ConfigError(f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30.")
+            raise ConfigError(
+                f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30."
+            )
         config = _merged(config, _nested(key.strip().split("."), _toml_value(text.strip())), f"setting '{override}'")
     return config
 
@@ -245,7 +276,9 @@ def _deep_update(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, An
     updated = dict(base)
     for key, value in table.items():
         current = updated.get(key)
-        updated[key] = _deep_update(current, value) if isinstance(current, dict) and isinstance(value, Mapping) else value
+        updated[key] = (
+            _deep_update(current, value) if isinstance(current, dict) and isinstance(value, Mapping) else value
+        )
     return updated
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
 from multilica.results import (
+    Assessment,
     CalibrationResult,
     CoarseResult,
     Correspondences,
@@ -28,6 +29,7 @@ __all__ = [
     "Event",
     "FeaturesComputed",
     "GroundEstimated",
+    "HypothesesAssessed",
     "HypothesesFound",
     "MergeStepTaken",
     "Observer",
@@ -93,6 +95,15 @@ class HypothesesFound:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class HypothesesAssessed:
+    """A pair's hypotheses were judged by visibility; the most believable first, only distinct ones."""
+
+    target: str
+    source: str
+    assessments: tuple[Assessment, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PairRegistered:
     """GICP finished on a pair; `best` if no other hypothesis of the pair scored higher so far."""
 
@@ -143,6 +154,7 @@ Event = (
     | FeaturesComputed
     | CorrespondencesMatched
     | HypothesesFound
+    | HypothesesAssessed
     | PairRegistered
     | TargetChosen
     | MergeStepTaken
@@ -155,5 +167,3 @@ Observer = Callable[[Event], None]
 def ignore(event: Event) -> None:
     """The observer that nobody needs to pass."""
     del event
-
-

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +14,12 @@ from scipy.spatial.transform import Rotation
 __all__ = ["FloatArray", "RigidTransform", "read_only", "rotation_angle_rad", "skew"]
 
 FloatArray = npt.NDArray[np.float64]
+ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 _ORTHONORMAL_TOLERANCE = 1e-6
 
 
-def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike) -> npt.NDArray[np.generic]:
+def read_only(array: npt.ArrayLike, dtype: type[ScalarT]) -> npt.NDArray[ScalarT]:
     """A contiguous copy of ``array`` that nobody can write to."""
     copy = np.array(array, dtype=dtype, order="C", copy=True)
     copy.setflags(write=False)

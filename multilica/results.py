@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from multilica.geometry import FloatArray, RigidTransform
 
 __all__ = [
+    "Assessment",
     "CalibrationResult",
     "CoarseResult",
     "Correspondences",
@@ -34,7 +35,6 @@ BoolArray = npt.NDArray[np.bool_]
 PairKey = tuple[str, str]
 """(target, source): names of the two LiDARs."""
 Status = Literal["complete", "partial", "failed"]
-DropReason = Literal["non_finite", "too_near", "too_far"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +43,13 @@ class PreprocessedCloud:
 
     Args:
         lidar: name.
-        points_m: (N, 3) kept and thinned points in the LiDAR's own frame.
+        returns_m: (R, 3) every kept return in the LiDAR's own frame: one beam each.
+        points_m: (N, 3) the same, thinned on the voxel grid.
         dropped_m: per reason, the (K, 3) points that were dropped.
     """
 
     lidar: str
+    returns_m: FloatArray
     points_m: FloatArray
     dropped_m: Mapping[str, FloatArray] = field(default_factory=dict)
 
@@ -87,6 +89,18 @@ class Correspondences:
     def __len__(self) -> int:
         return len(self.target_points_m)
 
+    def subset(self, index: IndexArray) -> Correspondences:
+        """The matches of those indices."""
+        return Correspondences(
+            self.target,
+            self.source,
+            self.target_points_m[index],
+            self.source_points_m[index],
+            self.target_normals[index],
+            self.source_normals[index],
+            self.feature_distances[index],
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
@@ -119,6 +133,46 @@ class CoarseResult:
     graph_edges: int = 0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """What the beams of both sensors say of one hypothesis, after a short GICP.
+
+    Points of each sensor are judged by the beams of the other; the counts are over both directions.
+
+    Args:
+        hypothesis: index into the pair's hypotheses.
+        agree: points on a surface that the other sensor measured.
+        violate: points in space that the other sensor's beams passed through.
+        occluded: points behind a measured surface, of which nothing is known.
+        unseen: points outside the other sensor's field of view.
+        weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m: near zero where
+            the pose can slide without the fit getting worse.
+        probes_m: (N, 3) judged points of the source, in its own frame; labels: (N,) `BeamLabel` of each.
+    """
+
+    hypothesis: int
+    T_target_source: RigidTransform
+    agree: int
+    violate: int
+    occluded: int
+    unseen: int
+    fitness: float
+    rmse_m: float
+    weakest_curvature: float
+    probes_m: FloatArray
+    labels: npt.NDArray[np.uint8]
+
+    @property
+    def score(self) -> float:
+        """(agree - violate) / (agree + violate + occluded): the order in which hypotheses are believed."""
+        return (self.agree - self.violate) / max(1, self.agree + self.violate + self.occluded)
+
+    @property
+    def violation_share(self) -> float:
+        """Violations as a share of the points that the beams decide on."""
+        return self.violate / max(1, self.agree + self.violate)
+
+
 @dataclass(frozen=True, slots=True)
 class FineStep:
     """One observed moment of GICP.
@@ -145,7 +199,8 @@ class PairRegistration:
         target, source: LiDARs, or during merging the LiDAR and the group it was registered against.
         fitness: source points within `fine.fitness_distance_m` of the target cloud, as a share of all source points.
         rmse_m: root mean square distance of those points to their nearest target point.
-        hessian: (6, 6) of the objective, order rotation xyz, translation xyz about the source frame; None where the engine does not tell.
+        hessian: (6, 6) of the objective, order rotation xyz, translation xyz about the source frame; None where the
+            engine does not tell.
         hypothesis: index into the pair's hypotheses that this started from; -1 if it started from a merged pose.
         steps: progress, for the recording.
     """
@@ -201,7 +256,8 @@ class GroundPlane:
     Args:
         normal: (3,) unit, upwards, in the target frame.
         offset_m: ``normal @ p + offset_m == 0`` on the plane, so the target LiDAR's height above ground.
-        T_base_target: roll, pitch and z of the target LiDAR in an ISO 8855 base frame on the ground below it; x, y and yaw are zero.
+        T_base_target: roll, pitch and z of the target LiDAR in an ISO 8855 base frame on the ground below it; x, y and
+            yaw are zero.
         inlier_share: share of the merged cloud that lies on the plane.
     """
 
@@ -216,11 +272,11 @@ class LidarPlacement:
     """Where one LiDAR ended, or why it did not."""
 
     lidar: str
-    placed: bool
-    T_target_source: RigidTransform | None
-    fitness: float
-    rmse_m: float
     reason: str
+    placed: bool = False
+    T_target_source: RigidTransform | None = None
+    fitness: float = 0.0
+    rmse_m: float = float("inf")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

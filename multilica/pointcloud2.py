@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The data layout of `sensor_msgs/PointCloud2`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from multilica.snapshot import Float32Array
+
+__all__ = ["DATATYPES", "PointCloud2", "PointField", "decode_points", "encode_points", "finite_points", "point_dtype"]
+
+DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""`PointField.datatype` -> NumPy type without its byte order."""
+
+Column = npt.NDArray[Any]
+
+_COORDINATES = ("x", "y", "z")
+_INTENSITY = "intensity"
+_FLOAT32 = 7
+
+
+@dataclass(frozen=True, slots=True)
+class PointField:
+    """One named value of each point.
+
+    Args:
+        offset: bytes from the start of the point.
+        datatype: key of `DATATYPES`.
+        count: elements; only the first is ever read here.
+    """
+
+    name: str
+    offset: int
+    datatype: int
+    count: int = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointCloud2:
+    """The part of the message that says where the points lie.
+
+    Args:
+        point_step: bytes from one point to the next.
+        row_step: bytes from one row to the next; of no meaning with a single row.
+        data: the bytes themselves, never copied here.
+    """
+
+    fields: tuple[PointField, ...]
+    width: int
+    height: int
+    point_step: int
+    row_step: int
+    data: bytes | memoryview | npt.NDArray[np.uint8]
+    big_endian: bool = False
+
+
+def decode_points(cloud: PointCloud2) -> tuple[Float32Array, Float32Array | None]:
+    """Finite points (N, 3) in the order of the data, and their intensities (N,) or None.
+
+    Raises:
+        ValueError: the message contradicts itself; the text is a predicate, such as "has no field z".
+    """
+    if cloud.width * cloud.height == 0:
+        return np.empty((0, 3), np.float32), None
+    dtype = point_dtype(cloud.fields, cloud.point_step, big_endian=cloud.big_endian)
+    columns = _records(cloud, dtype)
+    intensity = columns[_INTENSITY].ravel() if _INTENSITY in (dtype.names or ()) else None
+    return finite_points(*(columns[name].ravel() for name in _COORDINATES), intensity)
+
+
+@lru_cache(maxsize=64)
+def point_dtype(fields: tuple[PointField, ...], point_step: int, *, big_endian: bool) -> np.dtype[np.void]:
+    """The structured type with x, y, z and, where there is one, intensity; all other fields are padding.
+
+    Raises:
+        ValueError: a coordinate is missing, of unknown type, or outside the point.
+    """
+    chosen = {field.name: field for field in reversed(fields) if field.name in (*_COORDINATES, _INTENSITY)}
+    missing = [name for name in _COORDINATES if name not in chosen]
+    if missing:
+        listed = ", ".join(field.name for field in fields) or "none"
+        raise ValueError(f"has no field {' or '.join(missing)}; its fields are: {listed}")
+    names = [name for name in (*_COORDINATES, _INTENSITY) if name in chosen]
+    return np.dtype(
+        {
+            "names": names,
+            "formats": [_format(chosen[name], point_step, big_endian=big_endian) for name in names],
+            "offsets": [chosen[name].offset for name in names],
+            "itemsize": point_step,
+        }
+    )
+
+
+def _format(field: PointField, point_step: int, *, big_endian: bool) -> np.dtype[Any]:
+    if field.datatype not in DATATYPES:
+        raise ValueError(f"has field {field.name} of the unknown datatype {field.datatype}; expected 1 to 8")
+    dtype = np.dtype((">" if big_endian else "<") + DATATYPES[field.datatype])
+    if field.offset + dtype.itemsize > point_step:
+        raise ValueError(f"has field {field.name} at byte {field.offset} of points of {point_step} bytes")
+    return dtype
+
+
+def _records(cloud: PointCloud2, dtype: np.dtype[np.void]) -> npt.NDArray[np.void]:
+    row_bytes = cloud.width * cloud.point_step
+    row_step = cloud.row_step if cloud.height > 1 and cloud.row_step else row_bytes
+    if row_step < row_bytes:
+        raise ValueError(
+            f"has rows of {cloud.width} points of {cloud.point_step} bytes, yet a row step of {row_step} bytes"
+        )
+    needed = (cloud.height - 1) * row_step + row_bytes
+    held = memoryview(cloud.data).nbytes
+    if needed > held:
+        raise ValueError(
+            f"claims {cloud.width} x {cloud.height} points of {cloud.point_step} bytes, which takes {needed} bytes, "
+            f"yet holds {held}"
+        )
+    return np.ndarray((cloud.height, cloud.width), dtype, cloud.data, 0, (row_step, cloud.point_step))
+
+
+def finite_points(
+    x: Column, y: Column, z: Column, intensity: Column | None = None
+) -> tuple[Float32Array, Float32Array | None]:
+    """Columns (N,) of any number type as float32 points (K, 3), without those that are not finite, in order."""
+    points_m = np.empty((len(x), 3), np.float32)
+    with np.errstate(over="ignore"):
+        for axis, column in enumerate((x, y, z)):
+            points_m[:, axis] = column
+        values = None if intensity is None else intensity.astype(np.float32)
+    finite = np.isfinite(points_m)
+    if finite.all():
+        return points_m, values
+    keep = finite[:, 0] & finite[:, 1] & finite[:, 2]
+    return points_m[keep], None if values is None else values[keep]
+
+
+def encode_points(points_m: Float32Array, intensity: Float32Array | None = None) -> PointCloud2:
+    """Points (N, 3), and intensities (N,) where there are any, as one packed row of little-endian float32."""
+    columns = [*np.asarray(points_m).T, *([] if intensity is None else [intensity])]
+    names = (*_COORDINATES, _INTENSITY)[: len(columns)]
+    packed = np.stack(columns, axis=1).astype("<f4", order="C")
+    fields = tuple(PointField(name, 4 * index, _FLOAT32) for index, name in enumerate(names))
+    point_step = 4 * len(names)
+    data = packed.reshape(-1).view(np.uint8)
+    return PointCloud2(fields, len(packed), 1, point_step, len(packed) * point_step, data)

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one sensor's beams prove: surface where they returned, empty space before it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import Delaunay, cKDTree
+
+from multilica.geometry import FloatArray
+
+__all__ = ["BeamImage", "BeamLabel", "build_beam_image", "label_points"]
+
+LabelArray = npt.NDArray[np.uint8]
+
+
+class BeamLabel(IntEnum):
+    """What a sensor's beams say of a point that another sensor measured."""
+
+    UNSEEN = 0
+    """Outside the field of view, or between beams that are too far apart."""
+    AGREE = 1
+    """On a surface that the beams measured."""
+    VIOLATE = 2
+    """In space that the beams passed through."""
+    OCCLUDED = 3
+    """Behind a measured surface: says nothing."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BeamImage:
+    """Triangles between neighbouring beams of one sensor, whatever its scan pattern.
+
+    The Delaunay triangulation of beam directions is a range image whose pixels are as large as the sensor's own
+    beam spacing: rings, grids and rosettes come out alike.
+
+    Args:
+        to_pole: (3, 3) rotation that takes the emptiest direction to -z, from where directions are projected.
+        triangulation: of the stereographic projection of the beams; circles stay circles, so it is Delaunay on the
+            sphere.
+        planes: (T, 3) per triangle the vector c with ``c @ p == 1`` on the plane through its three returns.
+        nearest_m, farthest_m: (T,) smallest and largest range of the three returns.
+        usable: (T,) the three beams are neighbours.
+        smooth: (T,) the three returns can lie on one surface.
+    """
+
+    to_pole: FloatArray
+    triangulation: Any
+    planes: FloatArray
+    nearest_m: FloatArray
+    farthest_m: FloatArray
+    usable: npt.NDArray[np.bool_]
+    smooth: npt.NDArray[np.bool_]
+
+
+_MAX_RETURNS = 200_000
+_MAX_BEAMS = 12_000
+_FINEST_CELL_RAD = 0.004
+_CELL_GROWTH = 1.4
+_EDGE_FACTOR = 3.0
+_MAX_EDGE_RAD = np.deg2rad(8.0)
+_MIN_INCIDENCE = 0.05
+_POLE_CANDIDATES = 400
+
+
+def build_beam_image(returns_m: FloatArray) -> BeamImage | None:
+    """Triangulate the beams of one sensor.
+
+    Args:
+        returns_m: (N, 3) returns in the sensor's own frame, the sensor at the origin.
+
+    Returns:
+        None if there are too few beams to span a triangle.
+    """
+    stride = max(1, len(returns_m) // _MAX_RETURNS)
+    beams_m = _one_per_cell(returns_m[::stride])
+    if len(beams_m) < 4:
+        return None
+    range_m = np.linalg.norm(beams_m, axis=1)
+    directions = beams_m / range_m[:, None]
+    to_pole = _rotation_to_pole(directions)
+    triangulation = Delaunay(_stereographic(directions @ to_pole.T))
+    corners = triangulation.simplices
+    longest_rad = _longest_edge_rad(directions[corners])
+    spacing_rad = float(np.median(longest_rad))
+    points = beams_m[corners]
+    with np.errstate(all="ignore"):
+        planes = _planes(points)
+    incidence = 1.0 / (np.linalg.norm(planes, axis=1) * range_m[corners].mean(axis=1))
+    return BeamImage(
+        to_pole=to_pole,
+        triangulation=triangulation,
+        planes=planes,
+        nearest_m=range_m[corners].min(axis=1),
+        farthest_m=range_m[corners].max(axis=1),
+        usable=longest_rad <= min(_EDGE_FACTOR * spacing_rad, _MAX_EDGE_RAD),
+        smooth=incidence >= _MIN_INCIDENCE,
+    )
+
+
+def label_points(image: BeamImage, points_m: FloatArray, tolerance_m: float, tolerance_rad: float) -> LabelArray:
+    """Judge points (N, 3), given in the image's sensor frame.
+
+    Args:
+        tolerance_m: how far from a plane a point still lies on it, at range 0.
+        tolerance_rad: by how much that grows with range: the error of the rotation.
+    """
+    range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-9)
+    triangle = image.triangulation.find_simplex(_stereographic((points_m / range_m[:, None]) @ image.to_pole.T))
+    seen = (triangle >= 0) & image.usable[triangle]
+    plane = image.planes[triangle]
+    beyond_m = (np.einsum("ij,ij->i", plane, points_m) - 1.0) / np.linalg.norm(plane, axis=1)
+    tolerance = tolerance_m + tolerance_rad * range_m
+    agree = image.smooth[triangle] & (np.abs(beyond_m) <= tolerance)
+    before = range_m < image.nearest_m[triangle] - 2.0 * tolerance
+    violate = before & ((beyond_m < -2.0 * tolerance) | ~image.smooth[triangle])
+    labels = np.full(len(points_m), BeamLabel.OCCLUDED, dtype=np.uint8)
+    labels[violate] = BeamLabel.VIOLATE
+    labels[agree] = BeamLabel.AGREE
+    labels[~seen] = BeamLabel.UNSEEN
+    return labels
+
+
+def _one_per_cell(returns_m: FloatArray) -> FloatArray:
+    """The return of median range in each cell of directions; cells grow until there are few enough."""
+    range_m = np.linalg.norm(returns_m, axis=1)
+    returns_m, range_m = returns_m[range_m > 0.0], range_m[range_m > 0.0]
+    if len(returns_m) == 0:
+        return returns_m
+    directions = returns_m / range_m[:, None]
+    cell_rad = _FINEST_CELL_RAD
+    while True:
+        cells = np.floor((directions + 1.0) / cell_rad).astype(np.int64) @ np.array([1 << 40, 1 << 20, 1])
+        order = np.lexsort((range_m, cells))
+        _, start, count = np.unique(cells[order], return_index=True, return_counts=True)
+        if len(start) <= _MAX_BEAMS:
+            return np.asarray(returns_m[order[start + count // 2]])
+        cell_rad *= _CELL_GROWTH
+
+
+def _rotation_to_pole(directions: FloatArray) -> FloatArray:
+    """A rotation that takes the direction farthest from all beams to -z."""
+    index = np.arange(_POLE_CANDIDATES) + 0.5
+    polar, azimuth = np.arccos(1.0 - 2.0 * index / _POLE_CANDIDATES), np.pi * (1.0 + 5.0**0.5) * index
+    sphere = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=1)
+    distance, _ = cKDTree(directions).query(sphere)
+    pole = -sphere[np.argmax(distance)]
+    helper = np.eye(3)[np.argmin(np.abs(pole))]
+    x_axis = np.cross(helper, pole)
+    x_axis /= np.linalg.norm(x_axis)
+    return np.stack([x_axis, np.cross(pole, x_axis), pole])
+
+
+def _stereographic(directions: FloatArray) -> FloatArray:
+    return directions[:, :2] / np.maximum(1.0 + directions[:, 2:], 1e-9)
+
+
+def _longest_edge_rad(corners: FloatArray) -> FloatArray:
+    chords = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    return np.asarray(2.0 * np.arcsin(np.clip(chords.max(axis=1) / 2.0, 0.0, 1.0)))
+
+
+def _planes(corners_m: FloatArray) -> FloatArray:
+    """Their normal over its offset: ``c @ p == 1`` for the three points."""
+    normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    offset = np.einsum("ij,ij->i", normal, corners_m[:, 0])
+    offset = np.where(np.abs(offset) > 1e-12, offset, 1e-12)
+    return np.asarray(normal / offset[:, None])

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Match points of two LiDARs by their descriptors."""
+
+from __future__ import annotations
+
+import numpy as np
+import open3d as o3d
+
+from multilica.config import CorrespondConfig
+from multilica.results import Correspondences, FeatureCloud, IndexArray
+
+__all__ = ["match_features"]
+
+
+def match_features(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
+    """Pair each descriptor with its nearest, the closest pairs first.
+
+    With `mutual`, a pair counts only if each is the other's nearest neighbour in descriptor space.
+    """
+    pairs = _nearest_pairs(target, source, mutual=config.mutual)
+    distances = np.linalg.norm(source.descriptors[pairs[:, 0]] - target.descriptors[pairs[:, 1]], axis=1)
+    best = np.lexsort((pairs[:, 0], distances))[: config.max_matches]
+    source_index, target_index = pairs[best].T
+    return Correspondences(
+        target=target.lidar,
+        source=source.lidar,
+        target_points_m=target.points_m[target_index],
+        source_points_m=source.points_m[source_index],
+        target_normals=target.normals[target_index],
+        source_normals=source.normals[source_index],
+        feature_distances=distances[best],
+    )
+
+
+def _nearest_pairs(target: FeatureCloud, source: FeatureCloud, *, mutual: bool) -> IndexArray:
+    if len(target.points_m) == 0 or len(source.points_m) == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    features = [o3d.pipelines.registration.Feature() for _ in range(2)]
+    for feature, cloud in zip(features, (source, target), strict=True):
+        feature.data = np.ascontiguousarray(cloud.descriptors.T)
+    pairs = o3d.pipelines.registration.correspondences_from_features(
+        *features, mutual_filter=mutual, mutual_consistency_ratio=0.0
+    )
+    return np.asarray(pairs, dtype=np.int64).reshape(-1, 2)

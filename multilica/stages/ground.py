@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Find the ground under the vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+import open3d as o3d
+
+from multilica.config import GroundConfig
+from multilica.geometry import FloatArray, RigidTransform, read_only
+from multilica.results import BoolArray, GroundPlane
+from multilica.stages.voxel_grid import thin
+
+__all__ = ["BASE_FRAME", "estimate_ground"]
+
+BASE_FRAME = "base"
+
+_VOXEL_SIZE_M = 0.1
+_MIN_POINTS = 100
+_MAX_PLANES = 6
+_BELOW_DISTANCES = 4.0
+_MAX_SHARE_BELOW = 0.05
+
+
+def estimate_ground(
+    target: str, points_m: FloatArray, config: GroundConfig, seed: int
+) -> tuple[GroundPlane | None, str]:
+    """Plane by RANSAC on the merged cloud; roll, pitch and z of the target LiDAR (the paper, LiDAR-to-ground).
+
+    For a plane ``a x + b y + c z + d = 0`` with its normal upwards, the base frame (ISO 8855: x forward, y left, z up)
+    differs from the target frame by pitch ``atan2(-a, sqrt(b^2 + c^2))`` and roll ``atan2(b, c)``; the paper's
+    equation gives the pitch up to its sign. x, y and yaw do not show in a plane: they are zero.
+
+    Args:
+        target: name of the target LiDAR, whose frame `points_m` (N, 3) are in.
+
+    Returns:
+        The plane, or None, and the reason in words.
+    """
+    points_m = thin(points_m[np.linalg.norm(points_m, axis=1) <= config.max_range_m], _VOXEL_SIZE_M)
+    if len(points_m) < _MIN_POINTS:
+        return None, f"{len(points_m)} points are too few for a plane; expected {_MIN_POINTS} and more"
+    o3d.utility.random.seed(seed)
+    left = points_m
+    for _ in range(_MAX_PLANES):
+        if len(left) < _MIN_POINTS:
+            break
+        normal, offset_m, on_plane = _largest_plane(left, config)
+        if _is_ground(normal, offset_m, points_m, config):
+            return _plane(target, normal, offset_m, points_m, config)
+        left = left[~on_plane]
+    return None, (
+        f"none of the {_MAX_PLANES} largest planes lies under the rig: tilted by at most {config.max_tilt_deg:g} deg "
+        f"against the z axis of {target}, with nothing below it"
+    )
+
+
+def _largest_plane(points_m: FloatArray, config: GroundConfig) -> tuple[FloatArray, float, BoolArray]:
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
+    coefficients, inliers = cloud.segment_plane(config.distance_m, 3, config.iterations)
+    on_plane = np.zeros(len(points_m), dtype=bool)
+    on_plane[inliers] = True
+    normal, offset_m = _towards_sensor(np.asarray(coefficients, dtype=np.float64))
+    return normal, offset_m, on_plane
+
+
+def _is_ground(normal: FloatArray, offset_m: float, points_m: FloatArray, config: GroundConfig) -> bool:
+    tilt_deg = np.rad2deg(np.arccos(np.clip(normal[2], -1.0, 1.0)))
+    below = points_m @ normal + offset_m < -_BELOW_DISTANCES * config.distance_m
+    return bool(tilt_deg <= config.max_tilt_deg and below.mean() <= _MAX_SHARE_BELOW)
+
+
+def _plane(
+    target: str, normal: FloatArray, offset_m: float, points_m: FloatArray, config: GroundConfig
+) -> tuple[GroundPlane, str]:
+    on_plane = np.abs(points_m @ normal + offset_m) <= config.distance_m
+    plane = GroundPlane(
+        normal=read_only(normal, np.float64),
+        offset_m=offset_m,
+        T_base_target=_base_pose(target, normal, offset_m),
+        inlier_share=float(on_plane.mean()),
+    )
+    return plane, f"{on_plane.sum()} of {len(points_m)} points lie on a plane {offset_m:.3f} m below {target}"
+
+
+def _towards_sensor(coefficients: FloatArray) -> tuple[FloatArray, float]:
+    """The plane's unit normal on the sensor's side: the ground lies below the sensor."""
+    scale = np.linalg.norm(coefficients[:3])
+    sign = 1.0 if coefficients[3] >= 0.0 else -1.0
+    return coefficients[:3] * sign / scale, float(coefficients[3] * sign / scale)
+
+
+def _base_pose(target: str, normal: FloatArray, offset_m: float) -> RigidTransform:
+    a, b, c = normal
+    roll_rad = np.arctan2(b, c)
+    pitch_rad = np.arctan2(-a, np.hypot(b, c))
+    return RigidTransform.from_xyz_rpy(BASE_FRAME, target, [0.0, 0.0, offset_m], [roll_rad, pitch_rad, 0.0])

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clean a LiDAR's accumulated returns."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multilica.config import PreprocessConfig
+from multilica.geometry import read_only
+from multilica.results import PreprocessedCloud
+from multilica.snapshot import LidarScans
+from multilica.stages.voxel_grid import thin
+
+__all__ = ["preprocess"]
+
+
+def preprocess(lidar: LidarScans, config: PreprocessConfig) -> PreprocessedCloud:
+    """Drop what is no measurement of the scene, then thin the rest.
+
+    Returns:
+        The kept points in the LiDAR's own frame, and the dropped ones by reason.
+    """
+    points_m = lidar.points_m
+    finite = np.all(np.isfinite(points_m), axis=1)
+    range_m = np.linalg.norm(np.where(finite[:, None], points_m, 0.0), axis=1)
+    too_near = finite & (range_m < config.min_range_m)
+    too_far = finite & (range_m > config.max_range_m)
+    dropped = {"too_near": points_m[too_near], "too_far": points_m[too_far]}
+    kept = points_m[finite & ~too_near & ~too_far]
+    return PreprocessedCloud(
+        lidar=lidar.name,
+        returns_m=read_only(kept, np.float64),
+        points_m=read_only(thin(kept, config.voxel_size_m), np.float64),
+        dropped_m={reason: points for reason, points in dropped.items() if len(points)},
+    )

@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Solvers that turn matches with many outliers into poses, all with one signature."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from multilica.config import CoarseConfig
+from multilica.results import Correspondences
+from multilica.stages.solvers.candidates import PoseCandidates
+from multilica.stages.solvers.cliques import solve_by_cliques
+from multilica.stages.solvers.open3d_solvers import solve_by_fgr, solve_by_ransac
+from multilica.stages.solvers.optional import solve_by_kiss_matcher, solve_by_teaserpp
+
+__all__ = ["SOLVERS", "PoseCandidates", "Solver"]
+
+Solver = Callable[[Correspondences, CoarseConfig, int], PoseCandidates]
+
+SOLVERS: Mapping[str, Solver] = {
+    "cliques": solve_by_cliques,
+    "kiss_matcher": solve_by_kiss_matcher,
+    "teaserpp": solve_by_teaserpp,
+    "ransac": solve_by_ransac,
+    "fgr": solve_by_fgr,
+}

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The built-in solver: one pose per maximal clique of consistent matches."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from multilica.config import CoarseConfig
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import Correspondences, IndexArray
+from multilica.stages.solvers.candidates import PoseCandidates
+from multilica.stages.solvers.consistency_graph import build_consistency_graph, grow_cliques
+from multilica.stages.solvers.robust_pose import align_points, robust_pose
+
+__all__ = ["solve_by_cliques"]
+
+_SEEDS_PER_HYPOTHESIS = 8
+_REFITS = 3
+
+
+def solve_by_cliques(matches: Correspondences, config: CoarseConfig, seed: int) -> PoseCandidates:
+    """TEASER++'s method (Yang et al., T-RO 2020), kept open for several answers.
+
+    Consistency graph on invariant lengths and angles, maximal cliques instead of the one maximum clique, GNC-TLS
+    rotation and TLS translation on each, then least squares on all matches that agree.
+    """
+    del seed
+    graph = build_consistency_graph(matches, config.noise_bound_m, config.normal_tolerance_deg)
+    seeds = 1 if config.max_hypotheses == 1 else _SEEDS_PER_HYPOTHESIS * config.max_hypotheses
+    cliques = [clique for clique in grow_cliques(graph, seeds) if len(clique) >= 3]
+    poses = tuple(_pose_of(matches, clique, config.noise_bound_m) for clique in cliques)
+    return PoseCandidates(poses, graph_nodes=len(matches), graph_edges=graph.edges)
+
+
+def _pose_of(matches: Correspondences, clique: IndexArray, noise_bound_m: float) -> FloatArray:
+    target_m, source_m = matches.target_points_m, matches.source_points_m
+    rotation, translation, _ = robust_pose(target_m[clique], source_m[clique], noise_bound_m)
+    for _ in range(_REFITS):
+        residual_m = np.linalg.norm(target_m - source_m @ rotation.T - translation, axis=1)
+        agree = residual_m <= noise_bound_m
+        if np.count_nonzero(agree) < 3:
+            break
+        rotation, translation = align_points(target_m[agree], source_m[agree])
+    return RigidTransform.from_rotation_translation("target", "source", rotation, translation).matrix
