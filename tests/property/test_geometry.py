@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from multilica.geometry import RigidTransform, skew
+
+_coordinate = st.floats(-100.0, 100.0)
+_angle = st.floats(-np.pi, np.pi)
+_pitch = st.floats(-1.5, 1.5)
+_xyz = st.tuples(_coordinate, _coordinate, _coordinate)
+_rpy = st.tuples(_angle, _pitch, _angle)
+
+
+def _pose(xyz_m, rpy_rad, target="a", source="b"):
+    return RigidTransform.from_xyz_rpy(target, source, xyz_m, rpy_rad)
+
+
+@given(_xyz, _rpy)
+def test_inverse_undoes(xyz_m, rpy_rad):
+    pose = _pose(xyz_m, rpy_rad)
+    assert np.allclose((pose @ pose.inverse()).matrix, np.eye(4), atol=1e-9)
+    assert (pose.inverse().target, pose.inverse().source) == ("b", "a")
+
+
+@given(_xyz, _rpy, _xyz, _rpy, _xyz)
+def test_product_applies_right_to_left(xyz_1, rpy_1, xyz_2, rpy_2, point):
+    T_a_b, T_b_c = _pose(xyz_1, rpy_1), _pose(xyz_2, rpy_2, "b", "c")
+    points = np.array([point])
+    assert np.allclose((T_a_b @ T_b_c).apply(points), T_a_b.apply(T_b_c.apply(points)), atol=1e-8)
+
+
+@given(_xyz, _rpy)
+def test_angles_and_quaternion_round_trip(xyz_m, rpy_rad):
+    pose = _pose(xyz_m, rpy_rad)
+    assert np.allclose(_pose(pose.xyz_m, pose.rpy_rad).matrix, pose.matrix, atol=1e-9)
+    again = RigidTransform.from_xyz_quaternion("a", "b", pose.xyz_m, pose.quaternion_xyzw)
+    assert np.allclose(again.matrix, pose.matrix, atol=1e-9)
+
+
+def test_rpy_is_extrinsic_xyz():
+    roll, pitch, yaw = 0.1, 0.2, 0.3
+    x_turn = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
+    y_turn = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
+    z_turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    assert np.allclose(_pose([0, 0, 0], [roll, pitch, yaw]).rotation, z_turn @ y_turn @ x_turn)
+
+
+@given(st.floats(1e-9, 3.0))
+def test_distance_keeps_small_angles(angle_rad):
+    _, measured_rad = _pose([0, 0, 0], [0, 0, angle_rad]).distance_to(RigidTransform.identity("a", "b"))
+    assert measured_rad == pytest.approx(angle_rad, rel=1e-6, abs=1e-12)
+
+
+@given(_xyz, _xyz)
+def test_skew_is_the_cross_product(a, b):
+    assert np.allclose(skew(np.array(a)) @ np.array(b), np.cross(a, b))
+
+
+def test_chains_only_through_the_same_frame():
+    with pytest.raises(ValueError, match="'b' is not 'c'"):
+        _pose([0, 0, 0], [0, 0, 0]) @ _pose([0, 0, 0], [0, 0, 0], "c", "d")
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4), np.full((4, 4), np.nan)]
+)
+def test_refuses_what_is_no_rigid_transform(matrix):
+    with pytest.raises(ValueError, match="expected"):
+        RigidTransform("a", "b", matrix)
+
+
+def test_the_matrix_cannot_be_written_to():
+    with pytest.raises(ValueError, match="read-only"):
+        RigidTransform.identity("a", "b").matrix[0, 0] = 2.0
