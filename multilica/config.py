@@ -82,7 +82,10 @@ class CorrespondConfig(Section):
     """Which descriptors are paired."""
 
     mutual: bool = Field(default=True, description="keep a pair only if each is the other's nearest")
-    max_matches: Count = Field(4000, description="the best so many matches go to the coarse stage; bounds its memory")
+    max_keypoints: Count = Field(
+        8000, description="descriptors per LiDAR that are matched; drawn evenly if there are more"
+    )
+    max_matches: Count = Field(2000, description="the best so many matches go to the coarse stage; bounds its memory")
 
 
 class CoarseConfig(Section):
@@ -110,10 +113,23 @@ class VerifyConfig(Section):
     )
     max_range_m: PositiveMetres = Field(50.0, description="points beyond are left out")
     voxel_size_m: PositiveMetres = Field(0.5, description="grid of the short GICP that each hypothesis gets")
+    max_points: Count = Field(4000, description="points per LiDAR of the short GICP; a denser cloud is thinned further")
     max_iterations: Count = Field(10, description="iterations of each run of the short GICP")
     probe_voxel_size_m: PositiveMetres = Field(0.5, description="grid of the points that are judged")
     tolerance_m: PositiveMetres = Field(0.15, description="a point nearer than this to a measured surface lies on it")
     tolerance_deg: float = Field(0.5, gt=0.0, description="growth of that tolerance with range: the rotation's error")
+    settled_after: Count = Field(
+        6, ge=2, description="distinct answers that are tried before the search may stop early"
+    )
+    settled_ratio: Share = Field(0.5, description="it stops if the runner-up has at most this share of the evidence")
+    finalists: Count = Field(3, description="distinct answers that are registered more finely")
+    finalist_points: Count = Field(10_000, description="points per LiDAR of that registration")
+    final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
+    final_tolerance_deg: float = Field(0.2, gt=0.0, description="as tolerance_deg, for the finely registered")
+    min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
+    max_violation_share: Share = Field(0.03, description="share of points in proven-empty space that can be chance")
+    max_runner_up: Share = Field(0.7, description="share of the evidence that another distinct pose may have")
+    min_curvature: Metres = Field(0.6, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm")
     feature_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
         (0.25, 0.5), description="further voxel sizes of the descriptors, tried in turn while no hypothesis is accepted"
     )
@@ -124,12 +140,13 @@ class FineConfig(Section):
 
     engine: Literal["small_gicp", "open3d"] = Field("small_gicp", description="implementation of GICP")
     voxel_size_m: PositiveMetres = Field(0.1, description="grid on which GICP runs")
+    max_points: Count = Field(50_000, description="a cloud with more points is thinned on a coarser grid")
     max_correspondence_distances_m: tuple[PositiveMetres, ...] = Field(
-        (2.0, 1.0, 0.5, 0.25), min_length=1, description="one GICP run each, from coarse to fine"
+        (0.5, 0.25), min_length=1, description="one GICP run each, from coarse to fine"
     )
     max_iterations: Count = Field(30, description="largest number of iterations of each run")
-    rotation_epsilon_rad: PositiveMetres = Field(1e-5, description="converged when a step turns by less (small_gicp)")
-    translation_epsilon_m: PositiveMetres = Field(1e-5, description="converged when a step moves by less (small_gicp)")
+    rotation_epsilon_rad: PositiveMetres = Field(1e-4, description="converged when a step turns by less (small_gicp)")
+    translation_epsilon_m: PositiveMetres = Field(1e-4, description="converged when a step moves by less (small_gicp)")
     gicp_epsilon: PositiveMetres = Field(0.005, description="variance along the normal (open3d)")
     relative_fitness: PositiveMetres = Field(1e-7, description="converged when fitness changes by less (open3d)")
     relative_rmse: PositiveMetres = Field(1e-7, description="converged when the RMSE changes by less (open3d)")
@@ -197,6 +214,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
         "fine": {
             "engine": "open3d",
             "voxel_size_m": 0.05,
+            "max_points": 10_000_000,
             "max_correspondence_distances_m": [1.0],
             "max_iterations": 100,
             "gicp_epsilon": 0.005,

@@ -105,10 +105,9 @@ class HypothesesAssessed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairRegistered:
-    """GICP finished on a pair; `best` if no other hypothesis of the pair scored higher so far."""
+    """GICP finished on a pair, or during merging on two groups, and the verdict is known."""
 
     registration: PairRegistration
-    best: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -34,12 +34,14 @@ from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features
 from multilica.stages.features import compute_features
-from multilica.stages.fine import register_pair
+from multilica.stages.decide import decide, decide_by_fitness
+from multilica.stages.fine import Candidate, Side, register_best
 from multilica.stages.ground import estimate_ground
 from multilica.stages.merge import Group, merge
 from multilica.stages.preprocess import preprocess
-from multilica.stages.registration_cloud import RegistrationCloud, prepare_registration_cloud
-from multilica.stages.verify import Witness, assess_hypotheses, prepare_witness, short_gicp
+from multilica.stages.registration_cloud import prepare_registration_cloud
+from multilica.stages.verify import assess_hypotheses, short_gicp
+from multilica.stages.witness import Witness, prepare_witness
 
 __all__ = ["calibrate"]
 
@@ -98,7 +100,7 @@ class _Run:
     matches: dict[PairKey, Correspondences] = field(default_factory=dict)
     coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
     assessments: dict[PairKey, tuple[Assessment, ...]] = field(default_factory=dict)
-    registration_clouds: dict[str, RegistrationCloud] = field(default_factory=dict)
+    witnesses: dict[str, Witness] = field(default_factory=dict)
     registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
     target: str = ""
     target_reason: str = ""
@@ -163,40 +165,46 @@ class _Run:
         if not self.config.verify.enabled:
             return
         gicp = short_gicp(self.config.verify, self.config.fine)
-        witnesses: dict[str, Witness] = {
-            name: prepare_witness(cloud, self.config.verify, self.config.fine, self._threads)
+        rough = {
+            name: prepare_registration_cloud(name, cloud.points_m, gicp, self._threads)
             for name, cloud in self.clouds.items()
         }
-        for (target, source), coarse in self.coarse.items():
-            assessments = assess_hypotheses(
-                witnesses[target], witnesses[source], coarse, self.config.verify, gicp, self._threads
-            )
-            self.assessments[target, source] = assessments
-            self.observe(events.HypothesesAssessed(target, source, assessments))
+        for name, cloud in self.clouds.items():
+            self.witnesses[name] = prepare_witness(cloud, self.config.verify)
+        for pair, coarse in self.coarse.items():
+            target, source = ((self.witnesses[name], rough[name]) for name in pair)
+            self.assessments[pair] = assess_hypotheses(target, source, coarse, self.config.verify, gicp, self._threads)
+            self.observe(events.HypothesesAssessed(*pair, self.assessments[pair]))
 
     def _fine(self) -> None:
-        for name, cloud in self.clouds.items():
-            self.registration_clouds[name] = prepare_registration_cloud(
-                name, cloud.points_m, self.config.fine, self._threads
-            )
-        for target, source in self._pairs():
-            start = self._best_start((target, source))
-            if start is None:
-                continue
-            hypothesis, pose = start
-            clouds = self.registration_clouds
-            registration = register_pair(
-                clouds[target], clouds[source], pose, hypothesis, self.config.fine, self._threads
-            )
-            self.registrations[target, source] = registration
-            self.observe(events.PairRegistered(registration, best=True))
+        sides = {name: self._side(Group.of_one(name)) for name in self.clouds}
+        for pair in self._pairs():
+            candidates = self._candidates(pair)
+            if candidates:
+                self.registrations[pair] = self._register(sides[pair[0]], sides[pair[1]], candidates)
 
-    def _best_start(self, pair: PairKey) -> tuple[int, RigidTransform] | None:
-        assessed = self.assessments.get(pair)
-        if assessed:
-            return assessed[0].hypothesis, assessed[0].T_target_source
-        hypotheses = self.coarse[pair].hypotheses
-        return (0, hypotheses[0].T_target_source) if hypotheses else None
+    def _candidates(self, pair: PairKey) -> list[Candidate]:
+        if self.config.verify.enabled:
+            return [Candidate(each.T_target_source, each.hypothesis) for each in self.assessments[pair]]
+        return [Candidate(each.T_target_source, index) for index, each in enumerate(self.coarse[pair].hypotheses)]
+
+    def _side(self, group: Group) -> Side:
+        points_m = self._merged_points(group)
+        cloud = prepare_registration_cloud(group.root, points_m, self.config.fine, self._threads)
+        drafting = self.config.fine.model_copy(update={"max_points": self.config.verify.finalist_points})
+        draft = prepare_registration_cloud(group.root, cloud.points_m, drafting, self._threads)
+        witnesses = tuple((pose, self.witnesses[name]) for name, pose in sorted(group.poses.items()) if self.witnesses)
+        return Side(group.root, cloud, draft, witnesses)
+
+    def _register(self, target: Side, source: Side, candidates: Sequence[Candidate]) -> PairRegistration:
+        registration = register_best(target, source, candidates, self.config.verify, self.config.fine, self._threads)
+        if registration.assessments:
+            verdict = decide(registration.assessments, self.config.verify)
+        else:
+            verdict = decide_by_fitness(registration, self.config.merge)
+        registration = replace(registration, verdict=verdict)
+        self.observe(events.PairRegistered(registration))
+        return registration
 
     def _merge(self) -> None:
         self.target, self.target_reason = self._choose_target()
@@ -207,7 +215,6 @@ class _Run:
             tuple(self.clouds),
             tuple(self.registrations.values()),
             self._reregister,
-            self._passes,
             self.config.merge,
         )
         for step in steps:
@@ -220,25 +227,25 @@ class _Run:
             return self.config.target, "as asked for"
         overlap = dict.fromkeys(self.clouds, 0.0)
         for registration in self.registrations.values():
-            if self._passes(registration):
+            if registration.verdict.accepted:
                 overlap[registration.target] += registration.fitness
                 overlap[registration.source] += registration.fitness
         best = max(overlap, key=lambda name: (overlap[name], len(self.clouds[name].points_m)))
         return best, f"the LiDAR with the most overlap: fitness over its pairs adds up to {overlap[best]:.2f}"
 
-    def _passes(self, registration: PairRegistration) -> bool:
-        return registration.fitness >= self.config.merge.fitness_threshold
-
-    def _reregister(self, group: Group, other: Group, hints: Sequence[PairRegistration]) -> PairRegistration:
-        clouds = [
-            prepare_registration_cloud(part.root, self._merged_points(part), self.config.fine, self._threads)
-            for part in (group, other)
+    def _reregister(self, group: Group, other: Group, hints: Sequence[PairRegistration]) -> PairRegistration | None:
+        candidates = [Candidate(_between_groups(group, other, hint.T_target_source), -1) for hint in hints]
+        candidates += [
+            Candidate(_between_groups(group, other, assessment.T_target_source), -1)
+            for pair, assessments in self.assessments.items()
+            if len({*pair} & {*group.poses}) == 1 and len({*pair} & {*other.poses}) == 1
+            for assessment in assessments
         ]
-        registration = register_pair(
-            clouds[0], clouds[1], _between_groups(group, other, hints[0]), -1, self.config.fine, self._threads
-        )
-        self.observe(events.PairRegistered(registration, best=True))
-        return registration
+        near = [each for each in candidates if self._is_near(each.T_target_source)]
+        return self._register(self._side(group), self._side(other), near) if near else None
+
+    def _is_near(self, pose: RigidTransform) -> bool:
+        return float(np.linalg.norm(pose.xyz_m)) <= self.config.coarse.max_baseline_m
 
     def _merged_points(self, group: Group) -> FloatArray:
         return np.concatenate([pose.apply(self.clouds[name].points_m) for name, pose in sorted(group.poses.items())])
@@ -282,18 +289,15 @@ class _Run:
         own = [pair for pair in self.registrations.values() if name in (pair.target, pair.source)]
         if not own:
             return "no pose was found against any other LiDAR"
-        best = max(own, key=lambda pair: pair.fitness)
+        best = max(own, key=lambda pair: pair.evidence)
         other = best.target if best.source == name else best.source
-        return (
-            f"its best registration, with {other}, has fitness {best.fitness:.3f}, below "
-            f"{self.config.merge.fitness_threshold:g}"
-        )
+        why = "; ".join(reason.text for reason in best.verdict.reasons) or "its group was not joined to the target's"
+        return f"its best registration, with {other}: {why}"
 
 
-def _between_groups(group: Group, other: Group, hint: PairRegistration) -> RigidTransform:
-    """Where `hint`, a registration between two of their members, puts the other group's root in this one's."""
-    known = hint.T_target_source
-    if hint.target in other.poses:
+def _between_groups(group: Group, other: Group, known: RigidTransform) -> RigidTransform:
+    """Where a known pose between two of their members puts the other group's root in this one's."""
+    if known.target in other.poses:
         known = known.inverse()
     return group.poses[known.target] @ known @ other.poses[known.source].inverse()
 

@@ -12,10 +12,22 @@ import numpy.typing as npt
 
 from multilica.snapshot import Float32Array
 
-__all__ = ["DATATYPES", "PointCloud2", "PointField", "decode_points", "encode_points", "finite_points", "point_dtype"]
+__all__ = [
+    "DATATYPES",
+    "LIDAR_NAME_KEY",
+    "PointCloud2",
+    "PointField",
+    "decode_points",
+    "encode_points",
+    "finite_points",
+    "point_dtype",
+]
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """`PointField.datatype` -> NumPy type without its byte order."""
+
+LIDAR_NAME_KEY = "multilica:lidar"
+"""Where the metadata of an MCAP channel of point clouds names the LiDAR."""
 
 Column = npt.NDArray[Any]
 
@@ -67,10 +79,11 @@ def decode_points(cloud: PointCloud2) -> tuple[Float32Array, Float32Array | None
     """
     if cloud.width * cloud.height == 0:
         return np.empty((0, 3), np.float32), None
+    row_step = _checked_row_step(cloud)
     dtype = point_dtype(cloud.fields, cloud.point_step, big_endian=cloud.big_endian)
-    columns = _records(cloud, dtype)
-    intensity = columns[_INTENSITY].ravel() if _INTENSITY in (dtype.names or ()) else None
-    return finite_points(*(columns[name].ravel() for name in _COORDINATES), intensity)
+    shape, strides = (cloud.height, cloud.width), (row_step, cloud.point_step)
+    records = np.ndarray(shape, dtype, cloud.data, 0, strides)
+    return finite_points(*(records[name].reshape(-1) for name in dtype.names or ()))
 
 
 @lru_cache(maxsize=64)
@@ -105,21 +118,20 @@ def _format(field: PointField, point_step: int, *, big_endian: bool) -> np.dtype
     return dtype
 
 
-def _records(cloud: PointCloud2, dtype: np.dtype[np.void]) -> npt.NDArray[np.void]:
+def _checked_row_step(cloud: PointCloud2) -> int:
     row_bytes = cloud.width * cloud.point_step
     row_step = cloud.row_step if cloud.height > 1 and cloud.row_step else row_bytes
     if row_step < row_bytes:
         raise ValueError(
             f"has rows of {cloud.width} points of {cloud.point_step} bytes, yet a row step of {row_step} bytes"
         )
-    needed = (cloud.height - 1) * row_step + row_bytes
-    held = memoryview(cloud.data).nbytes
+    needed, held = (cloud.height - 1) * row_step + row_bytes, len(cloud.data)
     if needed > held:
         raise ValueError(
             f"claims {cloud.width} x {cloud.height} points of {cloud.point_step} bytes, which takes {needed} bytes, "
             f"yet holds {held}"
         )
-    return np.ndarray((cloud.height, cloud.width), dtype, cloud.data, 0, (row_step, cloud.point_step))
+    return row_step
 
 
 def finite_points(

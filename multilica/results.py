@@ -27,7 +27,10 @@ __all__ = [
     "PairKey",
     "PairRegistration",
     "PreprocessedCloud",
+    "Reason",
     "Status",
+    "Testimony",
+    "Verdict",
 ]
 
 IndexArray = npt.NDArray[np.int64]
@@ -133,44 +136,91 @@ class CoarseResult:
     graph_edges: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Assessment:
-    """What the beams of both sensors say of one hypothesis, after a short GICP.
+VIOLATION_WEIGHT = 10.0
+"""A point in proven-empty space outweighs this many on common surfaces: noise makes few of those, a wrong pose many."""
 
-    Points of each sensor are judged by the beams of the other; the counts are over both directions.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Testimony:
+    """What the beams of both sides say of each other's points.
 
     Args:
-        hypothesis: index into the pair's hypotheses.
-        agree: points on a surface that the other sensor measured.
-        violate: points in space that the other sensor's beams passed through.
+        agree: points on a surface that the other side measured.
+        violate: points in space that the other side's beams passed through.
         occluded: points behind a measured surface, of which nothing is known.
-        unseen: points outside the other sensor's field of view.
-        weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m: near zero where
-            the pose can slide without the fit getting worse.
-        probes_m: (N, 3) judged points of the source, in its own frame; labels: (N,) `BeamLabel` of each.
+        unseen: points outside the other side's field of view.
+        labels: (N,) `BeamLabel` of each probe of the source.
     """
 
-    hypothesis: int
-    T_target_source: RigidTransform
     agree: int
     violate: int
     occluded: int
     unseen: int
-    fitness: float
-    rmse_m: float
-    weakest_curvature: float
-    probes_m: FloatArray
     labels: npt.NDArray[np.uint8]
 
     @property
-    def score(self) -> float:
-        """(agree - violate) / (agree + violate + occluded): the order in which hypotheses are believed."""
-        return (self.agree - self.violate) / max(1, self.agree + self.violate + self.occluded)
+    def evidence(self) -> float:
+        """Agreement, less what contradicts it; the order in which poses are believed."""
+        return self.agree - VIOLATION_WEIGHT * self.violate
 
     @property
     def violation_share(self) -> float:
         """Violations as a share of the points that the beams decide on."""
         return self.violate / max(1, self.agree + self.violate)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assessment:
+    """One hypothesis after GICP, judged by visibility.
+
+    Args:
+        hypothesis: index into the pair's hypotheses; -1 if it came from other pairs during merging.
+        weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m: near zero where
+            the pose can slide without the fit getting worse.
+        probes_m: (N, 3) judged points of the source, in its own frame, to which `testimony.labels` belong.
+    """
+
+    hypothesis: int
+    T_target_source: RigidTransform
+    testimony: Testimony
+    fitness: float
+    rmse_m: float
+    weakest_curvature: float
+    probes_m: FloatArray
+
+    @property
+    def evidence(self) -> float:
+        """See `Testimony.evidence`."""
+        return self.testimony.evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a registration was not accepted, as data.
+
+    Args:
+        code: stable name, for programs.
+        value, limit: the figure and what it was held against.
+        text: the same for people.
+    """
+
+    code: str
+    value: float
+    limit: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """Whether a registration is believed; `accept` has no reasons."""
+
+    outcome: Literal["accept", "undecided", "reject"]
+    reasons: tuple[Reason, ...] = ()
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it may be merged."""
+        return self.outcome == "accept"
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +253,7 @@ class PairRegistration:
             engine does not tell.
         hypothesis: index into the pair's hypotheses that this started from; -1 if it started from a merged pose.
         steps: progress, for the recording.
+        assessments: the finely registered answers, the chosen one first; empty where verification is off.
     """
 
     target: str
@@ -217,17 +268,26 @@ class PairRegistration:
     hypothesis: int = 0
     hessian: FloatArray | None = None
     steps: tuple[FineStep, ...] = ()
+    assessments: tuple[Assessment, ...] = ()
+    verdict: Verdict = Verdict("accept")
+
+    @property
+    def evidence(self) -> float:
+        """Of the pose that was chosen; the fitness where nothing was verified."""
+        return self.assessments[0].evidence if self.assessments else self.fitness
 
 
 @dataclass(frozen=True, slots=True)
 class MergeCandidate:
-    """A pair that a merge step could have chosen."""
+    """A pair that a merge step could have chosen; `reason` says why it does not pass."""
 
     target: str
     source: str
     fitness: float
     rmse_m: float
     passes: bool
+    evidence: float = 0.0
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

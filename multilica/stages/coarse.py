@@ -10,13 +10,14 @@ import numpy as np
 from multilica.config import CoarseConfig
 from multilica.geometry import RigidTransform
 from multilica.results import CoarseResult, Correspondences, Hypothesis
+from multilica.stages.poses import is_distinct
 from multilica.stages.solvers import SOLVERS, PoseCandidates
 
-__all__ = ["DISTINCT_M", "DISTINCT_RAD", "find_hypotheses"]
+__all__ = ["find_hypotheses"]
 
-DISTINCT_M = 0.5
-"""Coarse poses nearer than this, and than `DISTINCT_RAD`, run into the same GICP basin: one stands for all."""
-DISTINCT_RAD = float(np.deg2rad(5.0))
+# Coarse poses as near as this run into the same GICP basin: one stands for all.
+_DISTINCT_M = 0.5
+_DISTINCT_RAD = float(np.deg2rad(5.0))
 
 _MIN_MATCHES = 3
 
@@ -66,8 +67,8 @@ def _distance_m(hypothesis: Hypothesis) -> float:
 def _distinct(hypotheses: Iterable[Hypothesis], most: int) -> tuple[Hypothesis, ...]:
     kept: list[Hypothesis] = []
     for hypothesis in sorted(hypotheses, key=lambda candidate: -candidate.score):
-        distances = (hypothesis.T_target_source.distance_to(other.T_target_source) for other in kept)
-        if all(metres > DISTINCT_M or radians > DISTINCT_RAD for metres, radians in distances):
+        others = (other.T_target_source for other in kept)
+        if is_distinct(hypothesis.T_target_source, others, _DISTINCT_M, _DISTINCT_RAD):
             kept.append(hypothesis)
         if len(kept) == most:
             break

@@ -11,12 +11,15 @@ from multilica.results import Correspondences, FeatureCloud, IndexArray
 
 __all__ = ["match_features"]
 
+_DRAW_SEED = 0
+
 
 def match_features(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
     """Pair each descriptor with its nearest, the closest pairs first.
 
     With `mutual`, a pair counts only if each is the other's nearest neighbour in descriptor space.
     """
+    target, source = (_evenly(cloud, config.max_keypoints) for cloud in (target, source))
     pairs = _nearest_pairs(target, source, mutual=config.mutual)
     distances = np.linalg.norm(source.descriptors[pairs[:, 0]] - target.descriptors[pairs[:, 1]], axis=1)
     best = np.lexsort((pairs[:, 0], distances))[: config.max_matches]
@@ -30,6 +33,14 @@ def match_features(target: FeatureCloud, source: FeatureCloud, config: Correspon
         source_normals=source.normals[source_index],
         feature_distances=distances[best],
     )
+
+
+def _evenly(cloud: FeatureCloud, most: int) -> FeatureCloud:
+    """At most so many descriptors, drawn without regard to where they are."""
+    if len(cloud.points_m) <= most:
+        return cloud
+    kept = np.sort(np.random.default_rng(_DRAW_SEED).permutation(len(cloud.points_m))[:most])
+    return FeatureCloud(cloud.lidar, cloud.points_m[kept], cloud.normals[kept], cloud.descriptors[kept])
 
 
 def _nearest_pairs(target: FeatureCloud, source: FeatureCloud, *, mutual: bool) -> IndexArray:

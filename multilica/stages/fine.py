@@ -1,30 +1,102 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Register the best hypothesis of a pair to the last millimetre."""
+"""Register the most believable poses of a pair, or of two groups, to the last millimetre."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from multilica.config import FineConfig
+from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import PairRegistration
-from multilica.stages.gicp import register_narrower
+from multilica.results import Assessment, PairRegistration
+from multilica.stages.gicp import register, register_narrower
+from multilica.stages.observability import weakest_curvature
+from multilica.stages.poses import is_distinct
 from multilica.stages.registration_cloud import RegistrationCloud
+from multilica.stages.witness import PlacedWitness, judge
 
-__all__ = ["register_pair"]
+__all__ = ["Candidate", "Side", "register_best"]
 
 
-def register_pair(
-    first: RegistrationCloud,
-    second: RegistrationCloud,
-    T_first_second: RigidTransform,
-    hypothesis: int,
-    config: FineConfig,
-    threads: int,
-) -> PairRegistration:
-    """GICP of the narrower cloud into the wider, which are the source and the target of the result.
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """One side of a registration: a LiDAR, or a group whose poses are known.
 
     Args:
-        hypothesis: index of the hypothesis that the start came from, -1 if it came from a merge.
+        name: the LiDAR, or the group's root.
+        cloud: the points of all members in the frame of that name.
+        draft: the same, fewer: enough to tell the finalists apart.
+        witnesses: the members with their poses; empty where verification is off.
     """
-    return replace(register_narrower(first, second, T_first_second, config, threads), hypothesis=hypothesis)
+
+    name: str
+    cloud: RegistrationCloud
+    draft: RegistrationCloud
+    witnesses: tuple[PlacedWitness, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A pose to start from, with the index of the hypothesis behind it."""
+
+    T_target_source: RigidTransform
+    hypothesis: int
+
+
+def register_best(
+    target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig, fine: FineConfig, threads: int
+) -> PairRegistration:
+    """GICP on the finalists among the candidates; the one with the most evidence is registered on all points.
+
+    Args:
+        candidates: at least one, the most believable first.
+
+    Returns:
+        The narrower side is the source. `assessments` holds the distinct finalists, the best first.
+    """
+    if not target.witnesses:
+        first = candidates[0]
+        registered = register_narrower(target.cloud, source.cloud, first.T_target_source, fine, threads)
+        return replace(registered, hypothesis=first.hypothesis)
+    if len(source.cloud.points_m) > len(target.cloud.points_m):
+        target, source = source, target
+        candidates = [Candidate(each.T_target_source.inverse(), each.hypothesis) for each in candidates]
+    finished: list[Assessment] = []
+    for candidate in _finalists(target, source, candidates, verify):
+        drafted = register(target.draft, source.draft, candidate.T_target_source, fine, threads)
+        assessment = _assess(target, source, drafted, candidate.hypothesis, verify)
+        if is_distinct(assessment.T_target_source, (other.T_target_source for other in finished)):
+            finished.append(assessment)
+    best, *others = sorted(finished, key=lambda assessment: -assessment.evidence)
+    registered = register(target.cloud, source.cloud, best.T_target_source, fine, threads)
+    final = _assess(target, source, registered, best.hypothesis, verify)
+    return replace(registered, hypothesis=best.hypothesis, assessments=(final, *others))
+
+
+def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig) -> list[Candidate]:
+    distinct: list[Candidate] = []
+    for candidate in candidates:
+        if is_distinct(candidate.T_target_source, [other.T_target_source for other in distinct]):
+            distinct.append(candidate)
+
+    def evidence(candidate: Candidate) -> float:
+        pose = candidate.T_target_source
+        return judge(target.witnesses, source.witnesses, pose, verify.tolerance_m, verify.tolerance_deg).evidence
+
+    return sorted(distinct, key=lambda candidate: -evidence(candidate))[: verify.finalists]
+
+
+def _assess(
+    target: Side, source: Side, registered: PairRegistration, hypothesis: int, verify: VerifyConfig
+) -> Assessment:
+    pose = registered.T_target_source
+    testimony = judge(target.witnesses, source.witnesses, pose, verify.final_tolerance_m, verify.final_tolerance_deg)
+    return Assessment(
+        hypothesis=hypothesis,
+        T_target_source=pose,
+        testimony=testimony,
+        fitness=registered.fitness,
+        rmse_m=registered.rmse_m,
+        weakest_curvature=weakest_curvature(registered),
+        probes_m=source.witnesses[0][1].probes_m,
+    )

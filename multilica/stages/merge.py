@@ -49,9 +49,8 @@ class MergeStep:
     groups: tuple[Group, ...]
 
 
-Reregister = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration]
-"""Registers the second group against the first, from what is known of their members' pairs."""
-Passes = Callable[[PairRegistration], bool]
+Reregister = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration | None]
+"""Registers the second group against the first, from what is known of their members' pairs; None if nothing is."""
 
 
 def merge(
@@ -59,7 +58,6 @@ def merge(
     names: Sequence[str],
     pairs: Sequence[PairRegistration],
     reregister: Reregister,
-    passes: Passes,
     config: MergeConfig,
 ) -> Iterator[MergeStep]:
     """The paper's Algorithm 1: merge the best pair, register the rest against the grown cloud, repeat.
@@ -73,20 +71,19 @@ def merge(
         names: all LiDARs, the target included.
         pairs: at most one registration per unordered pair.
         reregister: see `Reregister`.
-        passes: whether a registration is good enough to merge.
 
     Yields:
         One step per turn; the last one has `chosen` None unless all LiDARs are placed.
     """
-    state = _State(target, {name: Group.of_one(name) for name in names}, {_key(pair): pair for pair in pairs}, passes)
+    state = _State(target, {name: Group.of_one(name) for name in names}, {_key(pair): pair for pair in pairs})
     for step in range(len(names)):
         if len(state.groups) == 1:
             return
         ranked = state.ranked(direct_only=config.mode == "target_first" and state.has_direct())
-        chosen = next((pair for pair in ranked if passes(pair)), None)
+        chosen = next((pair for pair in ranked if pair.verdict.accepted), None)
         if chosen is not None:
             state = state.merged(chosen, reregister, keep_links=config.mode == "target_first" and state.has_direct())
-        yield MergeStep(_decide(step, ranked, chosen, state, config), state.ordered_groups())
+        yield MergeStep(_decide(step, ranked, chosen, state), state.ordered_groups())
         if chosen is None:
             return
 
@@ -100,14 +97,13 @@ class _State:
     target: str
     groups: Mapping[str, Group]
     links: Mapping[frozenset[str], PairRegistration]
-    passes: Passes
 
     def has_direct(self) -> bool:
-        return any(self.target in key and self.passes(link) for key, link in self.links.items())
+        return any(self.target in key and link.verdict.accepted for key, link in self.links.items())
 
     def ranked(self, *, direct_only: bool) -> list[PairRegistration]:
         links = [link for key, link in self.links.items() if not direct_only or self.target in key]
-        return sorted(links, key=lambda link: (-link.fitness, link.target, link.source))
+        return sorted(links, key=lambda link: (-link.evidence, link.target, link.source))
 
     def ordered_groups(self) -> tuple[Group, ...]:
         return tuple(
@@ -123,7 +119,7 @@ class _State:
             for key, other in self.links.items()
             if added.root not in key and (keep_links or kept.root not in key)
         }
-        after = _State(self.target, {**groups, grown.root: grown}, links, self.passes)
+        after = _State(self.target, {**groups, grown.root: grown}, links)
         if keep_links and after.has_direct():
             return after
         return after.relinked(grown, self.links, reregister)
@@ -136,9 +132,10 @@ class _State:
         for other in others:
             hints = [link for key, link in known.items() if other.root in key and key & set(grown.poses)]
             if hints:
-                link = reregister(grown, other, sorted(hints, key=lambda hint: -hint.fitness))
-                fresh[_key(link)] = link
-        return _State(self.target, self.groups, {**self.links, **fresh}, self.passes)
+                link = reregister(grown, other, sorted(hints, key=lambda hint: -hint.evidence))
+                if link is not None:
+                    fresh[_key(link)] = link
+        return _State(self.target, self.groups, {**self.links, **fresh})
 
     def _oriented(self, link: PairRegistration) -> tuple[Group, Group, RigidTransform]:
         """The group that stays root first: the target's, else the larger one."""
@@ -148,32 +145,34 @@ class _State:
 
 
 def _decide(
-    step: int, ranked: Sequence[PairRegistration], chosen: PairRegistration | None, after: _State, config: MergeConfig
+    step: int, ranked: Sequence[PairRegistration], chosen: PairRegistration | None, after: _State
 ) -> MergeDecision:
-    candidates = tuple(_candidate(pair, after.passes) for pair in ranked)
     return MergeDecision(
         step=step,
-        candidates=candidates,
-        chosen=None if chosen is None else _candidate(chosen, after.passes),
-        reason=_reason(ranked, chosen, config),
+        candidates=tuple(_candidate(pair) for pair in ranked),
+        chosen=None if chosen is None else _candidate(chosen),
+        reason=_reason(ranked, chosen),
         groups=tuple(group.members for group in after.ordered_groups()),
     )
 
 
-def _candidate(pair: PairRegistration, passes: Passes) -> MergeCandidate:
-    return MergeCandidate(pair.target, pair.source, pair.fitness, pair.rmse_m, passes(pair))
+def _candidate(pair: PairRegistration) -> MergeCandidate:
+    why = "; ".join(reason.text for reason in pair.verdict.reasons)
+    return MergeCandidate(
+        pair.target, pair.source, pair.fitness, pair.rmse_m, pair.verdict.accepted, evidence=pair.evidence, reason=why
+    )
 
 
-def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None, config: MergeConfig) -> str:
+def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None) -> str:
     if chosen is not None:
         return (
-            f"merged {chosen.source} into {chosen.target}: fitness {chosen.fitness:.3f}, the best of "
-            f"{len(ranked)} candidates, at or above {config.fitness_threshold:g}"
+            f"merged {chosen.source} into {chosen.target}: fitness {chosen.fitness:.3f}, the best accepted of "
+            f"{len(ranked)} candidates"
         )
     if not ranked:
         return "stopped: no pair is left that could be registered"
-    best = ranked[0]
+    best = _candidate(ranked[0])
     return (
-        f"stopped: the best of {len(ranked)} candidates, {best.source} in {best.target}, has fitness "
-        f"{best.fitness:.3f}, below {config.fitness_threshold:g}"
+        f"stopped: none of {len(ranked)} candidates is accepted; the best, {best.source} in {best.target}: "
+        f"{best.reason}"
     )

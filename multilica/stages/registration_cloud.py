@@ -17,6 +17,8 @@ from multilica.stages.voxel_grid import thin
 
 __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
 
+_COARSER = 1.2
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RegistrationCloud:
@@ -38,7 +40,10 @@ class RegistrationCloud:
 
 def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConfig, threads: int) -> RegistrationCloud:
     """Thin, then estimate a covariance per point from its neighbours."""
-    thinned = thin(points_m, config.voxel_size_m)
+    thinned, voxel_size_m = thin(points_m, config.voxel_size_m), config.voxel_size_m
+    while len(thinned) > config.max_points:
+        voxel_size_m *= _COARSER
+        thinned = thin(thinned, voxel_size_m)
     prepare = _prepare_small_gicp if config.engine == "small_gicp" else _prepare_open3d
     engine_cloud, engine_tree = prepare(thinned, config, threads)
     return RegistrationCloud(name, thinned, cKDTree(thinned), engine_cloud, engine_tree)

@@ -6,7 +6,7 @@ import pytest
 
 from multilica.config import MergeConfig
 from multilica.geometry import RigidTransform
-from multilica.results import PairRegistration
+from multilica.results import PairRegistration, Reason, Verdict
 from multilica.stages.merge import merge
 
 _TRUTH = {
@@ -26,6 +26,9 @@ def _pair(target, source, fitness):
         converged=True,
         iterations=3,
         engine="test",
+        verdict=Verdict("accept")
+        if fitness >= 0.2
+        else Verdict("reject", (Reason("low_fitness", fitness, 0.2, f"fitness {fitness}"),)),
     )
 
 
@@ -49,8 +52,7 @@ class _Overlaps:
 
 def _run(overlaps, names, mode="algorithm1", *, flip=False):
     config = MergeConfig(mode=mode)
-    passes = lambda pair: pair.fitness >= config.fitness_threshold  # noqa: E731
-    return list(merge("T", names, overlaps.pairs(names, flip=flip), overlaps.reregister, passes, config))
+    return list(merge("T", names, overlaps.pairs(names, flip=flip), overlaps.reregister, config))
 
 
 def _assert_true_poses(group):
@@ -82,7 +84,7 @@ def test_what_has_no_overlap_is_left_and_said():
     last = steps[-1].decision
     assert last.chosen is None
     assert last.groups == (("A", "T"), ("B",))
-    assert "0.050, below 0.2" in last.reason
+    assert last.reason.endswith("fitness 0.05")
     assert [candidate.passes for candidate in last.candidates] == [False]
 
 
@@ -101,10 +103,6 @@ def test_target_first_takes_direct_pairs_as_they_are():
 
 def test_a_lidar_without_any_registration_is_left():
     config = MergeConfig()
-    steps = list(
-        merge(
-            "T", list("TAB"), [_pair("T", "A", 0.9)], _Overlaps({}).reregister, lambda pair: pair.fitness > 0.2, config
-        )
-    )
+    steps = list(merge("T", list("TAB"), [_pair("T", "A", 0.9)], _Overlaps({}).reregister, config))
     assert steps[-1].decision.groups == (("A", "T"), ("B",))
     assert steps[-1].decision.reason == "stopped: no pair is left that could be registered"

@@ -14,7 +14,8 @@ from multilica.stages.solvers.robust_pose import align_points, robust_pose
 
 __all__ = ["solve_by_cliques"]
 
-_SEEDS_PER_HYPOTHESIS = 8
+_SEEDS_PER_HYPOTHESIS = 4
+_SMALLEST_SHARE = 0.2
 _REFITS = 3
 
 
@@ -27,7 +28,9 @@ def solve_by_cliques(matches: Correspondences, config: CoarseConfig, seed: int) 
     del seed
     graph = build_consistency_graph(matches, config.noise_bound_m, config.normal_tolerance_deg)
     seeds = 1 if config.max_hypotheses == 1 else _SEEDS_PER_HYPOTHESIS * config.max_hypotheses
-    cliques = [clique for clique in grow_cliques(graph, seeds) if len(clique) >= 3]
+    cliques = grow_cliques(graph, seeds)
+    smallest = max(3.0, _SMALLEST_SHARE * max(map(len, cliques), default=0))
+    cliques = [clique for clique in cliques if len(clique) >= smallest]
     poses = tuple(_pose_of(matches, clique, config.noise_bound_m) for clique in cliques)
     return PoseCandidates(poses, graph_nodes=len(matches), graph_edges=graph.edges)
 

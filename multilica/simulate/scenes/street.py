@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A street between facades."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from multilica.simulate.scenes.scene import Scene
+from multilica.simulate.shapes.buildings import building
+from multilica.simulate.shapes.furniture import bench, lamp_post, refuse_bin, sign
+from multilica.simulate.shapes.mesh import Mesh, merged
+from multilica.simulate.shapes.primitives import extrusion
+from multilica.simulate.shapes.terrain import Terrain, rolling_waves
+from multilica.simulate.shapes.vegetation import tree
+from multilica.simulate.shapes.vehicles import random_car
+
+__all__ = ["street"]
+
+_REACH_M = 110.0
+_KERB_M = 0.13
+
+
+@dataclass(frozen=True, slots=True)
+class _Side:
+    """One side of the street, built along +x with its houses towards +y, turned by `yaw_rad` into place."""
+
+    terrain: Terrain
+    yaw_rad: float
+    kerb_y_m: float
+    front_y_m: float
+
+    def place(self, mesh: Mesh, x_m: float, y_m: float, raised_m: float = 0.0) -> Mesh:
+        turn = float(np.cos(self.yaw_rad))
+        return self.terrain.place(mesh, turn * x_m, turn * y_m, self.yaw_rad, -raised_m)
+
+    def drape(self, mesh: Mesh) -> Mesh:
+        return self.terrain.drape(mesh.moved(yaw_rad=self.yaw_rad))
+
+
+def street(rng: np.random.Generator) -> Scene:
+    """Houses of many kinds, side streets, parked cars, trees, posts, on a road that slopes a little."""
+    waves = rolling_waves(rng, 1, (60.0, 140.0), 0.002)
+    terrain = Terrain(rng.uniform(-0.03, 0.03), rng.uniform(-0.012, 0.012), waves)
+    half_road_m = rng.uniform(4.2, 6.0)
+    sides = [_Side(terrain, yaw, half_road_m, half_road_m + rng.uniform(2.0, 5.0)) for yaw in (0.0, np.pi)]
+    road = terrain.surface(np.linspace(-_REACH_M, _REACH_M, 56), np.array([-half_road_m, 0.0, half_road_m]))
+    parts = [road]
+    for side in sides:
+        parts += [*_pavement(side), *_houses(rng, side), *_parked_cars(rng, side), *_furniture(rng, side)]
+    lane_y_m = rng.uniform(-1.0, 1.0) * (half_road_m - 3.4)
+    yaw_rad = float(rng.choice([0.0, np.pi])) + rng.normal(scale=0.06)
+    return Scene(merged(parts), terrain, (rng.uniform(-3.0, 3.0), lane_y_m), yaw_rad)
+
+
+def _pavement(side: _Side) -> list[Mesh]:
+    profile = [
+        [side.kerb_y_m, 0.0],
+        [side.kerb_y_m + 0.02, _KERB_M],
+        [side.front_y_m, _KERB_M + 0.04],
+        [side.front_y_m + 40.0, _KERB_M + 0.05],
+    ]
+    starts = np.arange(-_REACH_M, _REACH_M, 4.0)
+    return [side.drape(extrusion(profile, x, x + 4.0)) for x in starts]
+
+
+def _houses(rng: np.random.Generator, side: _Side) -> list[Mesh]:
+    houses = []
+    x_m = -_REACH_M + rng.uniform(0.0, 10.0)
+    while x_m < _REACH_M:
+        width_m, depth_m = rng.uniform(7.0, 20.0), rng.uniform(8.0, 13.0)
+        setback_m = rng.choice([0.0, 0.0, 0.3, 1.2, 3.0]) * rng.uniform(0.5, 1.0)
+        houses.append(side.place(building(rng, width_m, depth_m), x_m, side.front_y_m + setback_m, 0.1))
+        x_m += width_m + float(rng.choice([0.0, 0.0, 0.0, 2.5, 7.0, 11.0]))
+    far_m = side.front_y_m + rng.uniform(25.0, 40.0)
+    backs = [side.place(building(rng, 24.0, 8.0), x, far_m) for x in np.arange(-72.0, 72.0, 24.0)]
+    return houses + backs
+
+
+def _parked_cars(rng: np.random.Generator, side: _Side) -> list[Mesh]:
+    share = rng.uniform(0.2, 0.75)
+    taken_x_m = [x for x in np.arange(-60.0, 60.0, 6.0) if rng.random() < share]
+    return [_parked_car(rng, side, x) for x in taken_x_m]
+
+
+def _parked_car(rng: np.random.Generator, side: _Side, x_m: float) -> Mesh:
+    """A car at the kerb, not quite in line."""
+    y_m = side.kerb_y_m - 1.1 - abs(rng.normal(scale=0.08))
+    return side.place(random_car(rng).moved(yaw_rad=rng.normal(scale=0.02)), x_m + rng.normal(scale=0.3), y_m)
+
+
+def _furniture(rng: np.random.Generator, side: _Side) -> list[Mesh]:
+    """Lamp posts at even distances; trees, signs, bins, benches where they happen to stand."""
+    edge_m, pitch_m = side.kerb_y_m + 0.5, rng.uniform(18.0, 30.0)
+    lamps_x_m = np.arange(-70.0 + rng.uniform(0.0, pitch_m), 70.0, pitch_m)
+    lamps = [side.place(lamp_post(rng.uniform(5.0, 8.0), 1.2).moved(yaw_rad=-np.pi / 2), x, edge_m) for x in lamps_x_m]
+    trees = [side.place(tree(rng, rng.uniform(4.5, 10.0)), x, edge_m + 0.2) for x in _spots(rng, 60.0, (3, 9))]
+    signs = [side.place(sign(rng), x, edge_m) for x in _spots(rng, 45.0, (3, 7))]
+    things = [refuse_bin(rng) if rng.random() < 0.6 else bench() for _ in range(int(rng.integers(2, 8)))]
+    litter = [side.place(thing, rng.uniform(-40.0, 40.0), side.front_y_m - 0.5, _KERB_M) for thing in things]
+    return [*lamps, *trees, *signs, *litter]
+
+
+def _spots(rng: np.random.Generator, reach_m: float, counts: tuple[int, int]) -> list[float]:
+    """Places along the street, in a random number between the two counts."""
+    count = int(rng.integers(counts[0], counts[1] + 1))
+    return [float(x) for x in rng.uniform(-reach_m, reach_m, size=count)]

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Accept, reject or leave undecided what a registration claims."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from multilica.config import MergeConfig, VerifyConfig
+from multilica.results import Assessment, PairRegistration, Reason, Verdict
+
+__all__ = ["decide", "decide_by_fitness"]
+
+
+def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
+    """Judge the best of the distinct answers that were registered finely, the one with the most evidence first.
+
+    Reject: too little surface in common, or points in space that beams proved empty. Undecided: another distinct
+    answer explains nearly as much, or the pose can slide without the fit getting worse.
+    """
+    best = finalists[0].testimony
+    against = [
+        _check(
+            "too_little_overlap",
+            best.agree,
+            config.min_agree,
+            f"only {best.agree} points lie on surfaces that the other sensor measured; expected {config.min_agree}",
+            failed=best.agree < config.min_agree,
+        ),
+        _check(
+            "empty_space_violated",
+            best.violation_share,
+            config.max_violation_share,
+            f"{best.violation_share:.1%} of the points stand in space that the other sensor's beams passed through; "
+            f"at most {config.max_violation_share:.1%} can be chance",
+            failed=best.violation_share > config.max_violation_share,
+        ),
+    ]
+    doubts = [_ambiguity(finalists, config), _observability(finalists[0], config)]
+    reasons = tuple(reason for reason in (*against, *doubts) if reason is not None)
+    if any(reason in reasons for reason in against):
+        return Verdict("reject", reasons)
+    return Verdict("undecided" if reasons else "accept", reasons)
+
+
+def decide_by_fitness(registration: PairRegistration, config: MergeConfig) -> Verdict:
+    """The paper's gate: fitness at or above the threshold."""
+    if registration.fitness >= config.fitness_threshold:
+        return Verdict("accept")
+    text = f"fitness {registration.fitness:.3f} is below {config.fitness_threshold:g}"
+    return Verdict("reject", (Reason("low_fitness", registration.fitness, config.fitness_threshold, text),))
+
+
+def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason | None:
+    if len(finalists) == 1 or finalists[0].evidence <= 0:
+        return None
+    ratio = max(0.0, finalists[1].evidence / finalists[0].evidence)
+    metres, radians = finalists[0].T_target_source.distance_to(finalists[1].T_target_source)
+    return _check(
+        "ambiguous",
+        ratio,
+        config.max_runner_up,
+        f"another pose, {metres:.2f} m and {np.rad2deg(radians):.0f} deg away, has {ratio:.0%} of the evidence; "
+        f"at most {config.max_runner_up:.0%} leaves no doubt",
+        failed=ratio > config.max_runner_up,
+    )
+
+
+def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:
+    return _check(
+        "not_observable",
+        best.weakest_curvature,
+        config.min_curvature,
+        f"the pose can slide: curvature {best.weakest_curvature:.2f} in the weakest direction; "
+        f"expected {config.min_curvature:g}",
+        failed=best.weakest_curvature < config.min_curvature,
+    )
+
+
+def _check(code: str, value: float, limit: float, text: str, *, failed: bool) -> Reason | None:
+    return Reason(code, float(value), float(limit), text) if failed else None
