@@ -1,1 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Recordings of every format as snapshots."""
+
+from __future__ import annotations
+
+from multilica.ingest.reading import read_snapshot
+from multilica.ingest.requirement import require_calibratable
+from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
+
+__all__ = [
+    "CloudTopicSummary",
+    "OtherTopicSummary",
+    "SourceSummary",
+    "inspect_source",
+    "read_snapshot",
+    "require_calibratable",
+]

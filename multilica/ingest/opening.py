@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The adapter of each format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import cast
+
+from multilica.errors import UnreadableSourceError
+from multilica.ingest.cloud_files import open_frames
+from multilica.ingest.detect import detect_format
+from multilica.ingest.recording import Recording
+from multilica.ingest.source import Source
+from multilica.ingest.split_recording import SplitRecording
+
+__all__ = ["open_source"]
+
+_ADAPTERS = {
+    "mcap": "multilica.ingest.mcap_file",
+    "sqlite3": "multilica.ingest.ros2_sqlite",
+    "ros1": "multilica.ingest.ros1_bag",
+}
+"""Format -> module whose `open_file` opens it; imported when such a file is opened."""
+
+
+def open_source(source: Source) -> Recording:
+    """Open the files of a source as one recording.
+
+    Raises:
+        UnreadableSourceError: not one of the files can be read.
+    """
+    if source.frames:
+        return open_frames(source.frames)
+    if len(source.recordings) == 1:
+        return _open_file(source.recordings[0])
+    return _open_parts(source.recordings)
+
+
+def _open_file(path: Path) -> Recording:
+    adapter = import_module(_ADAPTERS[detect_format(path)])
+    return cast(Callable[[Path], Recording], adapter.open_file)(path)
+
+
+def _open_parts(paths: tuple[Path, ...]) -> Recording:
+    parts: list[Recording] = []
+    errors: list[UnreadableSourceError] = []
+    for path in paths:
+        try:
+            parts.append(_open_file(path))
+        except UnreadableSourceError as error:
+            errors.append(error)
+    if not parts:
+        raise errors[0]
+    return SplitRecording(parts, damage=str(errors[0]).rstrip(".") if errors else "")

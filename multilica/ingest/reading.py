@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a source to the snapshot in it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+
+from multilica.config import IngestConfig
+from multilica.ingest.choice import choose_topics
+from multilica.ingest.fingerprint import sha256_of_files
+from multilica.ingest.naming import lidar_names, shared_frames
+from multilica.ingest.opening import open_source
+from multilica.ingest.source import PathLike, find_source
+from multilica.ingest.static_transforms import StaticTransforms, read_static_transforms
+from multilica.ingest.window import Window, collect_frames, require_frames
+from multilica.snapshot import LidarScans, Snapshot
+
+__all__ = ["DEFAULT_CONFIG", "assemble_snapshot", "read_snapshot"]
+
+DEFAULT_CONFIG = IngestConfig()
+
+
+def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig = DEFAULT_CONFIG) -> Snapshot:
+    """Read what each LiDAR of a recording saw in one window of time.
+
+    Args:
+        source: an MCAP file, a ROS 2 bag (folder, ``.db3`` or ``.mcap``), a ROS 1 bag, a folder of PCD and PLY files
+            with one per LiDAR or one sub-folder of frames per LiDAR, or a list of such files and folders.
+        config: which topics, from when on, how many frames.
+
+    Returns:
+        The snapshot, points in the order of the recording; notes say what could not be read.
+
+    Raises:
+        SourceNotFoundError: nothing at that path.
+        UnreadableSourceError: empty, broken, or not what its name says.
+        UnfitSnapshotError: no point clouds, or none in the window.
+        UnknownNameError: no point cloud topic of that name.
+        UsageError: several recordings at once, or a topic with two names.
+    """
+    found = find_source(source)
+    with ThreadPoolExecutor(max_workers=1) as aside, closing(open_source(found)) as recording:
+        # Hashing takes as long as unpacking and holds no lock on Python.
+        sha256 = aside.submit(sha256_of_files, found.files)
+        given = choose_topics(recording, config.topics, found.label)
+        window = collect_frames(recording, given.keys(), config, found.label)
+        require_frames(window, given.keys(), config, found.label)
+        static = read_static_transforms(recording)
+    return assemble_snapshot(found.label, given, window, static, sha256.result())
+
+
+def assemble_snapshot(
+    label: str, given: Mapping[str, str], window: Window, static: StaticTransforms, sha256: str = ""
+) -> Snapshot:
+    """Name the LiDARs that were taken.
+
+    Args:
+        label: the source as the user named it.
+        given: topic -> name, empty where the frame id is to give it; other topics of the window are left out.
+    """
+    clouds = {topic: frames for topic, frames in window.clouds.items() if topic in given}
+    frame_ids = {topic: frames[0].frame_id for topic, frames in clouds.items()}
+    names = lidar_names({topic: given[topic] for topic in clouds}, frame_ids)
+    lidars = [
+        LidarScans(names[topic], tuple(cloud.scan for cloud in frames), frame_ids[topic], topic)
+        for topic, frames in clouds.items()
+    ]
+    return Snapshot(
+        lidars=tuple(lidars),
+        source=label,
+        source_sha256=sha256,
+        static_transforms=static[0],
+        notes=(*window.notes, *static[1], *_frame_notes(frame_ids)),
+    )
+
+
+def _frame_notes(frame_ids: Mapping[str, str]) -> list[str]:
+    return [
+        f"{', '.join(topics)} have the same frame id '{frame_id}'; if their points were already taken to one frame, "
+        "the result is the correction, not the pose of the sensors."
+        for frame_id, topics in shared_frames(frame_ids).items()
+    ]

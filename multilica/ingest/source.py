@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which files a source is made of."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
+from multilica.ingest.cloud_files import FrameFiles
+from multilica.ingest.detect import CLOUD_SUFFIXES, RECORDING_SUFFIXES, detect_format
+
+__all__ = ["PathLike", "Source", "find_source"]
+
+PathLike = str | Path
+
+_PACKED_SUFFIXES = (".zst", ".zstd")
+_LISTED = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The files behind a source: either those of one bag, or point files.
+
+    Args:
+        label: the source as the user named it.
+        recordings: the files of one bag, oldest first.
+        frames: the point files of each LiDAR.
+    """
+
+    label: str
+    recordings: tuple[Path, ...] = ()
+    frames: tuple[FrameFiles, ...] = ()
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file, in order."""
+        return self.recordings + tuple(path for lidar in self.frames for path in lidar.files)
+
+
+def find_source(source: PathLike | Sequence[PathLike]) -> Source:
+    """Look at the paths, and at the first bytes of files whose names do not say what they are.
+
+    Raises:
+        SourceNotFoundError: nothing at one of the paths.
+        UnreadableSourceError: an empty file, or one of no format that is read here.
+        UnfitSnapshotError: a folder with nothing to read.
+        UsageError: several recordings, or none at all.
+    """
+    given = [source] if isinstance(source, str | Path) else list(source)
+    paths = [Path(path).expanduser() for path in given]
+    if not paths:
+        raise UsageError("No source was given; expected a recording, a folder or point files.")
+    try:
+        return _find(paths)
+    except OSError as error:
+        raise UnreadableSourceError(f"{error.filename} cannot be opened: {error.strerror}.") from error
+
+
+def _find(paths: list[Path]) -> Source:
+    for path in paths:
+        if not path.exists():
+            raise SourceNotFoundError(f"Nothing exists at {path}.")
+    if len(paths) > 1:
+        return _several(paths)
+    return _folder(paths[0]) if paths[0].is_dir() else _file(paths[0])
+
+
+def _file(path: Path) -> Source:
+    if not path.is_file():
+        raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
+    if detect_format(path) in RECORDING_SUFFIXES.values():
+        return Source(str(path), recordings=(path,))
+    return Source(str(path), frames=(FrameFiles(path.name, path.stem, (path,)),))
+
+
+def _several(paths: list[Path]) -> Source:
+    label = ", ".join(str(path) for path in paths[:_LISTED]) + (", ..." if len(paths) > _LISTED else "")
+    repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
+    if repeated:
+        raise UsageError(f"{repeated[0]} is given more than once.")
+    names, stems = Counter(path.name for path in paths), Counter(path.stem for path in paths)
+    lidars: list[FrameFiles] = []
+    for path in paths:
+        source = _folder(path) if path.is_dir() else _file(path)
+        if source.recordings:
+            raise UsageError(f"{path} is a recording among other sources; give one recording alone, or point files.")
+        topic = path.name if names[path.name] == 1 else str(path)
+        lidar = path.stem if stems[path.stem] == 1 else f"{path.parent.name}_{path.stem}"
+        lidars.append(FrameFiles(topic, path.name if path.is_dir() else lidar, source.files))
+    return Source(label, frames=tuple(lidars))
+
+
+def _folder(folder: Path) -> Source:
+    entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
+    files = [entry for entry in entries if entry.is_file()]
+    recordings = [path for path in files if path.suffix.lower() in (*RECORDING_SUFFIXES, *_PACKED_SUFFIXES)]
+    frames = _frames(entries)
+    if recordings and frames:
+        raise UsageError(
+            f"{folder} holds recordings ({_names(recordings)}) as well as point files ({frames[0].topic}, ...); "
+            "give the one that is meant."
+        )
+    if not recordings and not frames:
+        raise UnfitSnapshotError(
+            f"{folder} holds no point clouds; expected PCD or PLY files, folders of them, or a bag, "
+            f"found {_names(entries) or 'nothing'}."
+        )
+    if len(recordings) > 1 and not _are_one_bag(folder, recordings):
+        raise UsageError(f"{folder} holds {len(recordings)} recordings ({_names(recordings)}); give one of them.")
+    return Source(str(folder), tuple(recordings), tuple(frames))
+
+
+def _frames(entries: list[Path]) -> list[FrameFiles]:
+    clouds = [entry for entry in entries if _is_cloud_file(entry)]
+    stems = Counter(path.stem for path in clouds)
+    single = [FrameFiles(path.name, path.stem if stems[path.stem] == 1 else path.name, (path,)) for path in clouds]
+    folders = [
+        FrameFiles(entry.name, entry.name, files)
+        for entry in entries
+        if entry.is_dir() and (files := tuple(sorted(filter(_is_cloud_file, entry.iterdir()), key=_natural)))
+    ]
+    return single + folders
+
+
+def _is_cloud_file(path: Path) -> bool:
+    return path.suffix.lower() in CLOUD_SUFFIXES and not path.name.startswith(".") and path.is_file()
+
+
+def _are_one_bag(folder: Path, recordings: list[Path]) -> bool:
+    if any(path.suffix.lower() == ".bag" for path in recordings):
+        return False
+    # `ros2 bag record` names the parts of a split bag NAME_0, NAME_1, ...; if it dies, there is no metadata.yaml.
+    stems = {re.sub(r"_\d+$", "", path.stem) for path in recordings}
+    return (folder / "metadata.yaml").is_file() or len(stems) == 1
+
+
+def _natural(path: Path) -> tuple[list[int | str], str]:
+    parts = re.split(r"(\d+)", path.name)
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)], path.name
+
+
+def _names(paths: list[Path]) -> str:
+    shown = ", ".join(path.name for path in paths[:_LISTED])
+    return f"{shown}, ..." if len(paths) > _LISTED else shown

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag that was split over several files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+
+from multilica.ingest.recording import Message, Recording, Span, Topic
+
+__all__ = ["SplitRecording"]
+
+
+class SplitRecording:
+    """Several recordings, one after the other.
+
+    Args:
+        parts: open recordings, oldest first.
+        damage: what is known to be missing.
+    """
+
+    def __init__(self, parts: Sequence[Recording], damage: str = "") -> None:
+        self.format = f"{parts[0].format}, {len(parts)} files"
+        self.damage = damage or next((part.damage for part in parts if part.damage), "")
+        self.topics = _joint_topics(parts)
+        self._parts = tuple(parts)
+
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Over all parts."""
+        spans = [span for part in self._parts if (span := part.span_ns(topics)) is not None]
+        return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[Message]:
+        """Part after part."""
+        for part in self._parts:
+            yield from part.messages(topics, start_ns)
+
+    def close(self) -> None:
+        """Close every part."""
+        for part in self._parts:
+            part.close()
+
+
+def _joint_topics(parts: Sequence[Recording]) -> tuple[Topic, ...]:
+    counts: Counter[tuple[str, str, str, str]] = Counter()
+    for part in parts:
+        for topic in part.topics:
+            counts[topic.name, topic.message_type, topic.encoding, topic.lidar] += topic.count
+    return tuple(Topic(*key[:3], count, key[3]) for key, count in sorted(counts.items()))
