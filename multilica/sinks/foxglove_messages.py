@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration in Foxglove's own schemas."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from foxglove import messages
+from foxglove.messages import (
+    FrameTransform,
+    FrameTransforms,
+    Log,
+    LogLevel,
+    PackedElementField,
+    PackedElementFieldNumericType,
+    PointCloud,
+    Pose,
+    Quaternion,
+    Timestamp,
+    Vector3,
+)
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+from multilica.geometry import RigidTransform
+from multilica.pointcloud2 import LIDAR_NAME_KEY
+from multilica.sinks.mcap_messages import Message, MessageSchema
+from multilica.sinks.narration import LogLine
+from multilica.snapshot import Float32Array
+
+__all__ = ["FoxgloveEncoding"]
+
+_LEVELS = {"DEBUG": LogLevel.Debug, "INFO": LogLevel.Info, "WARN": LogLevel.Warning, "ERROR": LogLevel.Error}
+_METRICS_SCHEMA = {
+    "title": "multilica.Metrics",
+    "type": "object",
+    "properties": {
+        "status": {"type": "string"},
+        "target": {"type": "string"},
+        "placed": {"type": "integer"},
+        "lidars": {"type": "object"},
+        "timing_s": {"type": "object"},
+    },
+}
+
+
+class FoxgloveEncoding:
+    """Protobuf by the schema names that Foxglove's panels know; metrics as JSON."""
+
+    profile = ""
+
+    def transforms(self, poses: Sequence[RigidTransform], stamp_ns: int) -> Message:
+        """``foxglove.FrameTransforms`` on `/tf`."""
+        transforms = FrameTransforms(transforms=[_transform(pose, stamp_ns) for pose in poses])
+        return Message("/tf", _schema(FrameTransforms), transforms.encode())
+
+    def cloud(self, lidar: str, points_m: Float32Array, stamp_ns: int) -> Message:
+        """``foxglove.PointCloud`` of little-endian float32."""
+        packed = np.ascontiguousarray(points_m, dtype="<f4")
+        numeric = PackedElementFieldNumericType.Float32
+        cloud = PointCloud(
+            timestamp=_timestamp(stamp_ns),
+            frame_id=lidar,
+            pose=Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)),
+            point_stride=packed.itemsize * 3,
+            fields=[PackedElementField(name=name, offset=4 * index, type=numeric) for index, name in enumerate("xyz")],
+            data=packed.tobytes(),
+        )
+        return Message(f"/lidar/{lidar}/points", _schema(PointCloud), cloud.encode(), {LIDAR_NAME_KEY: lidar})
+
+    def log(self, line: LogLine, stamp_ns: int) -> Message:
+        """``foxglove.Log`` on `/log`."""
+        entry = Log(
+            timestamp=_timestamp(stamp_ns),
+            level=_LEVELS[line.level],
+            message=line.text,
+            name="multilica",
+            file="",
+            line=0,
+        )
+        return Message("/log", _schema(Log), entry.encode())
+
+    def metrics(self, figures: Mapping[str, Any]) -> Message:
+        """JSON with its own schema on `/metrics`."""
+        schema = MessageSchema(
+            "multilica.Metrics", SchemaEncoding.JSONSchema, json.dumps(_METRICS_SCHEMA).encode(), MessageEncoding.JSON
+        )
+        return Message("/metrics", schema, json.dumps(figures, allow_nan=False).encode())
+
+
+def _schema(kind: type[messages.FrameTransforms | messages.PointCloud | messages.Log]) -> MessageSchema:
+    schema = kind.get_schema()
+    return MessageSchema(schema.name, schema.encoding, schema.data, MessageEncoding.Protobuf)
+
+
+def _timestamp(stamp_ns: int) -> Timestamp:
+    return Timestamp(*divmod(stamp_ns, 10**9))
+
+
+def _transform(pose: RigidTransform, stamp_ns: int) -> FrameTransform:
+    x, y, z = pose.xyz_m.tolist()
+    qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
+    return FrameTransform(
+        timestamp=_timestamp(stamp_ns),
+        parent_frame_id=pose.target,
+        child_frame_id=pose.source,
+        translation=Vector3(x=x, y=y, z=z),
+        rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+    )

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each event of a calibration as lines of a log."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import singledispatch
+from typing import Literal
+
+from multilica import events
+
+__all__ = ["LogLevel", "LogLine", "narrate", "pair_label"]
+
+LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
+
+
+@dataclass(frozen=True, slots=True)
+class LogLine:
+    """One sentence of the log; never with times, so that equal runs tell equal stories."""
+
+    level: LogLevel
+    text: str
+
+
+def pair_label(target: str, source: str) -> str:
+    """How a pair is called wherever people read it."""
+    return f"{target} <- {source}"
+
+
+@singledispatch
+def narrate(event: events.Event) -> tuple[LogLine, ...]:
+    """What there is to say of an event; nothing if it has no say."""
+    del event
+    return ()
+
+
+def _info(text: str) -> tuple[LogLine, ...]:
+    return (LogLine("INFO", text),)
+
+
+@narrate.register
+def _(event: events.CalibrationStarted) -> tuple[LogLine, ...]:
+    snapshot = event.snapshot
+    found = ", ".join(
+        f"{lidar.name} with {lidar.points_count:,} points in {len(lidar.scans)} frame(s)" for lidar in snapshot.lidars
+    )
+    notes = tuple(LogLine("WARN", note) for note in snapshot.notes)
+    return (*_info(f"calibrating {len(snapshot.lidars)} LiDARs of {snapshot.source or 'memory'}: {found}"), *notes)
+
+
+@narrate.register
+def _(event: events.StageStarted) -> tuple[LogLine, ...]:
+    return (LogLine("DEBUG", f"stage {event.stage} begins"),)
+
+
+@narrate.register
+def _(event: events.StageFinished) -> tuple[LogLine, ...]:
+    return _info(f"stage {event.stage} finished")
+
+
+@narrate.register
+def _(event: events.CloudPreprocessed) -> tuple[LogLine, ...]:
+    cloud = event.cloud
+    dropped = ", ".join(f"{len(points):,} {reason}" for reason, points in sorted(cloud.dropped_m.items()))
+    text = f"{cloud.lidar}: {len(cloud.points_m):,} points kept and thinned, dropped {dropped or 'none'}"
+    return (LogLine("INFO" if len(cloud.points_m) else "ERROR", text),)
+
+
+@narrate.register
+def _(event: events.FeaturesComputed) -> tuple[LogLine, ...]:
+    return _info(f"{event.features.lidar}: {len(event.features.points_m):,} descriptors")
+
+
+@narrate.register
+def _(event: events.CorrespondencesMatched) -> tuple[LogLine, ...]:
+    matches = event.correspondences
+    text = f"{pair_label(matches.target, matches.source)}: {len(matches):,} matches"
+    return (LogLine("INFO" if len(matches) else "WARN", text),)
+
+
+@narrate.register
+def _(event: events.HypothesesFound) -> tuple[LogLine, ...]:
+    coarse, total = event.coarse, len(event.correspondences)
+    label = pair_label(coarse.target, coarse.source)
+    if not coarse.hypotheses:
+        return (LogLine("WARN", f"{label}: the {total:,} matches agree on no pose"),)
+    best = coarse.hypotheses[0]
+    text = f"{label}: {len(coarse.hypotheses)} hypotheses, {best.score:g} of {total:,} matches agree on the first"
+    return _info(text)
+
+
+@narrate.register
+def _(event: events.HypothesesAssessed) -> tuple[LogLine, ...]:
+    label = pair_label(event.target, event.source)
+    if not event.assessments:
+        return (LogLine("WARN", f"{label}: no hypothesis to judge"),)
+    best = event.assessments[0]
+    beams = best.testimony
+    text = (
+        f"{label}: of {len(event.assessments)} distinct hypotheses, #{best.hypothesis} is believed most: "
+        f"{beams.agree:,} points agree, {beams.violate:,} stand in empty space, {beams.occluded:,} are occluded"
+    )
+    return _info(text)
+
+
+@narrate.register
+def _(event: events.PairRegistered) -> tuple[LogLine, ...]:
+    found = event.registration
+    start = f"hypothesis #{found.hypothesis}" if found.hypothesis >= 0 else "the merged pose"
+    text = (
+        f"{pair_label(found.target, found.source)} from {start}: fitness {found.fitness:.3f}, "
+        f"RMSE {found.rmse_m:.3f} m after {found.iterations} iterations"
+    )
+    doubts = "; ".join(reason.text for reason in found.verdict.reasons)
+    verdict = f"{found.verdict.outcome}: {doubts}" if doubts else found.verdict.outcome
+    return (LogLine("INFO" if found.verdict.accepted else "WARN", f"{text}; {verdict}"),)
+
+
+@narrate.register
+def _(event: events.TargetChosen) -> tuple[LogLine, ...]:
+    return _info(f"target is {event.target}: {event.reason}")
+
+
+@narrate.register
+def _(event: events.MergeStepTaken) -> tuple[LogLine, ...]:
+    decision = event.decision
+    groups = "; ".join(" + ".join(group) for group in decision.groups)
+    level: LogLevel = "WARN" if decision.chosen is None and len(decision.groups) > 1 else "INFO"
+    return (LogLine(level, f"merge step {decision.step}: {decision.reason}; groups: {groups}"),)
+
+
+@narrate.register
+def _(event: events.GroundEstimated) -> tuple[LogLine, ...]:
+    if event.ground is None:
+        return (LogLine("WARN", f"no ground plane: {event.reason}"),)
+    return _info(f"the target sits {event.ground.offset_m:.3f} m above ground: {event.reason}")
+
+
+@narrate.register
+def _(event: events.CalibrationFinished) -> tuple[LogLine, ...]:
+    result = event.result
+    missing = tuple(
+        LogLine("ERROR", f"{place.lidar} is not placed: {place.reason}")
+        for place in result.placements
+        if not place.placed
+    )
+    placed = len(result.placements) - len(missing)
+    level: LogLevel = "WARN" if missing else "INFO"
+    return (
+        *missing,
+        LogLine(level, f"calibration {result.status}: {placed} of {len(result.placements)} LiDARs placed"),
+    )

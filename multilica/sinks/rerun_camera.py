@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the viewer looks from."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from multilica.geometry import FloatArray
+from multilica.sinks.run_story import RunStory
+from multilica.sinks.thinning import sample_points
+
+__all__ = ["above", "around_lidar", "around_rig", "sampled_cloud", "three_quarter", "up_axis"]
+
+_SAMPLE = 20_000
+_FAR_SHARE = 75.0
+_RADIUS_LIMITS_M = (6.0, 40.0)
+
+
+def around_lidar(story: RunStory, lidar: str, *, zoom: float = 1.0) -> rrb.EyeControls3D:
+    """What one LiDAR saw, in its own frame; the smaller the zoom, the more of what surrounds it."""
+    return _around(sampled_cloud(story, lidar), up_axis(story, lidar), zoom)
+
+
+def around_rig(story: RunStory) -> rrb.EyeControls3D:
+    """What all placed LiDARs saw, in the target's frame."""
+    placements = story.result.placements if story.result is not None else ()
+    clouds = [
+        place.T_target_source.apply(sampled_cloud(story, place.lidar))
+        for place in placements
+        if place.placed and place.T_target_source is not None
+    ]
+    target = story.result.target if story.result is not None else ""
+    return _around(np.concatenate(clouds) if clouds else np.empty((0, 3)), up_axis(story, target))
+
+
+def three_quarter(centre_m: FloatArray, radius_m: float, up: FloatArray) -> rrb.EyeControls3D:
+    """From behind, aside and above, so that what lies within the radius fills the view."""
+    ahead, aside = _horizontal(up)
+    position = centre_m + radius_m * (-1.05 * ahead - 0.55 * aside + 0.95 * up)
+    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
+
+
+def above(low_m: FloatArray, high_m: FloatArray) -> rrb.EyeControls3D:
+    """From above a box whose corners are given, slightly tilted, z up."""
+    centre_m, size_m = (low_m + high_m) / 2.0, float(np.max(high_m - low_m))
+    position = centre_m + size_m * np.array([-0.45, 0.0, 0.55])
+    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=(0.0, 0.0, 1.0))
+
+
+def sampled_cloud(story: RunStory, lidar: str) -> FloatArray:
+    """(N, 3) some of a LiDAR's preprocessed points; none before it is preprocessed."""
+    if lidar not in story.clouds:
+        return np.empty((0, 3))
+    return sample_points(story.clouds[lidar].points_m, _SAMPLE).astype(np.float64)
+
+
+def up_axis(story: RunStory, lidar: str) -> FloatArray:
+    """(3,) upwards in the LiDAR's frame, as far as it is known: its z axis until its pose and the ground are."""
+    up = np.array([0.0, 0.0, 1.0])
+    if story.result is None:
+        return up
+    if story.result.ground is not None:
+        up = story.result.ground.normal
+    for place in story.result.placements:
+        if place.lidar == lidar and place.placed and place.T_target_source is not None:
+            return np.asarray(place.T_target_source.rotation.T @ up)
+    return np.array([0.0, 0.0, 1.0])
+
+
+def _around(points_m: FloatArray, up: FloatArray, zoom: float = 1.0) -> rrb.EyeControls3D:
+    """A cloud (N, 3), as far as it is dense; between it and the sensor for those that look one way."""
+    if len(points_m) == 0:
+        return three_quarter(np.zeros(3), _RADIUS_LIMITS_M[0], up)
+    centre_m = 0.6 * np.median(points_m, axis=0)
+    radius_m = np.percentile(np.linalg.norm(points_m - centre_m, axis=1), _FAR_SHARE)
+    return three_quarter(centre_m, float(np.clip(radius_m, *_RADIUS_LIMITS_M)) / zoom, up)
+
+
+def _horizontal(up: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Ahead, which is x unless that is nearly up, and left of it; both level."""
+    axis = np.eye(3)[0 if abs(up[0]) < 0.9 else 1]
+    ahead = axis - (axis @ up) * up
+    ahead /= np.linalg.norm(ahead)
+    return ahead, np.cross(up, ahead)

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The calibrated rig."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from multilica import events
+from multilica.results import CalibrationResult, GroundPlane
+from multilica.sinks.palette import MUTED
+from multilica.sinks.rerun_scene import Scene, rigid
+from multilica.sinks.rerun_tree import GROUND, lidar_frame, lidar_path, slot_frame
+
+__all__ = ["log_ground", "log_outcome"]
+
+_GRID_HALF_SIZE_M = 15.0
+_GRID_SPACING_M = 2.5
+
+
+def log_outcome(scene: Scene, event: events.CalibrationFinished) -> None:
+    """Every placed LiDAR in the target's frame."""
+    result = event.result
+    if result.target in scene.story.lidars:
+        scene.log(lidar_path(result.target, "sensor"), rigid(lidar_frame(result.target), slot_frame(result.target)))
+    _log_placed(scene, result)
+
+
+def _log_placed(scene: Scene, result: CalibrationResult) -> None:
+    for place in result.placements:
+        if place.placed and place.T_target_source is not None and place.lidar != result.target:
+            pose = rigid(lidar_frame(place.lidar), lidar_frame(result.target), place.T_target_source)
+            scene.log(lidar_path(place.lidar, "sensor"), pose)
+
+
+def log_ground(scene: Scene, event: events.GroundEstimated) -> None:
+    """The plane as a grid around the point below the target LiDAR."""
+    if event.ground is None or not scene.story.target:
+        return
+    strips = rr.LineStrips3D(_grid(event.ground), colors=[MUTED], radii=rr.Radius.ui_points(0.5))
+    scene.log(GROUND, rr.CoordinateFrame(lidar_frame(scene.story.target)), strips)
+
+
+def _grid(ground: GroundPlane) -> npt.NDArray[np.float32]:
+    """(K, 2, 3) line segments in the target's frame."""
+    forward, left = ground.T_base_target.rotation[0], ground.T_base_target.rotation[1]
+    centre = -ground.offset_m * ground.normal
+    ticks = np.arange(-_GRID_HALF_SIZE_M, _GRID_HALF_SIZE_M + _GRID_SPACING_M, _GRID_SPACING_M)
+    ends = np.array([-_GRID_HALF_SIZE_M, _GRID_HALF_SIZE_M])
+    along = centre + ticks[:, None, None] * left + ends[None, :, None] * forward
+    across = centre + ticks[:, None, None] * forward + ends[None, :, None] * left
+    return np.concatenate([along, across]).astype(np.float32)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration as a Rerun recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import rerun as rr
+
+from multilica import events
+from multilica.sinks.narration import LogLine, narrate
+from multilica.sinks.rerun_blueprint import final_blueprint, stage_blueprint
+from multilica.sinks.rerun_input import log_features, log_input, log_preprocessed
+from multilica.sinks.rerun_matches import log_matches
+from multilica.sinks.rerun_merge import log_merge_step
+from multilica.sinks.rerun_outcome import log_ground, log_outcome
+from multilica.sinks.rerun_pairs import log_assessments, log_hypotheses, log_registration, show_best_poses
+from multilica.sinks.rerun_scene import Scene
+from multilica.sinks.rerun_tables import log_pair_tables, log_summary
+from multilica.sinks.run_story import RunStory
+from multilica.sinks.toml_text import toml_text
+
+__all__ = ["APPLICATION_ID", "RerunRecording", "partial_path"]
+
+APPLICATION_ID = "multilica"
+_PROPERTY = "multilica"
+_MAX_CLOUD_POINTS = 500_000
+
+
+def partial_path(path: Path) -> Path:
+    """Where the recording is written until it is whole: ``recording.rrd`` -> ``recording.partial.rrd``."""
+    return path.with_name(f"{path.stem}.partial{path.suffix}")
+
+
+class RerunRecording:
+    """A sink that writes every event to a `.rrd` file.
+
+    It is an observer within its `with` block. The file is called `<stem>.partial.rrd` until the calibration has
+    finished, and stays so when the run is interrupted or killed: each finished stage is on disk by then.
+
+    Args:
+        path: the final name, ending in `.rrd`; what lies there is replaced.
+        max_cloud_points: larger clouds are thinned at random to so many points, which the log says.
+    """
+
+    def __init__(self, path: Path, *, max_cloud_points: int = _MAX_CLOUD_POINTS) -> None:
+        self.path = path
+        self._stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
+        self._scene = Scene(self._stream, RunStory(), max_cloud_points)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __call__(self, event: events.Event) -> None:
+        """Record an event; the first one creates the file."""
+        scene = self._scene
+        if scene.step < 0:
+            self._stream.set_sinks(rr.FileSink(partial_path(self.path)))
+        scene.story(event)
+        scene.advance()
+        for line in narrate(event):
+            scene.log_line(line)
+        handle = _HANDLERS.get(type(event))
+        if handle is not None:
+            handle(scene, event)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._scene.step < 0:
+            return
+        whole = self._scene.story.result is not None
+        if not whole:
+            self._tell_the_end(error)
+        self._stream.flush()
+        self._stream.disconnect()
+        if whole:
+            partial_path(self.path).replace(self.path)
+
+    def _tell_the_end(self, error: BaseException | None) -> None:
+        scene = self._scene
+        cause = f"{type(error).__name__}: {error}".rstrip(": ") if error is not None else "no result was reached"
+        scene.advance()
+        scene.log_line(LogLine("ERROR", f"the run ended early: {cause}"))
+        _send_properties(scene, "interrupted")
+
+
+def _start(scene: Scene, event: events.CalibrationStarted) -> None:
+    _send_properties(scene, "running")
+    log_input(scene, event)
+    log_summary(scene)
+    scene.stream.send_blueprint(stage_blueprint(scene.story))
+    scene.stream.flush()
+
+
+def _finish_stage(scene: Scene, event: events.StageFinished) -> None:
+    """Bring to disk what the stage did; a large cloud does not hold back the small rows behind it."""
+    if event.stage in ("coarse", "verify", "fine", "merge"):
+        show_best_poses(scene)
+        log_pair_tables(scene)
+    log_summary(scene)
+    if event.stage in ("preprocess", "coarse", "fine", "merge"):
+        scene.stream.send_blueprint(stage_blueprint(scene.story))
+    scene.stream.flush()
+
+
+def _finish(scene: Scene, event: events.CalibrationFinished) -> None:
+    log_outcome(scene, event)
+    log_summary(scene)
+    _send_properties(scene, event.result.status)
+    scene.stream.send_blueprint(final_blueprint(scene.story))
+    scene.stream.flush()
+
+
+def _send_properties(scene: Scene, status: str) -> None:
+    story = scene.story
+    if story.provenance is None or story.config is None:
+        return
+    values = rr.AnyValues(
+        status=status,
+        version=story.provenance.versions["multilica"],
+        input_source=story.provenance.input["source"],
+        input_sha256=story.provenance.input["sha256"],
+        config=toml_text(story.config.model_dump(mode="json")),
+    )
+    scene.stream.send_property(_PROPERTY, values)
+
+
+_HANDLERS: Mapping[type[events.Event], Callable[[Scene, Any], None]] = {
+    events.CalibrationStarted: _start,
+    events.CloudPreprocessed: log_preprocessed,
+    events.FeaturesComputed: log_features,
+    events.CorrespondencesMatched: log_matches,
+    events.HypothesesFound: log_hypotheses,
+    events.HypothesesAssessed: log_assessments,
+    events.PairRegistered: log_registration,
+    events.MergeStepTaken: log_merge_step,
+    events.GroundEstimated: log_ground,
+    events.StageFinished: _finish_stage,
+    events.CalibrationFinished: _finish,
+}

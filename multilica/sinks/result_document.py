@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration's outcome as plain values that every JSON reader takes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from multilica.config import CalibrationConfig
+from multilica.geometry import RigidTransform
+from multilica.results import (
+    Assessment,
+    CalibrationResult,
+    GroundPlane,
+    LidarPlacement,
+    MergeCandidate,
+    MergeDecision,
+    PairRegistration,
+    Reason,
+)
+from multilica.sinks.provenance import Provenance
+
+__all__ = ["RESULT_SCHEMA", "json_safe", "result_document"]
+
+RESULT_SCHEMA = "multilica/result/1"
+
+
+def result_document(result: CalibrationResult, config: CalibrationConfig, provenance: Provenance) -> dict[str, Any]:
+    """What `result.json` holds.
+
+    Lengths are in metres, angles in degrees (extrinsic xyz), poses map points of the source to the target. Whatever
+    is not known is null; NaN and infinity do not occur.
+    """
+    document = {
+        "schema": RESULT_SCHEMA,
+        "status": result.status,
+        "target": result.target,
+        "target_reason": result.target_reason,
+        "lidars": {placement.lidar: _placement(placement) for placement in result.placements},
+        "pairs": [_pair(pair) for pair in result.pairs],
+        "decisions": [_decision(decision) for decision in result.decisions],
+        "ground": None if result.ground is None else _ground(result.ground),
+        "timing_s": dict(result.timing_s),
+        "input": provenance.input,
+        "config": config.model_dump(mode="json"),
+        "versions": provenance.versions,
+        "platform": provenance.platform,
+    }
+    return {key: json_safe(value) for key, value in document.items()}
+
+
+def json_safe(value: object) -> object:
+    """The value with arrays as lists, tuples as lists, and null for every float that JSON has no word for."""
+    if isinstance(value, Mapping):
+        return {str(key): json_safe(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return json_safe(value.tolist())
+    if isinstance(value, list | tuple):
+        return [json_safe(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _placement(placement: LidarPlacement) -> dict[str, Any]:
+    return {
+        "placed": placement.placed,
+        **_pose(placement.T_target_source),
+        "fitness": placement.fitness,
+        "rmse_m": placement.rmse_m,
+        "reason": placement.reason,
+    }
+
+
+def _pose(T_target_source: RigidTransform | None) -> dict[str, Any]:
+    if T_target_source is None:
+        return dict.fromkeys(("T_target_source", "xyz_m", "rpy_deg", "quaternion_xyzw"))
+    return {
+        "T_target_source": T_target_source.matrix,
+        "xyz_m": T_target_source.xyz_m,
+        "rpy_deg": T_target_source.rpy_deg,
+        "quaternion_xyzw": T_target_source.quaternion_xyzw,
+    }
+
+
+def _pair(pair: PairRegistration) -> dict[str, Any]:
+    return {
+        "target": pair.target,
+        "source": pair.source,
+        **_pose(pair.T_target_source),
+        "fitness": pair.fitness,
+        "rmse_m": pair.rmse_m,
+        "inliers": pair.inliers,
+        "converged": pair.converged,
+        "iterations": pair.iterations,
+        "engine": pair.engine,
+        "hypothesis": pair.hypothesis,
+        "hessian": pair.hessian,
+        "verdict": {"outcome": pair.verdict.outcome, "reasons": [_reason(reason) for reason in pair.verdict.reasons]},
+        "assessments": [_assessment(assessment) for assessment in pair.assessments],
+    }
+
+
+def _reason(reason: Reason) -> dict[str, Any]:
+    return {"code": reason.code, "value": reason.value, "limit": reason.limit, "text": reason.text}
+
+
+def _assessment(assessment: Assessment) -> dict[str, Any]:
+    beams = assessment.testimony
+    return {
+        "hypothesis": assessment.hypothesis,
+        "T_target_source": assessment.T_target_source.matrix,
+        "agree": beams.agree,
+        "violate": beams.violate,
+        "occluded": beams.occluded,
+        "unseen": beams.unseen,
+        "evidence": beams.evidence,
+        "fitness": assessment.fitness,
+        "rmse_m": assessment.rmse_m,
+        "weakest_curvature": assessment.weakest_curvature,
+    }
+
+
+def _decision(decision: MergeDecision) -> dict[str, Any]:
+    return {
+        "step": decision.step,
+        "candidates": [_candidate(candidate) for candidate in decision.candidates],
+        "chosen": None if decision.chosen is None else _candidate(decision.chosen),
+        "reason": decision.reason,
+        "groups": decision.groups,
+    }
+
+
+def _candidate(candidate: MergeCandidate) -> dict[str, Any]:
+    return {
+        "target": candidate.target,
+        "source": candidate.source,
+        "fitness": candidate.fitness,
+        "rmse_m": candidate.rmse_m,
+        "passes": candidate.passes,
+        "evidence": candidate.evidence,
+        "reason": candidate.reason,
+    }
+
+
+def _ground(ground: GroundPlane) -> dict[str, Any]:
+    base_pose = ground.T_base_target
+    return {
+        "normal": ground.normal,
+        "offset_m": ground.offset_m,
+        "T_base_target": base_pose.matrix,
+        "xyz_m": base_pose.xyz_m,
+        "rpy_deg": base_pose.rpy_deg,
+        "inlier_share": ground.inlier_share,
+    }

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The outcome of a calibration as files that programs and people read."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from multilica import events
+from multilica.sinks.atomic import write_text_atomically
+from multilica.sinks.calibration_toml import calibration_toml
+from multilica.sinks.result_document import result_document
+from multilica.sinks.run_story import RunStory
+
+__all__ = ["CALIBRATION_TOML", "RESULT_JSON", "ResultFiles", "result_document"]
+
+RESULT_JSON = "result.json"
+CALIBRATION_TOML = "calibration.toml"
+
+
+class ResultFiles:
+    """A sink that writes `result.json` and `calibration.toml` once the calibration has finished.
+
+    Args:
+        directory: an existing directory; files of these names in it are replaced.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self._story = RunStory()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __call__(self, event: events.Event) -> None:
+        """Remember an event; write at the last one."""
+        self._story(event)
+        story = self._story
+        if story.result is None or story.config is None or story.provenance is None:
+            return
+        document = result_document(story.result, story.config, story.provenance)
+        text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+        write_text_atomically(self.directory / RESULT_JSON, f"{text}\n")
+        write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(story.result, story.provenance))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Nothing is open."""

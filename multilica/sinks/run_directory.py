@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The directory that a run leaves behind."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from multilica import events
+from multilica.config import CalibrationConfig
+from multilica.errors import UsageError
+from multilica.events import Observer
+from multilica.sinks.atomic import write_text_atomically
+from multilica.sinks.rerun_recording import RerunRecording, partial_path
+from multilica.sinks.result_files import CALIBRATION_TOML, RESULT_JSON, ResultFiles
+from multilica.sinks.result_mcap import ResultMcap
+from multilica.sinks.toml_text import toml_text
+
+__all__ = ["Run", "open_run"]
+
+_CONFIG = "config.toml"
+_RECORDING = "recording.rrd"
+_MCAP = "result.mcap"
+_CONFIG_HEADER = "# The resolved configuration of a multilica run; give it to --config to run the same again.\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """An observer that hands each event to every sink.
+
+    Args:
+        directory: where they write.
+        config: written as `config.toml` when the calibration starts.
+        sinks: in the order in which they are told.
+    """
+
+    directory: Path
+    config: CalibrationConfig
+    sinks: tuple[Observer, ...]
+
+    def __call__(self, event: events.Event) -> None:
+        """Tell every sink; when the calibration starts, what an earlier run left is removed."""
+        if isinstance(event, events.CalibrationStarted):
+            for path in _outputs(self.directory):
+                path.unlink(missing_ok=True)
+            text = _CONFIG_HEADER + toml_text(self.config.model_dump(mode="json"))
+            write_text_atomically(self.directory / _CONFIG, text)
+        for sink in self.sinks:
+            sink(event)
+
+    @property
+    def written(self) -> tuple[Path, ...]:
+        """What is there now, the extrinsics first; complete once the `with` block has ended."""
+        return tuple(path for path in _outputs(self.directory) if path.exists())
+
+
+@contextmanager
+def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove") -> Iterator[Run]:
+    """Everything that a calibration leaves on disk, as one observer.
+
+    What an earlier run left in the directory under the same names is removed when the calibration starts, so that
+    files of two runs never lie side by side.
+
+    Args:
+        out_dir: created if it is missing.
+        config: the resolved configuration.
+        encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
+
+    Raises:
+        UsageError: the directory cannot be written to, or holds a `config.toml` of someone else's.
+        UnknownNameError: no such encoding.
+    """
+    _prepare(out_dir)
+    with ExitStack() as stack:
+        recording = stack.enter_context(RerunRecording(out_dir / _RECORDING))
+        mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding))
+        files = stack.enter_context(ResultFiles(out_dir))
+        yield Run(out_dir, config, (recording, mcap, files))
+
+
+def _outputs(directory: Path) -> tuple[Path, ...]:
+    partial = partial_path(Path(_RECORDING)).name
+    return tuple(directory / name for name in (CALIBRATION_TOML, RESULT_JSON, _RECORDING, partial, _MCAP, _CONFIG))
+
+
+def _prepare(directory: Path) -> None:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        foreign = _is_foreign(directory / _CONFIG)
+    except OSError as error:
+        raise _refused(directory, error.strerror or str(error)) from error
+    if not os.access(directory, os.W_OK | os.X_OK):
+        raise _refused(directory, "permission denied")
+    if foreign:
+        raise _refused(directory, f"its {_CONFIG} is not of a multilica run and would be lost")
+
+
+def _is_foreign(config: Path) -> bool:
+    if not config.exists():
+        return False
+    with config.open("rb") as file:
+        return file.read(len(_CONFIG_HEADER)) != _CONFIG_HEADER.encode()
+
+
+def _refused(directory: Path, why: str) -> UsageError:
+    return UsageError(f"Cannot write to {directory}: {why}; give --out a directory that can be created or written to.")

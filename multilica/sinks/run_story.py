@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of a calibration so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from multilica import events
+from multilica.config import CalibrationConfig, Stage
+from multilica.results import (
+    Assessment,
+    CalibrationResult,
+    CoarseResult,
+    Correspondences,
+    FeatureCloud,
+    MergeDecision,
+    PairKey,
+    PairRegistration,
+    PreprocessedCloud,
+)
+from multilica.sinks.provenance import Provenance, provenance_of
+from multilica.snapshot import Snapshot
+
+__all__ = ["RunStory"]
+
+
+@dataclass(slots=True, eq=False)
+class RunStory:
+    """An observer that remembers; everything else in a recording's summary and blueprint derives from it.
+
+    Args:
+        registrations: per pair, as it was matched, the registration of stage fine; those of merged clouds are left out.
+        assessments: per pair its hypotheses by visibility, the most believable first.
+        stages: those that finished, in order.
+    """
+
+    snapshot: Snapshot | None = None
+    config: CalibrationConfig | None = None
+    provenance: Provenance | None = None
+    stage: Stage | None = None
+    stages: list[Stage] = field(default_factory=list)
+    clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
+    features: dict[str, FeatureCloud] = field(default_factory=dict)
+    matches: dict[PairKey, Correspondences] = field(default_factory=dict)
+    coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
+    assessments: dict[PairKey, tuple[Assessment, ...]] = field(default_factory=dict)
+    registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
+    merged_registrations: list[PairRegistration] = field(default_factory=list)
+    target: str = ""
+    target_reason: str = ""
+    decisions: list[MergeDecision] = field(default_factory=list)
+    ground: events.GroundEstimated | None = None
+    result: CalibrationResult | None = None
+
+    @property
+    def lidars(self) -> tuple[str, ...]:
+        """Names in order; none before the snapshot is known."""
+        return self.snapshot.names if self.snapshot is not None else ()
+
+    @property
+    def pairs(self) -> tuple[PairKey, ...]:
+        """Every pair that was looked at, in name order."""
+        return tuple(sorted({*self.matches, *self.coarse, *self.registrations}))
+
+    def pair_of(self, registration: PairRegistration) -> PairKey:
+        """The pair as it was matched, whichever way round it was registered."""
+        target, source = registration.target, registration.source
+        return (source, target) if (source, target) in self.matches else (target, source)
+
+    def __call__(self, event: events.Event) -> None:  # noqa: C901, PLR0912 - one case per event type
+        """Remember what the event tells."""
+        match event:
+            case events.CalibrationStarted(snapshot, config):
+                self.snapshot, self.config = snapshot, config
+                self.provenance = provenance_of(snapshot)
+            case events.StageStarted(stage):
+                self.stage = stage
+            case events.StageFinished(stage):
+                self.stages.append(stage)
+            case events.CloudPreprocessed(cloud):
+                self.clouds[cloud.lidar] = cloud
+            case events.FeaturesComputed(features):
+                self.features[features.lidar] = features
+            case events.CorrespondencesMatched(matches):
+                self.matches[matches.target, matches.source] = matches
+            case events.HypothesesFound(coarse):
+                self.coarse[coarse.target, coarse.source] = coarse
+            case events.HypothesesAssessed(target, source, assessments):
+                self.assessments[target, source] = assessments
+            case events.PairRegistered(registration):
+                if self.stage == "merge":
+                    self.merged_registrations.append(registration)
+                else:
+                    self.registrations[self.pair_of(registration)] = registration
+            case events.TargetChosen(target, reason):
+                self.target, self.target_reason = target, reason
+            case events.MergeStepTaken(decision):
+                self.decisions.append(decision)
+            case events.GroundEstimated():
+                self.ground = event
+            case events.CalibrationFinished(result):
+                self.result = result

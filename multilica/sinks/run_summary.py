@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a calibration found, as markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from multilica.results import CalibrationResult, LidarPlacement, MergeDecision, PairKey, Testimony
+from multilica.sinks.narration import pair_label
+from multilica.sinks.run_story import RunStory
+
+__all__ = ["decisions_markdown", "fitness_markdown", "hypotheses_markdown", "summary_markdown"]
+
+_SHOWN_HYPOTHESES = 3
+
+
+def summary_markdown(story: RunStory) -> str:
+    """The outcome in one page; while the run goes on, how far it is."""
+    parts = [_verdict(story), *_result_parts(story.result), _input_part(story), _version_part(story)]
+    return "\n\n".join(part for part in parts if part)
+
+
+def _verdict(story: RunStory) -> str:
+    if story.result is None:
+        done = story.stages[-1] if story.stages else "nothing"
+        return f"# Unfinished\n\nThis recording ends before the calibration did; the last finished stage is **{done}**."
+    placed = sum(place.placed for place in story.result.placements)
+    headline = {"complete": "Calibrated", "partial": "Partly calibrated", "failed": "Not calibrated"}
+    return f"# {headline[story.result.status]}: {placed} of {len(story.result.placements)} LiDARs placed"
+
+
+def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
+    if result is None:
+        return
+    missing = [place for place in result.placements if not place.placed]
+    if missing:
+        yield "\n".join(f"- **{_cell(place.lidar)} is not placed**: {place.reason}" for place in missing)
+    yield f"Target: **{_cell(result.target)}**. {result.target_reason}"
+    yield _table(
+        ("LiDAR", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg", "fitness", "RMSE m"),
+        [_placement_row(place) for place in result.placements],
+    )
+    if result.ground is not None:
+        share = f"{result.ground.inlier_share:.0%} of the points"
+        yield f"Ground: {result.ground.offset_m:.3f} m below the target, {share}."
+
+
+def _placement_row(place: LidarPlacement) -> Sequence[str]:
+    if place.T_target_source is None or not place.placed:
+        return (place.lidar, *("-",) * 6, f"{place.fitness:.3f}", "not placed")
+    pose = place.T_target_source
+    numbers = (*(f"{value:.3f}" for value in pose.xyz_m), *(f"{value:.2f}" for value in pose.rpy_deg))
+    return (place.lidar, *numbers, f"{place.fitness:.3f}", f"{place.rmse_m:.3f}")
+
+
+def _input_part(story: RunStory) -> str:
+    if story.snapshot is None:
+        return ""
+    rows = [
+        (lidar.name, lidar.topic or "-", str(len(lidar.scans)), f"{lidar.points_count:,}")
+        for lidar in story.snapshot.lidars
+    ]
+    digest = story.snapshot.source_sha256[:16] or "none"
+    source = f"## Input\n\n`{story.snapshot.source or 'in memory'}`, sha256 `{digest}`"
+    return f"{source}\n\n{_table(('LiDAR', 'topic', 'frames', 'points'), rows)}"
+
+
+def _version_part(story: RunStory) -> str:
+    if story.provenance is None:
+        return ""
+    return ", ".join(f"{package} {version}" for package, version in story.provenance.versions.items())
+
+
+def hypotheses_markdown(story: RunStory) -> str:
+    """Per pair its best poses with what speaks for each."""
+    header = ("pair", "pose", "matches", "agree", "violate", "evidence", "fitness", "RMSE m", "verdict")
+    rows = [row for pair in story.pairs for row in _hypothesis_rows(story, pair)]
+    legend = (
+        "The best of each pair first. Judged points: green agree with the other sensor's surfaces, "
+        "red lie in space that its beams passed through, grey are hidden from it."
+    )
+    return f"# Hypotheses\n\n{legend}\n\n{_table(header, rows)}"
+
+
+def _hypothesis_rows(story: RunStory, pair: PairKey) -> Iterable[Sequence[str]]:
+    label = pair_label(*pair)
+    order = _believed(story, pair)
+    if not order:
+        yield (label, "none", f"0 of {len(story.matches.get(pair, ()))}", *("-",) * 6)
+    for index in order[:_SHOWN_HYPOTHESES]:
+        yield (label, f"#{index}", *_scores(story, pair, index))
+
+
+def _believed(story: RunStory, pair: PairKey) -> Sequence[int]:
+    """Indices of the pair's hypotheses, the best first."""
+    if story.assessments.get(pair):
+        return [assessment.hypothesis for assessment in story.assessments[pair]]
+    return range(len(story.coarse[pair].hypotheses)) if pair in story.coarse else ()
+
+
+def _scores(story: RunStory, pair: PairKey, index: int) -> Sequence[str]:
+    hypotheses = story.coarse[pair].hypotheses if pair in story.coarse else ()
+    matches = f"{hypotheses[index].score:g}" if index < len(hypotheses) else "-"
+    judged = next((one for one in story.assessments.get(pair, ()) if one.hypothesis == index), None)
+    visibility = _visibility(judged.testimony) if judged else ("-",) * 3
+    found = story.registrations.get(pair)
+    if found is None or found.hypothesis != index:
+        return (matches, *visibility, "-", "-", "-")
+    return (matches, *visibility, f"{found.fitness:.3f}", f"{found.rmse_m:.3f}", found.verdict.outcome)
+
+
+def _visibility(testimony: Testimony) -> Sequence[str]:
+    return (f"{testimony.agree:,}", f"{testimony.violate:,}", f"{testimony.evidence:,.0f}")
+
+
+def fitness_markdown(story: RunStory) -> str:
+    """The fitness matrix: target in rows, source in columns."""
+    names = story.lidars
+    found = {(one.target, one.source): f"{one.fitness:.3f}" for one in story.registrations.values()}
+    rows = [(target, *(found.get((target, source), "-") for source in names)) for target in names]
+    return "# Fitness\n\nTarget in rows, source in columns.\n\n" + _table(("", *names), rows)
+
+
+def decisions_markdown(decisions: Sequence[MergeDecision]) -> str:
+    """The merge steps, the latest first: what could have been chosen, what was, and why."""
+    return "\n\n".join(_decision_part(decision) for decision in reversed(decisions))
+
+
+def _decision_part(decision: MergeDecision) -> str:
+    rows = [
+        (
+            pair_label(one.target, one.source),
+            f"{one.fitness:.3f}",
+            f"{one.rmse_m:.3f}",
+            "merged" if one == decision.chosen else "passes" if one.passes else one.reason or "does not pass",
+        )
+        for one in decision.candidates
+    ]
+    groups = "; ".join(" + ".join(group) for group in decision.groups)
+    table = _table(("candidate", "fitness", "RMSE m", "verdict"), rows)
+    return f"# Merge step {decision.step}\n\n{decision.reason}\n\n{table}\n\nGroups after it: {groups}"
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(_cell(cell) for cell in line)} |" for line in lines)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")

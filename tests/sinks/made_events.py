@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The events of a small made-up calibration, in the order in which the pipeline tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from multilica import events
+from multilica.config import STAGES, CalibrationConfig, Stage
+from multilica.geometry import RigidTransform
+from multilica.results import (
+    Assessment,
+    CalibrationResult,
+    CoarseResult,
+    Correspondences,
+    FeatureCloud,
+    FineStep,
+    GroundPlane,
+    Hypothesis,
+    LidarPlacement,
+    MergeCandidate,
+    MergeDecision,
+    PairRegistration,
+    PreprocessedCloud,
+    Reason,
+    Testimony,
+    Verdict,
+)
+from multilica.snapshot import LidarScans, Scan, Snapshot
+
+__all__ = ["LIDARS", "STAMP_NS", "TRUTH", "UNPLACED", "made_events"]
+
+LIDARS = ("front left/1", "rear", "top")
+TARGET = "top"
+UNPLACED = "rear"
+STAMP_NS = 1_700_000_000_000_000_000
+SEED = 7
+TRUTH = {
+    "front left/1": RigidTransform.from_xyz_rpy(TARGET, "front left/1", (1.5, 0.7, -0.4), (0.02, 0.6, 1.5)),
+    "rear": RigidTransform.from_xyz_rpy(TARGET, "rear", (-2.0, 0.1, -0.5), (-0.1, 0.3, 3.0)),
+    "top": RigidTransform.identity(TARGET, TARGET),
+}
+
+
+def made_events(outcome: str = "complete", until: Stage = "ground", **config: Any) -> Iterator[events.Event]:
+    """A run that places all LiDARs (`complete`), or all but `UNPLACED` (`partial`), or none (`failed`)."""
+    settings = CalibrationConfig(target=TARGET, until=until, ground={"enabled": True}, **config)
+    run = _Run(outcome)
+    yield events.CalibrationStarted(run.snapshot, settings)
+    for stage in STAGES[: STAGES.index(until) + 1]:
+        if stage == "refine":
+            continue
+        yield events.StageStarted(stage, 0)
+        yield from getattr(run, stage)()
+        yield events.StageFinished(stage, 0.01)
+    yield events.CalibrationFinished(run.result(until))
+
+
+class _Run:
+    def __init__(self, outcome: str) -> None:
+        self.outcome = outcome
+        self.random = np.random.default_rng(SEED)
+        world = _world(self.random)
+        self.points = {
+            name: pose.inverse().apply(world + self.random.normal(scale=0.01, size=world.shape))
+            for name, pose in TRUTH.items()
+        }
+        self.snapshot = _snapshot(self.points)
+        self.features_of: dict[str, FeatureCloud] = {}
+        self.registrations: dict[tuple[str, str], PairRegistration] = {}
+        self.decisions: list[MergeDecision] = []
+        self.ground_plane: GroundPlane | None = None
+
+    @property
+    def refused(self) -> set[str]:
+        return {"complete": set(), "partial": {UNPLACED}, "failed": {*LIDARS} - {TARGET}}[self.outcome]
+
+    def pairs(self):
+        return list(combinations(LIDARS, 2))
+
+    def truth(self, target: str, source: str) -> RigidTransform:
+        return TRUTH[target].inverse() @ TRUTH[source]
+
+    def ingest(self):
+        return ()
+
+    def preprocess(self):
+        for name, points in self.points.items():
+            near, far = self.random.normal(scale=0.2, size=(9, 3)), self.random.normal(scale=200.0, size=(4, 3))
+            dropped = {"too_near": near, "too_far": far}
+            yield events.CloudPreprocessed(PreprocessedCloud(name, points, points[::2], dropped))
+
+    def features(self):
+        for name, points in self.points.items():
+            thin = points[::3]
+            normals = -thin / np.linalg.norm(thin, axis=1, keepdims=True)
+            self.features_of[name] = FeatureCloud(name, thin, normals, np.zeros((len(thin), 33)))
+            yield events.FeaturesComputed(self.features_of[name])
+
+    def correspond(self):
+        for target, source in self.pairs():
+            yield events.CorrespondencesMatched(self._matches(target, source))
+
+    def _matches(self, target: str, source: str) -> Correspondences:
+        """Every fourth match is right."""
+        to, of = self.features_of[target], self.features_of[source]
+        count = 80
+        rows = np.arange(count)
+        wrong = (rows * 37 + 11) % len(of.points_m)
+        at = np.where(rows % 4 == 0, rows, wrong)
+        return Correspondences(
+            target, source, to.points_m[rows], of.points_m[at], to.normals[rows], of.normals[at], rows / count
+        )
+
+    def coarse(self):
+        for target, source in self.pairs():
+            matches = self._matches(target, source)
+            yield events.HypothesesFound(self._coarse_result(target, source, len(matches)), matches)
+
+    def _coarse_result(self, target: str, source: str, count: int) -> CoarseResult:
+        if self.outcome == "failed" and UNPLACED in (target, source):
+            return CoarseResult(target, source, ())
+        right = np.arange(count) % 4 == 0
+        turned = RigidTransform.from_xyz_rpy(target, target, (0.0, 0.0, 0.0), (0.0, 0.0, np.pi))
+        good = Hypothesis(self.truth(target, source), right, float(right.sum()), "cliques")
+        bad = Hypothesis(turned @ self.truth(target, source), np.zeros(count, dtype=bool), 5.0, "cliques")
+        return CoarseResult(target, source, (good, bad), graph_nodes=count, graph_edges=200)
+
+    def verify(self):
+        for target, source in self.pairs():
+            hypotheses = self._coarse_result(target, source, 80).hypotheses
+            assessments = tuple(self._assessment(source, index, one) for index, one in enumerate(hypotheses))
+            yield events.HypothesesAssessed(target, source, assessments)
+
+    def _assessment(self, source: str, index: int, hypothesis: Hypothesis) -> Assessment:
+        probes = self.points[source][::5]
+        labels = (np.arange(len(probes)) % 4).astype(np.uint8)
+        testimony = Testimony(90, 1, 5, 5, labels) if index == 0 else Testimony(20, 60, 5, 5, labels)
+        return Assessment(index, hypothesis.T_target_source, testimony, 0.8 - 0.3 * index, 0.05, 1.0, probes)
+
+    def fine(self):
+        for target, source in self.pairs():
+            if not self._coarse_result(target, source, 80).hypotheses:
+                continue
+            # The pipeline registers the sparser cloud against the denser one, whichever way round they were matched.
+            swap = (target, source) == self.pairs()[0]
+            pair = (source, target) if swap else (target, source)
+            self.registrations[pair] = self._registration(*pair, hypothesis=0)
+            yield events.PairRegistered(self.registrations[pair])
+
+    def _registration(self, target: str, source: str, hypothesis: int) -> PairRegistration:
+        refused = bool(self.refused & {target, source})
+        fitness = 0.1 if refused else 0.8
+        doubt = Reason("too_little_overlap", 12.0, 50.0, "only 12 points lie on surfaces; expected 50")
+        steps = tuple(
+            FineStep(3 * (k + 1), 2.0 / (k + 1), 100 + k, 10.0 / (k + 1), 0.1 / (k + 1), 0.01) for k in range(4)
+        )
+        return PairRegistration(
+            target,
+            source,
+            self.truth(target, source),
+            fitness,
+            0.06,
+            120,
+            converged=True,
+            iterations=12,
+            engine="small_gicp",
+            hypothesis=hypothesis,
+            hessian=np.eye(6),
+            steps=steps,
+            assessments=(self._assessment(source, 0, Hypothesis(self.truth(target, source), np.zeros(0), 0.0, "")),),
+            verdict=Verdict("reject", (doubt,)) if refused else Verdict("accept"),
+        )
+
+    def merge(self):
+        yield events.TargetChosen(TARGET, "as asked for")
+        placed = [TARGET]
+        for step, name in enumerate(sorted(set(LIDARS) - {TARGET} - self.refused)):
+            if step:
+                yield events.PairRegistered(self._registration(TARGET, name, hypothesis=-1))
+            placed.append(name)
+            chosen = MergeCandidate(TARGET, name, 0.8, 0.06, passes=True)
+            yield self._merge_step(step, chosen, placed)
+        if self.refused:
+            yield self._merge_step(len(self.decisions), None, placed)
+
+    def _merge_step(self, step: int, chosen: MergeCandidate | None, placed: list[str]) -> events.MergeStepTaken:
+        left = sorted(set(LIDARS) - set(placed))
+        others = tuple(
+            MergeCandidate(TARGET, name, 0.1, float("inf"), passes=False, reason="too little overlap") for name in left
+        )
+        candidates = (*((chosen,) if chosen else ()), *others)
+        reason = f"merged {chosen.source} into top" if chosen else "stopped: the best has fitness 0.100, below 0.2"
+        groups = (tuple(sorted(placed)), *((name,) for name in left))
+        self.decisions.append(MergeDecision(step, candidates, chosen, reason, groups))
+        poses = tuple(TRUTH[name] for name in sorted(placed)) if chosen else ()
+        return events.MergeStepTaken(self.decisions[-1], poses)
+
+    def ground(self):
+        base = RigidTransform.from_xyz_rpy("base", TARGET, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0))
+        self.ground_plane = GroundPlane(np.array([0.0, 0.0, 1.0]), 2.0, base, 0.4)
+        yield events.GroundEstimated(self.ground_plane, "40 of 100 points lie on a plane")
+
+    def result(self, until: Stage) -> CalibrationResult:
+        merged = STAGES.index(until) >= STAGES.index("merge")
+        return CalibrationResult(
+            TARGET,
+            "as asked for",
+            tuple(self._placement(name, merged=merged) for name in LIDARS),
+            tuple(self.registrations.values()),
+            tuple(self.decisions),
+            self.ground_plane,
+            {"fine": 0.01, "broken": float("nan")},
+        )
+
+    def _placement(self, name: str, *, merged: bool) -> LidarPlacement:
+        if name == TARGET:
+            return LidarPlacement(name, "the target", placed=True, T_target_source=TRUTH[name], fitness=1.0, rmse_m=0.0)
+        if not merged:
+            return LidarPlacement(name, "stopped early as asked")
+        if name in self.refused:
+            return LidarPlacement(name, "its best registration has fitness 0.100, below 0.2")
+        return LidarPlacement(name, "placed", placed=True, T_target_source=TRUTH[name], fitness=0.8, rmse_m=0.06)
+
+
+def _world(random: np.random.Generator) -> np.ndarray:
+    """A street: ground, two facades, a few poles."""
+    ground = np.column_stack([random.uniform(-20, 20, (500, 2)), np.full(500, -2.0)])
+    left = np.column_stack([random.uniform(-20, 20, 300), np.full(300, 8.0), random.uniform(-2, 4, 300)])
+    right = np.column_stack([random.uniform(-20, 20, 300), np.full(300, -6.0), random.uniform(-2, 6, 300)])
+    poles = np.column_stack([random.choice([-9.0, 3.0, 11.0], 100), np.full(100, 4.0), random.uniform(-2, 3, 100)])
+    return np.concatenate([ground, left, right, poles])
+
+
+def _snapshot(points: dict[str, np.ndarray]) -> Snapshot:
+    lidars = tuple(
+        LidarScans(
+            name,
+            (Scan(cloud[::2], STAMP_NS + 1000 * index), Scan(cloud[1::2], STAMP_NS + 10**8)),
+            f"{name}_frame",
+            f"/{name}",
+        )
+        for index, (name, cloud) in enumerate(points.items())
+    )
+    return Snapshot(lidars, "drive.mcap", "c0ffee" * 10 + "abcd", notes=("12 of 20 scans, then the file ends",))

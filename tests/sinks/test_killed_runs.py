@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A run that is killed leaves what it had."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.sinks.recording_reader import Recording, blueprint_names
+
+ROOT = Path(__file__).resolve().parents[2]
+SIGNALS = [signal.SIGKILL, signal.SIGTERM, signal.SIGINT]
+
+
+@pytest.mark.parametrize("signal_number", SIGNALS, ids=lambda number: number.name)
+def test_every_finished_stage_can_be_read_and_nothing_is_half_written(tmp_path, signal_number, rerun_rrd):
+    command = [sys.executable, str(Path(__file__).parent / "killed_run.py"), str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "reached\n"
+        process.send_signal(signal_number)
+        assert process.wait(timeout=30) != 0
+    assert {path.name for path in tmp_path.iterdir()} == {"config.toml", "recording.partial.rrd"}
+    recording = Recording(tmp_path / "recording.partial.rrd")
+    finished = [text for _, _, text in recording.log if text.endswith(" finished")]
+    assert finished[-1] == "stage verify finished"
+    assert "/pairs/rear/top/judged/violate" in recording.entity_paths
+    assert "/lidars/top/raw" in recording.entity_paths
+    assert any("Hypotheses" in names for names in blueprint_names(tmp_path / "recording.partial.rrd"))
+    assert "**verify**" in recording.last("/summary", "TextDocument:text")[0]
+    if signal_number == signal.SIGINT:
+        assert recording.properties()["status"] == "interrupted"
+        assert rerun_rrd("verify", tmp_path / "recording.partial.rrd").returncode == 0

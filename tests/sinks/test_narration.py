@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The log tells what happened."""
+
+from __future__ import annotations
+
+import pytest
+
+from multilica import events
+from multilica.results import CoarseResult
+from multilica.sinks.narration import narrate
+from multilica.sinks.run_story import RunStory
+from multilica.sinks.run_summary import decisions_markdown, hypotheses_markdown, summary_markdown
+from tests.sinks.made_events import LIDARS, UNPLACED, made_events
+
+
+def story_of(*args, stop_after: int | None = None) -> RunStory:
+    story = RunStory()
+    for event in list(made_events(*args))[:stop_after]:
+        story(event)
+    return story
+
+
+def test_every_event_has_something_to_say():
+    assert all(narrate(event) for event in made_events("partial"))
+
+
+@pytest.mark.parametrize(("outcome", "level"), [("complete", "INFO"), ("partial", "WARN"), ("failed", "WARN")])
+def test_the_last_line_is_the_outcome(outcome, level):
+    *_, last = made_events(outcome)
+    line = narrate(last)[-1]
+    assert line.level == level
+    assert line.text.startswith(f"calibration {outcome}: ")
+
+
+def test_each_lidar_that_is_missing_is_an_error_with_its_reason():
+    *_, last = made_events("failed")
+    errors = [line.text for line in narrate(last) if line.level == "ERROR"]
+    assert [text.split(" is not placed: ")[0] for text in errors] == ["front left/1", "rear"]
+
+
+def test_a_verdict_that_is_no_accept_is_a_warning_with_its_reasons():
+    lines = [narrate(event)[0] for event in made_events("partial") if isinstance(event, events.PairRegistered)]
+    doubted = [line for line in lines if line.level == "WARN"]
+    assert all("reject: only 12 points lie on surfaces; expected 50" in line.text for line in doubted)
+    assert [UNPLACED in line.text for line in lines] == [line.level == "WARN" for line in lines]
+
+
+def test_notes_of_the_reader_are_warnings():
+    first, *_ = made_events()
+    assert [line.text for line in narrate(first) if line.level == "WARN"] == list(first.snapshot.notes)
+
+
+def test_no_hypothesis_is_a_warning():
+    event = next(event for event in made_events() if isinstance(event, events.HypothesesFound))
+    empty = events.HypothesesFound(CoarseResult("a", "b", ()), event.correspondences)
+    assert narrate(empty)[0].level == "WARN"
+
+
+def test_the_summary_of_an_unfinished_run_says_how_far_it_came():
+    assert "the last finished stage is **ingest**" in summary_markdown(story_of(stop_after=4))
+
+
+def test_the_summary_names_what_is_missing_first():
+    text = summary_markdown(story_of("partial"))
+    assert text.startswith("# Partly calibrated: 2 of 3 LiDARs placed\n\n- **rear is not placed**: its best")
+    for name in LIDARS:
+        assert f"| {name} |" in text
+
+
+def test_names_cannot_break_a_table():
+    decisions = story_of().decisions
+    assert decisions
+    rows = [line for line in decisions_markdown(decisions).splitlines() if line.startswith("|")]
+    assert {row.count("|") for row in rows} == {5}
+
+
+def test_the_table_of_hypotheses_has_the_best_of_every_pair():
+    table = hypotheses_markdown(story_of("failed"))
+    assert "| rear <- top | none | 0 of 80 |" in table
+    assert "| front left/1 <- top | #0 | 20 | 90 | 1 | 80 | 0.100 | 0.060 | reject |" in table

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run leaves in its directory."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+from multilica.config import CalibrationConfig, load_config
+from multilica.errors import UsageError
+from multilica.sinks.run_directory import open_run
+from tests.sinks.made_events import made_events
+
+CONFIG = CalibrationConfig(target="top", fine={"max_iterations": 7})
+
+
+def run_into(directory, stop_after: int | None = None):
+    with open_run(directory, CONFIG) as run:
+        for event in list(made_events())[:stop_after]:
+            run(event)
+    return run
+
+
+def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
+    run = run_into(tmp_path / "deep" / "run")
+    names = ["calibration.toml", "result.json", "recording.rrd", "result.mcap", "config.toml"]
+    assert [path.name for path in run.written] == names
+    assert {path.name for path in (tmp_path / "deep" / "run").iterdir()} == set(names)
+
+
+def test_the_resolved_configuration_can_be_given_back(tmp_path):
+    run_into(tmp_path)
+    assert load_config(tmp_path / "config.toml") == CONFIG
+
+
+def test_files_of_an_earlier_run_do_not_stay_beside_those_of_a_later_one(tmp_path):
+    run_into(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    run = run_into(tmp_path, stop_after=8)
+    assert [path.name for path in run.written] == ["recording.partial.rrd", "config.toml"]
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert "recording.partial.rrd" not in {path.name for path in run_into(tmp_path).written}
+
+
+def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):
+    before = run_into(tmp_path).written
+    assert run_into(tmp_path, stop_after=0).written == before
+
+
+def test_a_file_in_the_way_is_refused_in_one_sentence(tmp_path):
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(UsageError, match=r"^Cannot write to .*out: File exists; give --out a directory") as refusal:
+        run_into(tmp_path / "out")
+    assert str(refusal.value).count(". ") == 0
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_directory_without_permission_is_refused(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(UsageError, match="permission denied"):
+        run_into(tmp_path)
+
+
+def test_a_config_of_the_users_own_is_not_overwritten(tmp_path):
+    (tmp_path / "config.toml").write_text('preset = "paper"\n')
+    with pytest.raises(UsageError, match=r"its config\.toml is not of a multilica run"):
+        run_into(tmp_path)
+    assert (tmp_path / "config.toml").read_text() == 'preset = "paper"\n'
+
+
+def test_importing_the_package_loads_neither_rerun_nor_mcap():
+    code = "import sys, multilica.sinks; sys.exit(not {'rerun', 'mcap', 'foxglove', 'numpy'}.isdisjoint(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
