@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from multilica.errors import ConfigError, SourceNotFoundError, UnknownNameError
+from multilica.errors import ConfigError, UnknownNameError
 
 __all__ = [
     "PRESETS",
@@ -122,14 +122,18 @@ class VerifyConfig(Section):
         6, ge=2, description="distinct answers that are tried before the search may stop early"
     )
     settled_ratio: Share = Field(0.5, description="it stops if the runner-up has at most this share of the evidence")
-    finalists: Count = Field(3, description="distinct answers that are registered more finely")
+    finalists: Count = Field(5, description="distinct answers that are registered more finely")
     finalist_points: Count = Field(10_000, description="points per LiDAR of that registration")
     final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
     final_tolerance_deg: float = Field(0.2, gt=0.0, description="as tolerance_deg, for the finely registered")
     min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
-    max_violation_share: Share = Field(0.03, description="share of points in proven-empty space that can be chance")
+    max_violation_share: Share = Field(0.012, description="share of points in proven-empty space that can be chance")
     max_runner_up: Share = Field(0.7, description="share of the evidence that another distinct pose may have")
-    min_curvature: Metres = Field(0.6, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm")
+    min_evidence: Metres = Field(120.0, description="distinctive agreement, less violations, that a pose needs")
+    min_curvature: Metres = Field(
+        0.45, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm"
+    )
+    min_held_by: Metres = Field(0.1, description="points that hold the pose in its weakest direction, 10 m lever arm")
     feature_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
         (0.25, 0.5), description="further voxel sizes of the descriptors, tried in turn while no hypothesis is accepted"
     )
@@ -142,7 +146,7 @@ class FineConfig(Section):
     voxel_size_m: PositiveMetres = Field(0.1, description="grid on which GICP runs")
     max_points: Count = Field(50_000, description="a cloud with more points is thinned on a coarser grid")
     max_correspondence_distances_m: tuple[PositiveMetres, ...] = Field(
-        (0.5, 0.25), min_length=1, description="one GICP run each, from coarse to fine"
+        (0.5, 0.25, 0.12), min_length=1, description="one GICP run each, from coarse to fine"
     )
     max_iterations: Count = Field(30, description="largest number of iterations of each run")
     rotation_epsilon_rad: PositiveMetres = Field(1e-4, description="converged when a step turns by less (small_gicp)")
@@ -242,14 +246,13 @@ def load_config(path: Path) -> CalibrationConfig:
     """Read a TOML file; keys that it leaves out come from the preset that it names, else from `default`.
 
     Raises:
-        SourceNotFoundError: no such file.
-        ConfigError: not TOML, an unknown key, or a value out of range.
+        ConfigError: no such file, not TOML, an unknown key, or a value out of range.
         UnknownNameError: no such preset.
     """
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
-        raise SourceNotFoundError(f"No configuration file at {path}.") from error
+        raise ConfigError(f"There is no configuration file at {path}.") from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path} is not a TOML file that can be read: {error}.") from error
     base = preset(str(table.get("preset", "default")))

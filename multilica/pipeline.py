@@ -33,8 +33,8 @@ from multilica.results import (
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features
-from multilica.stages.features import compute_features
 from multilica.stages.decide import decide, decide_by_fitness
+from multilica.stages.features import compute_features
 from multilica.stages.fine import Candidate, Side, register_best
 from multilica.stages.ground import estimate_ground
 from multilica.stages.merge import Group, merge
@@ -291,8 +291,15 @@ class _Run:
             return "no pose was found against any other LiDAR"
         best = max(own, key=lambda pair: pair.evidence)
         other = best.target if best.source == name else best.source
-        why = "; ".join(reason.text for reason in best.verdict.reasons) or "its group was not joined to the target's"
+        why = "; ".join(reason.text for reason in best.verdict.reasons) or self._last_refusal(name)
         return f"its best registration, with {other}: {why}"
+
+    def _last_refusal(self, name: str) -> str:
+        """Why the group of a LiDAR that has an accepted pair was not joined to the target's."""
+        last = self.decisions[-1]
+        members = next((group for group in last.groups if name in group), (name,))
+        reasons = [each.reason for each in last.candidates if {each.target, each.source} & {*members} and each.reason]
+        return reasons[0] if reasons else f"{' and '.join(members)} could not be joined to {self.target}"
 
 
 def _between_groups(group: Group, other: Group, known: RigidTransform) -> RigidTransform:

@@ -136,8 +136,11 @@ class CoarseResult:
     graph_edges: int = 0
 
 
-VIOLATION_WEIGHT = 10.0
-"""A point in proven-empty space outweighs this many on common surfaces: noise makes few of those, a wrong pose many."""
+LEVER_ARM_M = 10.0
+"""Distance at which a rotation is compared with a translation."""
+
+VIOLATION_WEIGHT = 30.0
+"""A point in proven-empty space outweighs this many on common surfaces: the true pose makes hardly any."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,6 +152,9 @@ class Testimony:
         violate: points in space that the other side's beams passed through.
         occluded: points behind a measured surface, of which nothing is known.
         unseen: points outside the other side's field of view.
+        information: (6, 6) sum of J J^T over the agreeing points, J = (turn, shift) by which a small motion lifts a
+            point off its surface; order rotation, translation in the target's axes about the source's origin,
+            rotations scaled by `LEVER_ARM_M`.
         labels: (N,) `BeamLabel` of each probe of the source.
     """
 
@@ -156,12 +162,23 @@ class Testimony:
     violate: int
     occluded: int
     unseen: int
+    information: FloatArray
     labels: npt.NDArray[np.uint8]
 
     @property
+    def distinctive(self) -> float:
+        """Agreeing points off the commonest orientation of surfaces: one plane, the ground, fits nearly everywhere."""
+        return float(self.agree - np.linalg.eigvalsh(self.information[3:, 3:])[-1])
+
+    @property
     def evidence(self) -> float:
-        """Agreement, less what contradicts it; the order in which poses are believed."""
-        return self.agree - VIOLATION_WEIGHT * self.violate
+        """Distinctive agreement, less what contradicts it; the order in which poses are believed."""
+        return self.distinctive - VIOLATION_WEIGHT * self.violate
+
+    @property
+    def held_by(self) -> float:
+        """How many points hold the pose in its weakest direction: the smallest eigenvalue of the information."""
+        return float(np.linalg.eigvalsh(self.information)[0])
 
     @property
     def violation_share(self) -> float:

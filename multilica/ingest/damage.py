@@ -22,6 +22,7 @@ _REASONS = {
     "MemoryError": "a record claims more memory than there is",
     "OSError": _NONSENSE,
     "OverflowError": "a record claims an impossible size",
+    "PermissionError": "permission is denied",
     "RecordLengthLimitExceeded": "a record claims an impossible size",
     "RuntimeError": "compressed data cannot be unpacked",
     "StopIteration": "the file ends too early",

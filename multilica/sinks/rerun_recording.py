@@ -35,6 +35,9 @@ def partial_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
+_FLUSH_TIMEOUT_S = 60.0
+
+
 class RerunRecording:
     """A sink that writes every event to a `.rrd` file.
 
@@ -75,7 +78,7 @@ class RerunRecording:
         whole = self._scene.story.result is not None
         if not whole:
             self._tell_the_end(error)
-        self._stream.flush()
+        _flush(self._stream)
         self._stream.disconnect()
         if whole:
             partial_path(self.path).replace(self.path)
@@ -88,12 +91,20 @@ class RerunRecording:
         _send_properties(scene, "interrupted")
 
 
+def _flush(stream: rr.RecordingStream) -> None:
+    """Bring to disk what was logged, or say that the disk does not take it."""
+    try:
+        stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+    except RuntimeError as error:
+        raise OSError(f"the recording could not be written: {error}; is the disk full?") from error
+
+
 def _start(scene: Scene, event: events.CalibrationStarted) -> None:
     _send_properties(scene, "running")
     log_input(scene, event)
     log_summary(scene)
     scene.stream.send_blueprint(stage_blueprint(scene.story))
-    scene.stream.flush()
+    _flush(scene.stream)
 
 
 def _finish_stage(scene: Scene, event: events.StageFinished) -> None:
@@ -104,7 +115,7 @@ def _finish_stage(scene: Scene, event: events.StageFinished) -> None:
     log_summary(scene)
     if event.stage in ("preprocess", "coarse", "fine", "merge"):
         scene.stream.send_blueprint(stage_blueprint(scene.story))
-    scene.stream.flush()
+    _flush(scene.stream)
 
 
 def _finish(scene: Scene, event: events.CalibrationFinished) -> None:
@@ -112,7 +123,7 @@ def _finish(scene: Scene, event: events.CalibrationFinished) -> None:
     log_summary(scene)
     _send_properties(scene, event.result.status)
     scene.stream.send_blueprint(final_blueprint(scene.story))
-    scene.stream.flush()
+    _flush(scene.stream)
 
 
 def _send_properties(scene: Scene, status: str) -> None:

@@ -25,7 +25,7 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
             "too_little_overlap",
             best.agree,
             config.min_agree,
-            f"only {best.agree} points lie on surfaces that the other sensor measured; expected {config.min_agree}",
+            f"only {best.agree} points lie on surfaces that both measured; expected {config.min_agree}",
             failed=best.agree < config.min_agree,
         ),
         _check(
@@ -35,6 +35,14 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
             f"{best.violation_share:.1%} of the points stand in space that the other sensor's beams passed through; "
             f"at most {config.max_violation_share:.1%} can be chance",
             failed=best.violation_share > config.max_violation_share,
+        ),
+        _check(
+            "too_little_evidence",
+            best.evidence,
+            config.min_evidence,
+            f"the pose rests on {max(0.0, best.evidence):.0f} distinctive points, less what contradicts it; "
+            f"expected {config.min_evidence:g}",
+            failed=best.evidence < config.min_evidence,
         ),
     ]
     doubts = [_ambiguity(finalists, config), _observability(finalists[0], config)]
@@ -68,13 +76,20 @@ def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason 
 
 
 def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:
+    held_by = best.testimony.held_by
+    if held_by < config.min_held_by:
+        text = (
+            f"the pose can slide: {held_by:.2f} points hold it in its weakest direction; "
+            f"expected {config.min_held_by:g}"
+        )
+        return Reason("not_observable", held_by, config.min_held_by, text)
+    curvature = best.weakest_curvature
     return _check(
         "not_observable",
-        best.weakest_curvature,
+        curvature,
         config.min_curvature,
-        f"the pose can slide: curvature {best.weakest_curvature:.2f} in the weakest direction; "
-        f"expected {config.min_curvature:g}",
-        failed=best.weakest_curvature < config.min_curvature,
+        f"the pose can slide: curvature {curvature:.2f} in its weakest direction; expected {config.min_curvature:g}",
+        failed=curvature < config.min_curvature,
     )
 
 

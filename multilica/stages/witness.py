@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from multilica.config import VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import BoolArray, PreprocessedCloud, Testimony
+from multilica.results import LEVER_ARM_M, BoolArray, PreprocessedCloud, Testimony
 from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_beam_image, label_points
 from multilica.stages.voxel_grid import thin
 
@@ -19,6 +19,8 @@ __all__ = ["PlacedWitness", "Witness", "judge", "prepare_witness"]
 
 _SOLID_NEIGHBOURS = 30
 _SOLID_FLATNESS = 0.02
+_PLANE_WIDTH = 0.05
+_GRAZING = float(np.sin(np.deg2rad(15.0)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,13 +30,15 @@ class Witness:
     Args:
         image: its beams; None if there are too few.
         probes_m: (N, 3) points in its own frame that other sensors are to judge.
-        solid: (N,) which of them lie on a surface rather than in foliage.
+        solid: (N,) which of them lie on a closed surface, not in foliage, on a fence or on something thin.
+        normals: (N, 3) unit normals of the surface; zero where the neighbours do not span one.
     """
 
     lidar: str
     image: BeamImage | None
     probes_m: FloatArray
     solid: BoolArray
+    normals: FloatArray
 
 
 PlacedWitness = tuple[RigidTransform, Witness]
@@ -45,7 +49,9 @@ def prepare_witness(cloud: PreprocessedCloud, config: VerifyConfig) -> Witness:
     """Everything of one sensor that every hypothesis about it needs."""
     near_m = cloud.points_m[np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m]
     probes_m = thin(near_m, config.probe_voxel_size_m)
-    return Witness(cloud.lidar, build_beam_image(cloud.returns_m), probes_m, _solid(probes_m, near_m))
+    image = build_beam_image(cloud.returns_m)
+    flat, normals = _surfaces(probes_m, near_m)
+    return Witness(cloud.lidar, image, probes_m, flat & _opaque(image, probes_m, config), normals)
 
 
 def judge(
@@ -66,6 +72,7 @@ def judge(
         Counts over both directions, with the labels of the first source's probes by the first target.
     """
     counts = np.zeros(len(BeamLabel), dtype=np.int64)
+    information = np.zeros((6, 6))
     shown: LabelArray | None = None
     for T_target_member, target in targets:
         for T_source_member, source in sources:
@@ -73,35 +80,65 @@ def judge(
             forth = _labels(target, source, pose, tolerance_m, tolerance_deg)
             back = _labels(source, target, pose.inverse(), tolerance_m, tolerance_deg)
             counts += np.bincount(forth, minlength=len(BeamLabel)) + np.bincount(back, minlength=len(BeamLabel))
+            information += _information(source, forth, T_target_source @ T_source_member, T_target_source.xyz_m)
+            information += _information(target, back, T_target_member, T_target_source.xyz_m)
             shown = forth if shown is None else shown
     return Testimony(
         agree=int(counts[BeamLabel.AGREE]),
         violate=int(counts[BeamLabel.VIOLATE]),
         occluded=int(counts[BeamLabel.OCCLUDED]),
         unseen=int(counts[BeamLabel.UNSEEN]),
+        information=information,
         labels=np.zeros(0, dtype=np.uint8) if shown is None else shown,
     )
+
+
+def _information(other: Witness, labels: LabelArray, T_root_other: RigidTransform, centre_m: FloatArray) -> FloatArray:
+    """Sum of J J^T over agreeing points: how a small turn and shift of the pose would lift them off their surfaces."""
+    agree = labels == BeamLabel.AGREE
+    normals = T_root_other.rotate(other.normals[agree])
+    arms = T_root_other.apply(other.probes_m[agree]) - centre_m
+    jacobian = np.concatenate([np.cross(arms, normals) / LEVER_ARM_M, normals], axis=1)
+    return np.asarray(jacobian.T @ jacobian)
 
 
 def _labels(
     beams: Witness, other: Witness, T_beams_other: RigidTransform, tolerance_m: float, tolerance_deg: float
 ) -> LabelArray:
-    """What a sensor's beams say of the other's probes; foliage cannot violate, beams pass through it."""
+    """What a sensor's beams say of the other's probes.
+
+    What is not solid cannot violate, beams pass through it; nor can a surface seen at a grazing angle, beams pass
+    beside it.
+    """
     if beams.image is None:
         return np.full(len(other.probes_m), BeamLabel.UNSEEN, dtype=np.uint8)
-    labels = label_points(
-        beams.image, T_beams_other.apply(other.probes_m), tolerance_m, float(np.deg2rad(tolerance_deg))
-    )
-    labels[(labels == BeamLabel.VIOLATE) & ~other.solid] = BeamLabel.OCCLUDED
+    points_m = T_beams_other.apply(other.probes_m)
+    labels = label_points(beams.image, points_m, tolerance_m, float(np.deg2rad(tolerance_deg)))
+    facing = np.abs(np.einsum("ij,ij->i", T_beams_other.rotate(other.normals), points_m))
+    grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & np.any(other.normals, axis=1)
+    labels[(labels == BeamLabel.VIOLATE) & (grazing | ~other.solid)] = BeamLabel.OCCLUDED
     return labels
 
 
-def _solid(probes_m: FloatArray, points_m: FloatArray) -> BoolArray:
-    """Which probes have flat surroundings, as surfaces have and foliage has not."""
+def _opaque(image: BeamImage | None, probes_m: FloatArray, config: VerifyConfig) -> BoolArray:
+    """Which probes the sensor's own beams confirm: of a fence or a pole, most beams nearby see what is behind it."""
+    if image is None:
+        return np.zeros(len(probes_m), dtype=bool)
+    own = label_points(image, probes_m, config.tolerance_m, float(np.deg2rad(config.tolerance_deg)))
+    return np.asarray(own == BeamLabel.AGREE)
+
+
+def _surfaces(probes_m: FloatArray, points_m: FloatArray) -> tuple[BoolArray, FloatArray]:
+    """Which probes have flat surroundings, as surfaces have and foliage has not, with their normals.
+
+    Neighbours on one line, a single ring of a sparse sensor, are flat yet have no normal.
+    """
     if len(probes_m) == 0:
-        return np.zeros(0, dtype=bool)
+        return np.zeros(0, dtype=bool), np.zeros((0, 3))
     _, index = cKDTree(points_m).query(probes_m, k=min(_SOLID_NEIGHBOURS, len(points_m)))
     around = points_m[index.reshape(len(probes_m), -1)]
     centred = around - around.mean(axis=1, keepdims=True)
-    variances = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", centred, centred))
-    return np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))
+    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
+    solid = np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))
+    spanned = solid & (variances[:, 1] >= _PLANE_WIDTH * variances[:, 2])
+    return solid, np.where(spanned[:, None], axes[:, :, 0], 0.0)

@@ -12,7 +12,9 @@ from multilica.pipeline import calibrate
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 _DATA = Path(__file__).parents[3] / "shared" / "data" / "opencalib-0001"
-pytestmark = pytest.mark.skipif(not _DATA.is_dir(), reason="the real scans are not beside this checkout (../shared/data)")
+pytestmark = pytest.mark.skipif(
+    not _DATA.is_dir(), reason="the real scans are not beside this checkout (../shared/data)"
+)
 
 # From the README of the real scans: xyz m, rpy deg; tolerances 0.02 m, 0.3 deg (yaw 0.4 deg).
 _TRUTH = {
@@ -25,7 +27,8 @@ _CONFIG = with_overrides(CalibrationConfig(), ["target=top"])
 @pytest.fixture(scope="module")
 def clouds():
     return {
-        name: np.asarray(o3d.io.read_point_cloud(str(_DATA / f"{name}.pcd")).points) for name in ("top", "left", "right")
+        name: np.asarray(o3d.io.read_point_cloud(str(_DATA / f"{name}.pcd")).points)
+        for name in ("top", "left", "right")
     }
 
 

@@ -139,7 +139,9 @@ class _Run:
     def _assessment(self, source: str, index: int, hypothesis: Hypothesis) -> Assessment:
         probes = self.points[source][::5]
         labels = (np.arange(len(probes)) % 4).astype(np.uint8)
-        testimony = Testimony(90, 1, 5, 5, labels) if index == 0 else Testimony(20, 60, 5, 5, labels)
+        testimony = (
+            Testimony(90, 1, 5, 5, np.eye(6), labels) if index == 0 else Testimony(20, 60, 5, 5, np.eye(6), labels)
+        )
         return Assessment(index, hypothesis.T_target_source, testimony, 0.8 - 0.3 * index, 0.05, 1.0, probes)
 
     def fine(self):

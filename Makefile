@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.installed
+NODE_READY := tests/node/node_modules/.installed
+SAMPLE := recordings/samples/edgar-street.mcap
+
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help libraries pictures demo test lint pytest node bench sample docs format constraints clean
+
+help: ## List the targets.
+	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 22
+
+demo: $(READY) ## Set everything up, then calibrate the embedded sample.
+	@$(BIN)/multilica demo
+
+test: lint pytest ## Set everything up, then run all checks and tests.
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+
+pytest: $(READY) pictures node
+	$(BIN)/python -m pytest -n 2 --dist loadgroup
+
+bench: $(READY) ## Measure accuracy and time over simulated and real scenes.
+	$(BIN)/python -m tests.bench
+
+sample: $(READY) ## Make the embedded sample anew.
+	$(BIN)/multilica simulate --rig edgar --scene street --seed 1 --frames 2 --keep-every 4 --out $(SAMPLE)
+
+docs: $(READY) ## Write docs/configuration.md from the models.
+	$(BIN)/multilica config --markdown > docs/configuration.md
+
+format: $(READY) ## Format the code, mend what the linter can mend.
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+constraints: ## Write constraints.txt from a fresh environment with the newest versions.
+	@fresh=$$(mktemp -d) && trap 'rm -rf "$$fresh"' EXIT && $(PYTHON) -m venv "$$fresh" \
+	&& "$$fresh/bin/python" -m pip install --quiet --upgrade 'pip>=25.1' \
+	&& "$$fresh/bin/python" -m pip install --quiet --editable . --group dev \
+	&& "$$fresh/bin/python" -m pip freeze --exclude-editable > constraints.txt
+
+clean: ## Remove the environment and what tools cached.
+	rm -rf $(VENV) tests/node/node_modules .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+libraries:
+	@$(PYTHON) .ci/system_libraries.py
+
+pictures:
+	@$(PYTHON) .ci/system_libraries.py --pictures
+
+$(READY): pyproject.toml constraints.txt | libraries
+	@echo "installing into $(VENV): 1.7 GB, a minute or a few"
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . --group dev
+	@touch $@
+
+node: $(NODE_READY)
+
+$(NODE_READY): tests/node/package.json
+	@if command -v npm >/dev/null && npm install --prefix tests/node --no-package-lock --no-audit --no-fund --silent; \
+	then touch $@; else echo "tests that read with npm packages are skipped: npm is missing or failed"; fi

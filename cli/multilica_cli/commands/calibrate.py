@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`multilica calibrate`: the main job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from multilica_cli.configuration import resolve_config, topic_names
+from multilica_cli.options import (
+    ConfigFile,
+    Frames,
+    Json,
+    McapEncoding,
+    Preset,
+    Quiet,
+    Settings,
+    Sources,
+    StartSeconds,
+    Threads,
+    Topics,
+)
+from multilica_cli.outcome import print_document, print_placements, print_written
+from multilica_cli.run import calibrate_sources, default_out_dir, exit_code_of
+from multilica_cli.terminal import stdout_console
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    sources: Sources,
+    *,
+    target: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="LiDAR that the others are placed relative to.",
+            show_default="the one with the most overlap",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where results go.", show_default="recordings/runs/<source>")
+    ] = None,
+    topics: Topics = None,
+    frames: Frames = None,
+    start_s: StartSeconds = None,
+    preset: Preset = None,
+    config_file: ConfigFile = None,
+    settings: Settings = None,
+    until: Annotated[
+        str | None, typer.Option(metavar="STAGE", help="Stop after this stage, recording written.")
+    ] = None,
+    threads: Threads = None,
+    ground: Annotated[bool, typer.Option("--ground", help="Estimate roll, pitch and z of the base frame too.")] = False,
+    mcap_encoding: McapEncoding = "foxglove",
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> int:
+    """Find where every LiDAR sits, and leave the result with its recording in a directory."""
+    options = {
+        "target": target,
+        "until": until,
+        "ingest.topics": topic_names(topics or ()),
+        "ingest.frames": frames,
+        "ingest.start_s": start_s,
+        "ground.enabled": ground or None,
+        "runtime.threads": threads,
+    }
+    config = resolve_config(preset, config_file, options, settings or ())
+    out_dir = out or default_out_dir(sources)
+    run = calibrate_sources(sources, out_dir, config, mcap_encoding=mcap_encoding, quiet=quiet)
+    if as_json:
+        print_document(run)
+    else:
+        console = stdout_console(quiet=quiet)
+        print_placements(run, console)
+        print_written(run, console)
+    return exit_code_of(run.result, config)

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`multilica inspect`: what a recording holds."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import typer
+
+from multilica.errors import UnfitSnapshotError
+from multilica_cli.configuration import resolve_config, topic_names
+from multilica_cli.options import Frames, Json, Sources, StartSeconds, Topics
+from multilica_cli.terminal import stdout_console
+
+if TYPE_CHECKING:
+    from multilica.ingest import SourceSummary
+
+__all__ = ["inspect"]
+
+
+def inspect(
+    sources: Sources,
+    *,
+    topics: Topics = None,
+    frames: Frames = None,
+    start_s: StartSeconds = None,
+    as_json: Json = False,
+) -> None:
+    """Print what a recording holds, and what calibrate would take from it."""
+    from multilica.ingest import inspect_source
+    from multilica_cli.source_tables import print_summary, summary_document
+
+    options = {"ingest.topics": topic_names(topics or ()), "ingest.frames": frames, "ingest.start_s": start_s}
+    config = resolve_config(None, None, options, ())
+    summary = inspect_source(sources, config=config.ingest)
+    if as_json:
+        typer.echo(json.dumps(summary_document(summary), indent=2))
+    else:
+        print_summary(summary, stdout_console())
+    _require_fit(summary)
+
+
+def _require_fit(summary: SourceSummary) -> None:
+    if summary.objection:
+        raise UnfitSnapshotError(summary.objection)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From options of the command line to a configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from multilica.errors import UsageError
+from multilica_cli.inline_toml import inline_toml
+
+if TYPE_CHECKING:
+    from multilica.config import CalibrationConfig
+
+__all__ = ["resolve_config", "topic_names"]
+
+
+def resolve_config(
+    preset_name: str | None,
+    config_file: Path | None,
+    options: Mapping[str, object],
+    settings: Sequence[str],
+) -> CalibrationConfig:
+    """The configuration that the user asked for: preset or file, then options, then `--set`.
+
+    Args:
+        preset_name: `--preset`; None means ``default``.
+        config_file: `--config`.
+        options: key of the configuration -> value of its own option; None where it was not given.
+        settings: texts of `--set`.
+
+    Raises:
+        UsageError: a preset and a file, an unknown key or a value out of range.
+        SourceNotFoundError: no such file.
+    """
+    from multilica.config import load_config, preset, with_overrides
+
+    if preset_name and config_file:
+        raise UsageError(
+            f"Found --preset {preset_name} beside --config {config_file}; give one of them, "
+            f'or write preset = "{preset_name}" into the file.'
+        )
+    config = load_config(config_file) if config_file else preset(preset_name or "default")
+    given = [f"{key}={inline_toml(value)}" for key, value in options.items() if value is not None]
+    return with_overrides(with_overrides(config, given), settings)
+
+
+def topic_names(texts: Sequence[str]) -> dict[str, str] | None:
+    """Texts ``NAME=/topic`` as name -> topic; None if there are none.
+
+    Raises:
+        UsageError: a text of another form, or a name twice.
+    """
+    topics: dict[str, str] = {}
+    for text in texts:
+        name, _, topic = text.partition("=")
+        if not name or not topic:
+            raise UsageError(
+                f"Cannot read --topic '{text}'; expected NAME=/topic, as in --topic front=/lidar_front/points."
+            )
+        if name in topics:
+            raise UsageError(f"Found the name '{name}' in two --topic options; expected one topic per LiDAR.")
+        topics[name] = topic
+    return topics or None

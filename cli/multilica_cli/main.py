@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The `multilica` command."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+import multilica
+from multilica_cli.commands.calibrate import calibrate
+from multilica_cli.commands.config import config
+from multilica_cli.commands.demo import demo
+from multilica_cli.commands.inspect import inspect
+from multilica_cli.commands.simulate import simulate
+from multilica_cli.failures import report
+from multilica_cli.interruption import unwind_on_signals
+
+__all__ = ["app", "main", "run"]
+
+app = typer.Typer(
+    name="multilica",
+    no_args_is_help=True,
+    add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit codes: 0 all placed, 1 machine or bug, 2 usage, 3 input unreadable or unfit, 4 some LiDAR not placed, "
+    "130 Ctrl-C, 143 SIGTERM.",
+)
+for command in (calibrate, inspect, config, simulate, demo):
+    app.command()(command)
+
+
+def main() -> None:
+    """Run the command line of this process."""
+    unwind_on_signals()
+    sys.exit(run())
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command line; returns its exit code.
+
+    Args:
+        arguments: without the program's name; None takes those of the process.
+    """
+    try:
+        return app(arguments, standalone_mode=False) or 0
+    except SystemExit:
+        raise
+    except BaseException as failure:  # noqa: BLE001
+        return report(failure)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"multilica {multilica.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def multilica_command(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Find where every LiDAR of a vehicle sits, from one stationary snapshot."""
+    del version

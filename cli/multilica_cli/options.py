@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arguments that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+__all__ = [
+    "ConfigFile",
+    "Frames",
+    "Json",
+    "McapEncoding",
+    "Preset",
+    "Quiet",
+    "Settings",
+    "Sources",
+    "StartSeconds",
+    "Threads",
+    "Topics",
+]
+
+Sources = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="SOURCE",
+        help="An MCAP file, a ROS 1 or ROS 2 bag, a directory of PCD or PLY files, or such files, one per LiDAR.",
+        show_default=False,
+    ),
+]
+Topics = Annotated[
+    list[str] | None,
+    typer.Option("--topic", metavar="NAME=/topic", help="Take this topic as the LiDAR of that name; repeatable."),
+]
+Frames = Annotated[int | None, typer.Option("--frames", metavar="N", help="Frames per LiDAR that are accumulated.")]
+StartSeconds = Annotated[
+    float | None, typer.Option("--start", metavar="S", help="Seconds after the first frame at which to begin.")
+]
+Preset = Annotated[str | None, typer.Option("--preset", metavar="default|paper", help="Parameters to start from.")]
+ConfigFile = Annotated[
+    Path | None,
+    typer.Option("--config", metavar="FILE", help="Parameters as TOML; `multilica config --toml` prints one."),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="One parameter, as in fine.max_iterations=30; repeatable."),
+]
+Threads = Annotated[
+    int | None, typer.Option("--threads", metavar="N", help="Threads; with 1 the same input gives the same bits.")
+]
+McapEncoding = Annotated[
+    Literal["foxglove", "ros2"],
+    typer.Option("--mcap-encoding", metavar="foxglove|ros2", help="Encoding of the messages in result.mcap."),
+]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else there.")]

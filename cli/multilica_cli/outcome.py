@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a finished run prints."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from multilica.results import GroundPlane
+    from multilica_cli.run import FinishedRun
+
+__all__ = ["print_document", "print_placements", "print_written"]
+
+
+def print_document(run: FinishedRun) -> None:
+    """The document that `result.json` holds, on stdout."""
+    sys.stdout.write((run.out_dir / "result.json").read_text(encoding="utf-8"))
+
+
+def print_placements(run: FinishedRun, console: Console) -> None:
+    """The table of the extrinsics, with a reason for each LiDAR that is not in it."""
+    from multilica_cli.tables import placements_table
+
+    result = run.result
+    console.print(placements_table(result))
+    for placement in result.placements:
+        if not placement.placed:
+            console.print(f"{placement.lidar}: {placement.reason}")
+    console.print(f"target {result.target}: {result.target_reason}")
+    if result.ground is not None:
+        console.print(_ground_line(result.target, result.ground))
+
+
+def _ground_line(target: str, ground: GroundPlane) -> str:
+    roll_deg, pitch_deg, _ = ground.T_base_target.rpy_deg
+    height_m = ground.T_base_target.xyz_m[2]
+    return f"ground: {height_m:.3f} m below {target}, whose roll is {roll_deg:z.2f} deg and pitch {pitch_deg:z.2f} deg"
+
+
+def print_written(run: FinishedRun, console: Console) -> None:
+    """The paths of what the run left."""
+    for path in run.written:
+        console.print(f"wrote {path}")

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One calibration from sources to files."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from multilica_cli.failures import ExitCode
+from multilica_cli.interruption import Interrupted
+from multilica_cli.terminal import stderr_console
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from multilica.config import CalibrationConfig
+    from multilica.events import Event, Observer
+    from multilica.results import CalibrationResult
+    from multilica.snapshot import Snapshot
+
+__all__ = ["FinishedRun", "calibrate_sources", "default_out_dir", "exit_code_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinishedRun:
+    """A result with the files that hold it.
+
+    Args:
+        written: paths, the extrinsics first.
+    """
+
+    result: CalibrationResult
+    out_dir: Path
+    written: tuple[Path, ...]
+
+
+def default_out_dir(sources: Sequence[Path]) -> Path:
+    """Where a run goes when `--out` is not given."""
+    return Path("recordings") / "runs" / sources[0].resolve().stem
+
+
+def calibrate_sources(
+    sources: Sequence[Path],
+    out_dir: Path,
+    config: CalibrationConfig,
+    *,
+    mcap_encoding: str = "foxglove",
+    quiet: bool = False,
+) -> FinishedRun:
+    """Read, calibrate and write, with progress on stderr.
+
+    Raises:
+        InputError: the sources cannot be read, or hold nothing that can be calibrated.
+        UsageError: the configuration names something that does not exist, or `out_dir` cannot be written to.
+    """
+    from multilica.pipeline import calibrate
+    from multilica.sinks.run_directory import open_run
+    from multilica_cli.progress import show_progress
+
+    console = stderr_console(quiet=quiet)
+    with show_progress(console) as show:
+        snapshot = _read(sources, config, show, console)
+        with _told_where(out_dir), open_run(out_dir, config, mcap_encoding) as run:
+
+            def observe(event: Event) -> None:
+                run(event)
+                if getattr(event, "stage", None) != "ingest":
+                    show(event)
+
+            result = calibrate(snapshot, config, observe)
+    return FinishedRun(result, out_dir, run.written)
+
+
+def _read(sources: Sequence[Path], config: CalibrationConfig, show: Observer, console: Console) -> Snapshot:
+    """The snapshot, after every check that needs no calibration: a refusal must leave earlier results alone."""
+    from multilica.events import StageFinished, StageStarted
+    from multilica.ingest import read_snapshot, require_calibratable
+
+    show(StageStarted("ingest", 0))
+    start_s = time.perf_counter()
+    snapshot = read_snapshot(sources, config=config.ingest)
+    require_calibratable(snapshot)
+    if config.target:
+        snapshot[config.target]
+    show(StageFinished("ingest", time.perf_counter() - start_s))
+    for note in snapshot.notes:
+        console.print(f"note: {note}")
+    return snapshot
+
+
+def exit_code_of(result: CalibrationResult, config: CalibrationConfig) -> ExitCode:
+    """Whether every LiDAR is placed; a run that was to stop before placing any is done as well."""
+    from multilica.config import STAGES
+
+    stopped_early = STAGES.index(config.until) < STAGES.index("merge")
+    return ExitCode.DONE if stopped_early or result.status == "complete" else ExitCode.NOT_PLACED
+
+
+@contextmanager
+def _told_where(out_dir: Path) -> Iterator[None]:
+    """Say where the recording is if a signal ends the run."""
+    try:
+        yield
+    except Interrupted as interrupted:
+        interrupted.add_note(f"The recording up to there is in {out_dir}.")
+        raise

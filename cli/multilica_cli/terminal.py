@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where text for people goes."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+__all__ = ["stderr_console", "stdout_console"]
+
+_WIDTH_OF_FILES = 160
+_LEAST_WIDTH = 100
+
+
+def stdout_console(*, quiet: bool = False) -> Console:
+    """For results; says nothing when `quiet`. On a narrow terminal tables break rather than lose digits."""
+    console = _console(stderr=False, quiet=quiet)
+    console.width = max(console.width, _LEAST_WIDTH)
+    return console
+
+
+def stderr_console(*, quiet: bool = False) -> Console:
+    """For progress; says nothing when `quiet`."""
+    return _console(stderr=True, quiet=quiet)
+
+
+def _console(*, stderr: bool, quiet: bool) -> Console:
+    """Plain text of a fixed width where nobody watches: tables in logs must not depend on a terminal."""
+    from rich.console import Console
+
+    console = Console(stderr=stderr, quiet=quiet, highlight=False, markup=False, emoji=False, soft_wrap=True)
+    if not console.is_terminal:
+        console.width = _WIDTH_OF_FILES
+    return console

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the documentation shows works."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from multilica_cli.failures import ExitCode
+from tests.cli.support import ROOT, Invoke
+
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def test_the_readme_example_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(ROOT)
+    (example,) = blocks(ROOT / "README.md", "python")
+    exec(compile(example, "README.md", "exec"), {})  # noqa: S102
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["front", "left", "rear", "right"]
+    assert all(line.count("[") == 2 for line in lines)
+
+
+def shown_options() -> list[tuple[str, str]]:
+    found = set()
+    for page in PAGES:
+        for block in blocks(page, "console"):
+            for command, rest in re.findall(r"multilica (\w+)([^#|\n]*)", block):
+                found.update((command, option) for option in re.findall(r"--[a-z-]+", rest))
+    return sorted(found)
+
+
+@pytest.mark.parametrize(("command", "option"), shown_options())
+def test_shown_options_exist(command: str, option: str, invoke: Invoke) -> None:
+    outcome = invoke(command, "--help")
+    assert outcome.code == ExitCode.DONE
+    assert re.search(rf"{option}\b", outcome.out)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_links_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\((?!https?://|#)([^)#]+)", page.read_text(encoding="utf-8"))
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/concepts.md"])
+def test_exit_codes_are_documented(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    assert [code for code in ExitCode if f"\n| {code.value} |" not in text] == []

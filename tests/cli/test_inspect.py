@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from multilica_cli.failures import ExitCode
+from multilica_cli.sample import find_sample
+from tests.cli.support import Invoke, assert_one_sentence, write_pcd
+
+
+def test_the_sample_is_described(invoke: Invoke) -> None:
+    outcome = invoke("inspect", find_sample().recording)
+    assert outcome.code == 0
+    assert outcome.err == ""
+    for text in (
+        "MCAP",
+        "/lidar/front/points",
+        "PointCloud2",
+        "/tf_static",
+        "front (2 of 2 frames)",
+        "Static transforms",
+    ):
+        assert text in outcome.out
+    assert "\x1b" not in outcome.out
+
+
+def test_the_document_holds_what_calibrate_would_take(invoke: Invoke) -> None:
+    outcome = invoke("inspect", find_sample().recording, "--json", "--frames", "1", "--topic", "eye=/lidar/rear/points")
+    document = json.loads(outcome.out)
+    assert document["schema"] == "multilica/inspect/1"
+    taken = {cloud["lidar"]: cloud["frames_taken"] for cloud in document["clouds"] if cloud["lidar"]}
+    assert taken == {"eye": 1}
+    rear = next(transform for transform in document["static_transforms"] if transform["child"] == "rear")
+    assert rear["parent"] == "base"
+    assert rear["xyz_m"] == pytest.approx([-1.5, 0.0, 2.1], abs=0.3)
+    assert "eye" in document["objection"]
+
+
+def test_what_calibrate_would_refuse_is_shown_then_told(invoke: Invoke, tmp_path: Path) -> None:
+    write_pcd(tmp_path / "lonely" / "front.pcd", [(1.0, 2.0, 3.0)] * 9)
+    outcome = invoke("inspect", "lonely")
+    assert_one_sentence(outcome, ExitCode.INPUT)
+    assert "at least two" in outcome.err
+    assert "front.pcd" in outcome.out

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from multilica import read_extrinsics, read_snapshot
+from multilica.simulate import RIGS, SCENES
+from tests.cli.support import Invoke
+
+REQUEST = ("simulate", "--rig", "chain", "--scene", "garage", "--seed", "3", "--frames", "1")
+
+
+def test_a_snapshot_lies_beside_its_truth(invoke: Invoke) -> None:
+    outcome = invoke(*REQUEST, "--out", "deep/chain.mcap")
+    assert outcome.code == 0
+    assert outcome.out.splitlines() == ["wrote deep/chain.mcap", "wrote deep/chain.truth.toml"]
+    snapshot = read_snapshot("deep/chain.mcap")
+    assert set(read_extrinsics(Path("deep/chain.truth.toml")).T_target_source) == set(snapshot.names)
+    assert len(list(Path("deep").iterdir())) == 2
+
+
+def test_thinning_keeps_every_nth_return(invoke: Invoke) -> None:
+    invoke(*REQUEST, "--out", "all.mcap")
+    invoke(*REQUEST, "--keep-every", "10", "--out", "some.mcap")
+    every, some = read_snapshot("all.mcap"), read_snapshot("some.mcap")
+    for name in every.names:
+        assert some[name].points_count == pytest.approx(every[name].points_count / 10, abs=1)
+
+
+def test_help_names_all_rigs_and_scenes(invoke: Invoke) -> None:
+    words = set(invoke("simulate", "--help").out.replace(",", " ").replace(".", " ").split())
+    assert words >= {*RIGS, *SCENES}
+
+
+def test_nothing_is_left_of_a_failed_write(invoke: Invoke, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*arguments: object) -> None:
+        raise OSError(28, "No space left on device", str(arguments[1]))
+
+    monkeypatch.setattr("multilica.sinks.snapshot_mcap.write_snapshot_mcap", fail)
+    outcome = invoke(*REQUEST, "--out", "chain.mcap")
+    assert outcome.code == 1
+    assert outcome.err == "multilica: The operating system refused: No space left on device (chain.mcap).\n"
+    assert list(Path().iterdir()) == []
