@@ -25,8 +25,10 @@ __all__ = [
     "IngestConfig",
     "MergeConfig",
     "PreprocessConfig",
+    "RefineConfig",
     "RuntimeConfig",
     "Stage",
+    "StillnessConfig",
     "VerifyConfig",
     "load_config",
     "preset",
@@ -58,6 +60,22 @@ class IngestConfig(Section):
     topics: dict[str, str] = Field(
         default_factory=dict, description="LiDAR name -> topic; empty: every point cloud topic of the recording"
     )
+
+
+class StillnessConfig(Section):
+    """What must not move while the snapshot is taken."""
+
+    enabled: bool = Field(
+        default=True, description="drop what moves between frames; refuse a snapshot of a moving vehicle"
+    )
+    beyond_m: PositiveMetres = Field(
+        0.2,
+        description="a return has moved if another frame's beams pass this far behind it; ten times the range noise",
+    )
+    max_shift_m: PositiveMetres = Field(
+        0.05, description="a LiDAR that goes farther between its first and last frame moves; twice the range noise"
+    )
+    max_turn_deg: float = Field(0.3, gt=0.0, description="as max_shift_m, for turning: 5 cm at a distance of 10 m")
 
 
 class PreprocessConfig(Section):
@@ -170,6 +188,20 @@ class MergeConfig(Section):
     fitness_threshold: Share = Field(0.2, description="a pair with less fitness is not merged")
 
 
+class RefineConfig(Section):
+    """Adjusting all poses to all accepted pairs, and how sure they are."""
+
+    enabled: bool = Field(default=True, description="off: poses stay as the merge left them")
+    distance_m: PositiveMetres = Field(0.2, description="points nearer to the other cloud than this hold the pose")
+    min_sigma_m: PositiveMetres = Field(0.005, description="residuals are not believed to be smaller than this")
+    correlated_points: PositiveMetres = Field(
+        20.0, description="neighbouring points that err together and count as one"
+    )
+    outlier_sigma: PositiveMetres = Field(3.0, description="a pair off by this many sigma keeps half its weight")
+    max_iterations: Count = Field(20, description="Gauss-Newton steps")
+    epsilon: PositiveMetres = Field(1e-9, description="converged when no pose moves by more (rad, m)")
+
+
 class GroundConfig(Section):
     """The plane under the vehicle."""
 
@@ -196,6 +228,7 @@ class CalibrationConfig(Section):
     target: str = Field("", description="name of the target LiDAR; empty: the one with the most overlap")
     until: Stage = Field("ground", description="the last stage to run")
     ingest: IngestConfig = IngestConfig()
+    stillness: StillnessConfig = StillnessConfig()
     preprocess: PreprocessConfig = PreprocessConfig()
     features: FeaturesConfig = FeaturesConfig()
     correspond: CorrespondConfig = CorrespondConfig()
@@ -203,6 +236,7 @@ class CalibrationConfig(Section):
     verify: VerifyConfig = VerifyConfig()
     fine: FineConfig = FineConfig()
     merge: MergeConfig = MergeConfig()
+    refine: RefineConfig = RefineConfig()
     ground: GroundConfig = GroundConfig()
     runtime: RuntimeConfig = RuntimeConfig()
 
@@ -211,6 +245,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
     "default": {"preset": "default"},
     "paper": {
         "preset": "paper",
+        "stillness": {"enabled": False},
         "preprocess": {"voxel_size_m": 0.0, "max_range_m": 1000.0},
         "features": {"voxel_size_m": 0.35, "feature_radius_voxels": 5.0, "max_range_m": 25.0, "orient_normals": False},
         "coarse": {"max_hypotheses": 1, "normal_tolerance_deg": 180.0, "max_baseline_m": 1000.0},
@@ -226,6 +261,7 @@ PRESETS: Mapping[str, Mapping[str, Any]] = {
             "relative_rmse": 1e-7,
             "fitness_distance_m": 1.0,
         },
+        "refine": {"enabled": False},
         "merge": {"mode": "algorithm1", "fitness_threshold": 0.2},
     },
 }

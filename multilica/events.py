@@ -18,6 +18,7 @@ from multilica.results import (
     MergeDecision,
     PairRegistration,
     PreprocessedCloud,
+    Refinement,
 )
 from multilica.snapshot import Snapshot
 
@@ -34,6 +35,7 @@ __all__ = [
     "MergeStepTaken",
     "Observer",
     "PairRegistered",
+    "RigRefined",
     "StageFinished",
     "StageStarted",
     "TargetChosen",
@@ -131,6 +133,18 @@ class MergeStepTaken:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RigRefined:
+    """All poses were adjusted to all accepted pairs.
+
+    Args:
+        poses: per placed LiDAR, its pose in the target's frame.
+    """
+
+    refinement: Refinement
+    poses: tuple[RigidTransform, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class GroundEstimated:
     """The ground plane was fitted, or `ground` is None and `reason` says why not."""
 
@@ -157,6 +171,7 @@ Event = (
     | PairRegistered
     | TargetChosen
     | MergeStepTaken
+    | RigRefined
     | GroundEstimated
     | CalibrationFinished
 )

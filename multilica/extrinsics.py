@@ -92,6 +92,6 @@ def read_extrinsics(path: Path) -> Extrinsics:
             name: RigidTransform(target, name, np.asarray(entry["T_target_source"], dtype=np.float64))
             for name, entry in table["lidars"].items()
         }
-    except (KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise UnreadableSourceError(f"{path} is not a table of extrinsics: {error}.") from error
     return Extrinsics(target, poses)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -29,6 +29,7 @@ from multilica.results import (
     PairKey,
     PairRegistration,
     PreprocessedCloud,
+    Refinement,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
@@ -37,9 +38,12 @@ from multilica.stages.decide import decide, decide_by_fitness
 from multilica.stages.features import compute_features
 from multilica.stages.fine import Candidate, Side, register_best
 from multilica.stages.ground import estimate_ground
+from multilica.stages.information import pose_information
 from multilica.stages.merge import Group, merge
 from multilica.stages.preprocess import preprocess
+from multilica.stages.refine import linked, refine
 from multilica.stages.registration_cloud import prepare_registration_cloud
+from multilica.stages.stillness import detect_motion, explain_motion
 from multilica.stages.verify import assess_hypotheses, short_gicp
 from multilica.stages.witness import Witness, prepare_witness
 
@@ -60,7 +64,7 @@ def calibrate(
         A pose or a reason per LiDAR; a LiDAR that cannot be placed is a normal outcome.
 
     Raises:
-        UnfitSnapshotError: fewer than two LiDARs have returns.
+        UnfitSnapshotError: fewer than two LiDARs have returns in range, the target has none, or the vehicle moves.
         UnknownNameError: the snapshot has no LiDAR of the target's name.
         MissingDependencyError: the configuration asks for an engine that is not installed.
     """
@@ -106,6 +110,9 @@ class _Run:
     target_reason: str = ""
     decisions: list[MergeDecision] = field(default_factory=list)
     group: Group | None = None
+    merges: list[PairRegistration] = field(default_factory=list)
+    covariances: Mapping[str, FloatArray] = field(default_factory=dict)
+    refinement: Refinement | None = None
     ground: GroundPlane | None = None
     timing_s: dict[str, float] = field(default_factory=dict)
 
@@ -120,6 +127,7 @@ class _Run:
             "verify": (self._verify, len(self._pairs())),
             "fine": (self._fine, len(self._pairs())),
             "merge": (self._merge, len(self.clouds) - 1),
+            "refine": (self._refine, 1),
             "ground": (self._ground, 1),
         }
         if stage not in work:
@@ -139,11 +147,36 @@ class _Run:
         return self.config.runtime.threads
 
     def _preprocess(self) -> None:
+        self._require_standstill()
         for lidar in self.snapshot.lidars:
-            cloud = preprocess(lidar, self.config.preprocess)
+            cloud = preprocess(lidar, self.config.preprocess, self.config.stillness)
             if len(cloud.points_m):
                 self.clouds[lidar.name] = cloud
             self.observe(events.CloudPreprocessed(cloud))
+        self._require_clouds()
+
+    def _require_clouds(self) -> None:
+        limits = self.config.preprocess
+        where = f"{self.snapshot.source or 'The snapshot'} has"
+        span = f"between {limits.min_range_m:g} m and {limits.max_range_m:g} m (preprocess.min_range_m, max_range_m)"
+        if len(self.clouds) < 2:
+            found = ", ".join(self.clouds) or "none"
+            raise UnfitSnapshotError(
+                f"{where} {len(self.clouds)} LiDAR(s) with returns {span} ({found}); calibration needs at least two."
+            )
+        if self.config.target and self.config.target not in self.clouds:
+            raise UnfitSnapshotError(
+                f"{where} no returns of the target LiDAR '{self.config.target}' {span}; "
+                f"choose another target: {', '.join(self.clouds)}."
+            )
+
+    def _require_standstill(self) -> None:
+        if not self.config.stillness.enabled:
+            return
+        motions = {lidar.name: detect_motion(lidar.scans, self.config.stillness) for lidar in self.snapshot.lidars}
+        refusal = explain_motion(motions, self.snapshot.source)
+        if refusal:
+            raise UnfitSnapshotError(refusal)
 
     def _features(self) -> None:
         for name, cloud in self.clouds.items():
@@ -202,7 +235,15 @@ class _Run:
             verdict = decide(registration.assessments, self.config.verify)
         else:
             verdict = decide_by_fitness(registration, self.config.merge)
-        registration = replace(registration, verdict=verdict)
+        sides = {target.name: target.cloud, source.name: source.cloud}
+        information = pose_information(
+            sides[registration.target],
+            sides[registration.source],
+            registration.T_target_source,
+            self.config.refine,
+            self._threads,
+        )
+        registration = replace(registration, verdict=verdict, information=information)
         self.observe(events.PairRegistered(registration))
         return registration
 
@@ -219,6 +260,8 @@ class _Run:
         )
         for step in steps:
             self.decisions.append(step.decision)
+            if step.chosen is not None:
+                self.merges.append(step.chosen)
             self.group = step.groups[0]
             self.observe(events.MergeStepTaken(step.decision, tuple(_grown(step.decision, step.groups).poses.values())))
 
@@ -250,6 +293,22 @@ class _Run:
     def _merged_points(self, group: Group) -> FloatArray:
         return np.concatenate([pose.apply(self.clouds[name].points_m) for name, pose in sorted(group.poses.items())])
 
+    def _refine(self) -> None:
+        if not self.config.refine.enabled or self.group is None:
+            return
+        rig = refine(self.target, self.group.poses, self._trusted_pairs(), self.config.refine)
+        self.group = Group(self.target, rig.poses)
+        self.covariances, self.refinement = rig.covariances, rig.refinement
+        self.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
+
+    def _trusted_pairs(self) -> list[PairRegistration]:
+        """The accepted pairs of single LiDARs, with the merges that joined what no such pair joins."""
+        trusted = [pair for pair in self.registrations.values() if pair.verdict.accepted]
+        for merge_link in self.merges:
+            if merge_link.source not in linked(merge_link.target, trusted):
+                trusted.append(merge_link)
+        return trusted
+
     def _ground(self) -> None:
         if not self.config.ground.enabled or self.group is None:
             return
@@ -267,6 +326,7 @@ class _Run:
             placements=tuple(self._placement(name, target) for name in self.snapshot.names),
             pairs=tuple(self.registrations.values()),
             decisions=tuple(self.decisions),
+            refinement=self.refinement,
             ground=self.ground,
             timing_s=dict(self.timing_s),
         )
@@ -279,7 +339,15 @@ class _Run:
             pose, fitness, rmse_m, reason = self.group.poses[name], link.fitness, link.rmse_m, "placed"
         else:
             return LidarPlacement(name, reason=self._why_not_placed(name))
-        return LidarPlacement(name, reason, placed=True, T_target_source=pose, fitness=fitness, rmse_m=rmse_m)
+        return LidarPlacement(
+            name,
+            reason,
+            placed=True,
+            T_target_source=pose,
+            fitness=fitness,
+            rmse_m=rmse_m,
+            covariance=self.covariances.get(name),
+        )
 
     def _why_not_placed(self, name: str) -> str:
         if name not in self.clouds and self.clouds:

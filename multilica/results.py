@@ -17,6 +17,7 @@ __all__ = [
     "CalibrationResult",
     "CoarseResult",
     "Correspondences",
+    "EdgeResidual",
     "FeatureCloud",
     "FineStep",
     "GroundPlane",
@@ -28,6 +29,7 @@ __all__ = [
     "PairRegistration",
     "PreprocessedCloud",
     "Reason",
+    "Refinement",
     "Status",
     "Testimony",
     "Verdict",
@@ -166,6 +168,11 @@ class Testimony:
     labels: npt.NDArray[np.uint8]
 
     @property
+    def weakest_direction(self) -> FloatArray:
+        """(6,) unit vector of the motion that `held_by` speaks of; order as `information`."""
+        return np.asarray(np.linalg.eigh(self.information)[1][:, 0])
+
+    @property
     def distinctive(self) -> float:
         """Agreeing points off the commonest orientation of surfaces: one plane, the ground, fits nearly everywhere."""
         return float(self.agree - np.linalg.eigvalsh(self.information[3:, 3:])[-1])
@@ -268,6 +275,8 @@ class PairRegistration:
         rmse_m: root mean square distance of those points to their nearest target point.
         hessian: (6, 6) of the objective, order rotation xyz, translation xyz about the source frame; None where the
             engine does not tell.
+        information: (6, 6) inverse covariance of the pose, order rotation (rad), translation (m) along the target's
+            axes, the rotation about the source's origin; None where too few points match.
         hypothesis: index into the pair's hypotheses that this started from; -1 if it started from a merged pose.
         steps: progress, for the recording.
         assessments: the finely registered answers, the chosen one first; empty where verification is off.
@@ -284,6 +293,7 @@ class PairRegistration:
     engine: str
     hypothesis: int = 0
     hessian: FloatArray | None = None
+    information: FloatArray | None = None
     steps: tuple[FineStep, ...] = ()
     assessments: tuple[Assessment, ...] = ()
     verdict: Verdict = Verdict("accept")
@@ -326,6 +336,46 @@ class MergeDecision:
     groups: tuple[tuple[str, ...], ...]
 
 
+@dataclass(frozen=True, slots=True)
+class EdgeResidual:
+    """By how much the poses of a rig disagree with one of its pairs, before and after the joint adjustment.
+
+    Args:
+        weight: what the pair counted for in the end, from 1 down to 0 for an outlier.
+    """
+
+    target: str
+    source: str
+    before_m: float
+    before_deg: float
+    after_m: float
+    after_deg: float
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """What the joint adjustment did; without loops nothing is left to adjust."""
+
+    edges: tuple[EdgeResidual, ...] = ()
+
+    @property
+    def cycle_error_m(self) -> tuple[float, float]:
+        """Largest disagreement in metres before and after."""
+        return (
+            max((edge.before_m for edge in self.edges), default=0.0),
+            max((edge.after_m for edge in self.edges), default=0.0),
+        )
+
+    @property
+    def cycle_error_deg(self) -> tuple[float, float]:
+        """Largest disagreement in degrees before and after."""
+        return (
+            max((edge.before_deg for edge in self.edges), default=0.0),
+            max((edge.after_deg for edge in self.edges), default=0.0),
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPlane:
     """The ground seen from the target LiDAR.
@@ -346,7 +396,11 @@ class GroundPlane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarPlacement:
-    """Where one LiDAR ended, or why it did not."""
+    """Where one LiDAR ended, or why it did not.
+
+    Args:
+        covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
+    """
 
     lidar: str
     reason: str
@@ -354,6 +408,17 @@ class LidarPlacement:
     T_target_source: RigidTransform | None = None
     fitness: float = 0.0
     rmse_m: float = float("inf")
+    covariance: FloatArray | None = None
+
+    @property
+    def sigma_xyz_m(self) -> FloatArray | None:
+        """(3,) standard deviation of the position along the target's axes; None where it is not known."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance)[3:])
+
+    @property
+    def sigma_rotation_deg(self) -> FloatArray | None:
+        """(3,) standard deviation of the rotation about the target's axes; None where it is not known."""
+        return None if self.covariance is None else np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -367,6 +432,7 @@ class CalibrationResult:
         pairs: registrations of all pairs that were tried, in name order.
         decisions: the merge steps in order.
         timing_s: wall time per stage.
+        refinement: what the joint adjustment did; None where it did not run.
     """
 
     target: str
@@ -376,6 +442,7 @@ class CalibrationResult:
     decisions: tuple[MergeDecision, ...] = ()
     ground: GroundPlane | None = None
     timing_s: Mapping[str, float] = field(default_factory=dict)
+    refinement: Refinement | None = None
 
     @property
     def status(self) -> Status:

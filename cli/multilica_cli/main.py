@@ -13,6 +13,7 @@ import multilica
 from multilica_cli.commands.calibrate import calibrate
 from multilica_cli.commands.config import config
 from multilica_cli.commands.demo import demo
+from multilica_cli.commands.evaluate import evaluate
 from multilica_cli.commands.inspect import inspect
 from multilica_cli.commands.simulate import simulate
 from multilica_cli.failures import report
@@ -28,7 +29,7 @@ app = typer.Typer(
     epilog="Exit codes: 0 all placed, 1 machine or bug, 2 usage, 3 input unreadable or unfit, 4 some LiDAR not placed, "
     "130 Ctrl-C, 143 SIGTERM.",
 )
-for command in (calibrate, inspect, config, simulate, demo):
+for command in (calibrate, inspect, config, simulate, evaluate, demo):
     app.command()(command)
 
 

@@ -37,7 +37,7 @@ def plain_table(title: str, columns: Iterable[str], *, numbers_from: int = 1) ->
 
 def placements_table(result: CalibrationResult) -> Table:
     """Where each LiDAR sits in the target's frame."""
-    columns = ("LiDAR", "status", *POSE_COLUMNS, "fitness", "RMSE\nm")
+    columns = ("LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness")
     table = plain_table(f"T_target_source, target {result.target}", columns, numbers_from=2)
     for placement in result.placements:
         table.add_row(
@@ -77,10 +77,14 @@ def _pose(placement: LidarPlacement) -> tuple[str, ...]:
     return ("-",) * 6 if pose is None else (*_numbers(pose.xyz_m, 3), *_numbers(pose.rpy_deg, 2))
 
 
-def _scores(placement: LidarPlacement, target: str) -> tuple[str, str]:
+def _scores(placement: LidarPlacement, target: str) -> tuple[str, str, str]:
+    """The largest standard deviations over the axes, then the fitness."""
     if placement.lidar == target or not placement.placed:
-        return "-", "-"
-    return f"{placement.fitness:.3f}", f"{placement.rmse_m:.3f}"
+        return "-", "-", "-"
+    sigma_xyz_m, sigma_rotation_deg = placement.sigma_xyz_m, placement.sigma_rotation_deg
+    if sigma_xyz_m is None or sigma_rotation_deg is None:
+        return "-", "-", f"{placement.fitness:.3f}"
+    return f"{1000.0 * max(sigma_xyz_m):.1f}", f"{max(sigma_rotation_deg):.3f}", f"{placement.fitness:.3f}"
 
 
 def _numbers(values: Iterable[float], digits: int) -> tuple[str, ...]:

@@ -18,7 +18,8 @@ _HEADER = """\
 # Extrinsics of the LiDARs of one rig.
 # T_target_source maps a point of the LiDAR's own frame to the frame of {target}: p_target = T_target_source @ p_source.
 # Lengths in metres; rpy_deg in degrees, extrinsic xyz (roll, then pitch, then yaw about the fixed axes of {target});
-# quaternion_xyzw with w last; fitness is the share of points that found a surface, rmse_m their RMS distance to it.
+# quaternion_xyzw with w last; fitness is the share of points that found a surface, rmse_m their RMS distance to it;
+# sigma_xyz_m, sigma_rotation_deg: one standard deviation along and about the axes of {target}.
 """
 
 
@@ -50,9 +51,13 @@ def placed_extrinsics(result: CalibrationResult) -> Extrinsics:
     return Extrinsics(result.target, poses)
 
 
-def _quality(placement: LidarPlacement) -> dict[str, float]:
+def _quality(placement: LidarPlacement) -> dict[str, Any]:
     figures = {"fitness": placement.fitness, "rmse_m": placement.rmse_m}
-    return {name: figure for name, figure in figures.items() if math.isfinite(figure)}
+    sigmas = {"sigma_xyz_m": placement.sigma_xyz_m, "sigma_rotation_deg": placement.sigma_rotation_deg}
+    return {
+        **{name: figure for name, figure in figures.items() if math.isfinite(figure)},
+        **{name: sigma.tolist() for name, sigma in sigmas.items() if sigma is not None},
+    }
 
 
 def _ground_table(ground: GroundPlane) -> dict[str, Any]:

@@ -13,6 +13,8 @@ __all__ = ["LogLevel", "LogLine", "narrate", "pair_label"]
 
 LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
 
+_OUTLIER_WEIGHT = 0.5
+
 
 @dataclass(frozen=True, slots=True)
 class LogLine:
@@ -127,6 +129,22 @@ def _(event: events.MergeStepTaken) -> tuple[LogLine, ...]:
     groups = "; ".join(" + ".join(group) for group in decision.groups)
     level: LogLevel = "WARN" if decision.chosen is None and len(decision.groups) > 1 else "INFO"
     return (LogLine(level, f"merge step {decision.step}: {decision.reason}; groups: {groups}"),)
+
+
+@narrate.register
+def _(event: events.RigRefined) -> tuple[LogLine, ...]:
+    if not event.refinement.edges:
+        return _info("nothing to refine: no accepted pair carries information")
+    (before_m, after_m), (before_deg, after_deg) = event.refinement.cycle_error_m, event.refinement.cycle_error_deg
+    lines = _info(
+        f"refined over {len(event.refinement.edges)} pairs: largest disagreement {before_m * 1e3:.1f} mm, "
+        f"{before_deg:.3f} deg before, {after_m * 1e3:.1f} mm, {after_deg:.3f} deg after"
+    )
+    outliers = [edge for edge in event.refinement.edges if edge.weight < _OUTLIER_WEIGHT]
+    return lines + tuple(
+        LogLine("WARN", f"{edge.target} <- {edge.source} does not fit the others: {edge.after_m:.3f} m off")
+        for edge in outliers
+    )
 
 
 @narrate.register

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from multilica.results import (
     MergeDecision,
     PairRegistration,
     Reason,
+    Refinement,
 )
 from multilica.sinks.provenance import Provenance
 
@@ -42,6 +44,7 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
         "lidars": {placement.lidar: _placement(placement) for placement in result.placements},
         "pairs": [_pair(pair) for pair in result.pairs],
         "decisions": [_decision(decision) for decision in result.decisions],
+        "refinement": None if result.refinement is None else _refinement(result.refinement),
         "ground": None if result.ground is None else _ground(result.ground),
         "timing_s": dict(result.timing_s),
         "input": provenance.input,
@@ -71,7 +74,20 @@ def _placement(placement: LidarPlacement) -> dict[str, Any]:
         **_pose(placement.T_target_source),
         "fitness": placement.fitness,
         "rmse_m": placement.rmse_m,
+        "sigma_xyz_m": placement.sigma_xyz_m,
+        "sigma_rotation_deg": placement.sigma_rotation_deg,
+        "covariance": placement.covariance,
         "reason": placement.reason,
+    }
+
+
+def _refinement(refinement: Refinement) -> dict[str, Any]:
+    before_m, after_m = refinement.cycle_error_m
+    before_deg, after_deg = refinement.cycle_error_deg
+    return {
+        "cycle_error_before": {"m": before_m, "deg": before_deg},
+        "cycle_error_after": {"m": after_m, "deg": after_deg},
+        "pairs": [asdict(edge) for edge in refinement.edges],
     }
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from multilica.config import MergeConfig, VerifyConfig
+from multilica.geometry import FloatArray
 from multilica.results import Assessment, PairRegistration, Reason, Verdict
 
 __all__ = ["decide", "decide_by_fitness"]
@@ -77,9 +78,10 @@ def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason 
 
 def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:
     held_by = best.testimony.held_by
+    where = _in_words(best.testimony.weakest_direction, best.T_target_source.target)
     if held_by < config.min_held_by:
         text = (
-            f"the pose can slide: {held_by:.2f} points hold it in its weakest direction; "
+            f"the pose can slide {where}: {held_by:.2f} points hold it in that direction; "
             f"expected {config.min_held_by:g}"
         )
         return Reason("not_observable", held_by, config.min_held_by, text)
@@ -88,9 +90,16 @@ def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:
         "not_observable",
         curvature,
         config.min_curvature,
-        f"the pose can slide: curvature {curvature:.2f} in its weakest direction; expected {config.min_curvature:g}",
+        f"the pose can slide {where}: curvature {curvature:.2f} in its weakest direction; "
+        f"expected {config.min_curvature:g}",
         failed=curvature < config.min_curvature,
     )
+
+
+def _in_words(direction: FloatArray, target: str) -> str:
+    """The main part of a small motion: order rotation, translation along the target's axes."""
+    axis = int(np.argmax(np.abs(direction)))
+    return f"{'around' if axis < 3 else 'along'} {'xyz'[axis % 3]} of {target}"
 
 
 def _check(code: str, value: float, limit: float, text: str, *, failed: bool) -> Reason | None:

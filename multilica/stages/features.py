@@ -15,6 +15,7 @@ __all__ = ["compute_features"]
 
 _NORMAL_NEIGHBOURS = 30
 _FEATURE_NEIGHBOURS = 100
+_FPFH_BINS = 33
 
 
 def compute_features(cloud: PreprocessedCloud, config: FeaturesConfig) -> FeatureCloud:
@@ -25,6 +26,8 @@ def compute_features(cloud: PreprocessedCloud, config: FeaturesConfig) -> Featur
     """
     near = np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m
     points = thin(cloud.points_m[near], config.voxel_size_m)
+    if len(points) == 0:
+        return FeatureCloud(cloud.lidar, points, np.empty((0, 3)), np.empty((0, _FPFH_BINS)))
     pcd = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     normal_radius_m = config.normal_radius_voxels * config.voxel_size_m
     pcd.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(normal_radius_m, _NORMAL_NEIGHBOURS))

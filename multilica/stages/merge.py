@@ -43,9 +43,10 @@ class Group:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeStep:
-    """A decision and the groups that it left, the target's first."""
+    """A decision, the registration behind it, and the groups that it left, the target's first."""
 
     decision: MergeDecision
+    chosen: PairRegistration | None
     groups: tuple[Group, ...]
 
 
@@ -83,7 +84,7 @@ def merge(
         chosen = next((pair for pair in ranked if pair.verdict.accepted), None)
         if chosen is not None:
             state = state.merged(chosen, reregister, keep_links=config.mode == "target_first" and state.has_direct())
-        yield MergeStep(_decide(step, ranked, chosen, state), state.ordered_groups())
+        yield MergeStep(_decide(step, ranked, chosen, state), chosen, state.ordered_groups())
         if chosen is None:
             return
 

@@ -3,29 +3,41 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from multilica.config import PreprocessConfig
+from multilica.config import PreprocessConfig, StillnessConfig
 from multilica.geometry import read_only
 from multilica.results import PreprocessedCloud
 from multilica.snapshot import LidarScans
+from multilica.stages.moving_points import drop_moving
 from multilica.stages.voxel_grid import thin
 
 __all__ = ["preprocess"]
 
 
-def preprocess(lidar: LidarScans, config: PreprocessConfig) -> PreprocessedCloud:
-    """Drop what is no measurement of the scene, then thin the rest.
+def preprocess(
+    lidar: LidarScans, config: PreprocessConfig, stillness: StillnessConfig | None = None
+) -> PreprocessedCloud:
+    """Drop what is no measurement of the standing scene, then thin the rest.
+
+    Args:
+        stillness: None keeps what moves between frames.
 
     Returns:
         The kept points in the LiDAR's own frame, and the dropped ones by reason.
     """
+    moving = np.empty((0, 3))
+    if stillness is not None and stillness.enabled:
+        scans, moving = drop_moving(lidar.scans, stillness)
+        lidar = replace(lidar, scans=scans)
     points_m = lidar.points_m
     finite = np.all(np.isfinite(points_m), axis=1)
     range_m = np.linalg.norm(np.where(finite[:, None], points_m, 0.0), axis=1)
     too_near = finite & (range_m < config.min_range_m)
     too_far = finite & (range_m > config.max_range_m)
-    dropped = {"too_near": points_m[too_near], "too_far": points_m[too_far]}
+    dropped = {"too_near": points_m[too_near], "too_far": points_m[too_far], "moving": moving}
     kept = points_m[finite & ~too_near & ~too_far]
     return PreprocessedCloud(
         lidar=lidar.name,

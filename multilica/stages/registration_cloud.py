@@ -28,12 +28,14 @@ class RegistrationCloud:
         name: the LiDAR, or the root of a group.
         points_m: (N, 3) in the frame of that name.
         tree: nearest neighbours among `points_m`, for fitness and RMSE.
+        normals: (N, 3) unit; None where the engine gives none.
         engine_cloud, engine_tree: the engine's own types, with covariances.
     """
 
     name: str
     points_m: FloatArray
     tree: cKDTree
+    normals: FloatArray | None
     engine_cloud: Any
     engine_tree: Any
 
@@ -46,13 +48,16 @@ def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConf
         thinned = thin(thinned, voxel_size_m)
     prepare = _prepare_small_gicp if config.engine == "small_gicp" else _prepare_open3d
     engine_cloud, engine_tree = prepare(thinned, config, threads)
-    return RegistrationCloud(name, thinned, cKDTree(thinned), engine_cloud, engine_tree)
+    normals = None
+    if config.engine == "small_gicp":
+        normals = np.ascontiguousarray(engine_cloud.normals()[:, :3])
+    return RegistrationCloud(name, thinned, cKDTree(thinned), normals, engine_cloud, engine_tree)
 
 
 def _prepare_small_gicp(points_m: FloatArray, config: FineConfig, threads: int) -> tuple[Any, Any]:
     cloud = small_gicp.PointCloud(np.ascontiguousarray(points_m))
     tree = small_gicp.KdTree(cloud, num_threads=threads)
-    small_gicp.estimate_covariances(cloud, tree, num_neighbors=config.neighbours, num_threads=threads)
+    small_gicp.estimate_normals_covariances(cloud, tree, num_neighbors=config.neighbours, num_threads=threads)
     return cloud, tree
 
 

@@ -17,6 +17,7 @@ from multilica.results import (
     CalibrationResult,
     CoarseResult,
     Correspondences,
+    EdgeResidual,
     FeatureCloud,
     FineStep,
     GroundPlane,
@@ -27,6 +28,7 @@ from multilica.results import (
     PairRegistration,
     PreprocessedCloud,
     Reason,
+    Refinement,
     Testimony,
     Verdict,
 )
@@ -52,8 +54,6 @@ def made_events(outcome: str = "complete", until: Stage = "ground", **config: An
     run = _Run(outcome)
     yield events.CalibrationStarted(run.snapshot, settings)
     for stage in STAGES[: STAGES.index(until) + 1]:
-        if stage == "refine":
-            continue
         yield events.StageStarted(stage, 0)
         yield from getattr(run, stage)()
         yield events.StageFinished(stage, 0.01)
@@ -201,6 +201,10 @@ class _Run:
         self.decisions.append(MergeDecision(step, candidates, chosen, reason, groups))
         poses = tuple(TRUTH[name] for name in sorted(placed)) if chosen else ()
         return events.MergeStepTaken(self.decisions[-1], poses)
+
+    def refine(self):
+        edge = EdgeResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9)
+        yield events.RigRefined(Refinement((edge,)), ())
 
     def ground(self):
         base = RigidTransform.from_xyz_rpy("base", TARGET, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0))

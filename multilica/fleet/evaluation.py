@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs held against the truth."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from multilica.errors import InputError, UsageError
+from multilica.extrinsics import Extrinsics
+from multilica.fleet.pose_error import PoseError
+from multilica.fleet.runs import SavedPlacement, SavedRun
+
+__all__ = [
+    "OUTCOMES",
+    "Comparison",
+    "Evaluation",
+    "LeftOut",
+    "Outcome",
+    "Summary",
+    "Tolerances",
+    "Truth",
+    "evaluate",
+    "summarise",
+]
+
+Outcome = Literal["within", "between", "false_accept", "false_refuse"]
+OUTCOMES: tuple[Outcome, ...] = ("within", "between", "false_accept", "false_refuse")
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """What counts as right, what as wrong.
+
+    Args:
+        within_m, within_rad: a placed LiDAR off by no more than both is a success.
+        wrong_m, wrong_rad: a placed LiDAR off by more than either is a false accept.
+
+    Raises:
+        UsageError: a limit that is not above zero, or a success that would be wrong.
+    """
+
+    within_m: float = 0.02
+    within_rad: float = math.radians(0.1)
+    wrong_m: float = 0.05
+    wrong_rad: float = math.radians(0.5)
+
+    def __post_init__(self) -> None:
+        for unit, scale, within, wrong in (
+            ("m", 1.0, self.within_m, self.wrong_m),
+            ("deg", math.degrees(1.0), self.within_rad, self.wrong_rad),
+        ):
+            if not 0.0 < within <= wrong < math.inf:
+                raise UsageError(
+                    f"Found 'within' {within * scale:g} {unit} and 'wrong' {wrong * scale:g} {unit}; "
+                    "expected limits above zero, 'within' not above 'wrong'."
+                )
+
+    def outcome(self, error: PoseError | None) -> Outcome:
+        """The outcome of a LiDAR with that error; None stands for a LiDAR that was not placed."""
+        if error is None:
+            return "false_refuse"
+        if error.distance_m > self.wrong_m or error.angle_rad > self.wrong_rad:
+            return "false_accept"
+        right = error.distance_m <= self.within_m and error.angle_rad <= self.within_rad
+        return "within" if right else "between"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """Where the LiDARs truly sit.
+
+    Args:
+        name: the file, for people.
+        extrinsics: in any common frame.
+    """
+
+    name: str
+    extrinsics: Extrinsics
+
+    def __contains__(self, lidar: str) -> bool:
+        return lidar == self.extrinsics.target or lidar in self.extrinsics.T_target_source
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """One LiDAR of one run beside the truth.
+
+    Args:
+        run, truth: names of the two.
+        error: None if the run did not place the LiDAR.
+    """
+
+    run: str
+    truth: str
+    target: str
+    placement: SavedPlacement
+    error: PoseError | None
+    outcome: Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """What no count includes.
+
+    Args:
+        lidar: None for the whole run.
+        reason: in one clause.
+    """
+
+    run: str
+    lidar: str | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Summary:
+    """Counts of outcomes, with statistics of the errors of all that were placed, right or wrong.
+
+    Args:
+        rmse, median, largest: per component, of absolute values; None if nothing was placed.
+    """
+
+    within: int
+    between: int
+    false_accept: int
+    false_refuse: int
+    rmse: PoseError | None
+    median: PoseError | None
+    largest: PoseError | None
+
+    @property
+    def lidars(self) -> int:
+        """How many were compared."""
+        return self.within + self.between + self.false_accept + self.false_refuse
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evaluation:
+    """All runs beside the truth.
+
+    Args:
+        runs: their names in the order given.
+        comparisons: per run in that order, per LiDAR in name order; targets have none.
+    """
+
+    tolerances: Tolerances
+    runs: tuple[str, ...]
+    comparisons: tuple[Comparison, ...]
+    left_out: tuple[LeftOut, ...]
+
+    @property
+    def overall(self) -> Summary:
+        """Over all LiDARs and runs."""
+        return summarise(self.comparisons)
+
+    @property
+    def by_lidar(self) -> dict[str, Summary]:
+        """Over all runs, per LiDAR in name order."""
+        names = sorted({comparison.placement.lidar for comparison in self.comparisons})
+        return {name: summarise([one for one in self.comparisons if one.placement.lidar == name]) for name in names}
+
+    @property
+    def compared_runs(self) -> tuple[str, ...]:
+        """Runs of which at least one LiDAR was compared."""
+        return tuple(dict.fromkeys(comparison.run for comparison in self.comparisons))
+
+    @property
+    def faultless_runs(self) -> tuple[str, ...]:
+        """Runs of which every compared LiDAR is a success."""
+        faulty = {comparison.run for comparison in self.comparisons if comparison.outcome != "within"}
+        return tuple(run for run in self.compared_runs if run not in faulty)
+
+
+def evaluate(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: Tolerances | None = None) -> Evaluation:
+    """Hold runs against one truth for all, or against one each in the same order.
+
+    Raises:
+        UsageError: another number of truths, or a run given twice.
+        InputError: no LiDAR of any run could be compared.
+    """
+    tolerances = tolerances or Tolerances()
+    names = [run.name for run in runs]
+    _require_distinct(names)
+    comparisons: list[Comparison] = []
+    left_out: list[LeftOut] = []
+    for run, truth in zip(runs, _one_each(truths, len(runs)), strict=True):
+        left_out += _left_out(run, truth)
+        comparisons += _comparisons(run, truth, tolerances)
+    if not comparisons:
+        why = f": {left_out[0].reason}" if left_out else ""
+        raise InputError(f"No LiDAR of {', '.join(names) or 'no run'} can be held against the truth{why}.")
+    return Evaluation(tolerances, tuple(names), tuple(comparisons), tuple(left_out))
+
+
+def summarise(comparisons: Sequence[Comparison]) -> Summary:
+    """Counts and statistics of these."""
+    counts = Counter(one.outcome for one in comparisons)
+    errors = [one.error for one in comparisons if one.error is not None]
+    return Summary(
+        within=counts["within"],
+        between=counts["between"],
+        false_accept=counts["false_accept"],
+        false_refuse=counts["false_refuse"],
+        rmse=PoseError.statistic(errors, lambda rows: np.sqrt(np.mean(rows**2, axis=0))),
+        median=PoseError.statistic(errors, lambda rows: np.median(rows, axis=0)),
+        largest=PoseError.statistic(errors, lambda rows: np.max(rows, axis=0)),
+    )
+
+
+def _require_distinct(names: Sequence[str]) -> None:
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise UsageError(f"Run {repeated[0]} is given more than once; give each run once, or it counts twice.")
+
+
+def _one_each(truths: Sequence[Truth], runs: int) -> Sequence[Truth]:
+    if len(truths) == 1:
+        return [truths[0]] * runs
+    if len(truths) != runs:
+        raise UsageError(
+            f"Found {len(truths)} truths for {runs} run{'s' * (runs != 1)}; "
+            "expected one truth for all runs, or one per run in the same order."
+        )
+    return truths
+
+
+def _left_out(run: SavedRun, truth: Truth) -> list[LeftOut]:
+    if run.target not in truth:
+        return [LeftOut(run.name, None, f"{truth.name} does not have its target '{run.target}'")]
+    seen = {placement.lidar for placement in run.placements}
+    unknown = [LeftOut(run.name, name, f"{truth.name} does not have it") for name in sorted(seen) if name not in truth]
+    unseen = sorted(set(truth.extrinsics.T_target_source) - seen)
+    return unknown + [LeftOut(run.name, name, f"{truth.name} has it, the run does not") for name in unseen]
+
+
+def _comparisons(run: SavedRun, truth: Truth, tolerances: Tolerances) -> list[Comparison]:
+    if run.target not in truth:
+        return []
+    placements = [one for one in run.placements if one.lidar != run.target and one.lidar in truth]
+    return [_comparison(run, truth, placement, tolerances) for placement in placements]
+
+
+def _comparison(run: SavedRun, truth: Truth, placement: SavedPlacement, tolerances: Tolerances) -> Comparison:
+    error = None
+    if placement.T_target_source is not None:
+        true_pose = truth.extrinsics.between(run.target, placement.lidar)
+        error = PoseError.between(placement.T_target_source, true_pose)
+    return Comparison(run.name, truth.name, run.target, placement, error, tolerances.outcome(error))

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a finished run left behind, read back from its `result.json`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.geometry import RigidTransform
+from multilica.sinks.result_document import RESULT_SCHEMA
+from multilica.sinks.result_files import RESULT_JSON
+
+__all__ = ["SavedPlacement", "SavedRun", "read_run"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedPlacement:
+    """Where a run put one LiDAR.
+
+    Args:
+        T_target_source: its pose in the run's target frame; None if the run did not place it.
+        fitness: of the registration that placed it; None where it is not known.
+        reason: the run's own words.
+    """
+
+    lidar: str
+    T_target_source: RigidTransform | None
+    fitness: float | None
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedRun:
+    """The outcome of one run.
+
+    Args:
+        name: the run's directory, as it was given.
+        target: the LiDAR that all poses are relative to.
+        placements: per LiDAR in name order, the target among them.
+    """
+
+    name: str
+    target: str
+    placements: tuple[SavedPlacement, ...]
+
+
+def read_run(path: Path) -> SavedRun:
+    """Read a run directory or its `result.json`.
+
+    Raises:
+        SourceNotFoundError: nothing there, or a directory without a result.
+        UnreadableSourceError: not JSON, of another schema, or damaged.
+    """
+    file = _result_file(path)
+    document = _document(file)
+    try:
+        return _saved_run(str(file.parent), document)
+    except KeyError as error:
+        raise UnreadableSourceError(f"{file} is not a whole result: it has no {error}.") from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise UnreadableSourceError(f"{file} is not a whole result: {error}.") from error
+
+
+def _result_file(path: Path) -> Path:
+    if not path.exists():
+        raise SourceNotFoundError(f"No run at {path}; give a run directory or its {RESULT_JSON}.")
+    if not path.is_dir():
+        return path
+    file = path / RESULT_JSON
+    if not file.exists():
+        raise SourceNotFoundError(
+            f"{path} is not the directory of a finished run: it has no {RESULT_JSON}, "
+            "which `multilica calibrate --out` leaves when it ends."
+        )
+    return file
+
+
+def _document(file: Path) -> dict[str, Any]:
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise UnreadableSourceError(f"{file} is not a JSON file that can be read: {error}.") from error
+    schema = document.get("schema") if isinstance(document, dict) else None
+    if schema != RESULT_SCHEMA:
+        raise UnreadableSourceError(
+            f"{file} has schema {schema!r}; expected '{RESULT_SCHEMA}', as the {RESULT_JSON} of a run has it."
+        )
+    return dict(document)
+
+
+def _saved_run(name: str, document: Mapping[str, Any]) -> SavedRun:
+    target = str(document["target"])
+    lidars = sorted(document["lidars"].items())
+    return SavedRun(name, target, tuple(_placement(target, lidar, entry) for lidar, entry in lidars))
+
+
+def _placement(target: str, lidar: str, entry: Mapping[str, Any]) -> SavedPlacement:
+    pose = None
+    if entry["placed"]:
+        if entry["T_target_source"] is None:
+            raise ValueError(f"LiDAR '{lidar}' is placed, yet without a pose")
+        pose = RigidTransform(target, lidar, np.asarray(entry["T_target_source"], dtype=np.float64))
+    fitness = entry["fitness"]
+    return SavedPlacement(lidar, pose, None if fitness is None else float(fitness), str(entry["reason"]))

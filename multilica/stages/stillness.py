@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a LiDAR moved between its frames."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import small_gicp
+from scipy.spatial.transform import Rotation
+
+from multilica.config import StillnessConfig
+from multilica.geometry import FloatArray
+from multilica.snapshot import Scan
+from multilica.stages.voxel_grid import thin
+
+__all__ = ["Motion", "detect_motion", "explain_motion"]
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How a LiDAR moved between its first and its last frame, as far as the scene shows it.
+
+    Args:
+        shift_m, turn_rad: in the directions that surfaces hold; 0 in those that nothing holds.
+        significance: size of the motion in standard deviations of the registration.
+        can_tell: surfaces hold all directions, or the motion shows in those that they hold.
+        moving: it shows, larger than the configuration allows.
+    """
+
+    shift_m: float = 0.0
+    turn_rad: float = 0.0
+    significance: float = 0.0
+    can_tell: bool = False
+    moving: bool = False
+
+
+# A vehicle's own body turns with the LiDAR: it would vote for standing still.
+_BODY_M = 2.5
+# Beyond, neighbouring beams are too far apart to show a surface's orientation.
+_FAR_M = 40.0
+_VOXEL_M = 0.5
+_NEIGHBOURS = 15
+_MIN_POINTS = 100
+# A car at 50 km/h goes 1.4 m in a frame.
+_REACHES_M = (1.5, 0.75, 0.4)
+_LEVER_ARM_M = 10.0
+# small_gicp flattens covariances to 1e-3 along the normal, for each of the two clouds.
+_NORMAL_VARIANCE_M2 = 2e-3
+# Along a tunnel the noise of normals alone makes a tenth of a percent of the points face the motion.
+_MIN_FACING_SHARE = 0.005
+# The Hessian takes neighbouring points for independent; chance reached 4.3 on a flat field.
+_MIN_SIGNIFICANCE = 8.0
+
+
+def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
+    """Register the last frame of one LiDAR onto its first, by way of the one in the middle.
+
+    Args:
+        scans: frames of one LiDAR, oldest first.
+
+    Returns:
+        The motion in the directions that surfaces hold: along a tunnel, or over a plane, a LiDAR cannot tell.
+    """
+    chosen = sorted({0, (len(scans) - 1) // 2, len(scans) - 1}) if scans else []
+    clouds_m = [_surroundings(scans[index]) for index in chosen]
+    if len(clouds_m) < 2 or min(len(cloud_m) for cloud_m in clouds_m) < _MIN_POINTS:
+        return Motion()
+    first, *later = (_structure(cloud_m) for cloud_m in clouds_m)
+    pose = np.eye(4)
+    for structure in later:
+        # At constant speed it has gone about twice as far by the last frame as by the middle one.
+        result = _register(first, structure, pose @ pose)
+        pose = result.T_target_source
+    return _judged(result, config)
+
+
+def _surroundings(scan: Scan) -> FloatArray:
+    points_m = scan.points_m.astype(np.float64)
+    range_m = np.linalg.norm(points_m, axis=1)
+    return thin(points_m[(range_m > _BODY_M) & (range_m < _FAR_M)], _VOXEL_M)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Structure:
+    """Points with the orientation of the surface that each lies on, in the engine's types."""
+
+    cloud: small_gicp.PointCloud
+    tree: small_gicp.KdTree
+
+
+def _structure(points_m: FloatArray) -> _Structure:
+    cloud = small_gicp.PointCloud(np.ascontiguousarray(points_m))
+    tree = small_gicp.KdTree(cloud, num_threads=1)
+    small_gicp.estimate_covariances(cloud, tree, num_neighbors=_NEIGHBOURS, num_threads=1)
+    return _Structure(cloud, tree)
+
+
+def _register(target: _Structure, source: _Structure, start: FloatArray) -> small_gicp.RegistrationResult:
+    for reach_m in _REACHES_M:
+        result = _align(target, source, start, reach_m)
+        start = result.T_target_source
+    return result
+
+
+def _align(target: _Structure, source: _Structure, start: FloatArray, reach_m: float) -> small_gicp.RegistrationResult:
+    return small_gicp.align(
+        target.cloud,
+        source.cloud,
+        target.tree,
+        init_T_target_source=start,
+        registration_type="GICP",
+        max_correspondence_distance=reach_m,
+        num_threads=1,
+        max_iterations=15,
+        rotation_epsilon=1e-4,
+        translation_epsilon=1e-4,
+    )
+
+
+def _judged(result: small_gicp.RegistrationResult, config: StillnessConfig) -> Motion:
+    rotation, shift_m = result.T_target_source[:3, :3], result.T_target_source[:3, 3]
+    twist_m = np.concatenate([_LEVER_ARM_M * Rotation.from_matrix(rotation).as_rotvec(), rotation.T @ shift_m])
+    scale = np.repeat([1.0 / _LEVER_ARM_M, 1.0], 3)
+    hessian = result.H * np.outer(scale, scale)
+    stiffness, directions = np.linalg.eigh(hessian)
+    facing = stiffness * _NORMAL_VARIANCE_M2 / max(1, result.num_inliers)
+    held = directions[:, facing >= _MIN_FACING_SHARE]
+    shown_m = held @ (held.T @ twist_m)
+    turn_rad, shown_shift_m = float(np.linalg.norm(shown_m[:3])) / _LEVER_ARM_M, float(np.linalg.norm(shown_m[3:]))
+    significance = float(np.sqrt(shown_m @ hessian @ shown_m))
+    large = bool(shown_shift_m > config.max_shift_m or turn_rad > np.deg2rad(config.max_turn_deg))
+    moving = large and significance > _MIN_SIGNIFICANCE
+    return Motion(shown_shift_m, turn_rad, significance, moving or held.shape[1] == 6, moving)
+
+
+def explain_motion(motions: Mapping[str, Motion], source: str = "") -> str:
+    """Why a snapshot cannot be used, in one sentence; empty if it can.
+
+    Args:
+        motions: per LiDAR name.
+        source: what the snapshot was read from.
+    """
+    moving = {name: motion for name, motion in motions.items() if motion.moving}
+    telling = sum(motion.can_tell for motion in motions.values())
+    if 2 * len(moving) <= telling:
+        return ""
+    evidence = ", ".join(
+        f"{name} by {motion.shift_m:.2f} m and {np.rad2deg(motion.turn_rad):.1f} deg"
+        for name, motion in sorted(moving.items())
+    )
+    return (
+        f"The vehicle moves{' in ' + source if source else ''}: {evidence} between its first and last frame "
+        f"({len(moving)} of the {telling} LiDARs that can tell); record while it stands still, "
+        "or choose another window with --start."
+    )

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from multilica import results
+from multilica.config import MergeConfig, VerifyConfig
+from multilica.geometry import RigidTransform
+from multilica.results import Assessment, PairRegistration
+from multilica.stages.decide import decide, decide_by_fitness
+
+_CONFIG = VerifyConfig()
+_POSE = RigidTransform.identity("t", "s")
+_ELSEWHERE = RigidTransform.from_xyz_rpy("t", "s", [3.0, 4.0, 0.0], [0.0, 0.0, np.pi / 2])
+
+
+def _answer(pose=_POSE, *, agree=1000, violate=0, plane=400.0, held_by=50.0, curvature=5.0):
+    """`plane` of the agreeing points lie on surfaces of one orientation; `held_by` hold the weakest direction."""
+    rest = plane / 2.0
+    information = np.diag([held_by, rest, rest, rest, rest, plane])
+    testimony = results.Testimony(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8))
+    return Assessment(0, pose, testimony, 0.8, 0.03, curvature, np.zeros((0, 3)))
+
+
+def _codes(verdict):
+    return [reason.code for reason in verdict.reasons]
+
+
+def test_a_clear_answer_is_accepted_without_reasons():
+    verdict = decide([_answer(), _answer(_ELSEWHERE, agree=500)], _CONFIG)
+    assert verdict.outcome == "accept"
+    assert verdict.accepted
+    assert verdict.reasons == ()
+
+
+def test_too_little_overlap_is_rejected():
+    verdict = decide([_answer(agree=149, plane=20.0)], _CONFIG)
+    assert verdict.outcome == "reject"
+    assert _codes(verdict) == ["too_little_overlap"]
+    reason = verdict.reasons[0]
+    assert (reason.value, reason.limit) == (149, 150)
+    assert "only 149 points" in reason.text
+    assert "expected 150" in reason.text
+
+
+def test_points_in_proven_empty_space_are_rejected_however_much_agrees():
+    verdict = decide([_answer(agree=9800, violate=200)], _CONFIG)
+    assert verdict.outcome == "reject"
+    assert _codes(verdict) == ["empty_space_violated"]
+    assert verdict.reasons[0].value == pytest.approx(0.02)
+    assert verdict.reasons[0].limit == _CONFIG.max_violation_share
+    assert "2.0% of the points" in verdict.reasons[0].text
+    assert "1.2%" in verdict.reasons[0].text
+
+
+def test_agreement_on_one_plane_only_is_no_evidence():
+    verdict = decide([_answer(agree=1000, plane=950.0)], _CONFIG)
+    assert verdict.outcome == "reject"
+    assert _codes(verdict) == ["too_little_evidence"]
+    assert verdict.reasons[0].value == pytest.approx(50.0)
+    assert "50 distinctive points" in verdict.reasons[0].text
+    assert "expected 120" in verdict.reasons[0].text
+
+
+def test_another_answer_that_explains_nearly_as_much_leaves_it_undecided():
+    verdict = decide([_answer(agree=1000), _answer(_ELSEWHERE, agree=880)], _CONFIG)
+    assert verdict.outcome == "undecided"
+    assert not verdict.accepted
+    assert _codes(verdict) == ["ambiguous"]
+    assert verdict.reasons[0].value == pytest.approx(0.8)
+    for figure in ("5.00 m and 90 deg", "80%", "70%"):
+        assert figure in verdict.reasons[0].text
+
+
+@pytest.mark.parametrize(
+    ("weak", "value", "limit", "figures"),
+    [
+        ({"held_by": 0.05}, 0.05, _CONFIG.min_held_by, "0.05 points"),
+        ({"curvature": 0.2}, 0.2, _CONFIG.min_curvature, "curvature 0.20"),
+        ({"held_by": 0.05, "curvature": 0.2}, 0.05, _CONFIG.min_held_by, "0.05 points"),
+    ],
+)
+def test_a_pose_that_can_slide_leaves_it_undecided(weak, value, limit, figures):
+    verdict = decide([_answer(**weak)], _CONFIG)
+    assert verdict.outcome == "undecided"
+    assert _codes(verdict) == ["not_observable"]
+    assert verdict.reasons[0].value == pytest.approx(value)
+    assert verdict.reasons[0].limit == limit
+    assert figures in verdict.reasons[0].text
+
+
+def test_what_is_wrong_outweighs_what_is_doubtful_and_all_is_said():
+    verdict = decide([_answer(agree=100, plane=90.0, curvature=0.1), _answer(_ELSEWHERE, agree=410)], _CONFIG)
+    assert verdict.outcome == "reject"
+    assert _codes(verdict) == ["too_little_overlap", "too_little_evidence", "ambiguous", "not_observable"]
+
+
+def test_evidence_below_zero_is_told_as_none():
+    verdict = decide([_answer(agree=900, violate=100), _answer(_ELSEWHERE)], _CONFIG)
+    assert _codes(verdict) == ["empty_space_violated", "too_little_evidence"]
+    assert "rests on 0 distinctive" in verdict.reasons[1].text
+
+
+@pytest.mark.parametrize(
+    ("exactly", "limits"),
+    [
+        (_answer(agree=150, plane=10.0), {"min_agree": 150}),
+        (_answer(agree=990, violate=10, plane=100.0), {"max_violation_share": 0.01}),
+        (_answer(agree=520, plane=400.0), {"min_evidence": 120.0}),
+        (_answer(curvature=0.45), {"min_curvature": 0.45}),
+        (_answer(held_by=0.1), {"min_held_by": 0.1}),
+    ],
+)
+def test_a_figure_that_meets_its_limit_passes(exactly, limits):
+    assert decide([exactly], _CONFIG.model_copy(update=limits)).accepted
+
+
+@pytest.mark.parametrize(("fitness", "outcome"), [(0.0, "reject"), (0.199, "reject"), (0.2, "accept"), (0.9, "accept")])
+def test_without_verification_the_papers_gate_decides(fitness, outcome):
+    pair = PairRegistration("t", "s", _POSE, fitness, 0.1, 10, converged=True, iterations=3, engine="test")
+    verdict = decide_by_fitness(pair, MergeConfig())
+    assert verdict.outcome == outcome
+    if outcome == "reject":
+        assert _codes(verdict) == ["low_fitness"]
+        assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (fitness, 0.2)
+        assert f"fitness {fitness:.3f} is below 0.2" in verdict.reasons[0].text

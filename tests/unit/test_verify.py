@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from multilica.config import FineConfig, VerifyConfig
+from multilica.geometry import RigidTransform
+from multilica.results import CoarseResult, Hypothesis
+from multilica.stages.registration_cloud import prepare_registration_cloud
+from multilica.stages.verify import assess_hypotheses, short_gicp
+from multilica.stages.witness import prepare_witness
+from tests.unit.made_rooms import HALL, scan
+
+_CONFIG = VerifyConfig()
+_GICP = short_gicp(_CONFIG, FineConfig())
+_TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
+_SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
+_TRUTH = _TARGET.inverse() @ _SOURCE
+_HALF_TURN = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [0, 0, 0], [0, 0, np.pi]) @ _SOURCE
+
+
+def _near(pose, xyz_m=(0.3, -0.2, 0.1), yaw_rad=0.05):
+    return RigidTransform.from_xyz_rpy("t", "t", xyz_m, [0.0, 0.0, yaw_rad]) @ pose
+
+
+@pytest.fixture(scope="module")
+def sides():
+    clouds = [scan("t", _TARGET, HALL), scan("s", _SOURCE, HALL, seed=1)]
+    return [
+        (prepare_witness(cloud, _CONFIG), prepare_registration_cloud(cloud.lidar, cloud.points_m, _GICP, 1))
+        for cloud in clouds
+    ]
+
+
+def _assessed(sides, *poses, config=_CONFIG):
+    hypotheses = tuple(Hypothesis(pose, np.zeros(0, dtype=bool), 0.0, "test") for pose in poses)
+    return assess_hypotheses(*sides, CoarseResult("t", "s", hypotheses), config, _GICP, 1)
+
+
+def test_the_true_pose_wins_over_one_with_more_matches(sides):
+    best, *others = _assessed(sides, _near(_HALF_TURN), _near(_TRUTH))
+    metres, radians = best.T_target_source.distance_to(_TRUTH)
+    assert metres < 0.05
+    assert radians < np.deg2rad(0.5)
+    assert best.hypothesis == 1
+    assert best.testimony.violation_share < _CONFIG.max_violation_share
+    assert best.weakest_curvature > _CONFIG.min_curvature
+    assert best.fitness > 0.8
+    assert all(other.evidence < 0.3 * best.evidence for other in others)
+
+
+def test_answers_are_distinct_and_in_the_order_of_their_evidence(sides):
+    shifts = [(0.3, 0, 0), (-0.3, 0, 0), (0, 0.3, 0), (6.0, 0, 0), (-6.0, 0, 0)]
+    found = _assessed(sides, *(_near(_TRUTH, shift) for shift in shifts), _near(_HALF_TURN))
+    evidence = [assessment.evidence for assessment in found]
+    assert evidence == sorted(evidence, reverse=True)
+    assert len(found) < 6
+    for one, other in combinations(found, 2):
+        metres, radians = one.T_target_source.distance_to(other.T_target_source)
+        assert metres > 0.3 or radians > np.deg2rad(3.0)
+
+
+def test_once_an_answer_is_clearly_right_the_rest_is_left_out(sides):
+    poses = [_near(_TRUTH), _near(_HALF_TURN), *(_near(_TRUTH, (0, 0, 0), yaw) for yaw in (0.8, 1.6, 2.4))]
+    every = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 50}))
+    early = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 2}))
+    assert len(early) == 2 < len(every)
+    assert early[0].T_target_source.matrix.tobytes() == every[0].T_target_source.matrix.tobytes()
+
+
+def test_the_search_goes_on_while_no_answer_is_right(sides):
+    poses = [_near(_HALF_TURN), _near(_TRUTH, (0, 0, 0), 0.8), _near(_TRUTH)]
+    found = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 2}))
+    assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
+
+
+def test_without_hypotheses_there_is_no_answer(sides):
+    assert _assessed(sides) == ()
+
+
+def test_the_short_gicp_is_coarse_and_always_of_the_engine_that_tells_its_hessian():
+    gicp = short_gicp(VerifyConfig(max_points=123, voxel_size_m=0.7), FineConfig(engine="open3d", neighbours=11))
+    assert (gicp.engine, gicp.max_points, gicp.voxel_size_m, gicp.neighbours) == ("small_gicp", 123, 0.7, 11)
+    assert list(gicp.max_correspondence_distances_m) == sorted(gicp.max_correspondence_distances_m, reverse=True)
