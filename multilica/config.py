@@ -152,9 +152,6 @@ class VerifyConfig(Section):
         0.45, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm"
     )
     min_held_by: Metres = Field(0.1, description="points that hold the pose in its weakest direction, 10 m lever arm")
-    feature_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
-        (0.25, 0.5), description="further voxel sizes of the descriptors, tried in turn while no hypothesis is accepted"
-    )
 
 
 class FineConfig(Section):
