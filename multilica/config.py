@@ -140,6 +140,10 @@ class VerifyConfig(Section):
         6, ge=2, description="distinct answers that are tried before the search may stop early"
     )
     settled_ratio: Share = Field(0.5, description="it stops if the runner-up has at most this share of the evidence")
+    slide_step_m: PositiveMetres = Field(
+        1.0, description="a pose that is not firmly held is tried so far along its weakest direction, too"
+    )
+    slides: int = Field(6, ge=0, description="number of such steps to either side: repeating facades look alike there")
     finalists: Count = Field(5, description="distinct answers that are registered more finely")
     finalist_points: Count = Field(10_000, description="points per LiDAR of that registration")
     final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
@@ -147,11 +151,17 @@ class VerifyConfig(Section):
     min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
     max_violation_share: Share = Field(0.012, description="share of points in proven-empty space that can be chance")
     max_runner_up: Share = Field(0.7, description="share of the evidence that another distinct pose may have")
-    min_evidence: Metres = Field(120.0, description="distinctive agreement, less violations, that a pose needs")
-    min_curvature: Metres = Field(
-        0.45, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm"
+    min_evidence: Metres = Field(
+        60.0, description="distinctive agreement that explains the view, less violations, that a pose needs"
     )
+    min_curvature: Metres = Field(0.2, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm")
     min_held_by: Metres = Field(0.1, description="points that hold the pose in its weakest direction, 10 m lever arm")
+    firmly_held_by: Metres = Field(20.0, description="with so many, parallax and clutter need no further explanation")
+    min_explained: Share = Field(
+        0.5,
+        description="share of the structure in view that must be on measured surfaces, not hidden or in empty space",
+    )
+    min_explained_firm: Share = Field(0.1, description="the same where the pose is firmly held")
 
 
 class FineConfig(Section):

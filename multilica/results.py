@@ -144,6 +144,12 @@ LEVER_ARM_M = 10.0
 VIOLATION_WEIGHT = 30.0
 """A point in proven-empty space outweighs this many on common surfaces: the true pose makes hardly any."""
 
+STRUCTURE_VIOLATION_WEIGHT = 60.0
+"""The same among points off the commonest plane, of which a wrong pose on the ground has few that count at all."""
+
+STRAY_POINTS = 2
+"""So many points in empty space happen by chance on any structure, however small."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Testimony:
@@ -158,6 +164,8 @@ class Testimony:
             point off its surface; order rotation, translation in the target's axes about the source's origin,
             rotations scaled by `LEVER_ARM_M`.
         labels: (N,) `BeamLabel` of each probe of the source.
+        structure_agree, structure_violate, structure_occluded: the same counts over structure alone: closed surfaces
+            off the commonest orientation, so walls and vehicles, not the ground.
     """
 
     agree: int
@@ -166,11 +174,20 @@ class Testimony:
     unseen: int
     information: FloatArray
     labels: npt.NDArray[np.uint8]
+    structure_agree: int = 0
+    structure_violate: int = 0
+    structure_occluded: int = 0
 
     @property
     def weakest_direction(self) -> FloatArray:
         """(6,) unit vector of the motion that `held_by` speaks of; order as `information`."""
         return np.asarray(np.linalg.eigh(self.information)[1][:, 0])
+
+    @property
+    def slide_direction(self) -> FloatArray:
+        """(3,) unit vector along which the pose can be shifted most easily, the rotation free to follow."""
+        turn, cross, shift = self.information[:3, :3], self.information[:3, 3:], self.information[3:, 3:]
+        return np.asarray(np.linalg.eigh(shift - cross.T @ np.linalg.pinv(turn) @ cross)[1][:, 0])
 
     @property
     def distinctive(self) -> float:
@@ -179,13 +196,23 @@ class Testimony:
 
     @property
     def evidence(self) -> float:
-        """Distinctive agreement, less what contradicts it; the order in which poses are believed."""
-        return self.distinctive - VIOLATION_WEIGHT * self.violate
+        """Distinctive agreement as far as it explains what is in view, less what contradicts it; poses rank by it."""
+        return self.distinctive * self.explained_share - VIOLATION_WEIGHT * self.violate
 
     @property
     def held_by(self) -> float:
         """How many points hold the pose in its weakest direction: the smallest eigenvalue of the information."""
         return float(np.linalg.eigvalsh(self.information)[0])
+
+    @property
+    def explained_share(self) -> float:
+        """How much of the structure in view is where the other side saw some, rather than hidden or in empty space.
+
+        Sensors of one vehicle see the world from nearly the same place: little of it is hidden from one of them alone.
+        """
+        violate = max(0, self.structure_violate - STRAY_POINTS)
+        against = self.structure_occluded + STRUCTURE_VIOLATION_WEIGHT * violate
+        return (self.structure_agree + 1) / (self.structure_agree + 1 + against)
 
     @property
     def violation_share(self) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 
 from multilica.config import MergeConfig, VerifyConfig
 from multilica.geometry import FloatArray
-from multilica.results import Assessment, PairRegistration, Reason, Verdict
+from multilica.results import Assessment, PairRegistration, Reason, Testimony, Verdict
 
 __all__ = ["decide", "decide_by_fitness"]
 
@@ -18,7 +18,8 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
     """Judge the best of the distinct answers that were registered finely, the one with the most evidence first.
 
     Reject: too little surface in common, or points in space that beams proved empty. Undecided: another distinct
-    answer explains nearly as much, or the pose can slide without the fit getting worse.
+    answer explains nearly as much, the pose can slide without the fit getting worse, or much of the structure in view
+    is left unexplained.
     """
     best = finalists[0].testimony
     against = [
@@ -46,7 +47,11 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
             failed=best.evidence < config.min_evidence,
         ),
     ]
-    doubts = [_ambiguity(finalists, config), _observability(finalists[0], config)]
+    doubts = [
+        _ambiguity(finalists, config),
+        _observability(finalists[0], config),
+        _explanation(finalists[0].testimony, config),
+    ]
     reasons = tuple(reason for reason in (*against, *doubts) if reason is not None)
     if any(reason in reasons for reason in against):
         return Verdict("reject", reasons)
@@ -93,6 +98,20 @@ def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:
         f"the pose can slide {where}: curvature {curvature:.2f} in its weakest direction; "
         f"expected {config.min_curvature:g}",
         failed=curvature < config.min_curvature,
+    )
+
+
+def _explanation(best: Testimony, config: VerifyConfig) -> Reason | None:
+    firm = best.held_by >= config.firmly_held_by
+    limit = config.min_explained_firm if firm else config.min_explained
+    return _check(
+        "structure_unexplained",
+        best.explained_share,
+        limit,
+        f"of the walls and objects in view of both, {best.structure_agree} points lie on surfaces that the other "
+        f"measured, {best.structure_occluded} are hidden and {best.structure_violate} stand in empty space: "
+        f"{best.explained_share:.0%} are explained; expected {limit:.0%}",
+        failed=best.explained_share < limit,
     )
 
 

@@ -61,16 +61,20 @@ def register_best(
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
         candidates = [Candidate(each.T_target_source.inverse(), each.hypothesis) for each in candidates]
-    finished: list[Assessment] = []
+    finished: list[tuple[Assessment, PairRegistration]] = []
     for candidate in _finalists(target, source, candidates, verify):
         drafted = register(target.draft, source.draft, candidate.T_target_source, fine, threads)
         assessment = _assess(target, source, drafted, candidate.hypothesis, verify)
-        if is_distinct(assessment.T_target_source, (other.T_target_source for other in finished)):
-            finished.append(assessment)
-    best, *others = sorted(finished, key=lambda assessment: -assessment.evidence)
-    registered = register(target.cloud, source.cloud, best.T_target_source, fine, threads)
-    final = _assess(target, source, registered, best.hypothesis, verify)
-    return replace(registered, hypothesis=best.hypothesis, assessments=(final, *others))
+        if is_distinct(assessment.T_target_source, (other.T_target_source for other, _ in finished)):
+            finished.append((assessment, drafted))
+    finished.sort(key=lambda pair: -pair[0].evidence)
+    best, registered = finished[0]
+    if best.evidence > 0.0:
+        registered = register(target.cloud, source.cloud, best.T_target_source, fine, threads)
+        best = _assess(target, source, registered, best.hypothesis, verify)
+    return replace(
+        registered, hypothesis=best.hypothesis, assessments=(best, *(assessment for assessment, _ in finished[1:]))
+    )
 
 
 def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig) -> list[Candidate]:

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import Assessment, CoarseResult
+from multilica.results import Assessment, CoarseResult, Testimony
 from multilica.stages.gicp import register_narrower
 from multilica.stages.observability import weakest_curvature
 from multilica.stages.poses import is_distinct
@@ -45,7 +45,8 @@ def assess_hypotheses(
 
     A beam that returned from 20 m proves that the 20 m before it are empty: points that a pose puts there violate,
     points that it puts on measured surfaces agree, points behind surfaces say nothing. Hypotheses that start where
-    an earlier one ended are the same answer and cost nothing; the rest is left out once one is clearly right.
+    an earlier one ended are the same answer and cost nothing; the rest is left out once one is clearly right. If the
+    best is not firmly held, poses along its weakest direction are tried as well.
 
     Args:
         target, source: what both sensors testify, with a thinned cloud each for GICP.
@@ -55,15 +56,36 @@ def assess_hypotheses(
         The distinct answers, the one with the most evidence first.
     """
     found: list[Assessment] = []
-    for index, hypothesis in enumerate(coarse.hypotheses):
-        if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in found)):
-            continue
-        assessment = _assess(target, source, hypothesis.T_target_source, index, config, gicp, threads)
+
+    def try_from(start: RigidTransform, hypothesis: int) -> None:
+        if not is_distinct(start, (other.T_target_source for other in found)):
+            return
+        assessment = _assess(target, source, start, hypothesis, config, gicp, threads)
         if is_distinct(assessment.T_target_source, (other.T_target_source for other in found)):
             found.append(assessment)
+
+    for index, hypothesis in enumerate(coarse.hypotheses):
+        try_from(hypothesis.T_target_source, index)
         if _is_settled(found, config):
             break
+    best = max(found, key=lambda assessment: assessment.evidence, default=None)
+    if best is not None and _may_have_slid(best.testimony, config):
+        for slid in _slides(best, config):
+            try_from(slid, best.hypothesis)
     return tuple(sorted(found, key=lambda assessment: -assessment.evidence))
+
+
+def _may_have_slid(testimony: Testimony, config: VerifyConfig) -> bool:
+    return testimony.agree >= config.min_agree and testimony.held_by < config.firmly_held_by
+
+
+def _slides(assessment: Assessment, config: VerifyConfig) -> Iterator[RigidTransform]:
+    """The pose shifted along its weakest direction: where facades or pillars repeat, the true one may be steps away."""
+    pose, direction = assessment.T_target_source, assessment.testimony.slide_direction
+    for step in range(1, config.slides + 1):
+        for side in (-1.0, 1.0):
+            xyz_m = pose.xyz_m + side * step * config.slide_step_m * direction
+            yield RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
 
 
 def _assess(

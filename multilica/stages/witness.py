@@ -20,6 +20,7 @@ __all__ = ["PlacedWitness", "Witness", "judge", "prepare_witness"]
 _SOLID_NEIGHBOURS = 30
 _SOLID_FLATNESS = 0.02
 _PLANE_WIDTH = 0.05
+_STRUCTURE = float(np.cos(np.deg2rad(45.0)))
 _GRAZING = float(np.sin(np.deg2rad(15.0)))
 
 
@@ -71,35 +72,67 @@ def judge(
     Returns:
         Counts over both directions, with the labels of the first source's probes by the first target.
     """
-    counts = np.zeros(len(BeamLabel), dtype=np.int64)
-    information = np.zeros((6, 6))
+    ballots: list[_Ballot] = []
     shown: LabelArray | None = None
     for T_target_member, target in targets:
         for T_source_member, source in sources:
-            pose = T_target_member.inverse() @ T_target_source @ T_source_member
+            T_target_placed = T_target_source @ T_source_member
+            pose = T_target_member.inverse() @ T_target_placed
             forth = _labels(target, source, pose, tolerance_m, tolerance_deg)
             back = _labels(source, target, pose.inverse(), tolerance_m, tolerance_deg)
-            counts += np.bincount(forth, minlength=len(BeamLabel)) + np.bincount(back, minlength=len(BeamLabel))
-            information += _information(source, forth, T_target_source @ T_source_member, T_target_source.xyz_m)
-            information += _information(target, back, T_target_member, T_target_source.xyz_m)
+            ballots.append(_ballot(source, forth, T_target_placed))
+            ballots.append(_ballot(target, back, T_target_member))
             shown = forth if shown is None else shown
+    counts = _counts(np.concatenate([ballot.labels for ballot in ballots]))
+    information = sum((_information(ballot, T_target_source.xyz_m) for ballot in ballots), start=np.zeros((6, 6)))
+    commonest = np.linalg.eigh(information[3:, 3:])[1][:, -1]
+    structure = _counts(np.concatenate([_structure(ballot, commonest) for ballot in ballots]))
     return Testimony(
-        agree=int(counts[BeamLabel.AGREE]),
-        violate=int(counts[BeamLabel.VIOLATE]),
-        occluded=int(counts[BeamLabel.OCCLUDED]),
-        unseen=int(counts[BeamLabel.UNSEEN]),
+        agree=counts[BeamLabel.AGREE],
+        violate=counts[BeamLabel.VIOLATE],
+        occluded=counts[BeamLabel.OCCLUDED],
+        unseen=counts[BeamLabel.UNSEEN],
         information=information,
         labels=np.zeros(0, dtype=np.uint8) if shown is None else shown,
+        structure_agree=structure[BeamLabel.AGREE],
+        structure_violate=structure[BeamLabel.VIOLATE],
+        structure_occluded=structure[BeamLabel.OCCLUDED],
     )
 
 
-def _information(other: Witness, labels: LabelArray, T_root_other: RigidTransform, centre_m: FloatArray) -> FloatArray:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Ballot:
+    """One sensor's probes in the target group's frame, with what the beams of another say of each."""
+
+    labels: LabelArray
+    points_m: FloatArray
+    normals: FloatArray
+    solid: BoolArray
+
+
+def _ballot(witness: Witness, labels: LabelArray, T_root_witness: RigidTransform) -> _Ballot:
+    return _Ballot(
+        labels, T_root_witness.apply(witness.probes_m), T_root_witness.rotate(witness.normals), witness.solid
+    )
+
+
+def _counts(labels: LabelArray) -> list[int]:
+    return [int(count) for count in np.bincount(labels, minlength=len(BeamLabel))]
+
+
+def _information(ballot: _Ballot, centre_m: FloatArray) -> FloatArray:
     """Sum of J J^T over agreeing points: how a small turn and shift of the pose would lift them off their surfaces."""
-    agree = labels == BeamLabel.AGREE
-    normals = T_root_other.rotate(other.normals[agree])
-    arms = T_root_other.apply(other.probes_m[agree]) - centre_m
+    agree = ballot.labels == BeamLabel.AGREE
+    normals = ballot.normals[agree]
+    arms = ballot.points_m[agree] - centre_m
     jacobian = np.concatenate([np.cross(arms, normals) / LEVER_ARM_M, normals], axis=1)
     return np.asarray(jacobian.T @ jacobian)
+
+
+def _structure(ballot: _Ballot, commonest: FloatArray) -> LabelArray:
+    """The labels of closed surfaces whose orientation is not the commonest one."""
+    apart = np.abs(ballot.normals @ commonest) < _STRUCTURE
+    return np.asarray(ballot.labels[ballot.solid & np.any(ballot.normals, axis=1) & apart])
 
 
 def _labels(

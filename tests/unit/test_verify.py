@@ -10,7 +10,7 @@ from multilica.results import CoarseResult, Hypothesis
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.verify import assess_hypotheses, short_gicp
 from multilica.stages.witness import prepare_witness
-from tests.unit.made_rooms import HALL, scan
+from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG = VerifyConfig()
 _GICP = short_gicp(_CONFIG, FineConfig())
@@ -73,6 +73,26 @@ def test_the_search_goes_on_while_no_answer_is_right(sides):
     poses = [_near(_HALF_TURN), _near(_TRUTH, (0, 0, 0), 0.8), _near(_TRUTH)]
     found = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 2}))
     assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
+
+
+def test_a_pose_that_slid_along_a_row_of_pillars_is_found_back():
+    """Pillars repeat every 3 m; only a box beside one of them tells which is which."""
+    aisle = [*box((-40.0, -3.0, 0.0), (40.0, 3.0, 3.0)), *box((3.0, 1.5, 0.0), (4.5, 2.2, 1.5))]
+    for x_m in np.arange(-16.0, 17.0, 3.0):
+        aisle += box((x_m, 2.2, 0.0), (x_m + 0.5, 3.0, 3.0))
+        aisle += box((x_m, -3.0, 0.0), (x_m + 0.5, -2.2, 3.0))
+    clouds = [scan("t", _TARGET, aisle), scan("s", _SOURCE, aisle, seed=1)]
+    sides = [
+        (prepare_witness(cloud, _CONFIG), prepare_registration_cloud(cloud.lidar, cloud.points_m, _GICP, 1))
+        for cloud in clouds
+    ]
+    slid = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [3.0, 0, 0], [0, 0, 0]) @ _SOURCE
+    held_loosely = _CONFIG.model_copy(update={"firmly_held_by": 1e9})
+    best, *others = _assessed(sides, slid, config=held_loosely)
+    assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
+    assert all(other.evidence < 0.0 < best.evidence for other in others)
+    (stuck,) = _assessed(sides, slid, config=held_loosely.model_copy(update={"slides": 0}))
+    assert stuck.T_target_source.distance_to(slid)[0] < 0.1
 
 
 def test_without_hypotheses_there_is_no_answer(sides):

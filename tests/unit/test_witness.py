@@ -114,7 +114,22 @@ def test_agreement_on_the_ground_alone_is_not_distinctive():
     testimony = _judge(_witness(_TARGET, ground), _witness(_SOURCE, ground, seed=1))
     assert testimony.agree > 500
     assert testimony.distinctive < 0.05 * testimony.agree
-    assert testimony.evidence < _CONFIG.min_evidence
+    assert testimony.held_by < _CONFIG.min_held_by
+
+
+def test_of_the_structure_the_truth_explains_most_and_a_wrong_pose_little(target, source):
+    truth = _judge(target, source)
+    assert truth.structure_agree > 200
+    assert truth.explained_share > 0.8
+    elsewhere = RigidTransform.from_xyz_rpy("t", "t", [3.0, 1.0, 0.0], [0.0, 0.0, 0.0]) @ _TRUTH
+    assert _judge(target, source, elsewhere).explained_share < 0.3
+    assert truth.evidence == pytest.approx(truth.distinctive * truth.explained_share - 30.0 * truth.violate)
+
+
+def test_the_easiest_shift_of_a_corridor_is_along_it():
+    corridor = box((-80.0, -2.0, 0.0), (80.0, 2.0, 3.0))
+    testimony = _judge(_witness(_TARGET, corridor), _witness(_SOURCE, corridor, seed=1))
+    assert abs(testimony.slide_direction @ (_TARGET.rotation.T @ [1.0, 0.0, 0.0])) > np.cos(np.deg2rad(3.0))
 
 
 def test_information_tells_how_far_a_small_motion_lifts_points_off_their_surfaces(target, source):
