@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from multilica.config import CalibrationConfig, Stage
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import (
     Assessment,
@@ -45,10 +46,15 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationStarted:
-    """The snapshot was read and the work begins."""
+    """The snapshot was read and the work begins.
+
+    Args:
+        prior: poses that are claimed beforehand, by the LiDARs' names.
+    """
 
     snapshot: Snapshot
     config: CalibrationConfig
+    prior: Extrinsics | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,11 @@ class Extrinsics:
     target: str
     T_target_source: Mapping[str, RigidTransform]
 
+    @property
+    def members(self) -> frozenset[str]:
+        """Everything whose pose is known, the common frame included."""
+        return frozenset({*self.T_target_source, self.target})
+
     def between(self, target: str, source: str) -> RigidTransform:
         """``T_target_source`` of any two members.
 
@@ -43,7 +48,7 @@ class Extrinsics:
         if name == self.target:
             return RigidTransform.identity(name, name)
         if name not in self.T_target_source:
-            raise UnknownNameError("LiDAR", name, {*self.T_target_source, self.target})
+            raise UnknownNameError("LiDAR", name, self.members)
         return self.T_target_source[name]
 
 

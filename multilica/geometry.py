@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-__all__ = ["FloatArray", "RigidTransform", "read_only", "rotation_angle_rad", "skew"]
+__all__ = ["FloatArray", "RigidTransform", "read_only", "rotation_angle_rad", "rotation_vector_rad", "skew"]
 
 FloatArray = npt.NDArray[np.float64]
 ScalarT = TypeVar("ScalarT", bound=np.generic)
@@ -37,6 +37,11 @@ def skew(vectors: FloatArray) -> FloatArray:
 def rotation_angle_rad(rotation: FloatArray) -> float:
     """Angle of a rotation matrix (3, 3), in radians; exact for small angles too."""
     return float(Rotation.from_matrix(rotation).magnitude())
+
+
+def rotation_vector_rad(rotation: FloatArray) -> FloatArray:
+    """(3,) axis times angle of a rotation matrix (3, 3)."""
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ from multilica import events
 from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import (
     Assessment,
@@ -41,6 +42,7 @@ from multilica.stages.ground import estimate_ground
 from multilica.stages.information import pose_information
 from multilica.stages.merge import Group, merge
 from multilica.stages.preprocess import preprocess
+from multilica.stages.prior import known_between, require_usable
 from multilica.stages.refine import linked, refine
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.stillness import detect_motion, explain_motion
@@ -51,7 +53,10 @@ __all__ = ["calibrate"]
 
 
 def calibrate(
-    snapshot: Snapshot, config: CalibrationConfig | None = None, observe: Observer = events.ignore
+    snapshot: Snapshot,
+    config: CalibrationConfig | None = None,
+    observe: Observer = events.ignore,
+    prior: Extrinsics | None = None,
 ) -> CalibrationResult:
     """Find where every LiDAR of the snapshot sits relative to the target LiDAR.
 
@@ -59,6 +64,8 @@ def calibrate(
         snapshot: at least two LiDARs with returns.
         config: the default preset if None.
         observe: called with each event of `multilica.events` as it happens.
+        prior: poses that are claimed beforehand, by the LiDARs' names: one more hypothesis for each pair that it has,
+            judged as the others are. The result is the whole pose all the same.
 
     Returns:
         A pose or a reason per LiDAR; a LiDAR that cannot be placed is a normal outcome.
@@ -66,14 +73,17 @@ def calibrate(
     Raises:
         UnfitSnapshotError: fewer than two LiDARs have returns in range, the target has none, or the vehicle moves.
         UnknownNameError: the snapshot has no LiDAR of the target's name.
+        UsageError: a prior that has not two of the LiDARs, or with verification off, so that nothing could judge it.
         MissingDependencyError: the configuration asks for an engine that is not installed.
     """
     config = config or CalibrationConfig()
     _require_two_lidars(snapshot)
     if config.target:
         snapshot[config.target]
-    run = _Run(snapshot, config, observe)
-    observe(events.CalibrationStarted(snapshot, config))
+    if prior is not None:
+        require_usable(prior, snapshot, config)
+    run = _Run(snapshot, config, observe, prior)
+    observe(events.CalibrationStarted(snapshot, config, prior))
     with threadpool_limits(config.runtime.threads):
         for stage in STAGES[: STAGES.index(config.until) + 1]:
             run.stage(stage)
@@ -99,6 +109,7 @@ class _Run:
     snapshot: Snapshot
     config: CalibrationConfig
     observe: Observer
+    prior: Extrinsics | None = None
     clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
     features: dict[str, FeatureCloud] = field(default_factory=dict)
     matches: dict[PairKey, Correspondences] = field(default_factory=dict)
@@ -191,7 +202,8 @@ class _Run:
 
     def _coarse(self) -> None:
         for pair, matches in self.matches.items():
-            self.coarse[pair] = find_hypotheses(matches, self.config.coarse, self.config.runtime.seed)
+            known = known_between(self.prior, *pair)
+            self.coarse[pair] = find_hypotheses(matches, self.config.coarse, self.config.runtime.seed, known)
             self.observe(events.HypothesesFound(self.coarse[pair], matches))
 
     def _verify(self) -> None:
@@ -218,7 +230,7 @@ class _Run:
 
     def _candidates(self, pair: PairKey) -> list[Candidate]:
         if self.config.verify.enabled:
-            return [Candidate(each.T_target_source, each.hypothesis) for each in self.assessments[pair]]
+            return [Candidate(each.T_target_source, each.hypothesis, each.origin) for each in self.assessments[pair]]
         return [Candidate(each.T_target_source, index) for index, each in enumerate(self.coarse[pair].hypotheses)]
 
     def _side(self, group: Group) -> Side:
@@ -338,7 +350,8 @@ class _Run:
             link = _link_of(name, self.decisions)
             pose, fitness, rmse_m, reason = self.group.poses[name], link.fitness, link.rmse_m, "placed"
         else:
-            return LidarPlacement(name, reason=self._why_not_placed(name))
+            reason = self._why_not_placed(name)
+            return LidarPlacement(name, reason, T_target_source_prior=known_between(self.prior, target, name))
         return LidarPlacement(
             name,
             reason,
@@ -347,6 +360,7 @@ class _Run:
             fitness=fitness,
             rmse_m=rmse_m,
             covariance=self.covariances.get(name),
+            T_target_source_prior=known_between(self.prior, target, name),
         )
 
     def _why_not_placed(self, name: str) -> str:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from multilica.geometry import FloatArray, RigidTransform
 
 __all__ = [
+    "PRIOR",
     "Assessment",
     "CalibrationResult",
     "CoarseResult",
@@ -33,6 +34,7 @@ __all__ = [
     "Status",
     "Testimony",
     "Verdict",
+    "hypothesis_label",
 ]
 
 IndexArray = npt.NDArray[np.int64]
@@ -40,6 +42,8 @@ BoolArray = npt.NDArray[np.bool_]
 PairKey = tuple[str, str]
 """(target, source): names of the two LiDARs."""
 Status = Literal["complete", "partial", "failed"]
+PRIOR = "prior"
+"""Origin and name of the hypothesis that was known beforehand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,7 +118,7 @@ class Hypothesis:
     Args:
         inliers: (M,) which matches agree; all False where the solver does not tell.
         score: number of agreeing matches; the order in which hypotheses are tried.
-        origin: the solver, or ``"prior"``.
+        origin: the solver, or `PRIOR`.
     """
 
     T_target_source: RigidTransform
@@ -123,11 +127,17 @@ class Hypothesis:
     origin: str
 
 
+def hypothesis_label(index: int, origin: str) -> str:
+    """How a hypothesis is called wherever people read it: by its index, or as the prior."""
+    return PRIOR if origin == PRIOR else str(index)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseResult:
-    """The hypotheses of a pair, best first; empty if the matches agree on nothing.
+    """The hypotheses of a pair, the solver's best first; empty if the matches agree on nothing and nothing is known.
 
     Args:
+        hypotheses: that of the prior, if there is one, comes last, so that it changes no other's index.
         graph_nodes, graph_edges: size of the consistency graph; 0 where the solver builds none.
     """
 
@@ -226,6 +236,7 @@ class Assessment:
 
     Args:
         hypothesis: index into the pair's hypotheses; -1 if it came from other pairs during merging.
+        origin: of that hypothesis; "" if it came from other pairs.
         weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m: near zero where
             the pose can slide without the fit getting worse.
         probes_m: (N, 3) judged points of the source, in its own frame, to which `testimony.labels` belong.
@@ -238,6 +249,12 @@ class Assessment:
     rmse_m: float
     weakest_curvature: float
     probes_m: FloatArray
+    origin: str = ""
+
+    @property
+    def label(self) -> str:
+        """How its hypothesis is called wherever people read it."""
+        return hypothesis_label(self.hypothesis, self.origin)
 
     @property
     def evidence(self) -> float:
@@ -324,6 +341,11 @@ class PairRegistration:
     steps: tuple[FineStep, ...] = ()
     assessments: tuple[Assessment, ...] = ()
     verdict: Verdict = Verdict("accept")
+
+    @property
+    def start_label(self) -> str:
+        """How the hypothesis that it started from is called."""
+        return self.assessments[0].label if self.assessments else str(self.hypothesis)
 
     @property
     def evidence(self) -> float:
@@ -427,6 +449,7 @@ class LidarPlacement:
 
     Args:
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
+        T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
     """
 
     lidar: str
@@ -436,6 +459,14 @@ class LidarPlacement:
     fitness: float = 0.0
     rmse_m: float = float("inf")
     covariance: FloatArray | None = None
+    T_target_source_prior: RigidTransform | None = None
+
+    @property
+    def prior_deviation(self) -> tuple[float, float] | None:
+        """Distance in metres, angle in radians from the pose of the prior; None where one of the two is not known."""
+        if self.T_target_source is None or self.T_target_source_prior is None:
+            return None
+        return self.T_target_source_prior.distance_to(self.T_target_source)
 
     @property
     def sigma_xyz_m(self) -> FloatArray | None:

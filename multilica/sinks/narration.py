@@ -8,6 +8,8 @@ from functools import singledispatch
 from typing import Literal
 
 from multilica import events
+from multilica.results import PRIOR, Assessment, PairRegistration
+from multilica.sinks.prior_words import surprises
 
 __all__ = ["LogLevel", "LogLine", "narrate", "pair_label"]
 
@@ -47,7 +49,10 @@ def _(event: events.CalibrationStarted) -> tuple[LogLine, ...]:
         f"{lidar.name} with {lidar.points_count:,} points in {len(lidar.scans)} frame(s)" for lidar in snapshot.lidars
     )
     notes = tuple(LogLine("WARN", note) for note in snapshot.notes)
-    return (*_info(f"calibrating {len(snapshot.lidars)} LiDARs of {snapshot.source or 'memory'}: {found}"), *notes)
+    start = _info(f"calibrating {len(snapshot.lidars)} LiDARs of {snapshot.source or 'memory'}: {found}")
+    known = () if event.prior is None else [name for name in snapshot.names if name in event.prior.members]
+    prior = _info(f"a prior is tried for {', '.join(known)}") if known else ()
+    return (*start, *prior, *notes)
 
 
 @narrate.register
@@ -86,9 +91,13 @@ def _(event: events.HypothesesFound) -> tuple[LogLine, ...]:
     label = pair_label(coarse.target, coarse.source)
     if not coarse.hypotheses:
         return (LogLine("WARN", f"{label}: the {total:,} matches agree on no pose"),)
+    prior = [one for one in coarse.hypotheses if one.origin == PRIOR]
+    found = len(coarse.hypotheses) - len(prior)
+    said = "".join(f"; with the prior {one.score:g} agree" for one in prior)
+    if not found:
+        return (LogLine("WARN", f"{label}: the {total:,} matches agree on no pose{said}"),)
     best = coarse.hypotheses[0]
-    text = f"{label}: {len(coarse.hypotheses)} hypotheses, {best.score:g} of {total:,} matches agree on the first"
-    return _info(text)
+    return _info(f"{label}: {found} hypotheses, {best.score:g} of {total:,} matches agree on the first{said}")
 
 
 @narrate.register
@@ -99,7 +108,7 @@ def _(event: events.HypothesesAssessed) -> tuple[LogLine, ...]:
     best = event.assessments[0]
     beams = best.testimony
     text = (
-        f"{label}: of {len(event.assessments)} distinct hypotheses, #{best.hypothesis} is believed most: "
+        f"{label}: of {len(event.assessments)} distinct hypotheses, {_name_of(best)} is believed most: "
         f"{beams.agree:,} points agree, {beams.violate:,} stand in empty space, {beams.occluded:,} are occluded"
     )
     return _info(text)
@@ -108,7 +117,7 @@ def _(event: events.HypothesesAssessed) -> tuple[LogLine, ...]:
 @narrate.register
 def _(event: events.PairRegistered) -> tuple[LogLine, ...]:
     found = event.registration
-    start = f"hypothesis #{found.hypothesis}" if found.hypothesis >= 0 else "the merged pose"
+    start = _start_of(found)
     text = (
         f"{pair_label(found.target, found.source)} from {start}: fitness {found.fitness:.3f}, "
         f"RMSE {found.rmse_m:.3f} m after {found.iterations} iterations"
@@ -116,6 +125,16 @@ def _(event: events.PairRegistered) -> tuple[LogLine, ...]:
     doubts = "; ".join(reason.text for reason in found.verdict.reasons)
     verdict = f"{found.verdict.outcome}: {doubts}" if doubts else found.verdict.outcome
     return (LogLine("INFO" if found.verdict.accepted else "WARN", f"{text}; {verdict}"),)
+
+
+def _name_of(assessment: Assessment) -> str:
+    return "the prior" if assessment.origin == PRIOR else f"#{assessment.hypothesis}"
+
+
+def _start_of(found: PairRegistration) -> str:
+    if found.hypothesis < 0:
+        return "the merged pose"
+    return "the prior" if found.start_label == PRIOR else f"hypothesis #{found.hypothesis}"
 
 
 @narrate.register
@@ -166,5 +185,6 @@ def _(event: events.CalibrationFinished) -> tuple[LogLine, ...]:
     level: LogLevel = "WARN" if missing else "INFO"
     return (
         *missing,
+        *(LogLine("WARN", text) for text in surprises(result)),
         LogLine(level, f"calibration {result.status}: {placed} of {len(result.placements)} LiDARs placed"),
     )

@@ -8,7 +8,7 @@ import rerun as rr
 
 from multilica import events
 from multilica.geometry import RigidTransform
-from multilica.results import Assessment, PairKey, PairRegistration
+from multilica.results import Assessment, PairKey, PairRegistration, hypothesis_label
 from multilica.sinks.palette import AGREE, OCCLUDED, VIOLATE, Rgb
 from multilica.sinks.rerun_curves import log_curves
 from multilica.sinks.rerun_matches import log_verdict_on_matches
@@ -34,7 +34,8 @@ def log_hypotheses(scene: Scene, event: events.HypothesesFound) -> None:
     hypotheses = event.coarse.hypotheses
     for index in reversed(range(len(hypotheses))):
         scene.advance()
-        _log_pose(scene, pair, str(index), hypotheses[index].T_target_source)
+        start = hypothesis_label(index, hypotheses[index].origin)
+        _log_pose(scene, pair, start, hypotheses[index].T_target_source)
     log_verdict_on_matches(scene, event.correspondences, hypotheses[0] if hypotheses else None)
 
 
@@ -43,7 +44,7 @@ def log_assessments(scene: Scene, event: events.HypothesesAssessed) -> None:
     pair = (event.target, event.source)
     for assessment in reversed(event.assessments[:_MAX_SHOWN_ASSESSMENTS]):
         scene.advance()
-        _log_pose(scene, pair, str(assessment.hypothesis), assessment.T_target_source)
+        _log_pose(scene, pair, assessment.label, assessment.T_target_source)
         _log_judged_points(scene, pair, assessment)
 
 
@@ -67,16 +68,17 @@ def show_best_poses(scene: Scene) -> None:
 def _best_start(scene: Scene, pair: PairKey) -> str | None:
     story = scene.story
     if pair in story.registrations:
-        return str(story.registrations[pair].hypothesis)
+        return story.registrations[pair].start_label
     if story.assessments.get(pair):
-        return str(story.assessments[pair][0].hypothesis)
-    return "0" if pair in story.coarse and story.coarse[pair].hypotheses else None
+        return story.assessments[pair][0].label
+    hypotheses = story.coarse[pair].hypotheses if pair in story.coarse else ()
+    return hypothesis_label(0, hypotheses[0].origin) if hypotheses else None
 
 
 def _start(scene: Scene, registration: PairRegistration) -> str:
     """The hypothesis that it started from; in the merge stage the how manieth registration of merged clouds it is."""
     merged = len(scene.story.merged_registrations)
-    return f"merged-{merged}" if scene.story.stage == "merge" else str(registration.hypothesis)
+    return f"merged-{merged}" if scene.story.stage == "merge" else registration.start_label
 
 
 def _log_pose(scene: Scene, pair: PairKey, start: str, T_target_source: RigidTransform) -> None:
@@ -100,7 +102,7 @@ def _show_at(scene: Scene, pair: PairKey, start: str) -> None:
 
 def _log_judged_points(scene: Scene, pair: PairKey, assessment: Assessment) -> None:
     target, source = pair
-    frame = hypothesis_frame(target, source, str(assessment.hypothesis))
+    frame = hypothesis_frame(target, source, assessment.label)
     for label, (name, colour) in _JUDGED.items():
         points_m = np.asarray(assessment.probes_m[assessment.testimony.labels == label], dtype=np.float32)
         scene.log_points(pair_path(target, source, "judged", name), frame, points_m, colour, radius_pixels=2.5)

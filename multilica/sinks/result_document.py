@@ -77,7 +77,19 @@ def _placement(placement: LidarPlacement) -> dict[str, Any]:
         "sigma_xyz_m": placement.sigma_xyz_m,
         "sigma_rotation_deg": placement.sigma_rotation_deg,
         "covariance": placement.covariance,
+        "prior": _prior(placement),
         "reason": placement.reason,
+    }
+
+
+def _prior(placement: LidarPlacement) -> dict[str, Any] | None:
+    if placement.T_target_source_prior is None:
+        return None
+    off_m, off_rad = placement.prior_deviation or (math.nan, math.nan)
+    return {
+        **_pose(placement.T_target_source_prior),
+        "deviation_m": off_m,
+        "deviation_deg": math.degrees(off_rad),
     }
 
 
@@ -128,6 +140,7 @@ def _assessment(assessment: Assessment) -> dict[str, Any]:
     beams = assessment.testimony
     return {
         "hypothesis": assessment.hypothesis,
+        "origin": assessment.origin,
         "T_target_source": assessment.T_target_source.matrix,
         "agree": beams.agree,
         "violate": beams.violate,

@@ -5,8 +5,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from multilica.results import CalibrationResult, LidarPlacement, MergeDecision, PairKey, Testimony
+from multilica.results import (
+    PRIOR,
+    CalibrationResult,
+    Hypothesis,
+    LidarPlacement,
+    MergeDecision,
+    PairKey,
+    Testimony,
+)
 from multilica.sinks.narration import pair_label
+from multilica.sinks.prior_words import surprises
 from multilica.sinks.run_story import RunStory
 
 __all__ = ["decisions_markdown", "fitness_markdown", "hypotheses_markdown", "summary_markdown"]
@@ -35,6 +44,9 @@ def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
     missing = [place for place in result.placements if not place.placed]
     if missing:
         yield "\n".join(f"- **{_cell(place.lidar)} is not placed**: {place.reason}" for place in missing)
+    against_prior = surprises(result)
+    if against_prior:
+        yield "\n".join(f"- {text}" for text in against_prior)
     yield f"Target: **{_cell(result.target)}**. {result.target_reason}"
     yield _table(
         ("LiDAR", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg", "fitness", "RMSE m"),
@@ -72,7 +84,7 @@ def _version_part(story: RunStory) -> str:
 
 
 def hypotheses_markdown(story: RunStory) -> str:
-    """Per pair its best poses with what speaks for each."""
+    """Per pair its best poses with what speaks for each, and that of the prior."""
     header = ("pair", "pose", "matches", "agree", "violate", "evidence", "fitness", "RMSE m", "verdict")
     rows = [row for pair in story.pairs for row in _hypothesis_rows(story, pair)]
     legend = (
@@ -87,19 +99,25 @@ def _hypothesis_rows(story: RunStory, pair: PairKey) -> Iterable[Sequence[str]]:
     order = _believed(story, pair)
     if not order:
         yield (label, "none", f"0 of {len(story.matches.get(pair, ()))}", *("-",) * 6)
-    for index in order[:_SHOWN_HYPOTHESES]:
-        yield (label, f"#{index}", *_scores(story, pair, index))
+    claimed = [index for index, one in enumerate(_hypotheses(story, pair)) if one.origin == PRIOR]
+    shown = dict.fromkeys([*order[:_SHOWN_HYPOTHESES], *claimed])
+    for index in shown:
+        yield (label, PRIOR if index in claimed else f"#{index}", *_scores(story, pair, index))
+
+
+def _hypotheses(story: RunStory, pair: PairKey) -> Sequence[Hypothesis]:
+    return story.coarse[pair].hypotheses if pair in story.coarse else ()
 
 
 def _believed(story: RunStory, pair: PairKey) -> Sequence[int]:
     """Indices of the pair's hypotheses, the best first."""
     if story.assessments.get(pair):
         return [assessment.hypothesis for assessment in story.assessments[pair]]
-    return range(len(story.coarse[pair].hypotheses)) if pair in story.coarse else ()
+    return range(len(_hypotheses(story, pair)))
 
 
 def _scores(story: RunStory, pair: PairKey, index: int) -> Sequence[str]:
-    hypotheses = story.coarse[pair].hypotheses if pair in story.coarse else ()
+    hypotheses = _hypotheses(story, pair)
     matches = f"{hypotheses[index].score:g}" if index < len(hypotheses) else "-"
     judged = next((one for one in story.assessments.get(pair, ()) if one.hypothesis == index), None)
     visibility = _visibility(judged.testimony) if judged else ("-",) * 3

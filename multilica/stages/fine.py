@@ -37,10 +37,11 @@ class Side:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A pose to start from, with the index of the hypothesis behind it."""
+    """A pose to start from, with index and origin of the hypothesis behind it."""
 
     T_target_source: RigidTransform
     hypothesis: int
+    origin: str = ""
 
 
 def register_best(
@@ -60,18 +61,18 @@ def register_best(
         return replace(registered, hypothesis=first.hypothesis)
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
-        candidates = [Candidate(each.T_target_source.inverse(), each.hypothesis) for each in candidates]
+        candidates = [replace(each, T_target_source=each.T_target_source.inverse()) for each in candidates]
     finished: list[tuple[Assessment, PairRegistration]] = []
     for candidate in _finalists(target, source, candidates, verify):
         drafted = register(target.draft, source.draft, candidate.T_target_source, fine, threads)
-        assessment = _assess(target, source, drafted, candidate.hypothesis, verify)
+        assessment = _assess(target, source, drafted, candidate.hypothesis, candidate.origin, verify)
         if is_distinct(assessment.T_target_source, (other.T_target_source for other, _ in finished)):
             finished.append((assessment, drafted))
     finished.sort(key=lambda pair: -pair[0].evidence)
     best, registered = finished[0]
     if best.evidence > 0.0:
         registered = register(target.cloud, source.cloud, best.T_target_source, fine, threads)
-        best = _assess(target, source, registered, best.hypothesis, verify)
+        best = _assess(target, source, registered, best.hypothesis, best.origin, verify)
     return replace(
         registered, hypothesis=best.hypothesis, assessments=(best, *(assessment for assessment, _ in finished[1:]))
     )
@@ -91,7 +92,7 @@ def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], veri
 
 
 def _assess(
-    target: Side, source: Side, registered: PairRegistration, hypothesis: int, verify: VerifyConfig
+    target: Side, source: Side, registered: PairRegistration, hypothesis: int, origin: str, verify: VerifyConfig
 ) -> Assessment:
     pose = registered.T_target_source
     testimony = judge(target.witnesses, source.witnesses, pose, verify.final_tolerance_m, verify.final_tolerance_deg)
@@ -103,4 +104,5 @@ def _assess(
         rmse_m=registered.rmse_m,
         weakest_curvature=weakest_curvature(registered),
         probes_m=source.witnesses[0][1].probes_m,
+        origin=origin,
     )

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+
+import numpy as np
 
 from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import Assessment, CoarseResult, Testimony
+from multilica.results import PRIOR, Assessment, CoarseResult, Hypothesis
 from multilica.stages.gicp import register_narrower
 from multilica.stages.observability import weakest_curvature
 from multilica.stages.poses import is_distinct
@@ -48,6 +50,9 @@ def assess_hypotheses(
     an earlier one ended are the same answer and cost nothing; the rest is left out once one is clearly right. If the
     best is not firmly held, poses along its weakest direction are tried as well.
 
+    The prior is tried first, yet has no say in which of the others are tried: where a scene looks alike both ways, a
+    wrong prior could else end the search before the true pose has its turn.
+
     Args:
         target, source: what both sensors testify, with a thinned cloud each for GICP.
         gicp: the settings of `short_gicp`.
@@ -55,48 +60,63 @@ def assess_hypotheses(
     Returns:
         The distinct answers, the one with the most evidence first.
     """
+    claimed: list[Assessment] = []
     found: list[Assessment] = []
-
-    def try_from(start: RigidTransform, hypothesis: int) -> None:
-        if not is_distinct(start, (other.T_target_source for other in found)):
-            return
-        assessment = _assess(target, source, start, hypothesis, config, gicp, threads)
-        if is_distinct(assessment.T_target_source, (other.T_target_source for other in found)):
-            found.append(assessment)
-
     for index, hypothesis in enumerate(coarse.hypotheses):
-        try_from(hypothesis.T_target_source, index)
-        if _is_settled(found, config):
-            break
-    best = max(found, key=lambda assessment: assessment.evidence, default=None)
-    if best is not None and _may_have_slid(best.testimony, config):
-        for slid in _slides(best, config):
-            try_from(slid, best.hypothesis)
+        tried = claimed if hypothesis.origin == PRIOR else found
+        if tried is found and _is_settled(found, config):
+            continue
+        if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in tried)):
+            continue
+        assessment = _assess(target, source, index, hypothesis, config, gicp, threads)
+        if is_distinct(assessment.T_target_source, (other.T_target_source for other in tried)):
+            tried.append(assessment)
+    for assessment in claimed:
+        found = _joined(found, assessment)
+    for index, hypothesis in _slides(found, config):
+        if is_distinct(hypothesis.T_target_source, (other.T_target_source for other in found)):
+            found = _joined(found, _assess(target, source, index, hypothesis, config, gicp, threads))
     return tuple(sorted(found, key=lambda assessment: -assessment.evidence))
 
 
-def _may_have_slid(testimony: Testimony, config: VerifyConfig) -> bool:
-    return testimony.agree >= config.min_agree and testimony.held_by < config.firmly_held_by
+def _joined(found: Sequence[Assessment], further: Assessment) -> list[Assessment]:
+    """The answers with one more: an answer of its own, or the better one of those that are the same."""
+    same = [other for other in found if not is_distinct(further.T_target_source, [other.T_target_source])]
+    if any(other.evidence >= further.evidence for other in same):
+        return list(found)
+    return [further, *(other for other in found if other not in same)]
 
 
-def _slides(assessment: Assessment, config: VerifyConfig) -> Iterator[RigidTransform]:
-    """The pose shifted along its weakest direction: where facades or pillars repeat, the true one may be steps away."""
-    pose, direction = assessment.T_target_source, assessment.testimony.slide_direction
-    for step in range(1, config.slides + 1):
-        for side in (-1.0, 1.0):
-            xyz_m = pose.xyz_m + side * step * config.slide_step_m * direction
-            yield RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
+def _slides(found: Sequence[Assessment], config: VerifyConfig) -> list[tuple[int, Hypothesis]]:
+    """The best answer shifted along its weakest direction, unless it is firmly held.
+
+    Where facades or pillars repeat, the true pose may be steps away.
+    """
+    best = max(found, key=lambda assessment: assessment.evidence, default=None)
+    if best is None or best.testimony.agree < config.min_agree or best.testimony.held_by >= config.firmly_held_by:
+        return []
+    pose, shift_m = best.T_target_source, config.slide_step_m * best.testimony.slide_direction
+    shifted = [
+        RigidTransform.from_rotation_translation(
+            pose.target, pose.source, pose.rotation, pose.xyz_m + side * step * shift_m
+        )
+        for step in range(1, config.slides + 1)
+        for side in (-1.0, 1.0)
+    ]
+    nothing = np.zeros(0, dtype=bool)
+    return [(best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin)) for pose in shifted]
 
 
 def _assess(
     target: tuple[Witness, RegistrationCloud],
     source: tuple[Witness, RegistrationCloud],
-    start: RigidTransform,
-    hypothesis: int,
+    index: int,
+    hypothesis: Hypothesis,
     config: VerifyConfig,
     gicp: FineConfig,
     threads: int,
 ) -> Assessment:
+    start = hypothesis.T_target_source
     registration = register_narrower(target[1], source[1], start, gicp, threads)
     forth = registration.target == start.target
     pose = registration.T_target_source if forth else registration.T_target_source.inverse()
@@ -104,13 +124,14 @@ def _assess(
     there = [(RigidTransform.identity(start.source, start.source), source[0])]
     testimony = judge(here, there, pose, config.tolerance_m, config.tolerance_deg)
     return Assessment(
-        hypothesis=hypothesis,
+        hypothesis=index,
         T_target_source=pose,
         testimony=testimony,
         fitness=registration.fitness,
         rmse_m=registration.rmse_m,
         weakest_curvature=weakest_curvature(registration),
         probes_m=source[0].probes_m,
+        origin=hypothesis.origin,
     )
 
 

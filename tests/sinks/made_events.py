@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -11,8 +12,10 @@ import numpy as np
 
 from multilica import events
 from multilica.config import STAGES, CalibrationConfig, Stage
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import (
+    PRIOR,
     Assessment,
     CalibrationResult,
     CoarseResult,
@@ -48,11 +51,16 @@ TRUTH = {
 }
 
 
-def made_events(outcome: str = "complete", until: Stage = "ground", **config: Any) -> Iterator[events.Event]:
-    """A run that places all LiDARs (`complete`), or all but `UNPLACED` (`partial`), or none (`failed`)."""
+def made_events(
+    outcome: str = "complete", until: Stage = "ground", *, prior: Extrinsics | None = None, **config: Any
+) -> Iterator[events.Event]:
+    """A run that places all LiDARs (`complete`), or all but `UNPLACED` (`partial`), or none (`failed`).
+
+    With a prior, every registration starts from it.
+    """
     settings = CalibrationConfig(target=TARGET, until=until, ground={"enabled": True}, **config)
-    run = _Run(outcome)
-    yield events.CalibrationStarted(run.snapshot, settings)
+    run = _Run(outcome, prior)
+    yield events.CalibrationStarted(run.snapshot, settings, prior)
     for stage in STAGES[: STAGES.index(until) + 1]:
         yield events.StageStarted(stage, 0)
         yield from getattr(run, stage)()
@@ -61,8 +69,9 @@ def made_events(outcome: str = "complete", until: Stage = "ground", **config: An
 
 
 class _Run:
-    def __init__(self, outcome: str) -> None:
+    def __init__(self, outcome: str, prior: Extrinsics | None) -> None:
         self.outcome = outcome
+        self.prior = prior
         self.random = np.random.default_rng(SEED)
         world = _world(self.random)
         self.points = {
@@ -122,13 +131,19 @@ class _Run:
             yield events.HypothesesFound(self._coarse_result(target, source, len(matches)), matches)
 
     def _coarse_result(self, target: str, source: str, count: int) -> CoarseResult:
+        claimed = self._claimed(target, source, count)
         if self.outcome == "failed" and UNPLACED in (target, source):
-            return CoarseResult(target, source, ())
+            return CoarseResult(target, source, claimed)
         right = np.arange(count) % 4 == 0
         turned = RigidTransform.from_xyz_rpy(target, target, (0.0, 0.0, 0.0), (0.0, 0.0, np.pi))
         good = Hypothesis(self.truth(target, source), right, float(right.sum()), "cliques")
         bad = Hypothesis(turned @ self.truth(target, source), np.zeros(count, dtype=bool), 5.0, "cliques")
-        return CoarseResult(target, source, (good, bad), graph_nodes=count, graph_edges=200)
+        return CoarseResult(target, source, (good, bad, *claimed), graph_nodes=count, graph_edges=200)
+
+    def _claimed(self, target: str, source: str, count: int) -> tuple[Hypothesis, ...]:
+        if self.prior is None:
+            return ()
+        return (Hypothesis(self.prior.between(target, source), np.zeros(count, dtype=bool), 3.0, PRIOR),)
 
     def verify(self):
         for target, source in self.pairs():
@@ -142,7 +157,8 @@ class _Run:
         testimony = (
             Testimony(90, 1, 5, 5, np.eye(6), labels) if index == 0 else Testimony(20, 60, 5, 5, np.eye(6), labels)
         )
-        return Assessment(index, hypothesis.T_target_source, testimony, 0.8 - 0.3 * index, 0.05, 1.0, probes)
+        pose, fitness = hypothesis.T_target_source, 0.8 - 0.3 * index
+        return Assessment(index, pose, testimony, fitness, 0.05, 1.0, probes, hypothesis.origin)
 
     def fine(self):
         for target, source in self.pairs():
@@ -151,7 +167,7 @@ class _Run:
             # The pipeline registers the sparser cloud against the denser one, whichever way round they were matched.
             swap = (target, source) == self.pairs()[0]
             pair = (source, target) if swap else (target, source)
-            self.registrations[pair] = self._registration(*pair, hypothesis=0)
+            self.registrations[pair] = self._registration(*pair, hypothesis=0 if self.prior is None else 2)
             yield events.PairRegistered(self.registrations[pair])
 
     def _registration(self, target: str, source: str, hypothesis: int) -> PairRegistration:
@@ -174,9 +190,14 @@ class _Run:
             hypothesis=hypothesis,
             hessian=np.eye(6),
             steps=steps,
-            assessments=(self._assessment(source, 0, Hypothesis(self.truth(target, source), np.zeros(0), 0.0, "")),),
+            assessments=(self._final(target, source, hypothesis),),
             verdict=Verdict("reject", (doubt,)) if refused else Verdict("accept"),
         )
+
+    def _final(self, target: str, source: str, hypothesis: int) -> Assessment:
+        origin = PRIOR if self.prior is not None and hypothesis >= 0 else ""
+        judged = self._assessment(source, 0, Hypothesis(self.truth(target, source), np.zeros(0), 0.0, origin))
+        return replace(judged, hypothesis=hypothesis)
 
     def merge(self):
         yield events.TargetChosen(TARGET, "as asked for")
@@ -224,6 +245,11 @@ class _Run:
         )
 
     def _placement(self, name: str, *, merged: bool) -> LidarPlacement:
+        placement = self._placed(name, merged=merged)
+        claimed = None if self.prior is None else self.prior.between(TARGET, name)
+        return replace(placement, T_target_source_prior=claimed)
+
+    def _placed(self, name: str, *, merged: bool) -> LidarPlacement:
         if name == TARGET:
             return LidarPlacement(name, "the target", placed=True, T_target_source=TRUTH[name], fitness=1.0, rmse_m=0.0)
         if not merged:

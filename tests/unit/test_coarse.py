@@ -6,7 +6,7 @@ import pytest
 
 from multilica.config import CoarseConfig
 from multilica.geometry import RigidTransform
-from multilica.results import Correspondences
+from multilica.results import PRIOR, Correspondences
 from multilica.stages.coarse import find_hypotheses
 
 _TRUTH = RigidTransform.from_xyz_rpy("t", "s", [1.0, 0.5, -0.2], [0.1, -0.05, 2.0])
@@ -45,6 +45,29 @@ def test_hypotheses_are_distinct_sorted_and_no_more_than_asked_for():
     for one, other in combinations(coarse.hypotheses, 2):
         metres, radians = one.T_target_source.distance_to(other.T_target_source)
         assert metres > 0.5 or radians > np.deg2rad(5.0)
+
+
+def test_the_prior_comes_last_and_leaves_the_others_as_they_are():
+    matches = _matches((_TRUTH, 60), (_MIRAGE, 90))
+    without, coarse = (find_hypotheses(matches, CoarseConfig(), 0, prior) for prior in (None, _TRUTH))
+    *others, claimed = coarse.hypotheses
+    assert [one.T_target_source.matrix.tobytes() for one in others] == [
+        one.T_target_source.matrix.tobytes() for one in without.hypotheses
+    ]
+    assert (claimed.origin, claimed.T_target_source) == (PRIOR, _TRUTH)
+    assert claimed.score == pytest.approx(60, abs=3)
+    assert {one.origin for one in others} == {"cliques"}
+
+
+def test_the_prior_is_a_hypothesis_where_the_matches_agree_on_nothing():
+    coarse = find_hypotheses(_matches((_TRUTH, 2)), CoarseConfig(), 0, _MIRAGE)
+    assert [one.origin for one in coarse.hypotheses] == [PRIOR]
+
+
+def test_a_prior_beyond_the_baseline_is_no_hypothesis():
+    near, far = (find_hypotheses(_matches((_TRUTH, 60)), CoarseConfig(), 0, pose) for pose in (_MIRAGE, _FAR))
+    assert near.hypotheses[-1].origin == PRIOR
+    assert PRIOR not in [one.origin for one in far.hypotheses]
 
 
 def test_a_pose_beyond_the_baseline_is_no_hypothesis():

@@ -6,7 +6,7 @@ import pytest
 
 from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import CoarseResult, Hypothesis
+from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.verify import assess_hypotheses, short_gicp
 from multilica.stages.witness import prepare_witness
@@ -33,8 +33,9 @@ def sides():
     ]
 
 
-def _assessed(sides, *poses, config=_CONFIG):
-    hypotheses = tuple(Hypothesis(pose, np.zeros(0, dtype=bool), 0.0, "test") for pose in poses)
+def _assessed(sides, *poses, config=_CONFIG, prior=None):
+    origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
+    hypotheses = tuple(Hypothesis(pose, np.zeros(0, dtype=bool), 0.0, origin) for pose, origin in origins)
     return assess_hypotheses(*sides, CoarseResult("t", "s", hypotheses), config, _GICP, 1)
 
 
@@ -93,6 +94,47 @@ def test_a_pose_that_slid_along_a_row_of_pillars_is_found_back():
     assert all(other.evidence < 0.0 < best.evidence for other in others)
     (stuck,) = _assessed(sides, slid, config=held_loosely.model_copy(update={"slides": 0}))
     assert stuck.T_target_source.distance_to(slid)[0] < 0.1
+
+
+def _labels(found):
+    return [assessment.label for assessment in found]
+
+
+def test_the_prior_is_judged_like_the_others(sides):
+    found = _assessed(sides, _near(_HALF_TURN), prior=_near(_TRUTH))
+    assert _labels(found) == ["prior", "0"]
+    assert (found[0].hypothesis, found[0].origin) == (1, PRIOR)
+    alone = _assessed(sides, _near(_TRUTH))
+    assert found[0].evidence == alone[0].evidence
+    assert found[0].T_target_source.matrix.tobytes() == alone[0].T_target_source.matrix.tobytes()
+
+
+def test_a_wrong_prior_loses(sides):
+    found = _assessed(sides, _near(_TRUTH), prior=_near(_HALF_TURN))
+    assert _labels(found) == ["0", "prior"]
+    assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
+
+
+@pytest.mark.parametrize("prior", [_HALF_TURN, _TRUTH, _near(_TRUTH, (0.25, 0, 0)), _near(_TRUTH, (6.0, 0, 0))])
+def test_the_prior_has_no_say_in_which_others_are_tried(sides, prior):
+    poses = [_near(_HALF_TURN), *(_near(_TRUTH, (0, 0, 0), yaw) for yaw in (0.8, 1.6, 2.4)), _near(_TRUTH)]
+    config = _CONFIG.model_copy(update={"settled_after": 2})
+    without = {one.label: one for one in _assessed(sides, *poses, config=config)}
+    found = _assessed(sides, *poses, config=config, prior=prior)
+    kept = [one for one in found if one.origin != PRIOR]
+    assert {one.label for one in kept} <= set(without)
+    assert all(one.evidence == without[one.label].evidence for one in kept)
+    lost = [without[label] for label in set(without) - set(_labels(kept))]
+    assert all(one.T_target_source.distance_to(found[0].T_target_source)[0] < 0.3 for one in lost)
+    assert found[0].evidence >= max(one.evidence for one in without.values())
+
+
+def test_of_two_starts_with_the_same_end_the_one_with_more_evidence_stays(sides):
+    (solver,) = _assessed(sides, _near(_TRUTH))
+    (prior,) = _assessed(sides, prior=_TRUTH)
+    (both,) = _assessed(sides, _near(_TRUTH), prior=_TRUTH)
+    assert both.evidence == max(solver.evidence, prior.evidence)
+    assert both.label == ("0" if solver.evidence >= prior.evidence else "prior")
 
 
 def test_without_hypotheses_there_is_no_answer(sides):
