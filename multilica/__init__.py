@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from multilica.errors import InputError, MultilicaError, UsageError
     from multilica.extrinsics import Extrinsics, read_extrinsics
     from multilica.geometry import RigidTransform
-    from multilica.ingest import read_snapshot
+    from multilica.ingest import read_prior, read_snapshot
     from multilica.pipeline import calibrate
     from multilica.results import CalibrationResult
     from multilica.snapshot import LidarScans, Scan, Snapshot
@@ -33,6 +33,7 @@ _HOMES = {
     "load_config": "config",
     "preset": "config",
     "read_extrinsics": "extrinsics",
+    "read_prior": "ingest",
     "read_snapshot": "ingest",
 }
 
@@ -52,6 +53,7 @@ __all__ = [
     "load_config",
     "preset",
     "read_extrinsics",
+    "read_prior",
     "read_snapshot",
 ]
 

@@ -11,7 +11,8 @@
     └── InputError                  the recording cannot be used            exit code 3
         ├── SourceNotFoundError     nothing at that path
         ├── UnreadableSourceError   broken, truncated, or not what its name says
-        └── UnfitSnapshotError      readable, yet nothing that can be calibrated
+        ├── UnfitSnapshotError      readable, yet nothing that can be calibrated
+        └── UnfitPriorError         readable, yet no poses of this rig's LiDARs
 
 Each message is one sentence that says what was found, where, what was expected and what to do.
 """
@@ -27,6 +28,7 @@ __all__ = [
     "MissingDependencyError",
     "MultilicaError",
     "SourceNotFoundError",
+    "UnfitPriorError",
     "UnfitSnapshotError",
     "UnknownNameError",
     "UnreadableSourceError",
@@ -85,3 +87,7 @@ class UnreadableSourceError(InputError):
 
 class UnfitSnapshotError(InputError):
     """The source was read, yet holds nothing that can be calibrated."""
+
+
+class UnfitPriorError(InputError):
+    """The prior was read, yet does not say how LiDARs of this snapshot sit to each other."""

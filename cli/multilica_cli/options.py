@@ -14,6 +14,7 @@ __all__ = [
     "Json",
     "McapEncoding",
     "Preset",
+    "PriorSource",
     "Quiet",
     "Settings",
     "Sources",
@@ -39,6 +40,15 @@ StartSeconds = Annotated[
     float | None, typer.Option("--start", metavar="S", help="Seconds after the first frame at which to begin.")
 ]
 Preset = Annotated[str | None, typer.Option("--preset", metavar="default|paper", help="Parameters to start from.")]
+PriorSource = Annotated[
+    str | None,
+    typer.Option(
+        "--prior",
+        metavar="tf|FILE",
+        help="Poses to try as well: the recording's /tf_static, or a file, TOML (as calibration.toml) or URDF.",
+        show_default=False,
+    ),
+]
 ConfigFile = Annotated[
     Path | None,
     typer.Option("--config", metavar="FILE", help="Parameters as TOML; `multilica config --toml` prints one."),

@@ -22,6 +22,7 @@ def print_document(run: FinishedRun) -> None:
 
 def print_placements(run: FinishedRun, console: Console) -> None:
     """The table of the extrinsics, with a reason for each LiDAR that is not in it."""
+    from multilica.sinks.prior_words import surprises
     from multilica_cli.tables import placements_table
 
     result = run.result
@@ -29,6 +30,8 @@ def print_placements(run: FinishedRun, console: Console) -> None:
     for placement in result.placements:
         if not placement.placed:
             console.print(f"{placement.lidar}: {placement.reason}")
+    for text in surprises(result):
+        console.print(text)
     console.print(f"target {result.target}: {result.target_reason}")
     if result.ground is not None:
         console.print(_ground_line(result.target, result.ground))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from multilica.config import CalibrationConfig
     from multilica.events import Event, Observer
+    from multilica.extrinsics import Extrinsics
     from multilica.results import CalibrationResult
     from multilica.snapshot import Snapshot
 
@@ -48,10 +49,14 @@ def calibrate_sources(
     out_dir: Path,
     config: CalibrationConfig,
     *,
+    prior: str | None = None,
     mcap_encoding: str = "foxglove",
     quiet: bool = False,
 ) -> FinishedRun:
     """Read, calibrate and write, with progress on stderr.
+
+    Args:
+        prior: as `--prior` takes it.
 
     Raises:
         InputError: the sources cannot be read, or hold nothing that can be calibrated.
@@ -64,6 +69,7 @@ def calibrate_sources(
     console = stderr_console(quiet=quiet)
     with show_progress(console) as show:
         snapshot = _read(sources, config, show, console)
+        known = None if prior is None else _read_known(prior, snapshot, config, console)
         with _told_where(out_dir), open_run(out_dir, config, mcap_encoding) as run:
 
             def observe(event: Event) -> None:
@@ -71,7 +77,7 @@ def calibrate_sources(
                 if getattr(event, "stage", None) != "ingest":
                     show(event)
 
-            result = calibrate(snapshot, config, observe)
+            result = calibrate(snapshot, config, observe, known)
     return FinishedRun(result, out_dir, run.written)
 
 
@@ -90,6 +96,18 @@ def _read(sources: Sequence[Path], config: CalibrationConfig, show: Observer, co
     for note in snapshot.notes:
         console.print(f"note: {note}")
     return snapshot
+
+
+def _read_known(prior: str, snapshot: Snapshot, config: CalibrationConfig, console: Console) -> Extrinsics:
+    """The prior, refused as early as the snapshot would be."""
+    from multilica.ingest import read_prior
+    from multilica.stages.prior import require_usable
+
+    known = read_prior(prior, snapshot)
+    require_usable(known.extrinsics, snapshot, config)
+    for note in known.notes:
+        console.print(f"note: {note}")
+    return known.extrinsics
 
 
 def exit_code_of(result: CalibrationResult, config: CalibrationConfig) -> ExitCode:

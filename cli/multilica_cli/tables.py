@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["POSE_COLUMNS", "placements_table", "plain_table", "truth_table"]
 
 
+_PRIOR_COLUMNS = ("off prior\nmm", "off prior\ndeg")
 POSE_COLUMNS = ("x\nm", "y\nm", "z\nm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg")
 
 
@@ -37,11 +38,17 @@ def plain_table(title: str, columns: Iterable[str], *, numbers_from: int = 1) ->
 
 def placements_table(result: CalibrationResult) -> Table:
     """Where each LiDAR sits in the target's frame."""
-    columns = ("LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness")
+    prior = any(placement.T_target_source_prior is not None for placement in result.placements)
+    columns = ["LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness"]
+    columns += _PRIOR_COLUMNS if prior else ()
     table = plain_table(f"T_target_source, target {result.target}", columns, numbers_from=2)
     for placement in result.placements:
         table.add_row(
-            placement.lidar, _status(placement, result.target), *_pose(placement), *_scores(placement, result.target)
+            placement.lidar,
+            _status(placement, result.target),
+            *_pose(placement),
+            *_scores(placement, result.target),
+            *(_off_prior(placement, result.target) if prior else ()),
         )
     return table
 
@@ -85,6 +92,12 @@ def _scores(placement: LidarPlacement, target: str) -> tuple[str, str, str]:
     if sigma_xyz_m is None or sigma_rotation_deg is None:
         return "-", "-", f"{placement.fitness:.3f}"
     return f"{1000.0 * max(sigma_xyz_m):.1f}", f"{max(sigma_rotation_deg):.3f}", f"{placement.fitness:.3f}"
+
+
+def _off_prior(placement: LidarPlacement, target: str) -> tuple[str, str]:
+    if placement.lidar == target or placement.prior_deviation is None:
+        return "-", "-"
+    return _difference(*placement.prior_deviation)
 
 
 def _numbers(values: Iterable[float], digits: int) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from multilica.ingest.prior import Prior, read_prior
 from multilica.ingest.reading import read_snapshot
 from multilica.ingest.requirement import require_calibratable
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
@@ -10,8 +11,10 @@ from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, Sourc
 __all__ = [
     "CloudTopicSummary",
     "OtherTopicSummary",
+    "Prior",
     "SourceSummary",
     "inspect_source",
+    "read_prior",
     "read_snapshot",
     "require_calibratable",
 ]

@@ -50,7 +50,7 @@ def assess_hypotheses(
     an earlier one ended are the same answer and cost nothing; the rest is left out once one is clearly right. If the
     best is not firmly held, poses along its weakest direction are tried as well.
 
-    The prior is tried first, yet has no say in which of the others are tried: where a scene looks alike both ways, a
+    The prior has no say in which of the others are tried: where a scene looks alike both ways, a
     wrong prior could else end the search before the true pose has its turn.
 
     Args:

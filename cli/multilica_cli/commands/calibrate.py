@@ -15,6 +15,7 @@ from multilica_cli.options import (
     Json,
     McapEncoding,
     Preset,
+    PriorSource,
     Quiet,
     Settings,
     Sources,
@@ -43,6 +44,7 @@ def calibrate(
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where results go.", show_default="recordings/runs/<source>")
     ] = None,
+    prior: PriorSource = None,
     topics: Topics = None,
     frames: Frames = None,
     start_s: StartSeconds = None,
@@ -70,7 +72,7 @@ def calibrate(
     }
     config = resolve_config(preset, config_file, options, settings or ())
     out_dir = out or default_out_dir(sources)
-    run = calibrate_sources(sources, out_dir, config, mcap_encoding=mcap_encoding, quiet=quiet)
+    run = calibrate_sources(sources, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)
     if as_json:
         print_document(run)
     else:
