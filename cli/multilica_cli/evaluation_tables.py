@@ -50,7 +50,7 @@ def _detail_table(evaluation: Evaluation) -> Table:
     title = "Found less true, in the target's axes"
     if len(shown) < len(every):
         title += f" ({len(every) - len(shown)} LiDARs within are not listed)"
-    table = plain_table(title, ("run", "LiDAR", "outcome", *_ERROR_COLUMNS), numbers_from=3)
+    table = plain_table(title, ("run", "LiDAR", "outcome", *_ERROR_COLUMNS, "off by\nsigma"), numbers_from=3)
     labels = _short_names(evaluation.runs)
     before: Comparison | None = None
     for one in shown:
@@ -58,7 +58,8 @@ def _detail_table(evaluation: Evaluation) -> Table:
         if first and before is not None:
             table.add_section()
         label = labels[one.run] if first else ""
-        table.add_row(label, one.placement.lidar, _WORDS[one.outcome], *_errors(one.error))
+        sigma = "-" if one.error_sigma is None else f"{one.error_sigma:.1f}"
+        table.add_row(label, one.placement.lidar, _WORDS[one.outcome], *_errors(one.error), sigma)
         before = one
     return table
 
@@ -89,7 +90,8 @@ def _statistics_table(evaluation: Evaluation) -> Table:
 def _outcome_table(evaluation: Evaluation) -> Table:
     limits = evaluation.tolerances
     within = f"within\n{1e3 * limits.within_m:g} mm, {degrees(limits.within_rad):g} deg"
-    wrong = f"false accept\n> {1e3 * limits.wrong_m:g} mm or {degrees(limits.wrong_rad):g} deg"
+    wrong = f"false accept\n> {1e3 * limits.wrong_m:g} mm, {degrees(limits.wrong_rad):g} deg"
+    wrong += f" or {limits.wrong_sigma:g} sigma"
     columns = ("LiDAR", "compared", within, "between", wrong, "false refuse\nnot placed")
     table = plain_table("Outcomes", columns)
     by_lidar = evaluation.by_lidar

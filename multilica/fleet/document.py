@@ -49,6 +49,8 @@ def comparison_row(comparison: Comparison) -> dict[str, Any]:
         "placed": comparison.error is not None,
         "outcome": comparison.outcome,
         **{f"error_{name}": value for name, value in _components(comparison.error).items()},
+        "error_normalised": comparison.normalised,
+        "error_sigma": comparison.error_sigma,
         "fitness": placement.fitness,
         "reason": placement.reason,
     }
@@ -60,6 +62,7 @@ def _tolerances(tolerances: Tolerances) -> dict[str, float]:
         "within_deg": math.degrees(tolerances.within_rad),
         "wrong_m": tolerances.wrong_m,
         "wrong_deg": math.degrees(tolerances.wrong_rad),
+        "wrong_sigma": tolerances.wrong_sigma,
     }
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from multilica.errors import InputError, UsageError
 from multilica.extrinsics import Extrinsics
-from multilica.fleet.pose_error import PoseError
+from multilica.fleet.pose_error import PoseError, as_sigma, normalised_error
 from multilica.fleet.runs import SavedPlacement, SavedRun
 
 __all__ = [
@@ -40,6 +40,8 @@ class Tolerances:
     Args:
         within_m, within_rad: a placed LiDAR off by no more than both is a success.
         wrong_m, wrong_rad: a placed LiDAR off by more than either is a false accept.
+        wrong_sigma: so is one that is off by more than this by its own covariance (`as_sigma`), however little that
+            is in metres: who relies on the covariance is misled.
 
     Raises:
         UsageError: a limit that is not above zero, or a success that would be wrong.
@@ -49,6 +51,7 @@ class Tolerances:
     within_rad: float = math.radians(0.1)
     wrong_m: float = 0.05
     wrong_rad: float = math.radians(0.5)
+    wrong_sigma: float = 4.0
 
     def __post_init__(self) -> None:
         for unit, scale, within, wrong in (
@@ -60,12 +63,20 @@ class Tolerances:
                     f"Found 'within' {within * scale:g} {unit} and 'wrong' {wrong * scale:g} {unit}; "
                     "expected limits above zero, 'within' not above 'wrong'."
                 )
+        if not 0.0 < self.wrong_sigma < math.inf:
+            raise UsageError(f"Found 'wrong' {self.wrong_sigma:g} sigma; expected limits above zero.")
 
-    def outcome(self, error: PoseError | None) -> Outcome:
-        """The outcome of a LiDAR with that error; None stands for a LiDAR that was not placed."""
+    def outcome(self, error: PoseError | None, normalised: float | None = None) -> Outcome:
+        """The outcome of a LiDAR with that error; None stands for a LiDAR that was not placed.
+
+        Args:
+            normalised: its `normalised_error`; None where the run has no covariance.
+        """
         if error is None:
             return "false_refuse"
         if error.distance_m > self.wrong_m or error.angle_rad > self.wrong_rad:
+            return "false_accept"
+        if normalised is not None and as_sigma(normalised) > self.wrong_sigma:
             return "false_accept"
         right = error.distance_m <= self.within_m and error.angle_rad <= self.within_rad
         return "within" if right else "between"
@@ -94,6 +105,7 @@ class Comparison:
     Args:
         run, truth: names of the two.
         error: None if the run did not place the LiDAR.
+        normalised: the `normalised_error`; None also if the run has no covariance.
     """
 
     run: str
@@ -101,7 +113,13 @@ class Comparison:
     target: str
     placement: SavedPlacement
     error: PoseError | None
+    normalised: float | None
     outcome: Outcome
+
+    @property
+    def error_sigma(self) -> float | None:
+        """See `as_sigma`."""
+        return None if self.normalised is None else as_sigma(self.normalised)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,8 +265,11 @@ def _comparisons(run: SavedRun, truth: Truth, tolerances: Tolerances) -> list[Co
 
 
 def _comparison(run: SavedRun, truth: Truth, placement: SavedPlacement, tolerances: Tolerances) -> Comparison:
-    error = None
+    error, normalised = None, None
     if placement.T_target_source is not None:
         true_pose = truth.extrinsics.between(run.target, placement.lidar)
         error = PoseError.between(placement.T_target_source, true_pose)
-    return Comparison(run.name, truth.name, run.target, placement, error, tolerances.outcome(error))
+        if placement.covariance is not None:
+            normalised = normalised_error(placement.T_target_source, true_pose, placement.covariance)
+    outcome = tolerances.outcome(error, normalised)
+    return Comparison(run.name, truth.name, run.target, placement, error, normalised, outcome)

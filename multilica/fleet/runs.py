@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.geometry import RigidTransform
+from multilica.geometry import FloatArray, RigidTransform, read_only
 from multilica.sinks.result_document import RESULT_SCHEMA
 from multilica.sinks.result_files import RESULT_JSON
 
@@ -27,12 +27,22 @@ class SavedPlacement:
         T_target_source: its pose in the run's target frame; None if the run did not place it.
         fitness: of the registration that placed it; None where it is not known.
         reason: the run's own words.
+        covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes; None where
+            the run does not tell.
+
+    Raises:
+        ValueError: the covariance is not a positive definite 6x6 matrix.
     """
 
     lidar: str
     T_target_source: RigidTransform | None
     fitness: float | None
     reason: str
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.covariance is not None and not _is_covariance(self.covariance):
+            raise ValueError(f"the covariance of LiDAR '{self.lidar}' is not a positive definite 6x6 matrix")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,5 +116,17 @@ def _placement(target: str, lidar: str, entry: Mapping[str, Any]) -> SavedPlacem
         if entry["T_target_source"] is None:
             raise ValueError(f"LiDAR '{lidar}' is placed, yet without a pose")
         pose = RigidTransform(target, lidar, np.asarray(entry["T_target_source"], dtype=np.float64))
-    fitness = entry["fitness"]
-    return SavedPlacement(lidar, pose, None if fitness is None else float(fitness), str(entry["reason"]))
+    fitness, covariance = entry["fitness"], entry["covariance"]
+    return SavedPlacement(
+        lidar,
+        pose,
+        None if fitness is None else float(fitness),
+        str(entry["reason"]),
+        None if covariance is None else read_only(covariance, np.float64),
+    )
+
+
+def _is_covariance(matrix: FloatArray) -> bool:
+    if matrix.shape != (6, 6) or not np.all(np.isfinite(matrix)):
+        return False
+    return bool(np.all(np.linalg.eigvalsh(matrix) > 0.0))

@@ -25,7 +25,7 @@ def test_tables_for_people(invoke: Invoke) -> None:
     outcome = invoke("evaluate", "runs/a", "runs/b/result.json", "--truth", "t.toml", "--out", "table.csv")
     assert outcome.code == 0
     rows = [line.split() for line in outcome.out.splitlines()]
-    assert ["a", "left", "within", "3.0", "4.0", "0.0", "5.0", "0.000", "0.000", "0.050", "0.050"] in rows
+    assert ["a", "left", "within", "3.0", "4.0", "0.0", "5.0", "0.000", "0.000", "0.050", "0.050", "-"] in rows
     assert any(row[:3] == ["rear", "FALSE", "ACCEPT"] for row in rows)
     assert ["all", "4", "2", "(50.0%)", "0", "(0.0%)", "1", "(25.0%)", "1", "(25.0%)"] in rows
     assert "runs with every compared LiDAR within: 0 of 2" in outcome.out
@@ -41,7 +41,7 @@ def test_json_for_programs(invoke: Invoke) -> None:
     assert [overall[key] for key in ("lidars", "within", "false_accept", "false_refuse")] == [4, 2, 1, 1]
     assert document["by_lidar"]["left"]["rmse"]["distance_m"] == pytest.approx(0.005)
     assert document["tolerances"] == pytest.approx(
-        {"within_m": 0.02, "within_deg": 0.1, "wrong_m": 0.05, "wrong_deg": 0.5}
+        {"within_m": 0.02, "within_deg": 0.1, "wrong_m": 0.05, "wrong_deg": 0.5, "wrong_sigma": 4.0}
     )
 
 
@@ -49,6 +49,16 @@ def test_limits_can_be_set(invoke: Invoke) -> None:
     limits = ("--within-m", "0.6", "--within-deg", "6", "--wrong-m", "0.7", "--wrong-deg", "7")
     outcome = invoke("evaluate", "runs/a", "--truth", "t.toml", "--json", *limits)
     assert json.loads(outcome.out)["overall"]["success_rate"] == 1.0
+
+
+def test_small_errors_beyond_four_sigma_are_false_accepts(invoke: Invoke) -> None:
+    write_run(Path("runs/c"), {"left": GOOD}, sigmas=(0.05, 0.0005))
+    outcome = invoke("evaluate", "runs/c", "--truth", "t.toml")
+    assert "or 4 sigma" in outcome.out
+    row = next(line.split() for line in outcome.out.splitlines() if "FALSE ACCEPT" in line)
+    assert float(row[-1]) == pytest.approx(9.0, abs=0.1)
+    lenient = invoke("evaluate", "runs/c", "--truth", "t.toml", "--json", "--wrong-sigma", "10")
+    assert json.loads(lenient.out)["overall"]["within"] == 1
 
 
 def test_what_is_left_out_is_said(invoke: Invoke) -> None:
@@ -86,6 +96,8 @@ def test_quiet_says_nothing(invoke: Invoke) -> None:
         (["runs/a", "--truth", "t.toml", "--truth", "t.toml"], 2, "Found 2 truths for 1 run"),
         (["runs/a", "--truth", "t.toml", "--out", "table.xlsx"], 2, "table.xlsx"),
         (["runs/a", "--truth", "t.toml", "--within-m", "nan"], 2, "limits above zero"),
+        (["runs/a", "--truth", "t.toml", "--wrong-sigma", "0"], 2, "Found 'wrong' 0 sigma"),
+        (["singular.json", "--truth", "t.toml"], 3, "the covariance of LiDAR 'left' is not"),
     ],
 )
 def test_failures_are_one_sentence(arguments: list[str], code: int, words: str, invoke: Invoke) -> None:
@@ -95,6 +107,7 @@ def test_failures_are_one_sentence(arguments: list[str], code: int, words: str, 
         "other": {"schema": "other/1"},
         "list": [1],
         "bent": {**schema, "lidars": [1]},
+        "singular": {**schema, "lidars": {"left": {**entry, "placed": False, "covariance": [[0.0] * 6] * 6}}},
         "poseless": {**schema, "lidars": {"left": entry}},
     }
     for name, document in documents.items():

@@ -8,6 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import tomli_w
 
 from multilica.extrinsics import Extrinsics, extrinsics_table
@@ -36,10 +37,16 @@ def write_truth(path: Path, lidars: Sequence[str] = tuple(TRUE_POSES)) -> Path:
     return path
 
 
-def write_run(path: Path, offsets: Mapping[str, Offset | None], target: str = "front") -> Path:
+def write_run(
+    path: Path,
+    offsets: Mapping[str, Offset | None],
+    target: str = "front",
+    *,
+    sigmas: tuple[float, float] | None = None,
+) -> Path:
     """A run whose poses are off by (dx, dy, dz) m and a turn of (roll, pitch, yaw) deg about the target's axes.
 
-    None stands for a LiDAR that is not placed.
+    None stands for a LiDAR that is not placed; `sigmas` (deg, m) for a covariance that is the same in all directions.
     """
     lidars = {target: entry(RigidTransform.identity(target, target).matrix.tolist())}
     for name, offset in offsets.items():
@@ -50,13 +57,23 @@ def write_run(path: Path, offsets: Mapping[str, Offset | None], target: str = "f
         turn = RigidTransform.from_xyz_rpy(target, target, [0, 0, 0], [math.radians(angle) for angle in offset[1]])
         position = [a + b for a, b in zip(true.xyz_m.tolist(), offset[0], strict=True)]
         found = RigidTransform.from_rotation_translation(target, name, turn.rotation @ true.rotation, position)
-        lidars[name] = entry(found.matrix.tolist())
+        lidars[name] = entry(found.matrix.tolist(), sigmas)
     path.mkdir(parents=True)
     document = {"schema": "multilica/result/1", "target": target, "lidars": lidars}
     (path / "result.json").write_text(json.dumps(document), encoding="utf-8")
     return path
 
 
-def entry(matrix: list[list[float]] | None) -> dict[str, object]:
+def entry(matrix: list[list[float]] | None, sigmas: tuple[float, float] | None = None) -> dict[str, object]:
     placed = matrix is not None
-    return {"placed": placed, "T_target_source": matrix, "fitness": 0.8 if placed else None, "reason": "made"}
+    return {
+        "placed": placed,
+        "T_target_source": matrix,
+        "fitness": 0.8 if placed else None,
+        "covariance": None if sigmas is None else covariance(*sigmas).tolist(),
+        "reason": "made",
+    }
+
+
+def covariance(sigma_deg: float, sigma_m: float) -> np.ndarray:
+    return np.diag([math.radians(sigma_deg) ** 2] * 3 + [sigma_m**2] * 3)

@@ -1,18 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
 
-from multilica.errors import InputError, UsageError
+from multilica.errors import InputError, UnreadableSourceError, UsageError
 from multilica.extrinsics import read_extrinsics
 from multilica.fleet import Evaluation, Tolerances, Truth, evaluate, read_run
-from multilica.fleet.pose_error import PoseError
+from multilica.fleet.pose_error import PoseError, as_sigma, normalised_error
 from multilica.geometry import RigidTransform
-from tests.fleet.made_runs import Offset, made_truth, write_run, write_truth
+from tests.fleet.made_runs import Offset, covariance, made_truth, write_run, write_truth
 
 STILL = (0.0, 0.0, 0.0)
 TRUTH = Truth("truth", made_truth())
@@ -69,6 +72,73 @@ def test_outcomes(tmp_path: Path, offset: Offset | None, outcome: str) -> None:
     assert getattr(evaluation.overall, outcome) == evaluation.overall.lidars == 1
 
 
+@pytest.mark.parametrize(
+    ("offset_m", "sigma_m", "outcome"),
+    [
+        (0.003, None, "within"),
+        (0.003, 0.001, "within"),
+        (0.003, 0.0006, "within"),
+        (0.003, 0.0005, "false_accept"),
+        (0.03, 0.01, "between"),
+        (0.06, 0.06, "false_accept"),
+    ],
+)
+def test_more_than_four_sigma_is_a_false_accept(
+    tmp_path: Path, offset_m: float, sigma_m: float | None, outcome: str
+) -> None:
+    sigmas = None if sigma_m is None else (0.05, sigma_m)
+    run = read_run(write_run(tmp_path / "run", {"left": ((0.0, offset_m, 0.0), STILL)}, sigmas=sigmas))
+    (one,) = evaluate([run], [TRUTH]).comparisons
+    assert one.outcome == outcome
+    assert (one.error_sigma is None) == (sigma_m is None)
+
+
+def test_sigma_is_as_rare_as_for_one_normal_variable() -> None:
+    rng = np.random.default_rng(1)
+    true = made_truth().between("front", "rear")
+    spread = rng.normal(size=(6, 6)) * np.repeat([1e-3, 1e-2], 3)[:, None]
+    figures = []
+    for draw in rng.normal(size=(4000, 6)) @ spread.T:
+        turn = Rotation.from_rotvec(draw[:3]).as_matrix() @ true.rotation
+        found = RigidTransform.from_rotation_translation("front", "rear", turn, true.xyz_m + draw[3:])
+        figures.append(normalised_error(found, true, spread @ spread.T))
+    assert np.mean(np.square(figures)) == pytest.approx(1.0, abs=0.03)
+    for sigma in (0.5, 1.0, 2.0, 3.0):
+        assert np.mean([as_sigma(figure) > sigma for figure in figures]) == pytest.approx(
+            2.0 * norm.sf(sigma), abs=0.02
+        )
+
+
+@pytest.mark.parametrize("mahalanobis", [0.0, 1e-9, 0.5, 3.0, 8.0])
+def test_sigma_is_the_equal_quantile_of_chi_square(mahalanobis: float) -> None:
+    true = made_truth().between("front", "rear")
+    found = RigidTransform.from_rotation_translation(
+        "front", "rear", true.rotation, true.xyz_m + np.array([0.0, 0.01 * mahalanobis, 0.0])
+    )
+    expected = norm.isf(chi2.sf(mahalanobis**2, df=6) / 2.0)
+    normalised = normalised_error(found, true, covariance(0.1, 0.01))
+    assert normalised == pytest.approx(mahalanobis / math.sqrt(6.0))
+    assert as_sigma(normalised) == pytest.approx(expected, abs=1e-6)
+
+
+def test_sigma_of_a_pose_metres_off_is_a_number() -> None:
+    true = made_truth().between("front", "rear")
+    found = RigidTransform.from_rotation_translation(
+        "front", "rear", true.rotation, true.xyz_m + np.array([9.0, 0.0, 0.0])
+    )
+    assert as_sigma(normalised_error(found, true, covariance(0.1, 0.001))) == pytest.approx(9000.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("damage", [[[1.0]], np.zeros((6, 6)).tolist(), [[None] * 6] * 6, [["a"] * 6] * 6])
+def test_a_covariance_that_is_none_is_refused(tmp_path: Path, damage: object) -> None:
+    file = write_run(tmp_path / "run", {"left": (STILL, STILL)}) / "result.json"
+    document = json.loads(file.read_text(encoding="utf-8"))
+    document["lidars"]["left"]["covariance"] = damage
+    file.write_text(json.dumps(document), encoding="utf-8")
+    with pytest.raises(UnreadableSourceError, match="is not a whole result"):
+        read_run(file)
+
+
 def test_nothing_placed_has_no_statistics(tmp_path: Path) -> None:
     overall = evaluated(tmp_path, {"left": None}).overall
     assert (overall.false_refuse, overall.rmse, overall.median, overall.largest) == (1, None, None, None)
@@ -116,6 +186,13 @@ def test_wrong_requests(tmp_path: Path) -> None:
         evaluate([run], [TRUTH, TRUTH])
     with pytest.raises(UsageError, match="is given more than once"):
         evaluate([run, run], [TRUTH])
-    for limits in ({"within_m": 0.0}, {"within_m": 0.06}, {"wrong_rad": float("nan")}, {"wrong_m": float("inf")}):
+    for limits in (
+        {"within_m": 0.0},
+        {"within_m": 0.06},
+        {"wrong_rad": float("nan")},
+        {"wrong_m": float("inf")},
+        {"wrong_sigma": 0.0},
+        {"wrong_sigma": float("nan")},
+    ):
         with pytest.raises(UsageError, match="expected limits above zero"):
             Tolerances(**limits)

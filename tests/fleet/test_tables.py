@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from tests.fleet.made_runs import made_truth, write_run
 
 @pytest.fixture
 def evaluation(tmp_path: Path) -> Evaluation:
-    run = write_run(tmp_path / "run", {"left": ((0.003, 0, 0), (0, 0, 0.05)), "rear": None})
+    run = write_run(tmp_path / "run", {"left": ((0.003, 0, 0), (0, 0, 0.05)), "rear": None}, sigmas=(0.05, 0.003))
     return evaluate([read_run(run)], [Truth("truth", made_truth())])
 
 
@@ -26,6 +27,8 @@ def test_parquet_holds_every_row(evaluation: Evaluation, tmp_path: Path) -> None
     table = parquet.read_table(tmp_path / "deep" / "table.parquet")
     assert table.to_pylist() == [comparison_row(one) for one in evaluation.comparisons]
     assert table["error_yaw_deg"].to_pylist() == [pytest.approx(0.05), None]
+    assert table["error_normalised"].to_pylist() == [pytest.approx(math.sqrt(2.0 / 6.0)), None]
+    assert table["error_sigma"].to_pylist() == [pytest.approx(0.1008, abs=0.001), None]
     assert str(table.schema.field("placed").type) == "bool"
     about = json.loads(table.schema.metadata[b"multilica"])
     assert about["schema"] == "multilica/evaluation/1"
@@ -37,6 +40,8 @@ def test_csv_holds_every_row(evaluation: Evaluation, tmp_path: Path) -> None:
     with (tmp_path / "table.csv").open(newline="", encoding="utf-8") as file:
         left, rear = csv.DictReader(file)
     assert float(left["error_x_m"]) == pytest.approx(0.003)
+    assert float(left["error_sigma"]) == pytest.approx(0.1008, abs=0.001)
+    assert rear["error_sigma"] == ""
     assert (left["outcome"], rear["outcome"], rear["error_x_m"]) == ("within", "false_refuse", "")
 
 

@@ -35,6 +35,9 @@ def evaluate(
     within_deg: Annotated[float, typer.Option(metavar="DEG", help="The same for the angle.")] = 0.1,
     wrong_m: Annotated[float, typer.Option(metavar="M", help="Placed and off by more is a false accept.")] = 0.05,
     wrong_deg: Annotated[float, typer.Option(metavar="DEG", help="The same for the angle.")] = 0.5,
+    wrong_sigma: Annotated[
+        float, typer.Option(metavar="N", help="So is one off by more sigma than this, where the run tells its sigma.")
+    ] = 4.0,
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Table to write: FILE.parquet or FILE.csv, a row per LiDAR.")
     ] = None,
@@ -50,7 +53,7 @@ def evaluate(
 
     if out is not None:
         require_table_name(out)
-    tolerances = fleet.Tolerances(within_m, radians(within_deg), wrong_m, radians(wrong_deg))
+    tolerances = fleet.Tolerances(within_m, radians(within_deg), wrong_m, radians(wrong_deg), wrong_sigma)
     known = [fleet.Truth(str(path), read_extrinsics(path)) for path in truths]
     evaluation = fleet.evaluate([fleet.read_run(path) for path in runs], known, tolerances)
     if out is not None:
