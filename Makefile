@@ -28,7 +28,7 @@ lint: $(READY)
 pytest: $(READY) pictures node
 	$(BIN)/python -m pytest -n 2 --dist loadgroup
 
-bench: $(READY) ## Measure accuracy and time over simulated and real scenes.
+bench: $(READY) ## Measure what must be seen to hold; an hour or more.
 	$(BIN)/python -m tests.bench
 
 sample: $(READY) ## Make the embedded sample anew.

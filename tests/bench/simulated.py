@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulated rigs with new seeds: placed well, or refused for a reason that the truth bears out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import product
+from math import degrees
+
+import numpy as np
+
+from multilica.config import CalibrationConfig
+from tests.bench.cases import NEW_SEEDS, Case, LidarOutcome, run_case
+from tests.bench.claims import Claim, figure, print_claims, print_table
+from tests.bench.workers import run_all
+
+__all__ = ["COLUMNS", "RIGS", "SCENES", "claims", "figures", "main", "print_details"]
+
+RIGS = ("edgar", "helipr", "sides", "chain")
+COLUMNS = (
+    "LiDARs",
+    "good",
+    "between",
+    "wrong",
+    "refused",
+    "missed",
+    "median mm",
+    "median deg",
+    "within 3 sigma",
+    "median normalised",
+)
+SCENES = ("street", "parking", "garage", "open_field")
+
+
+def main() -> bool:
+    """Print figures per rig, every LiDAR that is not good, and whether the claims hold."""
+    cases = [Case(*each) for each in product(RIGS, SCENES, NEW_SEEDS)]
+    lidars = [lidar for found in run_all(_run, cases) for lidar in found]
+    per_rig = [(rig, [each for each in lidars if each.case.rig == rig]) for rig in RIGS]
+    print_table(("rig", *COLUMNS), [(name, *figures(some)) for name, some in (*per_rig, ("all", lidars))])
+    print_details([each for each in lidars if each.standing != "within"])
+    return print_claims(claims(lidars))
+
+
+def _run(case: Case) -> list[LidarOutcome]:
+    return run_case(case, CalibrationConfig(), with_trial=True)
+
+
+def claims(lidars: Sequence[LidarOutcome]) -> list[Claim]:
+    """What must be seen to hold of them."""
+    count = Counter(each.standing for each in lidars)
+    good, total = count["within"], len(lidars)
+    wrong, missed = count["wrong"], count["missed"]
+    sigmas, normalised = (_own_errors(lidars, name) for name in ("error_sigma", "normalised"))
+    within, median = float(np.mean(sigmas <= 3.0)), float(np.median(normalised))
+    return [
+        Claim(
+            "placed within 2 cm and 0.1 deg", ">= 97 %", f"{good} of {total}, {good / total:.1%}", good >= 0.97 * total
+        ),
+        Claim("placed, but over 5 cm, 0.5 deg or 4 sigma", "0", str(wrong), wrong == 0),
+        Claim("refused for a reason that the truth does not bear out", "0", str(missed), missed == 0),
+        Claim("placed LiDARs within 3 sigma", ">= 95 %", f"{within:.1%}", within >= 0.95),
+        Claim("median normalised error", "0.5 to 1.5", f"{median:.2f}", 0.5 <= median <= 1.5),
+    ]
+
+
+def _own_errors(lidars: Sequence[LidarOutcome], name: str) -> np.ndarray:
+    """A figure of the placed LiDARs by their own covariance; infinity for one without."""
+    errors = [getattr(each.comparison, name) for each in lidars if each.placed]
+    return np.array([np.inf if error is None else error for error in errors])
+
+
+def figures(lidars: Sequence[LidarOutcome]) -> list[object]:
+    """Counts and statistics of the placed, in the order of `COLUMNS`."""
+    count = Counter(each.standing for each in lidars)
+    counts = [count[standing] for standing in ("within", "between", "wrong", "refused", "missed")]
+    errors = [each.comparison.error for each in lidars if each.comparison.error is not None]
+    if not errors:
+        return [len(lidars), *counts, *("-" * 4)]
+    metres, radians = (np.median([getattr(error, name) for error in errors]) for name in ("distance_m", "angle_rad"))
+    sigmas, normalised = (_own_errors(lidars, name) for name in ("error_sigma", "normalised"))
+    return [
+        len(lidars),
+        *counts,
+        f"{1e3 * metres:.1f}",
+        f"{np.rad2deg(radians):.3f}",
+        f"{np.mean(sigmas <= 3.0):.1%}",
+        f"{np.median(normalised):.2f}",
+    ]
+
+
+def print_details(lidars: Sequence[LidarOutcome]) -> None:
+    """A row per LiDAR, with its errors or the reasons against it."""
+    header = ("case", "LiDAR", "outcome", "off by mm", "deg", "sigma", "refused for", "the truth is refused for")
+    print_table(header, [_detail(each) for each in lidars])
+
+
+def _detail(each: LidarOutcome) -> list[object]:
+    error = each.comparison.error
+    return [
+        each.case,
+        each.lidar,
+        each.standing,
+        figure(None if error is None else 1e3 * error.distance_m, 1),
+        figure(None if error is None else degrees(error.angle_rad), 3),
+        figure(each.comparison.error_sigma, 1),
+        ", ".join(each.codes),
+        "-" if each.trial is None else "nothing" if each.trial.accepted else ", ".join(each.trial.codes),
+    ]

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a refusal is just: the true pose is judged by the stages that refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import combinations, product
+
+import numpy as np
+
+from multilica.config import CalibrationConfig
+from multilica.events import CloudPreprocessed, Event, PairRegistered
+from multilica.extrinsics import Extrinsics
+from multilica.results import PairRegistration, PreprocessedCloud
+from multilica.stages.decide import decide
+from multilica.stages.fine import Candidate, Side, register_best
+from multilica.stages.poses import is_distinct
+from multilica.stages.registration_cloud import prepare_registration_cloud
+from multilica.stages.witness import prepare_witness
+
+__all__ = ["Members", "Trial", "Watch", "is_borne_out", "try_truth"]
+
+Members = tuple[str, ...]
+
+_KINDS = {
+    "too_little_overlap": "too little in common",
+    "too_little_evidence": "too little in common",
+    "not_observable": "other poses explain as much",
+    "ambiguous": "other poses explain as much",
+}
+# The true pose puts nothing into empty space: a refusal of it for that reason is the stages' own fault.
+_NEVER_TRUE = "empty_space_violated"
+
+
+@dataclass(slots=True)
+class Watch:
+    """An observer that keeps what a trial needs."""
+
+    clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
+    registrations: list[PairRegistration] = field(default_factory=list)
+
+    def __call__(self, event: Event) -> None:
+        if isinstance(event, CloudPreprocessed) and len(event.cloud.points_m):
+            self.clouds[event.cloud.lidar] = event.cloud
+        elif isinstance(event, PairRegistered):
+            self.registrations.append(event.registration)
+
+    def between(self, first: Members, second: Members) -> list[PairRegistration]:
+        """The registrations of the one's members with the other's, in the order in which they were made."""
+        return [
+            each
+            for each in self.registrations
+            if (each.target in first and each.source in second) or (each.target in second and each.source in first)
+        ]
+
+    def refusal(self, first: Members, second: Members) -> tuple[str, ...]:
+        """Codes of the reasons for which the two were not joined; none if no pose was found."""
+        made = self.between(first, second)
+        return tuple(reason.code for reason in made[-1].verdict.reasons) if made else ()
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What the stages say of a true pose.
+
+    Args:
+        accepted: the true pose would be merged if it were among the candidates.
+        codes: the reasons why not.
+    """
+
+    accepted: bool
+    codes: tuple[str, ...]
+
+
+def is_borne_out(refused_for: Iterable[str], trial: Trial) -> bool:
+    """Whether the true pose is refused for the same kind of reason, or for any where no pose of the run fitted."""
+    kinds, true_kinds = _kinds(refused_for), _kinds(trial.codes)
+    return not trial.accepted and bool(kinds & true_kinds if kinds else true_kinds)
+
+
+def _kinds(codes: Iterable[str]) -> set[str]:
+    return {_KINDS.get(code, code) for code in codes if code != _NEVER_TRUE}
+
+
+def try_truth(
+    watch: Watch, groups: Sequence[Members], truth: Extrinsics, config: CalibrationConfig
+) -> dict[str, Trial]:
+    """Judge the true poses between the groups that a run left unjoined.
+
+    Args:
+        groups: members of each, the target's first.
+
+    Returns:
+        Per LiDAR that is not in the first group, whether true poses would join it to that group, by way of other
+        groups too; the reasons are those against its direct true pose.
+    """
+    trials = {pair: _try(watch, *pair, truth, config) for pair in combinations(groups, 2)}
+    joined = {groups[0]}
+    for _ in groups:
+        joined |= {group for pair, trial in trials.items() if trial.accepted and joined & {*pair} for group in pair}
+    return {lidar: Trial(group in joined, trials[groups[0], group].codes) for group in groups[1:] for lidar in group}
+
+
+def _try(watch: Watch, first: Members, second: Members, truth: Extrinsics, config: CalibrationConfig) -> Trial:
+    """The two groups as wholes; if that fails, their members pair by pair, as the stages do."""
+    whole = _try_pose(watch, first, second, truth, config)
+    if whole.accepted or len(first) == len(second) == 1:
+        return whole
+    pairs = (_try_pose(watch, (one,), (other,), truth, config) for one, other in product(first, second))
+    return next((trial for trial in pairs if trial.accepted), whole)
+
+
+def _try_pose(watch: Watch, first: Members, second: Members, truth: Extrinsics, config: CalibrationConfig) -> Trial:
+    true_pose = truth.between(first[0], second[0])
+    candidates = [Candidate(true_pose, -1)]
+    for made in watch.between(first, second):
+        for assessment in made.assessments:
+            pose = assessment.T_target_source
+            pose = pose if pose.target in first else pose.inverse()
+            root_pose = truth.between(first[0], pose.target) @ pose @ truth.between(pose.source, second[0])
+            candidates.append(Candidate(root_pose, -1))
+    sides = (_side(watch, members, truth, config) for members in (first, second))
+    best = register_best(*sides, candidates, config.verify, config.fine, config.runtime.threads)
+    verdict = decide(best.assessments, config.verify)
+    pose = best.T_target_source if best.target == first[0] else best.T_target_source.inverse()
+    elsewhere = ("ambiguous",) if is_distinct(pose, [true_pose]) else ()
+    codes = tuple(dict.fromkeys((*elsewhere, *(reason.code for reason in verdict.reasons))))
+    return Trial(not codes, codes)
+
+
+def _side(watch: Watch, members: Members, truth: Extrinsics, config: CalibrationConfig) -> Side:
+    root, threads = members[0], config.runtime.threads
+    poses = {name: truth.between(root, name) for name in members}
+    points_m = np.concatenate([pose.apply(watch.clouds[name].points_m) for name, pose in poses.items()])
+    cloud = prepare_registration_cloud(root, points_m, config.fine, threads)
+    drafting = config.fine.model_copy(update={"max_points": config.verify.finalist_points})
+    draft = prepare_registration_cloud(root, cloud.points_m, drafting, threads)
+    witnesses = tuple((pose, prepare_witness(watch.clouds[name], config.verify)) for name, pose in poses.items())
+    return Side(root, cloud, draft, witnesses)
