@@ -62,11 +62,17 @@ class _World:
 
 
 def simulate_snapshot(
-    rig: str, scene: str, seed: int, *, frames: int = 5, disturbances: tuple[str, ...] = ()
+    rig: str,
+    scene: str,
+    seed: int,
+    *,
+    frames: int = 5,
+    disturbances: tuple[str, ...] = (),
+    build_seed: int | None = None,
 ) -> Simulation:
     """Cast the beams of a rig into a scene; the same arguments give the same bits.
 
-    The surroundings depend on scene and seed only, the mounting on rig and seed only.
+    The surroundings depend on scene and seed only, the mounting on rig and build seed only.
 
     Args:
         rig: one of `RIGS`.
@@ -74,22 +80,26 @@ def simulate_snapshot(
         seed: any whole number from 0.
         frames: per LiDAR, at 10 Hz.
         disturbances: any of `DISTURBANCES`, for instance ``("rain", "dead:left")``.
+        build_seed: which vehicle it is; None: one of its own for each seed. The same vehicle has the same truth and the
+            same static transforms wherever it stands.
 
     Raises:
         UnknownNameError: no such rig, scene, disturbance, or LiDAR of a disturbance.
         UsageError: a negative seed, no frame, or a disturbance that the rig cannot have.
     """
-    _check(rig, scene, seed, frames)
+    built = seed if build_seed is None else build_seed
+    _check(rig, scene, min(seed, built), frames)
     lidars = [mount.name for mount in RIGS[rig].mounts]
     asked = parse_disturbances(disturbances, rig, lidars)
     chosen = fan(_LOW_OVERLAP_DEG) if "low_overlap" in asked.general else RIGS[rig]
     label = f"{rig}/{scene}/seed {seed}"
-    poses = as_built(chosen, _stream(rig, "mounting", seed))
+    poses = as_built(chosen, _stream(rig, "mounting", built))
     world = _build_world(chosen, scene, seed, poses, asked)
     scans = tuple(_lidar_scans(world, mount, poses[mount.name], frames, asked, label) for mount in chosen.mounts)
-    priors = _stream(rig, "prior", seed)
+    priors = _stream(rig, "prior", built)
     static = tuple(misjudged(pose, priors) for pose in poses.values())
-    description = f"simulation {label}" + (f" with {', '.join(disturbances)}" if disturbances else "")
+    vehicle = "" if build_seed is None else f", vehicle {build_seed}"
+    description = f"simulation {label}{vehicle}" + (f" with {', '.join(disturbances)}" if disturbances else "")
     return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses), description)
 
 

@@ -69,6 +69,18 @@ def test_seeds_differ_in_mounting_and_surroundings():
     assert first.snapshot["top"].points_count != second.snapshot["top"].points_count
 
 
+def test_the_same_vehicle_stands_in_another_scene():
+    first = simulate_snapshot("sides", "parking", 1, frames=1)
+    second = simulate_snapshot("sides", "garage", 2, frames=1, build_seed=1)
+    for name, pose in first.truth.T_target_source.items():
+        np.testing.assert_array_equal(second.truth.T_target_source[name].matrix, pose.matrix)
+    for one, other in zip(first.snapshot.static_transforms, second.snapshot.static_transforms, strict=True):
+        np.testing.assert_array_equal(one.matrix, other.matrix)
+    own = simulated("sides", "garage", 2)
+    assert second.snapshot["top"].points_count != own.snapshot["top"].points_count
+    assert second.snapshot.source == "simulation sides/garage/seed 2, vehicle 1"
+
+
 @pytest.mark.parametrize("scene", DECIDABLE_SCENES)
 def test_truth_lays_clouds_onto_each_other(scene):
     simulation = simulated("edgar", scene, 3)

@@ -34,6 +34,14 @@ def simulate(
         Path, typer.Option(metavar="FILE.mcap", help="The recording; FILE.truth.toml is written beside it.")
     ],
     seed: Annotated[int, typer.Option(help="Seed of scene, rig and noise.")] = 0,
+    build_seed: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Seed of the rig alone: the same vehicle in another scene.",
+            show_default="as --seed",
+        ),
+    ] = None,
     frames: Annotated[int, typer.Option(help="Frames per LiDAR.")] = 5,
     disturb: Annotated[
         list[str] | None,
@@ -56,7 +64,9 @@ def simulate(
     from multilica.sinks.atomic import write_text_atomically
     from multilica.sinks.snapshot_mcap import write_snapshot_mcap
 
-    simulation = simulate_snapshot(rig, scene, seed, frames=frames, disturbances=tuple(disturb or ()))
+    simulation = simulate_snapshot(
+        rig, scene, seed, frames=frames, disturbances=tuple(disturb or ()), build_seed=build_seed
+    )
     truth = out.with_suffix(".truth.toml")
     out.parent.mkdir(parents=True, exist_ok=True)
     write_snapshot_mcap(_thinned(simulation.snapshot, keep_every), out)
