@@ -206,13 +206,18 @@ class Testimony:
 
     @property
     def evidence(self) -> float:
-        """Distinctive agreement as far as it explains what is in view, less what contradicts it; poses rank by it."""
-        return self.distinctive * self.explained_share - VIOLATION_WEIGHT * self.violate
+        """Distinctive agreement, weighed by what is not hidden, less what contradicts it; poses rank by it."""
+        return self.distinctive * self.shared_share - VIOLATION_WEIGHT * self.violate
 
     @property
     def held_by(self) -> float:
         """How many points hold the pose in its weakest direction: the smallest eigenvalue of the information."""
         return float(np.linalg.eigvalsh(self.information)[0])
+
+    @property
+    def shared_share(self) -> float:
+        """How much of the structure in view both sides saw; the rest is hidden from one of them."""
+        return (self.structure_agree + 1) / (self.structure_agree + 1 + self.structure_occluded)
 
     @property
     def explained_share(self) -> float:
