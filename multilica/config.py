@@ -23,6 +23,7 @@ __all__ = [
     "FineConfig",
     "GroundConfig",
     "IngestConfig",
+    "JointConfig",
     "MergeConfig",
     "PreprocessConfig",
     "RefineConfig",
@@ -209,6 +210,19 @@ class RefineConfig(Section):
     epsilon: PositiveMetres = Field(1e-9, description="converged when no pose moves by more (rad, m)")
 
 
+class JointConfig(Section):
+    """Several snapshots of one rig as one result."""
+
+    max_disagreement_m: PositiveMetres = Field(
+        0.05,
+        description="snapshots that place a LiDAR farther apart, beyond refine.outlier_sigma, contradict each other; "
+        "right poses differ by millimetres, 5 cm is a wrong one",
+    )
+    max_disagreement_deg: float = Field(
+        0.5, gt=0.0, description="as max_disagreement_m, for turning: 9 cm at a distance of 10 m"
+    )
+
+
 class GroundConfig(Section):
     """The plane under the vehicle."""
 
@@ -244,6 +258,7 @@ class CalibrationConfig(Section):
     fine: FineConfig = FineConfig()
     merge: MergeConfig = MergeConfig()
     refine: RefineConfig = RefineConfig()
+    joint: JointConfig = JointConfig()
     ground: GroundConfig = GroundConfig()
     runtime: RuntimeConfig = RuntimeConfig()
 

@@ -163,6 +163,11 @@ class RigidTransform:
         """Directions (N, 3) of the source frame, in the target frame."""
         return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
 
+    def offset_from(self, other: RigidTransform) -> FloatArray:
+        """(6,) turn (rotation vector, rad) and shift (m) along the target's axes that take the other pose to this."""
+        turn = Rotation.from_matrix(self.rotation @ other.rotation.T).as_rotvec()
+        return np.concatenate([turn, self.xyz_m - other.xyz_m])
+
     def distance_to(self, other: RigidTransform) -> tuple[float, float]:
         """Distance in metres between the two source origins, and the angle in radians between the two rotations."""
         translation_m = float(np.linalg.norm(self.xyz_m - other.xyz_m))

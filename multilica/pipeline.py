@@ -340,6 +340,7 @@ class _Run:
             decisions=tuple(self.decisions),
             refinement=self.refinement,
             ground=self.ground,
+            trusted=tuple(self._trusted_pairs()),
             timing_s=dict(self.timing_s),
         )
 

@@ -31,6 +31,10 @@ __all__ = [
     "PreprocessedCloud",
     "Reason",
     "Refinement",
+    "SigmaOrigin",
+    "SnapshotDeviation",
+    "SnapshotReport",
+    "Spread",
     "Status",
     "Testimony",
     "Verdict",
@@ -44,6 +48,8 @@ PairKey = tuple[str, str]
 Status = Literal["complete", "partial", "failed"]
 PRIOR = "prior"
 """Origin and name of the hypothesis that was known beforehand."""
+SigmaOrigin = Literal["residuals", "snapshots"]
+"""What a covariance rests on: the residuals of the registrations, or those widened to the spread over snapshots."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,6 +402,7 @@ class EdgeResidual:
 
     Args:
         weight: what the pair counted for in the end, from 1 down to 0 for an outlier.
+        snapshot: the snapshot that the pair is of; empty where there is only one.
     """
 
     target: str
@@ -405,6 +412,7 @@ class EdgeResidual:
     after_m: float
     after_deg: float
     weight: float
+    snapshot: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -449,12 +457,28 @@ class GroundPlane:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """How far the snapshots of one rig scatter in where they place a LiDAR.
+
+    Args:
+        snapshots: how many place it.
+        xyz_m, rotation_deg: (3,) sample standard deviations along and about the target's axes; None below two.
+    """
+
+    snapshots: int
+    xyz_m: FloatArray | None = None
+    rotation_deg: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LidarPlacement:
     """Where one LiDAR ended, or why it did not.
 
     Args:
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
         T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
+        sigma_from: what the covariance rests on.
+        spread: over the snapshots of a joint result; None where there is only one snapshot.
     """
 
     lidar: str
@@ -465,6 +489,8 @@ class LidarPlacement:
     rmse_m: float = float("inf")
     covariance: FloatArray | None = None
     T_target_source_prior: RigidTransform | None = None
+    sigma_from: SigmaOrigin = "residuals"
+    spread: Spread | None = None
 
     @property
     def prior_deviation(self) -> tuple[float, float] | None:
@@ -484,6 +510,64 @@ class LidarPlacement:
         return None if self.covariance is None else np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]))
 
 
+@dataclass(frozen=True, slots=True)
+class SnapshotDeviation:
+    """How far one snapshot by itself places a LiDAR from where the joint result has it.
+
+    Args:
+        outlier: whether the snapshot was outvoted on this LiDAR.
+    """
+
+    lidar: str
+    distance_m: float
+    angle_deg: float
+    outlier: bool = False
+
+    @property
+    def text(self) -> str:
+        """How far, for people."""
+        return f"{1000.0 * self.distance_m:.1f} mm, {self.angle_deg:.3f} deg"
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotReport:
+    """What one snapshot contributed to a joint result.
+
+    Args:
+        deviations: of the LiDARs that it places, in name order.
+        disputed: LiDARs on which it contradicts other snapshots and no majority settles who is right.
+        refusal: why the whole snapshot was left out; empty if it was not.
+    """
+
+    name: str
+    source: str
+    source_sha256: str
+    deviations: tuple[SnapshotDeviation, ...] = ()
+    disputed: tuple[str, ...] = ()
+    refusal: str = ""
+
+    @property
+    def outliers(self) -> tuple[SnapshotDeviation, ...]:
+        """The LiDARs on which the other snapshots outvoted this one."""
+        return tuple(deviation for deviation in self.deviations if deviation.outlier)
+
+    @property
+    def text(self) -> str:
+        """What became of it, for people."""
+        if self.refusal:
+            return f"left out: {self.refusal}"
+        parts = [
+            f"OUTLIER: {each.lidar} is off by {each.text} where the other snapshots agree" for each in self.outliers
+        ]
+        parts += [f"contradicts other snapshots on {lidar}, and no majority settles it" for lidar in self.disputed]
+        if parts:
+            return "; ".join(parts)
+        if not self.deviations:
+            return "places no LiDAR relative to the target"
+        largest = max(self.deviations, key=lambda deviation: deviation.distance_m)
+        return f"agrees: {largest.lidar} is off most, by {largest.text}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
     """The outcome.
@@ -496,6 +580,8 @@ class CalibrationResult:
         decisions: the merge steps in order.
         timing_s: wall time per stage.
         refinement: what the joint adjustment did; None where it did not run.
+        trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
+        snapshots: what each snapshot contributed; empty where there is only one.
     """
 
     target: str
@@ -506,6 +592,8 @@ class CalibrationResult:
     ground: GroundPlane | None = None
     timing_s: Mapping[str, float] = field(default_factory=dict)
     refinement: Refinement | None = None
+    trusted: tuple[PairRegistration, ...] = ()
+    snapshots: tuple[SnapshotReport, ...] = ()
 
     @property
     def status(self) -> Status:

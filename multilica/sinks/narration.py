@@ -181,9 +181,17 @@ def _(event: events.CalibrationFinished) -> tuple[LogLine, ...]:
         for place in result.placements
         if not place.placed
     )
+    snapshots = tuple(
+        LogLine(
+            "WARN" if report.outliers or report.disputed or report.refusal else "INFO",
+            f"snapshot {report.name}: {report.text}",
+        )
+        for report in result.snapshots
+    )
     placed = len(result.placements) - len(missing)
     level: LogLevel = "WARN" if missing else "INFO"
     return (
+        *snapshots,
         *missing,
         *(LogLine("WARN", text) for text in surprises(result)),
         LogLine(level, f"calibration {result.status}: {placed} of {len(result.placements)} LiDARs placed"),

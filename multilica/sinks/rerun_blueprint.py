@@ -103,7 +103,7 @@ def _failure_tab(story: RunStory) -> Tab | None:
 
 def _result_tab(story: RunStory) -> Tab | None:
     result = story.result
-    if result is None or not story.decisions:
+    if result is None or not story.target:
         return None
     placed = [place.lidar for place in result.placements if place.placed]
     clouds = [lidar_path(lidar, "preprocessed") for lidar in placed]

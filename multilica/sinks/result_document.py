@@ -22,6 +22,8 @@ from multilica.results import (
     PairRegistration,
     Reason,
     Refinement,
+    SnapshotReport,
+    Spread,
 )
 from multilica.sinks.provenance import Provenance
 
@@ -44,6 +46,7 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
         "lidars": {placement.lidar: _placement(placement) for placement in result.placements},
         "pairs": [_pair(pair) for pair in result.pairs],
         "decisions": [_decision(decision) for decision in result.decisions],
+        "snapshots": [_snapshot(snapshot) for snapshot in result.snapshots],
         "refinement": None if result.refinement is None else _refinement(result.refinement),
         "ground": None if result.ground is None else _ground(result.ground),
         "timing_s": dict(result.timing_s),
@@ -76,8 +79,10 @@ def _placement(placement: LidarPlacement) -> dict[str, Any]:
         "rmse_m": placement.rmse_m,
         "sigma_xyz_m": placement.sigma_xyz_m,
         "sigma_rotation_deg": placement.sigma_rotation_deg,
+        "sigma_from": placement.sigma_from,
         "covariance": placement.covariance,
         "prior": _prior(placement),
+        "spread": None if placement.spread is None else _spread(placement.spread),
         "reason": placement.reason,
     }
 
@@ -90,6 +95,22 @@ def _prior(placement: LidarPlacement) -> dict[str, Any] | None:
         **_pose(placement.T_target_source_prior),
         "deviation_m": off_m,
         "deviation_deg": math.degrees(off_rad),
+    }
+
+
+def _spread(spread: Spread) -> dict[str, Any]:
+    return {"snapshots": spread.snapshots, "xyz_m": spread.xyz_m, "rotation_deg": spread.rotation_deg}
+
+
+def _snapshot(snapshot: SnapshotReport) -> dict[str, Any]:
+    return {
+        "name": snapshot.name,
+        "source": snapshot.source,
+        "sha256": snapshot.source_sha256,
+        "refusal": snapshot.refusal or None,
+        "outliers": [deviation.lidar for deviation in snapshot.outliers],
+        "disputed": snapshot.disputed,
+        "deviations": [asdict(deviation) for deviation in snapshot.deviations],
     }
 
 

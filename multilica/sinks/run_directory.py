@@ -44,12 +44,16 @@ class Run:
     def __call__(self, event: events.Event) -> None:
         """Tell every sink; when the calibration starts, what an earlier run left is removed."""
         if isinstance(event, events.CalibrationStarted):
-            for path in _outputs(self.directory):
-                path.unlink(missing_ok=True)
+            self.clear()
             text = _CONFIG_HEADER + toml_text(self.config.model_dump(mode="json"))
             write_text_atomically(self.directory / _CONFIG, text)
         for sink in self.sinks:
             sink(event)
+
+    def clear(self) -> None:
+        """Remove what an earlier run left."""
+        for path in _outputs(self.directory):
+            path.unlink(missing_ok=True)
 
     @property
     def written(self) -> tuple[Path, ...]:

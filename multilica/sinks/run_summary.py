@@ -52,6 +52,8 @@ def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
         ("LiDAR", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg", "fitness", "RMSE m"),
         [_placement_row(place) for place in result.placements],
     )
+    if result.snapshots:
+        yield "\n".join(f"- snapshot **{_cell(report.name)}**: {_cell(report.text)}" for report in result.snapshots)
     if result.ground is not None:
         share = f"{result.ground.inlier_share:.0%} of the points"
         yield f"Ground: {result.ground.offset_m:.3f} m below the target, {share}."

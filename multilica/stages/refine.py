@@ -80,10 +80,7 @@ def linked(root: str, edges: Sequence[PairRegistration]) -> set[str]:
 
 def _disagreement(edge: PairRegistration, poses: Mapping[str, RigidTransform]) -> FloatArray:
     """(6,) by which the poses place the source otherwise than the pair: rotation, translation in the target's axes."""
-    target, source = poses[edge.target], poses[edge.source]
-    placed = target.inverse() @ source
-    turn = Rotation.from_matrix(placed.rotation @ edge.T_target_source.rotation.T).as_rotvec()
-    return np.concatenate([turn, placed.xyz_m - edge.T_target_source.xyz_m])
+    return (poses[edge.target].inverse() @ poses[edge.source]).offset_from(edge.T_target_source)
 
 
 def _sizes(disagreement: FloatArray) -> tuple[float, float]:

@@ -3,6 +3,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from multilica.geometry import RigidTransform, skew
 
@@ -51,6 +52,15 @@ def test_rpy_is_extrinsic_xyz():
 def test_distance_keeps_small_angles(angle_rad):
     _, measured_rad = _pose([0, 0, 0], [0, 0, angle_rad]).distance_to(RigidTransform.identity("a", "b"))
     assert measured_rad == pytest.approx(angle_rad, rel=1e-6, abs=1e-12)
+
+
+@given(_xyz, _rpy, _xyz, _rpy)
+def test_an_offset_leads_from_one_pose_to_the_other(xyz_1, rpy_1, xyz_2, rpy_2):
+    one, other = _pose(xyz_1, rpy_1), _pose(xyz_2, rpy_2)
+    offset = one.offset_from(other)
+    turned = Rotation.from_rotvec(offset[:3]).as_matrix() @ other.rotation
+    assert np.allclose(turned, one.rotation, atol=1e-9)
+    assert np.allclose(other.xyz_m + offset[3:], one.xyz_m, atol=1e-9)
 
 
 @given(_xyz, _xyz)

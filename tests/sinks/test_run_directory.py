@@ -50,6 +50,14 @@ def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):
     assert run_into(tmp_path, stop_after=0).written == before
 
 
+def test_an_earlier_run_can_be_removed_before_the_calibration_starts(tmp_path):
+    run_into(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    with open_run(tmp_path, CONFIG) as run:
+        run.clear()
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def test_a_file_in_the_way_is_refused_in_one_sentence(tmp_path):
     (tmp_path / "out").write_text("a file")
     with pytest.raises(UsageError, match=r"^Cannot write to .*out: File exists; give --out a directory") as refusal:
