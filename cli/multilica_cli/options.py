@@ -27,7 +27,8 @@ Sources = Annotated[
     list[Path],
     typer.Argument(
         metavar="SOURCE",
-        help="An MCAP file, a ROS 1 or ROS 2 bag, a directory of PCD or PLY files, or such files, one per LiDAR.",
+        help="An MCAP file, a ROS 1 or ROS 2 bag, a directory of PCD or PLY files, or such files, one per LiDAR; "
+        "for calibrate also several recordings of one rig, a snapshot each.",
         show_default=False,
     ),
 ]

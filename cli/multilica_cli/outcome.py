@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from multilica.results import GroundPlane
     from multilica_cli.run import FinishedRun
 
-__all__ = ["print_document", "print_placements", "print_written"]
+__all__ = ["print_document", "print_placements", "print_snapshots", "print_written"]
 
 
 def print_document(run: FinishedRun) -> None:
@@ -41,6 +41,12 @@ def _ground_line(target: str, ground: GroundPlane) -> str:
     roll_deg, pitch_deg, _ = ground.T_base_target.rpy_deg
     height_m = ground.T_base_target.xyz_m[2]
     return f"ground: {height_m:.3f} m below {target}, whose roll is {roll_deg:z.2f} deg and pitch {pitch_deg:z.2f} deg"
+
+
+def print_snapshots(run: FinishedRun, console: Console) -> None:
+    """A line for each snapshot of a joint result."""
+    for snapshot in run.result.snapshots:
+        console.print(f"snapshot {snapshot.name}: {snapshot.text}")
 
 
 def print_written(run: FinishedRun, console: Console) -> None:

@@ -23,7 +23,16 @@ if TYPE_CHECKING:
     from multilica.results import CalibrationResult
     from multilica.snapshot import Snapshot
 
-__all__ = ["FinishedRun", "calibrate_sources", "default_out_dir", "exit_code_of"]
+__all__ = [
+    "FinishedRun",
+    "both",
+    "calibrate_sources",
+    "default_out_dir",
+    "exit_code_of",
+    "read",
+    "read_known",
+    "told_where",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,9 +48,10 @@ class FinishedRun:
     written: tuple[Path, ...]
 
 
-def default_out_dir(sources: Sequence[Path]) -> Path:
-    """Where a run goes when `--out` is not given."""
-    return Path("recordings") / "runs" / sources[0].resolve().stem
+def default_out_dir(sources: Sequence[Path], snapshots: int = 1) -> Path:
+    """Where a run goes when `--out` is not given; a joint run never where one of its snapshots alone would go."""
+    more = f"-and-{snapshots - 1}-more" if snapshots > 1 else ""
+    return Path("recordings") / "runs" / f"{sources[0].resolve().stem}{more}"
 
 
 def calibrate_sources(
@@ -68,20 +78,25 @@ def calibrate_sources(
 
     console = stderr_console(quiet=quiet)
     with show_progress(console) as show:
-        snapshot = _read(sources, config, show, console)
-        known = None if prior is None else _read_known(prior, snapshot, config, console)
-        with _told_where(out_dir), open_run(out_dir, config, mcap_encoding) as run:
-
-            def observe(event: Event) -> None:
-                run(event)
-                if getattr(event, "stage", None) != "ingest":
-                    show(event)
-
-            result = calibrate(snapshot, config, observe, known)
+        snapshot = read(sources, config, show, console)
+        known = None if prior is None else read_known(prior, snapshot, config, console)
+        with told_where(out_dir), open_run(out_dir, config, mcap_encoding) as run:
+            result = calibrate(snapshot, config, both(run, show), known)
     return FinishedRun(result, out_dir, run.written)
 
 
-def _read(sources: Sequence[Path], config: CalibrationConfig, show: Observer, console: Console) -> Snapshot:
+def both(run: Observer, show: Observer) -> Observer:
+    """An observer for files and terminal; the terminal has seen the reading by then."""
+
+    def observe(event: Event) -> None:
+        run(event)
+        if getattr(event, "stage", None) != "ingest":
+            show(event)
+
+    return observe
+
+
+def read(sources: Sequence[Path], config: CalibrationConfig, show: Observer, console: Console) -> Snapshot:
     """The snapshot, after every check that needs no calibration: a refusal must leave earlier results alone."""
     from multilica.events import StageFinished, StageStarted
     from multilica.ingest import read_snapshot, require_calibratable
@@ -98,7 +113,7 @@ def _read(sources: Sequence[Path], config: CalibrationConfig, show: Observer, co
     return snapshot
 
 
-def _read_known(prior: str, snapshot: Snapshot, config: CalibrationConfig, console: Console) -> Extrinsics:
+def read_known(prior: str, snapshot: Snapshot, config: CalibrationConfig, console: Console) -> Extrinsics:
     """The prior, refused as early as the snapshot would be."""
     from multilica.ingest import read_prior
     from multilica.stages.prior import require_usable
@@ -119,7 +134,7 @@ def exit_code_of(result: CalibrationResult, config: CalibrationConfig) -> ExitCo
 
 
 @contextmanager
-def _told_where(out_dir: Path) -> Iterator[None]:
+def told_where(out_dir: Path) -> Iterator[None]:
     """Say where the recording is if a signal ends the run."""
     try:
         yield

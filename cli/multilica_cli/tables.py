@@ -17,6 +17,7 @@ __all__ = ["POSE_COLUMNS", "placements_table", "plain_table", "truth_table"]
 
 
 _PRIOR_COLUMNS = ("off prior\nmm", "off prior\ndeg")
+_SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")
 POSE_COLUMNS = ("x\nm", "y\nm", "z\nm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg")
 
 
@@ -41,6 +42,7 @@ def placements_table(result: CalibrationResult) -> Table:
     prior = any(placement.T_target_source_prior is not None for placement in result.placements)
     columns = ["LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness"]
     columns += _PRIOR_COLUMNS if prior else ()
+    columns += _SPREAD_COLUMNS if result.snapshots else ()
     table = plain_table(f"T_target_source, target {result.target}", columns, numbers_from=2)
     for placement in result.placements:
         table.add_row(
@@ -49,6 +51,7 @@ def placements_table(result: CalibrationResult) -> Table:
             *_pose(placement),
             *_scores(placement, result.target),
             *(_off_prior(placement, result.target) if prior else ()),
+            *(_spread(placement) if result.snapshots else ()),
         )
     return table
 
@@ -98,6 +101,14 @@ def _off_prior(placement: LidarPlacement, target: str) -> tuple[str, str]:
     if placement.lidar == target or placement.prior_deviation is None:
         return "-", "-"
     return _difference(*placement.prior_deviation)
+
+
+def _spread(placement: LidarPlacement) -> tuple[str, ...]:
+    """The largest standard deviations over the axes, and over how many snapshots."""
+    spread = placement.spread
+    if spread is None or spread.xyz_m is None or spread.rotation_deg is None:
+        return "-", "-", "-" if spread is None else str(spread.snapshots)
+    return f"{1000.0 * max(spread.xyz_m):.1f}", f"{max(spread.rotation_deg):.3f}", str(spread.snapshots)
 
 
 def _numbers(values: Iterable[float], digits: int) -> tuple[str, ...]:

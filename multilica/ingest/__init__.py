@@ -6,15 +6,19 @@ from __future__ import annotations
 from multilica.ingest.prior import Prior, read_prior
 from multilica.ingest.reading import read_snapshot
 from multilica.ingest.requirement import require_calibratable
+from multilica.ingest.snapshots import SnapshotSource, find_snapshots, require_lidar
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
 
 __all__ = [
     "CloudTopicSummary",
     "OtherTopicSummary",
     "Prior",
+    "SnapshotSource",
     "SourceSummary",
+    "find_snapshots",
     "inspect_source",
     "read_prior",
     "read_snapshot",
     "require_calibratable",
+    "require_lidar",
 ]

@@ -87,7 +87,10 @@ def _several(paths: list[Path]) -> Source:
     for path in paths:
         source = _folder(path) if path.is_dir() else _file(path)
         if source.recordings:
-            raise UsageError(f"{path} is a recording among other sources; give one recording alone, or point files.")
+            raise UsageError(
+                f"{path} is a recording among other sources; give one recording alone, or point files; "
+                "several recordings, and nothing else, are several snapshots for `multilica calibrate`."
+            )
         topic = path.name if names[path.name] == 1 else str(path)
         lidar = path.stem if stems[path.stem] == 1 else f"{path.parent.name}_{path.stem}"
         lidars.append(FrameFiles(topic, path.name if path.is_dir() else lidar, source.files))

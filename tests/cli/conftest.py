@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
-from multilica import read_snapshot
+from multilica import RigidTransform, read_snapshot
 from multilica_cli.main import run
 from multilica_cli.sample import find_sample
-from tests.cli.support import Invoke, Outcome, write_pcd
+from tests.cli.support import Invoke, Outcome, write_pcd, write_recording
 
 
 @pytest.fixture
@@ -23,6 +24,24 @@ def invoke(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
         return Outcome(code, *capsys.readouterr())
 
     return call
+
+
+@pytest.fixture(scope="session")
+def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with recordings of two LiDARs of the embedded sample: first, turned, second, alone and other.
+
+    The points of the left one are turned by 3 degrees in `turned`; `alone` lacks it, `other` has other names.
+    """
+    folder = tmp_path_factory.mktemp("snapshots")
+    sample = read_snapshot(find_sample().recording)
+    frames = [{name: sample[name].scans[index].points_m[::2] for name in ("left", "right")} for index in (0, 1)]
+    turn = RigidTransform.from_xyz_rpy("left", "left", [0.0, 0.0, 0.0], [0.0, 0.0, math.radians(3.0)])
+    write_recording(folder / "first.mcap", frames[0])
+    write_recording(folder / "second.mcap", frames[1])
+    write_recording(folder / "turned.mcap", {**frames[0], "left": turn.apply(frames[0]["left"])})
+    write_recording(folder / "alone.mcap", {"right": frames[0]["right"]})
+    write_recording(folder / "other.mcap", {"top": frames[0]["left"], "rear": frames[0]["right"]})
+    return folder
 
 
 @pytest.fixture(scope="session")

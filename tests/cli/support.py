@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +11,8 @@ import numpy as np
 
 from multilica.extrinsics import read_extrinsics
 from multilica.geometry import RigidTransform
+from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica_cli.sample import find_sample
 
 ROOT = Path(__file__).parents[2]
@@ -52,6 +54,15 @@ def write_pcd(path: Path, points: Sequence[Sequence[float]] | np.ndarray) -> Pat
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(header + "\n".join(rows) + "\n", encoding="ascii")
+    return path
+
+
+def write_recording(path: Path, points: Mapping[str, np.ndarray]) -> Path:
+    """An MCAP with one frame of each LiDAR."""
+    lidars = (
+        LidarScans(name, (Scan(cloud.astype(np.float32), 1),), topic=f"/{name}") for name, cloud in points.items()
+    )
+    write_snapshot_mcap(Snapshot(tuple(lidars)), path)
     return path
 
 

@@ -23,8 +23,9 @@ from multilica_cli.options import (
     Threads,
     Topics,
 )
-from multilica_cli.outcome import print_document, print_placements, print_written
+from multilica_cli.outcome import print_document, print_placements, print_snapshots, print_written
 from multilica_cli.run import calibrate_sources, default_out_dir, exit_code_of
+from multilica_cli.several import calibrate_snapshots
 from multilica_cli.terminal import stdout_console
 
 __all__ = ["calibrate"]
@@ -60,7 +61,12 @@ def calibrate(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
-    """Find where every LiDAR sits, and leave the result with its recording in a directory."""
+    """Find where every LiDAR sits, and leave the result with its recording in a directory.
+
+    Several recordings are several snapshots of one rig: each is calibrated by itself, then all of them jointly.
+    """
+    from multilica.ingest import find_snapshots
+
     options = {
         "target": target,
         "until": until,
@@ -71,12 +77,17 @@ def calibrate(
         "runtime.threads": threads,
     }
     config = resolve_config(preset, config_file, options, settings or ())
-    out_dir = out or default_out_dir(sources)
-    run = calibrate_sources(sources, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)
+    found = find_snapshots(sources, config=config.ingest)
+    out_dir = out or default_out_dir(sources, len(found))
+    if len(found) > 1:
+        run = calibrate_snapshots(found, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)
+    else:
+        run = calibrate_sources(sources, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)
     if as_json:
         print_document(run)
     else:
         console = stdout_console(quiet=quiet)
         print_placements(run, console)
+        print_snapshots(run, console)
         print_written(run, console)
     return exit_code_of(run.result, config)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several snapshots of one rig on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from multilica import read_extrinsics
+from multilica_cli.failures import ExitCode
+from multilica_cli.run import default_out_dir
+from multilica_cli.sample import find_sample
+from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose
+
+SCHEMA = json.loads((ROOT / "tests" / "sinks" / "result.schema.json").read_text(encoding="utf-8"))
+WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "result.json", "result.mcap"}
+FEWER = ("--set", "verify.finalists=2")
+
+
+def test_an_outlier_and_a_refused_snapshot_are_named_and_the_rest_decides(invoke: Invoke, snapshots: Path) -> None:
+    sources = [snapshots / f"{name}.mcap" for name in ("first", "turned", "alone", "second")]
+    outcome = invoke("calibrate", *sources, "--target", "right", "--out", "run", *FEWER)
+    assert outcome.code == ExitCode.DONE, outcome.err
+    told = {line.split(":")[0]: line for line in outcome.out.splitlines() if line.startswith("snapshot ")}
+    assert "agrees" in told["snapshot first"]
+    assert "OUTLIER: left is off by" in told["snapshot turned"]
+    assert "left out" in told["snapshot alone"]
+    assert "only one LiDAR (right)" in told["snapshot alone"]
+    assert {path.name for path in Path("run").iterdir()} == WRITTEN | {"first", "turned", "second"}
+    for name in ("first", "turned", "second"):
+        assert {path.name for path in Path("run", name).iterdir()} == WRITTEN
+    found = read_extrinsics(Path("run/calibration.toml")).between("right", "left")
+    distance_m, angle_rad = true_pose("right", "left").distance_to(found)
+    assert distance_m < 0.02
+    assert angle_rad < 0.002
+    document = json.loads(Path("run/result.json").read_text(encoding="utf-8"))
+    jsonschema.validate(document, SCHEMA)
+    assert [report["outliers"] for report in document["snapshots"]] == [[], ["left"], [], []]
+    assert document["snapshots"][2]["refusal"]
+    assert document["lidars"]["left"]["spread"]["snapshots"] == 2
+    assert document["input"]["source"] == ", ".join(map(str, sources))
+    evaluated = json.loads(invoke("evaluate", "run", "run/turned", "--truth", find_sample().truth, "--json").out)
+    assert [row["outcome"] for row in evaluated["lidars"]] == ["within", "false_accept"]
+
+
+def test_a_run_without_a_usable_snapshot_leaves_no_older_joint_result(invoke: Invoke, snapshots: Path) -> None:
+    Path("run").mkdir()
+    Path("run/result.json").write_text("{}", encoding="utf-8")
+    sources = [snapshots / "alone.mcap", snapshots / "alone.mcap"]
+    copy = Path("copy.mcap")
+    copy.write_bytes(sources[1].read_bytes())
+    outcome = invoke("calibrate", sources[0], copy, "--out", "run", "--quiet")
+    assert_one_sentence(outcome, ExitCode.INPUT)
+    assert "None of 2 snapshots can be used" in outcome.err
+    assert list(Path("run").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("names", "options", "named"),
+    [
+        (("first", "other"), (), "none of those of the other recordings (rear, top)"),
+        (("first", "first"), (), "given more than once"),
+        (("first", "second"), ("--until", "fine"), "--until fine"),
+        (("first", "second"), ("--preset", "paper"), "preset paper"),
+    ],
+)
+def test_what_cannot_be_joined_is_refused_before_any_work(
+    names: tuple[str, ...], options: tuple[str, ...], named: str, invoke: Invoke, snapshots: Path
+) -> None:
+    outcome = invoke("calibrate", *(snapshots / f"{name}.mcap" for name in names), "--out", "run", *options)
+    assert_one_sentence(outcome, ExitCode.USAGE)
+    assert named in outcome.err
+    assert not Path("run").exists()
+
+
+def test_an_unknown_target_is_refused_before_any_work(invoke: Invoke, snapshots: Path) -> None:
+    sources = [snapshots / "first.mcap", snapshots / "second.mcap"]
+    outcome = invoke("calibrate", *sources, "--out", "run", "--target", "rigth")
+    assert_one_sentence(outcome, ExitCode.USAGE)
+    assert "Did you mean 'right'?" in outcome.err
+    assert not Path("run").exists()
+
+
+def test_a_joint_run_has_a_place_of_its_own() -> None:
+    assert default_out_dir([Path("a.mcap"), Path("b.mcap")], 2) == Path("recordings/runs/a-and-1-more")
