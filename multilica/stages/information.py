@@ -12,7 +12,6 @@ from multilica.stages.registration_cloud import RegistrationCloud
 __all__ = ["pose_information"]
 
 _MIN_MATCHES = 20
-_MAD_TO_SIGMA = 1.4826
 
 
 def pose_information(
@@ -25,9 +24,10 @@ def pose_information(
     """Information (inverse covariance) of the pose, from point-to-plane residuals at the optimum.
 
     Each source point with a target point within `distance_m` holds the pose along that point's normal n, by
-    J = [a x n, n] with its arm a from the source's origin; sigma is the residuals' own robust deviation. Neighbouring
-    residuals are not independent (one surface, one beam pattern, one error of its normals), so only each
-    `correlated_points`-th counts.
+    J = [a x n, n] with its arm a from the source's origin. GICP gives all of them the same weight, whatever they lie
+    on, so its covariance is the sandwich H^-1 B H^-1 with H = sum J^T J and B = sum r^2 J^T J (White, Econometrica
+    1980): a direction that only bushes and kerbs hold is known as badly as these fit. Neighbouring residuals are not
+    independent (one surface, one beam pattern, one error of its normals), so only each `correlated_points`-th counts.
 
     Returns:
         (6, 6), order rotation (rad), translation (m), both along the target's axes, the rotation about the source's
@@ -43,7 +43,8 @@ def pose_information(
         return None
     normals = target.normals[index[matched]]
     residual_m = np.einsum("ij,ij->i", normals, moved[matched] - target.points_m[index[matched]])
-    sigma_m = max(_MAD_TO_SIGMA * float(np.median(np.abs(residual_m))), config.min_sigma_m)
+    variance = np.maximum(residual_m**2, config.min_sigma_m**2)
     jacobian = np.concatenate([np.cross(arms[matched], normals), normals], axis=1)
-    jacobian = jacobian[np.abs(residual_m) <= 3.0 * sigma_m]
-    return np.asarray(jacobian.T @ jacobian / (sigma_m**2 * config.correlated_points))
+    held = jacobian.T @ jacobian
+    spread = jacobian.T @ (jacobian * variance[:, None])
+    return np.asarray(held @ np.linalg.pinv(spread, hermitian=True) @ held / config.correlated_points)

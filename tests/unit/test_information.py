@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from multilica.config import FineConfig, RefineConfig
+from multilica.geometry import RigidTransform
+from multilica.stages.information import pose_information
+from multilica.stages.registration_cloud import prepare_registration_cloud
+
+_HERE = RigidTransform.identity("t", "s")
+_CONFIG = RefineConfig(distance_m=0.3)
+
+
+def _room(name, seed, roughness_m):
+    """Three walls of 6 m; `roughness_m` is how far points lie off the wall across x, y and z."""
+    rng = np.random.default_rng(seed)
+    walls = []
+    for axis, rough_m in enumerate(roughness_m):
+        points = rng.uniform(0.0, 6.0, (4000, 3))
+        points[:, axis] = rng.normal(0.0, rough_m, 4000)
+        walls.append(points)
+    return prepare_registration_cloud(name, np.concatenate(walls), FineConfig(), 1)
+
+
+def _sigma_m(roughness_m):
+    information = pose_information(_room("t", 0, roughness_m), _room("s", 1, roughness_m), _HERE, _CONFIG, 1)
+    return np.sqrt(np.diag(np.linalg.inv(information)))[3:]
+
+
+def test_a_direction_that_only_rough_surfaces_hold_is_known_less_well():
+    smooth, rough = _sigma_m([0.01, 0.01, 0.01]), _sigma_m([0.05, 0.01, 0.01])
+    assert rough[0] > 2.0 * smooth[0]
+    assert rough[0] > 1.5 * rough[1:].max()
+
+
+def test_a_direction_that_nothing_holds_has_no_information():
+    plane = np.random.default_rng(0).uniform(-5.0, 5.0, (4000, 3)) * [1.0, 1.0, 0.0]
+    cloud = prepare_registration_cloud("t", plane, FineConfig(), 1)
+    information = pose_information(cloud, cloud, _HERE, _CONFIG, 1)
+    assert information[5, 5] > 1e4
+    assert information[3, 3] == pytest.approx(0.0, abs=1e-3)
+
+
+def test_too_few_matches_tell_nothing():
+    near, far = _room("t", 0, [0.01] * 3), _room("s", 1, [0.01] * 3)
+    away = RigidTransform.from_xyz_rpy("t", "s", [100.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    assert pose_information(near, far, away, _CONFIG, 1) is None
