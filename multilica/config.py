@@ -22,6 +22,7 @@ __all__ = [
     "FeaturesConfig",
     "FineConfig",
     "GroundConfig",
+    "HealthConfig",
     "IngestConfig",
     "JointConfig",
     "MergeConfig",
@@ -85,6 +86,14 @@ class PreprocessConfig(Section):
     min_range_m: Metres = Field(1.0, description="nearer returns are dropped: the vehicle's own body")
     max_range_m: PositiveMetres = Field(100.0, description="farther returns are dropped: too sparse to help")
     voxel_size_m: Metres = Field(0.05, description="grid on which the clouds are thinned; 0: not at all")
+
+
+class HealthConfig(Section):
+    """When a sensor is called dirty."""
+
+    max_soiled_share: Share = Field(
+        0.1, description="share of the field of view that may end in scattered echoes below preprocess.min_range_m"
+    )
 
 
 class FeaturesConfig(Section):
@@ -249,6 +258,7 @@ class CalibrationConfig(Section):
     ingest: IngestConfig = IngestConfig()
     stillness: StillnessConfig = StillnessConfig()
     preprocess: PreprocessConfig = PreprocessConfig()
+    health: HealthConfig = HealthConfig()
     features: FeaturesConfig = FeaturesConfig()
     correspond: CorrespondConfig = CorrespondConfig()
     coarse: CoarseConfig = CoarseConfig()

@@ -86,7 +86,15 @@ class UnreadableSourceError(InputError):
 
 
 class UnfitSnapshotError(InputError):
-    """The source was read, yet holds nothing that can be calibrated."""
+    """The source was read, yet holds nothing that can be calibrated.
+
+    Args:
+        code: stable name of the cause, for programs.
+    """
+
+    def __init__(self, message: str, code: str = "too_few_lidars") -> None:
+        self.code = code
+        super().__init__(message)
 
 
 class UnfitPriorError(InputError):

@@ -160,7 +160,7 @@ class GroundEstimated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationFinished:
-    """The outcome is known."""
+    """The outcome is known; that of a snapshot that is not fit says so, and `calibrate` raises after it."""
 
     result: CalibrationResult
 

@@ -31,6 +31,8 @@ from multilica.results import (
     PairRegistration,
     PreprocessedCloud,
     Refinement,
+    Refusal,
+    SensorHealth,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
@@ -45,6 +47,7 @@ from multilica.stages.preprocess import preprocess
 from multilica.stages.prior import known_between, require_usable
 from multilica.stages.refine import linked, refine
 from multilica.stages.registration_cloud import prepare_registration_cloud
+from multilica.stages.sensor_health import examine_sensor
 from multilica.stages.stillness import detect_motion, explain_motion
 from multilica.stages.verify import assess_hypotheses, short_gicp
 from multilica.stages.witness import Witness, prepare_witness
@@ -84,9 +87,13 @@ def calibrate(
         require_usable(prior, snapshot, config)
     run = _Run(snapshot, config, observe, prior)
     observe(events.CalibrationStarted(snapshot, config, prior))
-    with threadpool_limits(config.runtime.threads):
-        for stage in STAGES[: STAGES.index(config.until) + 1]:
-            run.stage(stage)
+    try:
+        with threadpool_limits(config.runtime.threads):
+            for stage in STAGES[: STAGES.index(config.until) + 1]:
+                run.stage(stage)
+    except UnfitSnapshotError as error:
+        observe(events.CalibrationFinished(run.refused(Refusal(error.code, str(error)))))
+        raise
     result = run.result()
     observe(events.CalibrationFinished(result))
     return result
@@ -110,6 +117,7 @@ class _Run:
     config: CalibrationConfig
     observe: Observer
     prior: Extrinsics | None = None
+    health: list[SensorHealth] = field(default_factory=list)
     clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
     features: dict[str, FeatureCloud] = field(default_factory=dict)
     matches: dict[PairKey, Correspondences] = field(default_factory=dict)
@@ -160,7 +168,9 @@ class _Run:
     def _preprocess(self) -> None:
         self._require_standstill()
         for lidar in self.snapshot.lidars:
+            self.health.append(examine_sensor(lidar, self.config.preprocess.min_range_m, self.config.health))
             cloud = preprocess(lidar, self.config.preprocess, self.config.stillness)
+            cloud = replace(cloud, health=self.health[-1])
             if len(cloud.points_m):
                 self.clouds[lidar.name] = cloud
             self.observe(events.CloudPreprocessed(cloud))
@@ -178,7 +188,8 @@ class _Run:
         if self.config.target and self.config.target not in self.clouds:
             raise UnfitSnapshotError(
                 f"{where} no returns of the target LiDAR '{self.config.target}' {span}; "
-                f"choose another target: {', '.join(self.clouds)}."
+                f"choose another target: {', '.join(self.clouds)}.",
+                code="blind_target",
             )
 
     def _require_standstill(self) -> None:
@@ -187,7 +198,7 @@ class _Run:
         motions = {lidar.name: detect_motion(lidar.scans, self.config.stillness) for lidar in self.snapshot.lidars}
         refusal = explain_motion(motions, self.snapshot.source)
         if refusal:
-            raise UnfitSnapshotError(refusal)
+            raise UnfitSnapshotError(refusal, code="moving_vehicle")
 
     def _features(self) -> None:
         for name, cloud in self.clouds.items():
@@ -342,6 +353,18 @@ class _Run:
             ground=self.ground,
             trusted=tuple(self._trusted_pairs()),
             timing_s=dict(self.timing_s),
+            health=tuple(self.health),
+        )
+
+    def refused(self, refusal: Refusal) -> CalibrationResult:
+        """The outcome of a snapshot that is not fit: no LiDAR has a place, not even the target."""
+        return CalibrationResult(
+            target=self.config.target or self.snapshot.names[0],
+            target_reason="the snapshot was refused",
+            placements=tuple(LidarPlacement(name, reason=refusal.text) for name in self.snapshot.names),
+            timing_s=dict(self.timing_s),
+            health=tuple(self.health),
+            refusal=refusal,
         )
 
     def _placement(self, name: str, target: str) -> LidarPlacement:

@@ -31,6 +31,8 @@ __all__ = [
     "PreprocessedCloud",
     "Reason",
     "Refinement",
+    "Refusal",
+    "SensorHealth",
     "SigmaOrigin",
     "SnapshotDeviation",
     "SnapshotReport",
@@ -52,6 +54,40 @@ SigmaOrigin = Literal["residuals", "snapshots"]
 """What a covariance rests on: the residuals of the registrations, or those widened to the spread over snapshots."""
 
 
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a registration was not accepted, or a sensor not trusted, as data.
+
+    Args:
+        code: stable name, for programs.
+        value, limit: the figure and what it was held against.
+        text: the same for people.
+    """
+
+    code: str
+    value: float
+    limit: float
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class SensorHealth:
+    """What a LiDAR's returns say of the LiDAR itself.
+
+    Args:
+        returns: finite returns over all frames.
+        near_share: share of them that is too near to be used: the vehicle's body, or dirt.
+        soiled_share: share of the field of view that ends on the window.
+        reasons: `dead` or `dirty`; none for a LiDAR that is well.
+    """
+
+    lidar: str
+    returns: int
+    near_share: float
+    soiled_share: float
+    reasons: tuple[Reason, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PreprocessedCloud:
     """One LiDAR's returns after cleaning.
@@ -61,12 +97,14 @@ class PreprocessedCloud:
         returns_m: (R, 3) every kept return in the LiDAR's own frame: one beam each.
         points_m: (N, 3) the same, thinned on the voxel grid.
         dropped_m: per reason, the (K, 3) points that were dropped.
+        health: None where the sensor was not examined.
     """
 
     lidar: str
     returns_m: FloatArray
     points_m: FloatArray
     dropped_m: Mapping[str, FloatArray] = field(default_factory=dict)
+    health: SensorHealth | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,22 +309,6 @@ class Assessment:
     def evidence(self) -> float:
         """See `Testimony.evidence`."""
         return self.testimony.evidence
-
-
-@dataclass(frozen=True, slots=True)
-class Reason:
-    """Why a registration was not accepted, as data.
-
-    Args:
-        code: stable name, for programs.
-        value, limit: the figure and what it was held against.
-        text: the same for people.
-    """
-
-    code: str
-    value: float
-    limit: float
-    text: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -511,6 +533,19 @@ class LidarPlacement:
 
 
 @dataclass(frozen=True, slots=True)
+class Refusal:
+    """Why a snapshot was not calibrated at all.
+
+    Args:
+        code: stable name, for programs: `moving_vehicle`, `too_few_lidars`, `blind_target`.
+        text: the sentence of the error that `calibrate` raises.
+    """
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
 class SnapshotDeviation:
     """How far one snapshot by itself places a LiDAR from where the joint result has it.
 
@@ -580,6 +615,8 @@ class CalibrationResult:
         decisions: the merge steps in order.
         timing_s: wall time per stage.
         refinement: what the joint adjustment did; None where it did not run.
+        health: of each LiDAR that was examined, in name order.
+        refusal: None unless the snapshot was not fit.
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
         snapshots: what each snapshot contributed; empty where there is only one.
     """
@@ -592,6 +629,8 @@ class CalibrationResult:
     ground: GroundPlane | None = None
     timing_s: Mapping[str, float] = field(default_factory=dict)
     refinement: Refinement | None = None
+    health: tuple[SensorHealth, ...] = ()
+    refusal: Refusal | None = None
     trusted: tuple[PairRegistration, ...] = ()
     snapshots: tuple[SnapshotReport, ...] = ()
 

@@ -26,6 +26,7 @@ class ExitCode(IntEnum):
     USAGE = 2
     INPUT = 3
     NOT_PLACED = 4
+    DIFFERENT = 5
 
 
 def report(failure: BaseException) -> int:
@@ -44,11 +45,11 @@ def explain(failure: BaseException) -> tuple[int, str]:
         case UsageError():
             return ExitCode.USAGE, str(failure)
         case InputError():
-            return ExitCode.INPUT, str(failure)
+            return ExitCode.INPUT, _with_notes(failure)
         case MultilicaError():
             return ExitCode.BROKEN, str(failure)
         case Interrupted():
-            return failure.exit_code, " ".join((str(failure), *getattr(failure, "__notes__", ())))
+            return failure.exit_code, _with_notes(failure)
         case typer.TyperException():
             return ExitCode.USAGE, _usage_sentence(failure)
         case _:
@@ -80,6 +81,10 @@ def _usage_sentence(failure: typer.TyperException) -> str:
     """What typer objects to, which its errors know better than their text; "" after it printed the help itself."""
     message = str(getattr(failure, "format_message", failure.__str__)()).strip().rstrip(".")
     return f"{message}; see `multilica --help` and `multilica COMMAND --help`." if message else ""
+
+
+def _with_notes(failure: BaseException) -> str:
+    return " ".join((str(failure), *getattr(failure, "__notes__", ())))
 
 
 def _one_line(text: str) -> str:

@@ -13,7 +13,9 @@ import multilica
 from multilica_cli.commands.calibrate import calibrate
 from multilica_cli.commands.config import config
 from multilica_cli.commands.demo import demo
+from multilica_cli.commands.diff import diff
 from multilica_cli.commands.evaluate import evaluate
+from multilica_cli.commands.explain import explain
 from multilica_cli.commands.inspect import inspect
 from multilica_cli.commands.simulate import simulate
 from multilica_cli.failures import report
@@ -27,9 +29,10 @@ app = typer.Typer(
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 all placed, 1 machine or bug, 2 usage, 3 input unreadable or unfit, 4 some LiDAR not placed, "
+    "5 diff found the runs different, "
     "130 Ctrl-C, 143 SIGTERM.",
 )
-for command in (calibrate, inspect, config, simulate, evaluate, demo):
+for command in (calibrate, inspect, explain, diff, config, simulate, evaluate, demo):
     app.command()(command)
 
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from multilica.results import GroundPlane
     from multilica_cli.run import FinishedRun
 
-__all__ = ["print_document", "print_placements", "print_snapshots", "print_written"]
+__all__ = ["print_document", "print_explanation", "print_placements", "print_snapshots", "print_written"]
 
 
 def print_document(run: FinishedRun) -> None:
@@ -21,17 +21,11 @@ def print_document(run: FinishedRun) -> None:
 
 
 def print_placements(run: FinishedRun, console: Console) -> None:
-    """The table of the extrinsics, with a reason for each LiDAR that is not in it."""
-    from multilica.sinks.prior_words import surprises
+    """The table of the extrinsics."""
     from multilica_cli.tables import placements_table
 
     result = run.result
     console.print(placements_table(result))
-    for placement in result.placements:
-        if not placement.placed:
-            console.print(f"{placement.lidar}: {placement.reason}")
-    for text in surprises(result):
-        console.print(text)
     console.print(f"target {result.target}: {result.target_reason}")
     if result.ground is not None:
         console.print(_ground_line(result.target, result.ground))
@@ -41,6 +35,14 @@ def _ground_line(target: str, ground: GroundPlane) -> str:
     roll_deg, pitch_deg, _ = ground.T_base_target.rpy_deg
     height_m = ground.T_base_target.xyz_m[2]
     return f"ground: {height_m:.3f} m below {target}, whose roll is {roll_deg:z.2f} deg and pitch {pitch_deg:z.2f} deg"
+
+
+def print_explanation(run: FinishedRun, console: Console) -> None:
+    """What came of it, in sentences: what is missing and why, what is doubtful, what helps."""
+    from multilica.fleet.explain_run import explain_run
+
+    for line in explain_run(run.out_dir).findings:
+        console.print(line)
 
 
 def print_snapshots(run: FinishedRun, console: Console) -> None:

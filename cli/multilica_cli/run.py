@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from multilica.errors import UnfitSnapshotError
 from multilica_cli.failures import ExitCode
 from multilica_cli.interruption import Interrupted
 from multilica_cli.terminal import stderr_console
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from multilica.events import Event, Observer
     from multilica.extrinsics import Extrinsics
     from multilica.results import CalibrationResult
+    from multilica.sinks.run_directory import Run
     from multilica.snapshot import Snapshot
 
 __all__ = [
@@ -80,7 +82,7 @@ def calibrate_sources(
     with show_progress(console) as show:
         snapshot = read(sources, config, show, console)
         known = None if prior is None else read_known(prior, snapshot, config, console)
-        with told_where(out_dir), open_run(out_dir, config, mcap_encoding) as run:
+        with open_run(out_dir, config, mcap_encoding) as run, told_where(run):
             result = calibrate(snapshot, config, both(run, show), known)
     return FinishedRun(result, out_dir, run.written)
 
@@ -134,10 +136,15 @@ def exit_code_of(result: CalibrationResult, config: CalibrationConfig) -> ExitCo
 
 
 @contextmanager
-def told_where(out_dir: Path) -> Iterator[None]:
-    """Say where the recording is if a signal ends the run."""
+def told_where(run: Run) -> Iterator[None]:
+    """Say what is in the run's directory if a signal ends the run or the snapshot is refused."""
+    kept = f"The earlier result in {run.directory} is left as it was."
     try:
         yield
     except Interrupted as interrupted:
-        interrupted.add_note(f"The recording up to there is in {out_dir}.")
+        interrupted.add_note(kept if run.keeps_earlier else f"The recording up to there is in {run.directory}.")
+        raise
+    except UnfitSnapshotError as refusal:
+        if run.started or run.keeps_earlier:
+            refusal.add_note(f"See `multilica explain {run.directory}`." if run.started else kept)
         raise

@@ -43,7 +43,7 @@ def calibrate_snapshots(
     if config.target:
         require_lidar(config.target, sources)
     console = stderr_console(quiet=quiet)
-    with told_where(out_dir), open_run(out_dir, config, mcap_encoding) as run:
+    with open_run(out_dir, config, mcap_encoding) as run, told_where(run):
         run.clear()  # an interrupted run must not leave the joint result of an earlier one beside its own snapshots
         alone = [
             _calibrate_one(source, out_dir / source.name, config, prior, mcap_encoding, console) for source in sources

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -32,6 +33,11 @@ class PoseError:
     rotation_rad: FloatArray
     distance_m: float
     angle_rad: float
+
+    @property
+    def angle_deg(self) -> float:
+        """`angle_rad` for people."""
+        return math.degrees(self.angle_rad)
 
     @classmethod
     def between(cls, found: RigidTransform, true: RigidTransform) -> Self:

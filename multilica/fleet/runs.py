@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.fleet.run_documents import read_result_json
 from multilica.geometry import FloatArray, RigidTransform, read_only
-from multilica.sinks.result_document import RESULT_SCHEMA
 from multilica.sinks.result_files import RESULT_JSON
 
 __all__ = ["SavedPlacement", "SavedRun", "read_run"]
@@ -68,7 +67,7 @@ def read_run(path: Path) -> SavedRun:
         UnreadableSourceError: not JSON, of another schema, or damaged.
     """
     file = _result_file(path)
-    document = _document(file)
+    document = read_result_json(file)
     try:
         return _saved_run(str(file.parent), document)
     except KeyError as error:
@@ -89,19 +88,6 @@ def _result_file(path: Path) -> Path:
             "which `multilica calibrate --out` leaves when it ends."
         )
     return file
-
-
-def _document(file: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise UnreadableSourceError(f"{file} is not a JSON file that can be read: {error}.") from error
-    schema = document.get("schema") if isinstance(document, dict) else None
-    if schema != RESULT_SCHEMA:
-        raise UnreadableSourceError(
-            f"{file} has schema {schema!r}; expected '{RESULT_SCHEMA}', as the {RESULT_JSON} of a run has it."
-        )
-    return dict(document)
 
 
 def _saved_run(name: str, document: Mapping[str, Any]) -> SavedRun:

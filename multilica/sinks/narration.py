@@ -70,7 +70,11 @@ def _(event: events.CloudPreprocessed) -> tuple[LogLine, ...]:
     cloud = event.cloud
     dropped = ", ".join(f"{len(points):,} {reason}" for reason, points in sorted(cloud.dropped_m.items()))
     text = f"{cloud.lidar}: {len(cloud.points_m):,} points kept and thinned, dropped {dropped or 'none'}"
-    return (LogLine("INFO" if len(cloud.points_m) else "ERROR", text),)
+    doubts = cloud.health.reasons if cloud.health is not None else ()
+    return (
+        LogLine("INFO" if len(cloud.points_m) else "ERROR", text),
+        *(LogLine("WARN", f"{cloud.lidar}: {doubt.text}") for doubt in doubts),
+    )
 
 
 @narrate.register
@@ -176,6 +180,8 @@ def _(event: events.GroundEstimated) -> tuple[LogLine, ...]:
 @narrate.register
 def _(event: events.CalibrationFinished) -> tuple[LogLine, ...]:
     result = event.result
+    if result.refusal is not None:
+        return (LogLine("ERROR", f"refused: {result.refusal.text}"),)
     missing = tuple(
         LogLine("ERROR", f"{place.lidar} is not placed: {place.reason}")
         for place in result.placements

@@ -8,7 +8,7 @@ import numpy as np
 from multilica.geometry import FloatArray, rotation_vector_rad
 from multilica.results import CalibrationResult, LidarPlacement
 
-__all__ = ["surprises"]
+__all__ = ["surprise", "surprises"]
 
 _MOUNT_PLAY_M = 0.3
 _MOUNT_PLAY_RAD = float(np.deg2rad(10.0))
@@ -19,11 +19,12 @@ _MOUNTED = {"x": "upside down", "y": "upside down", "z": "backwards"}
 
 def surprises(result: CalibrationResult) -> tuple[str, ...]:
     """A sentence on each LiDAR that stands farther from its prior than the play of a mount, with the likely cause."""
-    found = (_surprise(placement, result.target) for placement in result.placements)
+    found = (surprise(placement, result.target) for placement in result.placements)
     return tuple(text for text in found if text)
 
 
-def _surprise(placement: LidarPlacement, target: str) -> str | None:
+def surprise(placement: LidarPlacement, target: str) -> str | None:
+    """The same for one LiDAR; None if it stands where its prior has it."""
     deviation, prior, found = placement.prior_deviation, placement.T_target_source_prior, placement.T_target_source
     if deviation is None or prior is None or found is None:
         return None

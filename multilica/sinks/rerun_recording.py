@@ -88,6 +88,7 @@ class RerunRecording:
         cause = f"{type(error).__name__}: {error}".rstrip(": ") if error is not None else "no result was reached"
         scene.advance()
         scene.log_line(LogLine("ERROR", f"the run ended early: {cause}"))
+        log_summary(scene)
         _send_properties(scene, "interrupted")
 
 
@@ -122,7 +123,8 @@ def _finish(scene: Scene, event: events.CalibrationFinished) -> None:
     log_outcome(scene, event)
     log_summary(scene)
     _send_properties(scene, event.result.status)
-    scene.stream.send_blueprint(final_blueprint(scene.story))
+    blueprint = final_blueprint if event.result.refusal is None else stage_blueprint
+    scene.stream.send_blueprint(blueprint(scene.story))
     _flush(scene.stream)
 
 

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
 from multilica.sinks.palette import heat_colours
 from multilica.sinks.rerun_scene import Scene
-from multilica.sinks.rerun_tree import FITNESS, HYPOTHESES_TABLE, SUMMARY
+from multilica.sinks.rerun_tree import FITNESS, HYPOTHESES_TABLE, RESULT, SUMMARY
+from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.run_summary import fitness_markdown, hypotheses_markdown, summary_markdown
 
@@ -19,8 +22,15 @@ _CELL_PIXELS = 20
 
 
 def log_summary(scene: Scene) -> None:
-    """The outcome, or how far the run is."""
+    """The outcome, or how far the run is: for people, and as the result document for programs.
+
+    The document comes without the times that stages took, so that equal runs make equal recordings.
+    """
     scene.log(SUMMARY, _markdown(summary_markdown(scene.story)))
+    document = run_document(scene.story)
+    if document is not None:
+        text = json.dumps({**document, "timing_s": {}}, ensure_ascii=False, allow_nan=False)
+        scene.log(RESULT, rr.TextDocument(text, media_type=rr.MediaType.TEXT))
 
 
 def log_pair_tables(scene: Scene) -> None:

@@ -14,6 +14,7 @@ __all__ = [
     "LOG",
     "MERGE_CANDIDATES",
     "MERGE_GRAPH",
+    "RESULT",
     "SUMMARY",
     "curve_path",
     "hypothesis_frame",
@@ -27,6 +28,7 @@ __all__ = [
 LOG = "/log"
 SUMMARY = "/summary"
 CONFIG = "/config"
+RESULT = "/result"
 FITNESS = "/fitness"
 HYPOTHESES_TABLE = "/hypotheses"
 MERGE_GRAPH = "/merge/graph"

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -22,9 +22,11 @@ from multilica.results import (
     PairRegistration,
     Reason,
     Refinement,
+    SensorHealth,
     SnapshotReport,
     Spread,
 )
+from multilica.sinks.prior_words import surprise
 from multilica.sinks.provenance import Provenance
 
 __all__ = ["RESULT_SCHEMA", "json_safe", "result_document"]
@@ -43,7 +45,8 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
         "status": result.status,
         "target": result.target,
         "target_reason": result.target_reason,
-        "lidars": {placement.lidar: _placement(placement) for placement in result.placements},
+        "refusal": None if result.refusal is None else asdict(result.refusal),
+        "lidars": {entry.lidar: _placement(entry, health, result.target) for entry, health in _lidars(result)},
         "pairs": [_pair(pair) for pair in result.pairs],
         "decisions": [_decision(decision) for decision in result.decisions],
         "snapshots": [_snapshot(snapshot) for snapshot in result.snapshots],
@@ -71,7 +74,12 @@ def json_safe(value: object) -> object:
     return value
 
 
-def _placement(placement: LidarPlacement) -> dict[str, Any]:
+def _lidars(result: CalibrationResult) -> Iterable[tuple[LidarPlacement, SensorHealth | None]]:
+    health = {each.lidar: each for each in result.health}
+    return ((placement, health.get(placement.lidar)) for placement in result.placements)
+
+
+def _placement(placement: LidarPlacement, health: SensorHealth | None, target: str) -> dict[str, Any]:
     return {
         "placed": placement.placed,
         **_pose(placement.T_target_source),
@@ -81,13 +89,23 @@ def _placement(placement: LidarPlacement) -> dict[str, Any]:
         "sigma_rotation_deg": placement.sigma_rotation_deg,
         "sigma_from": placement.sigma_from,
         "covariance": placement.covariance,
-        "prior": _prior(placement),
+        "prior": _prior(placement, target),
         "spread": None if placement.spread is None else _spread(placement.spread),
         "reason": placement.reason,
+        "health": None if health is None else _health(health),
     }
 
 
-def _prior(placement: LidarPlacement) -> dict[str, Any] | None:
+def _health(health: SensorHealth) -> dict[str, Any]:
+    return {
+        "returns": health.returns,
+        "near_share": health.near_share,
+        "soiled_share": health.soiled_share,
+        "reasons": [_reason(reason) for reason in health.reasons],
+    }
+
+
+def _prior(placement: LidarPlacement, target: str) -> dict[str, Any] | None:
     if placement.T_target_source_prior is None:
         return None
     off_m, off_rad = placement.prior_deviation or (math.nan, math.nan)
@@ -95,6 +113,7 @@ def _prior(placement: LidarPlacement) -> dict[str, Any] | None:
         **_pose(placement.T_target_source_prior),
         "deviation_m": off_m,
         "deviation_deg": math.degrees(off_rad),
+        "surprise": surprise(placement, target),
     }
 
 

@@ -9,9 +9,11 @@ from types import TracebackType
 from typing import Self
 
 from multilica import events
+from multilica.results import CalibrationResult
 from multilica.sinks.atomic import write_text_atomically
 from multilica.sinks.calibration_toml import calibration_toml
 from multilica.sinks.result_document import result_document
+from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 
 __all__ = ["CALIBRATION_TOML", "RESULT_JSON", "ResultFiles", "result_document"]
@@ -37,13 +39,16 @@ class ResultFiles:
     def __call__(self, event: events.Event) -> None:
         """Remember an event; write at the last one."""
         self._story(event)
-        story = self._story
-        if story.result is None or story.config is None or story.provenance is None:
+        if isinstance(event, events.CalibrationFinished):
+            self._write(event.result)
+
+    def _write(self, result: CalibrationResult) -> None:
+        document, provenance = run_document(self._story), self._story.provenance
+        if document is None or provenance is None:
             return
-        document = result_document(story.result, story.config, story.provenance)
         text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
         write_text_atomically(self.directory / RESULT_JSON, f"{text}\n")
-        write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(story.result, story.provenance))
+        write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(result, provenance))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -19,7 +19,7 @@ from multilica.results import CalibrationResult
 from multilica.sinks.atomic import atomic_file
 from multilica.sinks.mcap_messages import Encoding, MessageWriter
 from multilica.sinks.narration import LogLine, narrate
-from multilica.sinks.result_document import result_document
+from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.thinning import sample_points
 from multilica.sinks.toml_text import toml_text
@@ -86,13 +86,12 @@ def _encoding(name: str) -> Encoding:
 
 def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Encoding) -> None:
     """Transforms first, so that a reader in time order can place every cloud."""
-    snapshot, result, config, provenance = story.snapshot, story.result, story.config, story.provenance
-    if snapshot is None or result is None or config is None or provenance is None:
+    snapshot, result, document = story.snapshot, story.result, run_document(story)
+    if snapshot is None or result is None or document is None:
         return
-    document = result_document(result, config, provenance)
     start_ns = _first_stamp_ns(snapshot)
     writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-    writer.start(profile=encoding.profile, library=f"multilica {provenance.versions['multilica']}")
+    writer.start(profile=encoding.profile, library=f"multilica {document['versions']['multilica']}")
     writer.add_metadata("multilica", _metadata(document))
     messages = MessageWriter(writer)
     messages.write(encoding.transforms(_static_poses(result), start_ns), start_ns)

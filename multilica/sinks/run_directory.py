@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 from multilica import events
@@ -27,9 +27,11 @@ _MCAP = "result.mcap"
 _CONFIG_HEADER = "# The resolved configuration of a multilica run; give it to --config to run the same again.\n"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class Run:
     """An observer that hands each event to every sink.
+
+    What an earlier run left is removed when this one starts; a result among it only once the new snapshot has proved
+    fit, which it has when its clouds are preprocessed. Until then events wait.
 
     Args:
         directory: where they write.
@@ -37,17 +39,48 @@ class Run:
         sinks: in the order in which they are told.
     """
 
-    directory: Path
-    config: CalibrationConfig
-    sinks: tuple[Observer, ...]
+    def __init__(self, directory: Path, config: CalibrationConfig, sinks: Sequence[Observer]) -> None:
+        self.directory = directory
+        self._config = config
+        self._sinks = tuple(sinks)
+        self._waiting: list[events.Event] = []
+        self._started = False
 
     def __call__(self, event: events.Event) -> None:
-        """Tell every sink; when the calibration starts, what an earlier run left is removed."""
-        if isinstance(event, events.CalibrationStarted):
-            self.clear()
-            text = _CONFIG_HEADER + toml_text(self.config.model_dump(mode="json"))
-            write_text_atomically(self.directory / _CONFIG, text)
-        for sink in self.sinks:
+        """Tell every sink, at once or when the snapshot has proved fit."""
+        if self._started:
+            self._tell(event)
+            return
+        self._waiting.append(event)
+        if self._may_start(event):
+            self._start()
+
+    @property
+    def started(self) -> bool:
+        """Whether anything of this run is on disk."""
+        return self._started
+
+    @property
+    def keeps_earlier(self) -> bool:
+        """Whether the directory holds the result of an earlier run."""
+        return not self._started and _holds_result(self.directory)
+
+    def _may_start(self, event: events.Event) -> bool:
+        if isinstance(event, events.CalibrationFinished):
+            return event.result.refusal is None or not self.keeps_earlier
+        return _proves_fit(event) or not self.keeps_earlier
+
+    def _start(self) -> None:
+        self.clear()
+        text = _CONFIG_HEADER + toml_text(self._config.model_dump(mode="json"))
+        write_text_atomically(self.directory / _CONFIG, text)
+        self._started = True
+        for event in self._waiting:
+            self._tell(event)
+        self._waiting.clear()
+
+    def _tell(self, event: events.Event) -> None:
+        for sink in self._sinks:
             sink(event)
 
     def clear(self) -> None:
@@ -65,8 +98,8 @@ class Run:
 def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove") -> Iterator[Run]:
     """Everything that a calibration leaves on disk, as one observer.
 
-    What an earlier run left in the directory under the same names is removed when the calibration starts, so that
-    files of two runs never lie side by side.
+    What an earlier run left in the directory under the same names is removed, so that files of two runs never lie side
+    by side; a snapshot that is refused leaves an earlier result as it was.
 
     Args:
         out_dir: created if it is missing.
@@ -83,6 +116,19 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
         mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding))
         files = stack.enter_context(ResultFiles(out_dir))
         yield Run(out_dir, config, (recording, mcap, files))
+
+
+def _holds_result(directory: Path) -> bool:
+    """Whether an earlier run ended there with an outcome that is more than a refusal."""
+    try:
+        document = json.loads((directory / RESULT_JSON).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(document, dict) and document.get("refusal") is None
+
+
+def _proves_fit(event: events.Event) -> bool:
+    return isinstance(event, events.StageFinished) and event.stage == "preprocess"
 
 
 def _outputs(directory: Path) -> tuple[Path, ...]:

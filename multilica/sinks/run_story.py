@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
+from multilica.geometry import RigidTransform
 from multilica.results import (
     Assessment,
     CalibrationResult,
@@ -32,6 +35,8 @@ class RunStory:
         registrations: per pair, as it was matched, the registration of stage fine; those of merged clouds are left out.
         assessments: per pair its hypotheses by visibility, the most believable first.
         stages: those that finished, in order.
+        rig: poses in the target's frame after the joint adjustment.
+        figures: of stages that finished, as far as somebody asked for them, see `stage_figures`.
     """
 
     snapshot: Snapshot | None = None
@@ -49,7 +54,9 @@ class RunStory:
     target: str = ""
     target_reason: str = ""
     decisions: list[MergeDecision] = field(default_factory=list)
+    rig: tuple[RigidTransform, ...] = ()
     ground: events.GroundEstimated | None = None
+    figures: dict[Stage, Mapping[str, Any]] = field(default_factory=dict)
     result: CalibrationResult | None = None
 
     @property
@@ -96,6 +103,8 @@ class RunStory:
                 self.target, self.target_reason = target, reason
             case events.MergeStepTaken(decision):
                 self.decisions.append(decision)
+            case events.RigRefined(_, poses):
+                self.rig = poses
             case events.GroundEstimated():
                 self.ground = event
             case events.CalibrationFinished(result):

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+from multilica.explanation import explain
 from multilica.results import (
     PRIOR,
     CalibrationResult,
@@ -14,8 +15,9 @@ from multilica.results import (
     PairKey,
     Testimony,
 )
+from multilica.sinks.explanation_markdown import explanation_markdown
 from multilica.sinks.narration import pair_label
-from multilica.sinks.prior_words import surprises
+from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 
 __all__ = ["decisions_markdown", "fitness_markdown", "hypotheses_markdown", "summary_markdown"]
@@ -25,28 +27,18 @@ _SHOWN_HYPOTHESES = 3
 
 def summary_markdown(story: RunStory) -> str:
     """The outcome in one page; while the run goes on, how far it is."""
-    parts = [_verdict(story), *_result_parts(story.result), _input_part(story), _version_part(story)]
+    parts = [_explanation_part(story), *_result_parts(story.result), _input_part(story), _version_part(story)]
     return "\n\n".join(part for part in parts if part)
 
 
-def _verdict(story: RunStory) -> str:
-    if story.result is None:
-        done = story.stages[-1] if story.stages else "nothing"
-        return f"# Unfinished\n\nThis recording ends before the calibration did; the last finished stage is **{done}**."
-    placed = sum(place.placed for place in story.result.placements)
-    headline = {"complete": "Calibrated", "partial": "Partly calibrated", "failed": "Not calibrated"}
-    return f"# {headline[story.result.status]}: {placed} of {len(story.result.placements)} LiDARs placed"
+def _explanation_part(story: RunStory) -> str:
+    document = run_document(story)
+    return "" if document is None else explanation_markdown(explain(document))
 
 
 def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
-    if result is None:
+    if result is None or result.refusal is not None:
         return
-    missing = [place for place in result.placements if not place.placed]
-    if missing:
-        yield "\n".join(f"- **{_cell(place.lidar)} is not placed**: {place.reason}" for place in missing)
-    against_prior = surprises(result)
-    if against_prior:
-        yield "\n".join(f"- {text}" for text in against_prior)
     yield f"Target: **{_cell(result.target)}**. {result.target_reason}"
     yield _table(
         ("LiDAR", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg", "fitness", "RMSE m"),

@@ -89,7 +89,7 @@ def test_a_lidar_that_cannot_be_placed_has_its_own_code(invoke: Invoke, two_lida
     outcome = invoke("calibrate", "apart", "--target", "left", "--out", "run")
     assert outcome.code == ExitCode.NOT_PLACED
     assert "NOT PLACED" in outcome.out
-    assert any(line.startswith("right: ") for line in outcome.out.splitlines())
+    assert any(line.startswith("right is not placed: ") for line in outcome.out.splitlines())
     assert json.loads(Path("run/result.json").read_text(encoding="utf-8"))["status"] == "failed"
 
 

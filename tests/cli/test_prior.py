@@ -29,7 +29,7 @@ def test_a_lidar_that_is_mounted_backwards_is_placed_and_named(invoke: Invoke, t
     assert off_mm < 20.0
     assert off_deg == pytest.approx(180.0, abs=0.2)
     assert rows["left"][-2:] == ["-", "-"]
-    (said,) = (line for line in outcome.out.splitlines() if line.startswith("right is turned by 180 deg about its z"))
+    (said,) = (line for line in outcome.out.splitlines() if "Warning: right is turned by 180 deg about its z" in line)
     assert "mounted backwards" in said
 
 

@@ -40,6 +40,25 @@ def test_a_moving_vehicle_is_refused_with_the_evidence() -> None:
         calibrate(_snapshot("moving"))
 
 
+def test_a_refusal_is_an_outcome_that_sinks_are_told_of() -> None:
+    seen: list[events.Event] = []
+    with pytest.raises(UnfitSnapshotError) as raised:
+        calibrate(_snapshot("moving"), None, seen.append)
+    last = seen[-1]
+    assert isinstance(last, events.CalibrationFinished)
+    assert last.result.refusal is not None
+    assert (last.result.refusal.code, last.result.refusal.text) == ("moving_vehicle", str(raised.value))
+    assert last.result.status == "failed"
+    assert not any(place.placed for place in last.result.placements)
+
+
+def test_sensors_that_are_not_well_are_in_the_result() -> None:
+    snapshot = _snapshot("dead:left", "dirty:right")
+    result = calibrate(snapshot, with_overrides(CalibrationConfig(), ["until=preprocess"]))
+    found = {health.lidar: [reason.code for reason in health.reasons] for health in result.health}
+    assert found == {"left": ["dead"], "right": ["dirty"], "top": []}
+
+
 @pytest.mark.parametrize("disturbances", [(), ("pedestrians",)])
 def test_a_standing_vehicle_is_not_refused(disturbances: tuple[str, ...]) -> None:
     assert len(_clouds(_snapshot(*disturbances), CalibrationConfig())) == 3

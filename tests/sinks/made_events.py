@@ -225,7 +225,8 @@ class _Run:
 
     def refine(self):
         edge = EdgeResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9)
-        yield events.RigRefined(Refinement((edge,)), ())
+        placed = tuple(pose for name, pose in TRUTH.items() if name not in self.refused)
+        yield events.RigRefined(Refinement((edge,)), placed)
 
     def ground(self):
         base = RigidTransform.from_xyz_rpy("base", TARGET, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0))

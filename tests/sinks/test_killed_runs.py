@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from multilica.fleet.explain_run import explain_run
 from tests.sinks.recording_reader import Recording, blueprint_names
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,7 +36,11 @@ def test_every_finished_stage_can_be_read_and_nothing_is_half_written(tmp_path, 
     assert "/pairs/rear/top/judged/violate" in recording.entity_paths
     assert "/lidars/top/raw" in recording.entity_paths
     assert any("Hypotheses" in names for names in blueprint_names(tmp_path / "recording.partial.rrd"))
-    assert "**verify**" in recording.last("/summary", "TextDocument:text")[0]
+    assert "cut off after stage verify" in recording.last("/summary", "TextDocument:text")[0]
+    told = explain_run(tmp_path)
+    assert told.cause == "unfinished"
+    assert "cut off after stage verify" in told.headline
+    assert any(known.startswith("rear <- top: 2 distinct poses, the best with 90 points") for known in told.known)
     if signal_number == signal.SIGINT:
         assert recording.properties()["status"] == "interrupted"
         assert rerun_rrd("verify", tmp_path / "recording.partial.rrd").returncode == 0

@@ -57,12 +57,13 @@ def test_no_hypothesis_is_a_warning():
 
 
 def test_the_summary_of_an_unfinished_run_says_how_far_it_came():
-    assert "the last finished stage is **ingest**" in summary_markdown(story_of(stop_after=4))
+    assert "cut off after stage ingest" in summary_markdown(story_of(stop_after=4))
 
 
 def test_the_summary_names_what_is_missing_first():
     text = summary_markdown(story_of("partial"))
-    assert text.startswith("# Partly calibrated: 2 of 3 LiDARs placed\n\n- **rear is not placed**: its best")
+    assert text.startswith("# 1 of 3 LiDARs is not placed. rear: it shares too few surfaces with the others")
+    assert "- **rear is not placed: it shares too few surfaces" in text.split("Target:")[0]
     for name in LIDARS:
         assert f"| {name} |" in text
 

@@ -106,7 +106,7 @@ def test_the_summary_names_the_prior_and_the_surprise():
     story = RunStory()
     for event in told():
         story(event)
-    assert "- front left/1 is turned by 180 deg about its z against its prior" in summary_markdown(story)
+    assert "- **Warning**: front left/1 is turned by 180 deg about its z against its prior" in summary_markdown(story)
     rows = [line for line in hypotheses_markdown(story).splitlines() if line.startswith("| rear <- top |")]
     assert [row.split(" | ")[1] for row in rows] == ["#0", "#1", "prior"]
     assert "accept" in rows[2]

@@ -187,7 +187,7 @@ def test_an_error_leaves_the_partial_recording_with_its_cause(tmp_path, rerun_rr
     recording = Recording(partial_path(path))
     assert recording.log[-1][1:] == ("ERROR", "the run ended early: KeyboardInterrupt")
     assert recording.properties()["status"] == "interrupted"
-    assert "last finished stage is **verify**" in recording.last("/summary", "TextDocument:text")[0]
+    assert "cut off after stage verify, in stage fine" in recording.last("/summary", "TextDocument:text")[0]
 
 
 def test_a_run_without_events_leaves_no_file(tmp_path):

@@ -50,6 +50,7 @@ def test_result_json_follows_its_schema_in_strict_json(written, status):
     document = json.loads(text, parse_constant=refuse_constant)
     jsonschema.validate(document, SCHEMA)
     assert document["status"] == status
+    assert list(document["stages"]) == document["progress"]["finished"]
     assert set(document["lidars"]) == set(LIDARS)
     np.testing.assert_array_equal(document["lidars"][TARGET]["T_target_source"], np.eye(4))
 

@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
+from multilica import events
 from multilica.config import CalibrationConfig, load_config
 from multilica.errors import UsageError
+from multilica.results import Refusal
 from multilica.sinks.run_directory import open_run
 from tests.sinks.made_events import made_events
 
@@ -48,6 +52,37 @@ def test_files_of_an_earlier_run_do_not_stay_beside_those_of_a_later_one(tmp_pat
 def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):
     before = run_into(tmp_path).written
     assert run_into(tmp_path, stop_after=0).written == before
+
+
+def refuse_into(directory):
+    """A run whose snapshot is refused in stage preprocess."""
+    told = list(made_events("failed"))
+    refusal = Refusal("moving_vehicle", "The vehicle moves.")
+    with open_run(directory, CONFIG) as run:
+        for event in [*told[:5], events.CalibrationFinished(replace(told[-1].result, refusal=refusal))]:
+            run(event)
+    return run
+
+
+def test_a_refused_snapshot_leaves_every_file(tmp_path):
+    assert refuse_into(tmp_path).started
+    names = {"calibration.toml", "result.json", "recording.rrd", "result.mcap", "config.toml"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert json.loads((tmp_path / "result.json").read_text())["refusal"]["code"] == "moving_vehicle"
+
+
+def test_a_refused_snapshot_leaves_an_earlier_result_alone(tmp_path):
+    run_into(tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert not refuse_into(tmp_path).started
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_earlier_refusal_is_no_result_to_keep(tmp_path):
+    refuse_into(tmp_path)
+    assert refuse_into(tmp_path).started
+    run_into(tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text())["refusal"] is None
 
 
 def test_an_earlier_run_can_be_removed_before_the_calibration_starts(tmp_path):

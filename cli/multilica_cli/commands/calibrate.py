@@ -23,7 +23,13 @@ from multilica_cli.options import (
     Threads,
     Topics,
 )
-from multilica_cli.outcome import print_document, print_placements, print_snapshots, print_written
+from multilica_cli.outcome import (
+    print_document,
+    print_explanation,
+    print_placements,
+    print_snapshots,
+    print_written,
+)
 from multilica_cli.run import calibrate_sources, default_out_dir, exit_code_of
 from multilica_cli.several import calibrate_snapshots
 from multilica_cli.terminal import stdout_console
@@ -90,4 +96,5 @@ def calibrate(
         print_placements(run, console)
         print_snapshots(run, console)
         print_written(run, console)
+        print_explanation(run, console)
     return exit_code_of(run.result, config)

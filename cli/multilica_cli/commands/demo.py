@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from multilica_cli.options import Quiet
-from multilica_cli.outcome import print_placements, print_written
+from multilica_cli.outcome import print_explanation, print_placements, print_written
 from multilica_cli.run import calibrate_sources, exit_code_of
 from multilica_cli.terminal import stdout_console
 
@@ -34,4 +34,5 @@ def demo(
     print_placements(run, console)
     console.print(truth_table(run.result, read_extrinsics(sample.truth)))
     print_written(run, console)
+    print_explanation(run, console)
     return exit_code_of(run.result, config)

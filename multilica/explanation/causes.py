@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each cause is called, and what helps against it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+
+from multilica.explanation.explanation import Cause
+
+__all__ = ["ADVICE", "WORDS", "cause_of_codes"]
+
+_BY_CODE: Sequence[tuple[str, Cause]] = (
+    ("against_prior", "against_prior"),
+    ("too_little_overlap", "no_overlap"),
+    ("too_little_evidence", "no_overlap"),
+    ("empty_space_violated", "contradiction"),
+    ("ambiguous", "ambiguous"),
+    ("not_observable", "not_observable"),
+    ("structure_unexplained", "unexplained"),
+    ("low_fitness", "low_fitness"),
+)
+"""The first code that a verdict has decides."""
+
+WORDS: Mapping[Cause, str] = MappingProxyType(
+    {
+        "dead_sensor": "it returned nothing at all (a dead sensor, or an empty topic)",
+        "no_returns_in_range": "all of its returns are too near or too far to be used",
+        "dirty_sensor": "its window is dirty or covered",
+        "moving_vehicle": "the vehicle moved while the snapshot was taken",
+        "unfit_input": "the snapshot holds too little to calibrate",
+        "no_overlap": "it shares too few surfaces with the others (no overlap)",
+        "contradiction": "every pose that was found puts surfaces where beams proved empty space",
+        "ambiguous": "the scene looks the same from two places (a symmetric scene)",
+        "not_observable": "the scene lets it slide in one direction without the fit getting worse",
+        "unexplained": "the best pose leaves too much of what is in view unexplained (a chance agreement)",
+        "low_fitness": "too few of its points lie near those of the others",
+        "against_prior": "it sits otherwise than its prior claims, as if mounted the other way round",
+        "not_joined": "it fits another LiDAR that is itself not placed",
+        "stopped_early": "the run was to stop before LiDARs are placed",
+        "unfinished": "the run ended before it was placed",
+        "unknown": "no registration with another LiDAR was accepted",
+    }
+)
+
+_MORE_OVERLAP = "a place with structure in the common field of view, or a LiDAR that sees part of both sides"
+_OTHER_PLACE = "another place, with walls, poles or parked cars at uneven distances around the vehicle"
+_PRIOR = "a rough pose from the vehicle's drawing as a prior"
+_MORE_FRAMES = "more frames (--frames), so that sparse surfaces are seen"
+
+ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
+    {
+        "dead_sensor": ("check power, network and driver of the LiDAR, then whether `multilica inspect` shows points",),
+        "no_returns_in_range": ("look at preprocess.min_range_m and preprocess.max_range_m, and for a cover on it",),
+        "dirty_sensor": ("clean the window, take off covers, and record again",),
+        "moving_vehicle": ("record while the vehicle stands still, or choose another window with --start",),
+        "unfit_input": ("a recording with at least two LiDARs that have returns; see `multilica inspect`",),
+        "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, _PRIOR),
+        "contradiction": (
+            "a scene where nothing moves, and a look at the red points of the pair in the recording",
+            _MORE_OVERLAP,
+            _PRIOR,
+        ),
+        "ambiguous": (_OTHER_PLACE, _PRIOR),
+        "not_observable": (_OTHER_PLACE, _MORE_OVERLAP, _MORE_FRAMES),
+        "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, _PRIOR),
+        "low_fitness": (_MORE_OVERLAP, "preset default, which judges by more than fitness"),
+        "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),
+        "not_joined": (_MORE_OVERLAP, "another target (--target) among the LiDARs that it fits"),
+        "stopped_early": ("run again without --until",),
+        "unfinished": ("run again; every finished stage is in the recording",),
+        "unknown": (_MORE_OVERLAP, _MORE_FRAMES),
+    }
+)
+
+
+def cause_of_codes(codes: Sequence[str]) -> Cause:
+    """The cause that a verdict's reasons stand for."""
+    return next((cause for code, cause in _BY_CODE if code in codes), "unknown")

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The result document of a saved run, from whatever is left of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.sinks.result_document import RESULT_SCHEMA
+from multilica.sinks.result_files import RESULT_JSON
+
+__all__ = ["RunDocument", "read_result_json", "read_run_document"]
+
+_RECORDINGS = ("recording.rrd", "recording.partial.rrd")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunDocument:
+    """A run as it was saved.
+
+    Args:
+        path: the run as it was given.
+        document: see `multilica.sinks.run_document`.
+        recording: its `.rrd`; None if there is none.
+    """
+
+    path: Path
+    document: Mapping[str, Any]
+    recording: Path | None
+
+
+def read_run_document(path: Path) -> RunDocument:
+    """Read a run directory, its `result.json`, or a recording, also one that was cut off.
+
+    Raises:
+        SourceNotFoundError: nothing there, or a directory without a run.
+        UnreadableSourceError: damaged, or not of a run.
+    """
+    if not path.exists():
+        raise SourceNotFoundError(f"No run at {path}; give a run directory, its {RESULT_JSON} or a recording (.rrd).")
+    if path.suffix == ".rrd":
+        return _of_recording(path, path)
+    directory = path if path.is_dir() else path.parent
+    recording = next((directory / name for name in _RECORDINGS if (directory / name).exists()), None)
+    file = path / RESULT_JSON if path.is_dir() else path
+    if file.exists():
+        return RunDocument(path, read_result_json(file), recording)
+    if recording is None:
+        raise SourceNotFoundError(
+            f"{path} is not the directory of a run: it has neither {RESULT_JSON} nor {' nor '.join(_RECORDINGS)}, "
+            "which `multilica calibrate --out` leaves."
+        )
+    return _of_recording(path, recording)
+
+
+def _of_recording(path: Path, recording: Path) -> RunDocument:
+    from multilica.sinks.rerun_reading import read_recorded_document
+
+    return RunDocument(path, _of_schema(recording, read_recorded_document(recording)), recording)
+
+
+def read_result_json(file: Path) -> dict[str, Any]:
+    """Read a `result.json`.
+
+    Raises:
+        UnreadableSourceError: not JSON, or of another schema.
+    """
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise UnreadableSourceError(f"{file} is not a JSON file that can be read: {error}.") from error
+    return _of_schema(file, document)
+
+
+def _of_schema(file: Path, document: object) -> dict[str, Any]:
+    schema = document.get("schema") if isinstance(document, Mapping) else None
+    if schema != RESULT_SCHEMA or not isinstance(document, Mapping):
+        raise UnreadableSourceError(
+            f"{file} has schema {schema!r}; expected '{RESULT_SCHEMA}', as the {RESULT_JSON} of a run has it."
+        )
+    return dict(document)

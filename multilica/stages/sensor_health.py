@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a LiDAR sees out of its window."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import binary_opening
+
+from multilica.config import HealthConfig
+from multilica.geometry import FloatArray
+from multilica.results import BoolArray, IndexArray, Reason, SensorHealth
+from multilica.snapshot import LidarScans
+
+__all__ = ["examine_sensor"]
+
+_CELL_RAD = float(np.deg2rad(5.0))
+_ROWS, _COLUMNS = 36, 72
+# Three directions determine a plane; a few more tell whether there is one.
+_MIN_ECHOES = 5
+# Range noise is about 2 cm; specks on a window return from anywhere within its near field.
+_SURFACE_M = 0.06
+
+
+def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> SensorHealth:
+    """Measure which part of a LiDAR's field of view ends on its own window.
+
+    The directions of all returns make the field of view, in cells of 5 degrees. A cell is soiled if no beam in it gets
+    farther than `near_m` and its near echoes lie on no surface: the vehicle's own body is one, dirt is not. Only
+    blocks of at least 2 x 2 cells count. Directions without any return say nothing: the sky has none, nor has a body
+    that the driver cuts out.
+
+    Args:
+        near_m: nearer returns are not used for calibration.
+    """
+    points_m = _finite(lidar.points_m)
+    if len(points_m) == 0:
+        text = "it returned nothing at all"
+        return SensorHealth(lidar.name, 0, 0.0, 0.0, (Reason("dead", 0.0, 1.0, text),))
+    range_m = np.linalg.norm(points_m, axis=1)
+    near = range_m < near_m
+    cells = _cells(points_m, range_m)
+    seen = np.bincount(cells, minlength=_ROWS * _COLUMNS) > 0
+    through = np.bincount(cells[~near], minlength=_ROWS * _COLUMNS) > 0
+    soiled = _blocks(_off_surfaces(points_m[near] / range_m[near, None], range_m[near], cells[near]) & ~through)
+    soiled_share = float(_solid_angle(soiled & seen) / _solid_angle(seen))
+    return SensorHealth(
+        lidar.name, len(points_m), float(np.mean(near)), soiled_share, _reasons(soiled_share, near_m, config)
+    )
+
+
+def _reasons(soiled_share: float, near_m: float, config: HealthConfig) -> tuple[Reason, ...]:
+    if soiled_share <= config.max_soiled_share:
+        return ()
+    text = (
+        f"{soiled_share:.0%} of its field of view ends in scattered echoes nearer than {near_m:g} m, as dirt on the "
+        f"window makes them; at most {config.max_soiled_share:.0%} is harmless"
+    )
+    return (Reason("dirty", soiled_share, config.max_soiled_share, text),)
+
+
+def _finite(points_m: FloatArray) -> FloatArray:
+    return np.asarray(points_m[np.all(np.isfinite(points_m), axis=1) & np.any(points_m != 0.0, axis=1)])
+
+
+def _cells(points_m: FloatArray, range_m: FloatArray) -> IndexArray:
+    elevation_rad = np.arcsin(np.clip(points_m[:, 2] / range_m, -1.0, 1.0)) + np.pi / 2.0
+    azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0]) + np.pi
+    rows = np.minimum((elevation_rad / _CELL_RAD).astype(np.int64), _ROWS - 1)
+    columns = (azimuth_rad / _CELL_RAD).astype(np.int64) % _COLUMNS
+    return np.asarray(rows * _COLUMNS + columns)
+
+
+def _off_surfaces(directions: FloatArray, range_m: FloatArray, cells: IndexArray) -> BoolArray:
+    """Per cell whether its echoes lie on no plane: on one, the inverse range is linear in the direction."""
+    scattered = np.zeros(_ROWS * _COLUMNS, dtype=np.bool_)
+    order = np.argsort(cells, kind="stable")
+    for members in np.split(order, np.flatnonzero(np.diff(cells[order])) + 1):
+        if len(members) >= _MIN_ECHOES:
+            inverse = 1.0 / range_m[members]
+            plane, *_ = np.linalg.lstsq(directions[members], inverse, rcond=None)
+            off_m = np.abs(directions[members] @ plane - inverse) * range_m[members] ** 2
+            scattered[cells[members[0]]] = np.median(off_m) > _SURFACE_M
+    return scattered
+
+
+def _blocks(cells: BoolArray) -> BoolArray:
+    """The cells that belong to a full block of 2 x 2; azimuth wraps around."""
+    image = np.pad(cells.reshape(_ROWS, _COLUMNS), ((0, 0), (1, 1)), mode="wrap")
+    return np.asarray(binary_opening(image, structure=np.ones((2, 2)))[:, 1:-1].ravel())
+
+
+def _solid_angle(cells: BoolArray) -> float:
+    rows = np.flatnonzero(cells) // _COLUMNS
+    return float(np.sum(np.cos((rows + 0.5) * _CELL_RAD - np.pi / 2.0)))

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from multilica_cli.failures import ExitCode
+from tests.cli.support import Invoke, assert_one_sentence
+
+
+@pytest.fixture
+def runs(invoke: Invoke, two_lidars: Path) -> tuple[Path, Path]:
+    """Two runs on one input, the second with a coarser GICP."""
+    options = ("--target", "left", "--quiet")
+    invoke("calibrate", two_lidars, "--out", "a", *options)
+    invoke("calibrate", two_lidars, "--out", "b", *options, "--set", "fine.voxel_size_m=0.4")
+    return Path("a"), Path("b")
+
+
+def test_two_runs_are_told_apart(runs: tuple[Path, Path], invoke: Invoke) -> None:
+    outcome = invoke("diff", *runs, "--recording", "both.rrd")
+    assert outcome.code == ExitCode.DIFFERENT
+    assert "MOVED" in outcome.out
+    assert "The runs first differ at: config\n  fine.voxel_size_m: 0.1 -> 0.4\nafter it: fine, merge" in outcome.out
+    assert outcome.out.endswith("wrote both.rrd\n")
+    assert invoke("diff", *runs, "--within-m", "1", "--within-deg", "10").code == ExitCode.DONE
+    document = json.loads(invoke("diff", *runs, "--json").out)
+    assert document["moves"]["right"]["moved"] is True
+    assert document["moves"]["right"]["sigmas"] > 0.0
+    same = invoke("diff", runs[0], runs[0] / "recording.rrd")
+    assert same.code == ExitCode.DONE
+    assert "Both runs place the same LiDARs at the same places." in same.out
+
+
+def test_a_missing_run_is_refused(invoke: Invoke) -> None:
+    assert_one_sentence(invoke("diff", "nowhere", "nowhere"), ExitCode.INPUT)
+
+
+def test_a_recording_of_another_name_is_refused(invoke: Invoke) -> None:
+    assert_one_sentence(invoke("diff", "a", "b", "--recording", "both.mcap"), ExitCode.USAGE)

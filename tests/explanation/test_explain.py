@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An explanation names the cause that the document holds."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from multilica.config import STAGES
+from multilica.events import StageFinished
+from multilica.explanation import Cause, explain
+from multilica.explanation.causes import ADVICE, WORDS, cause_of_codes
+from tests.sinks.made_documents import made_document
+from tests.sinks.made_events import UNPLACED, made_events
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def partial():
+    return made_document("partial")
+
+
+def missing_of(document):
+    (missing,) = explain(document).missing
+    return missing
+
+
+def set_reasons(document, outcome, *codes):
+    reasons = [{"code": code, "value": 1.0, "limit": 2.0, "text": f"figure of {code}; expected 2"} for code in codes]
+    for pair in document["pairs"]:
+        if UNPLACED in (pair["target"], pair["source"]):
+            pair["verdict"] = {"outcome": outcome, "reasons": reasons}
+
+
+def test_a_complete_run_is_told_in_one_headline_with_how_sure_each_is():
+    document = made_document("complete")
+    document["lidars"]["rear"] |= {"sigma_xyz_m": [0.001, 0.0042, 0.002], "sigma_rotation_deg": [0.01, 0.02, 0.005]}
+    told = explain(document)
+    assert told.headline == "All 3 LiDARs are placed; the target is top."
+    assert (told.missing, told.warnings, told.cause) == ((), (), None)
+    assert [(one.lidar, one.sigma_m) for one in told.placed] == [("front left/1", None), ("rear", 0.0042)]
+    assert told.placed[1].sentence == "rear is placed relative to top: sigma 4.2 mm, 0.020 deg."
+    assert "how sure is not known" in told.placed[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("outcome", "codes", "cause"),
+    [
+        ("reject", ("too_little_overlap", "ambiguous"), "no_overlap"),
+        ("reject", ("too_little_evidence",), "no_overlap"),
+        ("reject", ("empty_space_violated",), "contradiction"),
+        ("undecided", ("ambiguous", "not_observable"), "ambiguous"),
+        ("undecided", ("not_observable",), "not_observable"),
+        ("undecided", ("structure_unexplained",), "unexplained"),
+        ("reject", ("low_fitness",), "low_fitness"),
+        ("reject", ("against_prior",), "against_prior"),
+        ("reject", ("a_code_of_tomorrow",), "unknown"),
+    ],
+)
+def test_the_verdict_of_the_decisive_pair_gives_the_cause(partial, outcome, codes, cause):
+    set_reasons(partial, outcome, *codes)
+    missing = missing_of(partial)
+    assert missing.cause == cause
+    assert missing.headline == f"{UNPLACED} is not placed: {WORDS[cause]}."
+    assert WORDS[cause] in explain(partial).headline
+    assert missing.advice == ADVICE[cause]
+    assert missing.decisive.codes == codes
+    assert f"figure of {codes[0]}, expected 2" in missing.decisive.sentence
+
+
+def test_the_pair_that_came_closest_is_decisive_and_the_other_next_best(partial):
+    set_reasons(partial, "reject", "too_little_overlap")
+    closest = next(pair for pair in partial["pairs"] if (pair["target"], pair["source"]) == ("rear", "top"))
+    closest["verdict"] = {"outcome": "undecided", "reasons": [{"code": "ambiguous", "text": "twice"}]}
+    missing = missing_of(partial)
+    assert (missing.decisive.target, missing.decisive.source) == ("rear", "top")
+    assert missing.cause == "ambiguous"
+    assert missing.next_best.startswith("front left/1 against rear")
+
+
+def test_a_second_pose_of_the_decisive_pair_is_the_next_best(partial):
+    for pair in partial["pairs"]:
+        other = pair["assessments"][0] | {"agree": 77, "violate": 3, "evidence": 41.0}
+        pair["assessments"].append(other)
+    assert "evidence 41" in missing_of(partial).next_best
+    assert "77 points agree, 3 stand in empty space" in missing_of(partial).next_best
+
+
+def test_pairs_within_the_missing_group_decide_nothing():
+    document = made_document("failed")
+    document["decisions"][-1]["groups"] = [["top"], ["front left/1", "rear"]]
+    inside = document["pairs"][0] | {
+        "target": "front left/1",
+        "source": "rear",
+        "verdict": {"outcome": "accept", "reasons": []},
+    }
+    document["pairs"].append(inside)
+    for missing in explain(document).missing:
+        assert {missing.decisive.target, missing.decisive.source} == {"front left/1", "top"}
+
+
+def test_an_accepted_pair_of_a_group_that_was_not_joined(partial):
+    partial["decisions"][-1]["groups"] = [["top"], ["front left/1", "rear"]]
+    set_reasons(partial, "accept")
+    assert missing_of(partial).cause == "not_joined"
+
+
+@pytest.mark.parametrize("code", ["dead", "dirty"])
+def test_a_fault_of_the_sensor_comes_before_that_of_its_pairs(partial, code):
+    partial["lidars"][UNPLACED]["health"] = {"reasons": [{"code": code, "text": "48% of it"}]}
+    assert missing_of(partial).cause == f"{code}_sensor"
+
+
+def test_an_empty_cloud_is_a_dead_sensor_in_old_documents_too(partial):
+    partial["input"]["lidars"][UNPLACED]["points"] = 0
+    del partial["stages"], partial["progress"], partial["lidars"][UNPLACED]["health"]
+    assert missing_of(partial).cause == "dead_sensor"
+
+
+def test_returns_that_are_all_dropped(partial):
+    partial["stages"]["preprocess"][UNPLACED]["points"] = 0
+    assert missing_of(partial).cause == "no_returns_in_range"
+
+
+def test_no_pair_at_all_is_no_overlap(partial):
+    partial["pairs"] = []
+    missing = missing_of(partial)
+    assert (missing.cause, missing.decisive, missing.next_best) == ("no_overlap", None, "")
+
+
+def test_a_dirty_sensor_that_was_placed_is_a_warning():
+    document = made_document("complete")
+    document["lidars"]["rear"]["health"] = {"reasons": [{"code": "dirty", "text": "48% of its field of view"}]}
+    (warning,) = explain(document).warnings
+    assert warning == "rear has a dirty or covered window: 48% of its field of view."
+    assert f"Warning: {warning}" in explain(document).findings
+
+
+def test_a_lidar_mounted_against_its_prior_is_a_warning():
+    document = made_document("complete")
+    sentence = "rear is turned by 179 deg about its z against its prior: rear or top is mounted backwards."
+    document["lidars"]["rear"]["prior"] = {"surprise": sentence}
+    document["lidars"]["top"]["prior"] = {"surprise": None}
+    assert explain(document).warnings == (sentence,)
+
+
+def test_a_pair_that_contradicts_the_others_is_a_warning():
+    document = made_document("complete")
+    edge = {"target": "top", "source": "rear", "weight": 0.1, "after_m": 0.5, "after_deg": 1.5}
+    document["refinement"] = {"pairs": [edge, edge | {"weight": 0.9}]}
+    assert len(explain(document).warnings) == 1
+    assert "contradicts the others by 0.500 m, 1.50 deg" in explain(document).warnings[0]
+
+
+@pytest.mark.parametrize(("code", "cause"), [("moving_vehicle", "moving_vehicle"), ("too_few_lidars", "unfit_input")])
+def test_a_refused_snapshot(code, cause):
+    document = {**made_document("failed"), "refusal": {"code": code, "text": "The vehicle moves: top by 1 m."}}
+    told = explain(document)
+    assert told.cause == cause
+    assert WORDS[cause] in told.headline
+    assert told.known == ("The vehicle moves: top by 1 m.",)
+    assert told.missing == ()
+
+
+@pytest.mark.parametrize("stage", STAGES[1:])
+def test_a_run_that_was_cut_off_says_how_far_it_came(stage):
+    count = _events_before_the_end_of(stage)
+    told = explain(made_document("partial", stop_after=count))
+    before = STAGES[STAGES.index(stage) - 1]
+    assert told.headline.startswith(f"The run was cut off after stage {before}, in stage {stage}; no LiDAR")
+    assert told.cause == "unfinished"
+    assert bool(told.known) == (stage != "preprocess")
+
+
+def _events_before_the_end_of(stage):
+    told = list(made_events("partial"))
+    return next(i for i, event in enumerate(told) if isinstance(event, StageFinished) and event.stage == stage)
+
+
+def test_a_run_that_was_to_stop_early_did_what_was_asked():
+    told = explain(made_document("complete", until="coarse"))
+    assert told.headline == "The run stopped after stage coarse, as asked; no LiDAR is placed yet."
+    assert told.known[0] == "front left/1 <- rear: 2 hypotheses."
+
+
+def test_several_with_one_cause_are_told_together():
+    document = made_document("failed")
+    document["pairs"] = []
+    assert "front left/1 and rear: it shares too few surfaces" in explain(document).headline
+
+
+def test_every_code_of_the_decision_has_a_cause():
+    decide = (ROOT / "multilica" / "stages" / "decide.py").read_text(encoding="utf-8")
+    codes = set(re.findall(r'(?:_check\(|Reason\()\s*"(\w+)"', decide))
+    assert len(codes) >= 6
+    assert {code for code in codes if cause_of_codes([code]) == "unknown"} == set()
+
+
+def test_every_cause_has_words_advice_and_documentation():
+    page = (ROOT / "docs" / "cookbook.md").read_text(encoding="utf-8")
+    for cause in get_args(Cause):
+        assert WORDS[cause]
+        assert ADVICE[cause]
+        assert f"`{cause}`" in page
