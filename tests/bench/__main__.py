@@ -7,7 +7,7 @@ import os
 import sys
 from importlib import import_module
 
-MEASUREMENTS = ("real_scans", "simulated", "blind", "speed", "repeat", "harder")
+MEASUREMENTS = ("real_scans", "simulated", "blind", "speed", "repeat", "harder", "causes", "crash")
 ON_REQUEST = ("paper",)
 
 
