@@ -14,6 +14,7 @@ from multilica.config import CalibrationConfig
 from multilica.errors import UsageError
 from multilica.events import Observer
 from multilica.sinks.atomic import write_text_atomically
+from multilica.sinks.report.report_file import REPORT_HTML, ReportFile
 from multilica.sinks.rerun_recording import RerunRecording, partial_path
 from multilica.sinks.result_files import CALIBRATION_TOML, RESULT_JSON, ResultFiles
 from multilica.sinks.result_mcap import ResultMcap
@@ -112,10 +113,11 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
     """
     _prepare(out_dir)
     with ExitStack() as stack:
+        report = stack.enter_context(ReportFile(out_dir))
         recording = stack.enter_context(RerunRecording(out_dir / _RECORDING))
         mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding))
         files = stack.enter_context(ResultFiles(out_dir))
-        yield Run(out_dir, config, (recording, mcap, files))
+        yield Run(out_dir, config, (recording, mcap, files, report))
 
 
 def _holds_result(directory: Path) -> bool:
@@ -133,7 +135,9 @@ def _proves_fit(event: events.Event) -> bool:
 
 def _outputs(directory: Path) -> tuple[Path, ...]:
     partial = partial_path(Path(_RECORDING)).name
-    return tuple(directory / name for name in (CALIBRATION_TOML, RESULT_JSON, _RECORDING, partial, _MCAP, _CONFIG))
+    return tuple(
+        directory / name for name in (CALIBRATION_TOML, RESULT_JSON, REPORT_HTML, _RECORDING, partial, _MCAP, _CONFIG)
+    )
 
 
 def _prepare(directory: Path) -> None:

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The calibrated clouds as data of the page's 3-D view."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.sinks.palette import Rgb
+from multilica.sinks.report.contents import ReportContents
+from multilica.sinks.thinning import sample_points
+
+__all__ = ["BYTES_PER_POINT", "MAX_POINTS", "hex_colour", "refused_poses", "rig_scene"]
+
+MAX_POINTS = 300_000
+"""More make the view slow on machines without a graphics card."""
+
+BYTES_PER_POINT = 8
+"""Three coordinates of two bytes, written as base64."""
+
+_STEPS = 65_535
+_REACH_M = 40.0
+
+
+def rig_scene(
+    contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], max_points: int
+) -> dict[str, Any]:
+    """What the script draws, JSON-ready.
+
+    Args:
+        level: the target LiDAR in the frame of the view, z up.
+        max_points: over all clouds; each is thinned at random to its share.
+
+    Returns:
+        Per LiDAR its points, each coordinate in 65,536 steps of its cloud's extent, with its pose as it was placed or
+        as it was refused; all matrices column by column.
+    """
+    clouds = {name: cloud for name, cloud in contents.clouds.items() if len(cloud)}
+    share = max_points // max(1, len(clouds))
+    placed, refused = contents.placed_poses(), refused_poses(contents)
+    seen_first = {name: pose for name, pose in _seen_first(contents).items() if name in clouds}
+    return {
+        "level": _columns(level.matrix),
+        **_camera([(level @ pose).apply(clouds[name]) for name, pose in seen_first.items()]),
+        "clouds": [
+            {
+                "name": name,
+                "colour": [round(channel / 255.0, 4) for channel in colours[name]],
+                "placed": name in placed,
+                "pose": _pose(level, placed.get(name) or refused.get(name)),
+                **_quantised(sample_points(cloud, share).astype(np.float64)),
+            }
+            for name, cloud in clouds.items()
+        ],
+    }
+
+
+def _seen_first(contents: ReportContents) -> dict[str, RigidTransform]:
+    """The placed LiDARs; where there are none, all of them as they were recorded, with the target's frame."""
+    placed = contents.placed_poses()
+    return placed or {name: RigidTransform.identity(contents.target, name) for name in contents.names}
+
+
+def refused_poses(contents: ReportContents) -> dict[str, RigidTransform]:
+    """Where the best of the refused registrations with a placed LiDAR would put each LiDAR that is not placed."""
+    placed = contents.placed_poses()
+    poses: dict[str, RigidTransform] = {}
+    for pair in sorted(contents.document["pairs"], key=_evidence, reverse=True):
+        found = RigidTransform(pair["target"], pair["source"], np.asarray(pair["T_target_source"], dtype=np.float64))
+        for link in (found, found.inverse()):
+            if link.target in placed and link.source not in placed:
+                poses.setdefault(link.source, placed[link.target] @ link)
+    return poses
+
+
+def _evidence(pair: Mapping[str, Any]) -> float:
+    return float(pair["assessments"][0]["evidence"] if pair["assessments"] else pair["fitness"])
+
+
+def hex_colour(colour: Rgb) -> str:
+    """As HTML writes it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def _pose(level: RigidTransform, pose: RigidTransform | None) -> list[float] | None:
+    return None if pose is None else _columns((level @ pose).matrix)
+
+
+def _columns(matrix: FloatArray) -> list[float]:
+    return [round(float(value), 7) for value in matrix.T.reshape(-1)]
+
+
+def _camera(clouds: Sequence[FloatArray]) -> dict[str, Any]:
+    """Where to look at first: the middle of the placed clouds, from so far that most of them is seen."""
+    points_m = np.concatenate([np.zeros((1, 3)), *clouds])
+    low, middle, high = np.quantile(points_m, (0.1, 0.5, 0.9), axis=0)
+    centre = (*np.clip(middle[:2], -_REACH_M, _REACH_M), 0.0)
+    size_m = float(np.clip(np.linalg.norm((high - low)[:2]), 8.0, 2.0 * _REACH_M))
+    return {"centre": [round(float(value), 2) for value in centre], "distance": round(1.1 * size_m, 2)}
+
+
+def _quantised(points_m: FloatArray) -> dict[str, Any]:
+    if len(points_m) == 0:
+        return {"count": 0, "low": [0.0] * 3, "span": [1.0] * 3, "points": ""}
+    low = points_m.min(axis=0)
+    span = np.maximum(points_m.max(axis=0) - low, 1e-3)
+    steps = np.rint((points_m - low) / span * _STEPS).astype("<u2")
+    return {
+        "count": len(points_m),
+        "low": [round(float(value), 4) for value in low],
+        "span": [round(float(value), 4) for value in span],
+        "points": base64.b64encode(steps.tobytes()).decode("ascii"),
+    }

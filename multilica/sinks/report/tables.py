@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The figures of a report, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from multilica.sinks.report.contents import ReportContents
+
+__all__ = ["MatrixCell", "PairRow", "ResultRow", "StageRow", "matrix_rows", "pair_rows", "result_rows", "stage_rows"]
+
+_NONE = "-"
+
+
+@dataclass(frozen=True, slots=True)
+class ResultRow:
+    """A LiDAR of the rig; all cells as text.
+
+    Args:
+        pose: x, y, z in metres, roll, pitch, yaw in degrees.
+        quality: largest sigma in mm and in degrees, fitness, RMSE in mm.
+    """
+
+    lidar: str
+    status: str
+    pose: tuple[str, ...]
+    quality: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixCell:
+    """A pair in the matrix; an empty text where it was not registered this way round."""
+
+    text: str = ""
+    outcome: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class PairRow:
+    """A registered pair; `figures` are fitness, RMSE in mm, and points that agree, violate, are hidden."""
+
+    target: str
+    source: str
+    outcome: str
+    figures: tuple[str, ...]
+    reasons: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class StageRow:
+    """How long a stage took, also as a share of the slowest."""
+
+    stage: str
+    seconds: str
+    share: float
+
+
+def result_rows(contents: ReportContents) -> list[ResultRow]:
+    """A row per LiDAR."""
+    return [_result_row(name, entry, contents.target) for name, entry in contents.document["lidars"].items()]
+
+
+def _result_row(name: str, entry: Mapping[str, Any], target: str) -> ResultRow:
+    if not entry["placed"]:
+        return ResultRow(name, "not placed", (_NONE,) * 6, (_NONE,) * 4)
+    pose = (*(f"{value:z.3f}" for value in entry["xyz_m"]), *(f"{value:z.2f}" for value in entry["rpy_deg"]))
+    if name == target:
+        return ResultRow(name, "target", pose, (_NONE,) * 4)
+    quality = (
+        _number(_largest(entry["sigma_xyz_m"]), 1e3, 1),
+        _number(_largest(entry["sigma_rotation_deg"]), 1.0, 3),
+        _number(entry["fitness"], 1.0, 3),
+        _number(entry["rmse_m"], 1e3, 1),
+    )
+    return ResultRow(name, "placed", pose, quality)
+
+
+def _largest(values: Iterable[float] | None) -> float | None:
+    return None if values is None else max(values)
+
+
+def _number(value: float | None, scale: float, digits: int) -> str:
+    return _NONE if value is None else f"{scale * value:z.{digits}f}"
+
+
+def matrix_rows(contents: ReportContents) -> list[tuple[str, list[MatrixCell]]]:
+    """Per target a cell per source."""
+    cells = {
+        (pair["target"], pair["source"]): MatrixCell(f"{pair['fitness']:.2f}", pair["verdict"]["outcome"])
+        for pair in contents.document["pairs"]
+    }
+    names = contents.names
+    return [(target, [cells.get((target, source), MatrixCell()) for source in names]) for target in names]
+
+
+def pair_rows(contents: ReportContents) -> list[PairRow]:
+    """A row per registered pair, the accepted ones last."""
+    rows = [_pair_row(pair) for pair in contents.document["pairs"]]
+    return sorted(rows, key=lambda row: row.outcome == "accept")
+
+
+def _pair_row(pair: Mapping[str, Any]) -> PairRow:
+    best = pair["assessments"][0] if pair["assessments"] else None
+    beams = (_NONE,) * 3 if best is None else tuple(f"{best[key]:,}" for key in ("agree", "violate", "occluded"))
+    return PairRow(
+        pair["target"],
+        pair["source"],
+        pair["verdict"]["outcome"],
+        (_number(pair["fitness"], 1.0, 3), _number(pair["rmse_m"], 1e3, 1), *beams),
+        tuple(reason["text"] for reason in pair["verdict"]["reasons"]),
+    )
+
+
+def stage_rows(contents: ReportContents) -> list[StageRow]:
+    """A row per stage that was timed."""
+    known = {stage: seconds for stage, seconds in contents.document["timing_s"].items() if seconds is not None}
+    slowest = max([*known.values(), 1e-9])
+    return [StageRow(stage, f"{seconds:.2f}", seconds / slowest) for stage, seconds in known.items()]

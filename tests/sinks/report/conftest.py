@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports of made-up runs, written once, and one browser to read them with."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from multilica.errors import UnfitSnapshotError
+from multilica.sinks.report.contents import ReportContents, contents_of
+from multilica.sinks.report.page import report_html
+from multilica.sinks.report.report_file import ReportFile
+from multilica.sinks.run_story import RunStory
+from tests.sinks.made_events import made_events
+
+HOSTILE = "</script><script>window.harmed = 1</script><img src=x onerror='window.harmed = 2'>"
+MOVED = "The vehicle moves in drive.mcap: rear by 0.30 m; record while it stands still."
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+# A root user's browser has no sandbox, a machine without a graphics card draws in software.
+ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+def made_contents(outcome: str, **settings) -> ReportContents:
+    story = RunStory()
+    for event in made_events(outcome, **settings):
+        story(event)
+    return contents_of(story)
+
+
+def with_hostile_name(contents: ReportContents, lidar: str) -> ReportContents:
+    """The same run, had a LiDAR borne a name that tries to leave the text."""
+    inner = json.dumps(HOSTILE)[1:-1]
+    document = json.loads(json.dumps(contents.document).replace(lidar, inner))
+    clouds = {HOSTILE if name == lidar else name: cloud for name, cloud in contents.clouds.items()}
+    return ReportContents(document, clouds, notes=(HOSTILE,))
+
+
+def ended_early(directory: Path) -> None:
+    with ReportFile(directory) as report:
+        for event in list(made_events())[:3]:
+            report(event)
+        raise UnfitSnapshotError(MOVED)
+
+
+@pytest.fixture(scope="session")
+def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A page per kind of outcome."""
+    folder = tmp_path_factory.mktemp("reports")
+    pages = {outcome: made_contents(outcome) for outcome in ("complete", "partial", "failed")}
+    pages["stopped"] = made_contents("complete", until="coarse")
+    pages["hostile"] = with_hostile_name(pages["partial"], "rear")
+    for name, contents in pages.items():
+        (folder / f"{name}.html").write_text(report_html(contents), encoding="utf-8")
+    with pytest.raises(UnfitSnapshotError):
+        ended_early(folder)
+    (folder / "report.html").rename(folder / "ended early.html")
+    return {path.stem: path for path in folder.iterdir()}
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip("no browser: apt-get install chromium-headless-shell")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=[*ARGUMENTS])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def open_report(browser: Browser, reports: dict[str, Path]) -> Iterator[Callable[..., Page]]:
+    """Opens a report; at the end nothing may have been said on the console, nor asked of any network."""
+    context = browser.new_context(viewport={"width": 1000, "height": 640})
+    complaints: list[str] = []
+    asked: list[str] = []
+
+    def show(name: str, *, scheme: str = "light", before: str = "") -> Page:
+        page = context.new_page()
+        page.emulate_media(color_scheme=scheme)
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: asked.append(request.url))
+        page.add_init_script(before)
+        page.goto(reports[name].as_uri())
+        return page
+
+    yield show
+    context.close()
+    assert complaints == []
+    opened = {path.as_uri() for path in reports.values()}
+    assert [url for url in asked if url not in opened and not url.startswith("data:")] == []

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the report says of a run."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from multilica.geometry import RigidTransform
+from multilica.sinks.palette import distinct_colours
+from multilica.sinks.report.level import level_pose
+from multilica.sinks.report.merge_graph import merge_graph
+from multilica.sinks.report.outcome import outcome_of
+from multilica.sinks.report.rig_scene import refused_poses, rig_scene
+from multilica.sinks.report.tables import matrix_rows, result_rows, stage_rows
+from tests.sinks.made_events import TRUTH, UNPLACED
+from tests.sinks.report.conftest import MOVED, made_contents
+
+LEVEL = RigidTransform.from_xyz_rpy("level", "top", (0.0, 0.0, 2.0), (0.0, 0.1, 0.0))
+
+
+@pytest.fixture(scope="module")
+def partial():
+    return made_contents("partial")
+
+
+def test_success_and_failure_have_their_sentence(partial):
+    assert outcome_of(made_contents("complete")).headline == "All 3 LiDARs are placed."
+    assert outcome_of(partial).headline == "2 of 3 LiDARs are placed; rear is not."
+    assert outcome_of(made_contents("failed")).headline == "No LiDAR is placed relative to top."
+
+
+def test_a_failure_names_lidar_step_partner_and_reason(partial):
+    (failure,) = outcome_of(partial).failures
+    assert failure.missing.lidar == UNPLACED
+    assert failure.step.startswith("fine")
+    assert failure.against in {"top", "front left/1"}
+    assert "only 12 points lie on surfaces" in failure.missing.decisive.sentence
+
+
+def test_a_lidar_without_any_pose_failed_in_coarse():
+    failures = {one.missing.lidar: one for one in outcome_of(made_contents("failed")).failures}
+    assert failures[UNPLACED].step.startswith("coarse")
+    assert failures[UNPLACED].pair is None
+
+
+def test_a_run_that_was_to_stop_has_not_failed():
+    outcome = outcome_of(made_contents("complete", until="coarse"))
+    assert outcome.badge == "stopped"
+    assert "after stage coarse, as asked" in outcome.headline
+    assert outcome.failures == ()
+
+
+def test_a_run_that_ended_early_tells_why_first(partial):
+    outcome = outcome_of(replace(partial, ended_early=MOVED, ended_in="preprocess"))
+    assert outcome.badge == "ended early"
+    assert "stage preprocess" in outcome.headline
+    assert outcome.details == (MOVED,)
+
+
+def test_rows_hold_the_figures_of_the_document(partial):
+    rows = {row.lidar: row for row in result_rows(partial)}
+    xyz, rpy = TRUTH["front left/1"].xyz_m, TRUTH["front left/1"].rpy_deg
+    assert rows["front left/1"].pose == (*(f"{value:.3f}" for value in xyz), *(f"{value:.2f}" for value in rpy))
+    assert (rows["rear"].status, rows["top"].status) == ("not placed", "target")
+    assert [row.stage for row in stage_rows(partial)] == ["fine"]  # that of a stage without a time is left out
+
+
+def test_the_matrix_has_each_pair_once_and_the_right_way_round(partial):
+    matrix = dict(matrix_rows(partial))
+    filled = {
+        (target, partial.names[column]): cell.outcome
+        for target, cells in matrix.items()
+        for column, cell in enumerate(cells)
+        if cell.text
+    }
+    expected = {(one["target"], one["source"]): one["verdict"]["outcome"] for one in partial.document["pairs"]}
+    assert filled == expected
+
+
+def test_the_graph_marks_the_pairs_of_the_merge(partial):
+    graph = merge_graph(partial, distinct_colours(partial.names))
+    outcomes = {frozenset((edge.start.name, edge.end.name)): edge.outcome for edge in graph.edges}
+    assert outcomes[frozenset(("top", "front left/1"))] == "merged"
+    assert outcomes[frozenset(("top", "rear"))] == "reject"
+    assert {node.name for node in graph.nodes if not node.placed} == {"rear"}
+    places = {(node.x, node.y) for node in graph.nodes}
+    assert len(places) == len(graph.nodes)
+
+
+def test_the_scene_gives_the_points_back(partial):
+    scene = rig_scene(partial, LEVEL, distinct_colours(partial.names), max_points=3000)
+    for cloud in scene["clouds"]:
+        steps = np.frombuffer(base64.b64decode(cloud["points"]), dtype="<u2").reshape(-1, 3)
+        points_m = np.array(cloud["low"]) + np.array(cloud["span"]) * steps / 65_535
+        assert len(points_m) == cloud["count"] == min(1000, len(partial.clouds[cloud["name"]]))
+        known = {tuple(point) for point in np.round(partial.clouds[cloud["name"]], 2)}
+        near = [tuple(point) in known for point in np.round(points_m, 2)]
+        assert np.mean(near) > 0.5  # rounding may fall to either side
+        pose = np.array(cloud["pose"]).reshape(4, 4).T
+        assert np.allclose(pose, (LEVEL @ TRUTH[cloud["name"]]).matrix, atol=1e-6)
+    assert [cloud["placed"] for cloud in scene["clouds"]] == [True, False, True]
+
+
+def test_a_refused_pose_is_taken_from_a_placed_partner(partial):
+    poses = refused_poses(partial)
+    assert set(poses) == {"rear"}
+    assert np.allclose(poses["rear"].matrix, TRUTH["rear"].matrix, atol=1e-6)
+
+
+def test_without_an_estimate_of_the_run_the_ground_is_found_in_the_clouds(partial):
+    unasked = replace(partial, document={**partial.document, "ground": None})
+    level = level_pose(unasked)
+    assert level.xyz_m[2] == pytest.approx(2.0, abs=0.05)
+    assert np.rad2deg(np.arccos(level.rotation[2, 2])) < 2.0
+    blind = replace(unasked, clouds={name: np.empty((0, 3)) for name in partial.names})
+    assert level_pose(blind) is None
