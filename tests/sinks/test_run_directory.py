@@ -30,7 +30,7 @@ def run_into(directory, stop_after: int | None = None):
 
 def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
     run = run_into(tmp_path / "deep" / "run")
-    names = ["calibration.toml", "result.json", "recording.rrd", "result.mcap", "config.toml"]
+    names = ["calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"]
     assert [path.name for path in run.written] == names
     assert {path.name for path in (tmp_path / "deep" / "run").iterdir()} == set(names)
 
@@ -44,7 +44,7 @@ def test_files_of_an_earlier_run_do_not_stay_beside_those_of_a_later_one(tmp_pat
     run_into(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
     run = run_into(tmp_path, stop_after=8)
-    assert [path.name for path in run.written] == ["recording.partial.rrd", "config.toml"]
+    assert [path.name for path in run.written] == ["report.html", "recording.partial.rrd", "config.toml"]
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert "recording.partial.rrd" not in {path.name for path in run_into(tmp_path).written}
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import CalibrationResult, LidarPlacement, PairKey
-from multilica.sinks.result_document import result_document
+from multilica.results import PairKey, PairRegistration
+from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.thinning import sample_points
 from multilica.snapshot import LidarScans
@@ -41,12 +41,11 @@ class ReportContents:
     """A run as its report shows it.
 
     Args:
-        document: what `result.json` holds, or would hold.
+        document: what `result.json` holds, or would hold; see `multilica.sinks.run_document`.
         clouds: per LiDAR its cleaned cloud (N, 3) in its own frame; empty where it has no returns.
         judged: per pair as it was registered, its judged poses, the one that was chosen first.
         notes: what the reader of the input noticed.
         ended_early: why the run ended before its result; "" if it finished.
-        ended_in: the stage in which it did; "" if that is not known.
     """
 
     document: Mapping[str, Any]
@@ -54,7 +53,6 @@ class ReportContents:
     judged: Mapping[PairKey, tuple[JudgedPoints, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     ended_early: str = ""
-    ended_in: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -63,8 +61,8 @@ class ReportContents:
 
     @property
     def target(self) -> str:
-        """The LiDAR that the others are placed relative to."""
-        return str(self.document["target"])
+        """The LiDAR that the others are placed relative to; the first one until it is chosen."""
+        return str(self.document["target"] or self.names[0])
 
     def placed_poses(self) -> dict[str, RigidTransform]:
         """``T_target_source`` of each LiDAR that is placed, the target among them."""
@@ -83,16 +81,15 @@ def contents_of(story: RunStory, ended_early: str = "") -> ReportContents:
         story: of a calibration that has started.
         ended_early: why no result will come.
     """
-    if story.snapshot is None or story.config is None or story.provenance is None:
+    document = run_document(story)
+    if story.snapshot is None or document is None:
         raise ValueError("there is nothing to report before a calibration has started")
-    result = story.result or _unfinished(story, ended_early)
     return ReportContents(
-        document=result_document(result, story.config, story.provenance),
+        document=document,
         clouds={lidar.name: _cloud(story, lidar) for lidar in story.snapshot.lidars},
-        judged=_judged(result),
+        judged=_judged(story.registrations.values()),
         notes=story.snapshot.notes,
         ended_early=ended_early,
-        ended_in=story.stage or "" if ended_early else "",
     )
 
 
@@ -103,22 +100,10 @@ def _cloud(story: RunStory, lidar: LidarScans) -> FloatArray:
     return sample_points(lidar.points_m, _RAW_SAMPLE).astype(np.float64)
 
 
-def _unfinished(story: RunStory, ended_early: str) -> CalibrationResult:
-    """The outcome of a run that never reached one."""
-    target = story.target or story.lidars[0]
-    return CalibrationResult(
-        target=target,
-        target_reason=story.target_reason or "no target was chosen",
-        placements=tuple(LidarPlacement(name, reason=ended_early) for name in story.lidars),
-        pairs=tuple(story.registrations[pair] for pair in sorted(story.registrations)),
-        decisions=tuple(story.decisions),
-    )
-
-
-def _judged(result: CalibrationResult) -> dict[PairKey, tuple[JudgedPoints, ...]]:
+def _judged(registrations: Iterable[PairRegistration]) -> dict[PairKey, tuple[JudgedPoints, ...]]:
     return {
         (pair.target, pair.source): tuple(
             JudgedPoints(one.T_target_source, one.probes_m, one.testimony.labels) for one in pair.assessments
         )
-        for pair in result.pairs
+        for pair in registrations
     }

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
-from multilica.config import STAGES
-from multilica.explanation import Explanation, Missing, explain
+from multilica.explanation import Cause, Explanation, Missing, explain
 from multilica.results import PairKey
 from multilica.sinks.report.contents import ReportContents
 
@@ -38,29 +39,44 @@ class Outcome:
     """The run in a few sentences.
 
     Args:
-        badge: ``complete``, ``partial``, ``failed``, ``stopped`` as asked, or ``ended early``.
+        badge: ``complete``, ``partial``, ``failed``, ``refused``, ``stopped`` as asked, or ``ended early``.
         details: what else there is to say at once.
+        known: what a run without a result had found.
+        advice: what would help the whole run.
     """
 
     badge: str
     headline: str
     details: tuple[str, ...]
+    known: tuple[str, ...] = ()
+    advice: tuple[str, ...] = ()
     failures: tuple[Failure, ...] = ()
+
+
+_SENSOR_STEPS: Mapping[Cause, str] = MappingProxyType(
+    {
+        "dead_sensor": "preprocess: there were no returns",
+        "no_returns_in_range": "preprocess: no return was kept",
+        "dirty_sensor": "preprocess: what the window hides is missing",
+    }
+)
+_BADGES: Mapping[Cause, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
 
 
 def outcome_of(contents: ReportContents) -> Outcome:
     """What the report says first."""
     document = contents.document
-    if contents.ended_early:
-        where = f" in stage {contents.ended_in}" if contents.ended_in else ""
-        return Outcome("ended early", f"The run ended{where}, before it had a result.", (contents.ended_early,))
-    until = document["config"]["until"]
-    if STAGES.index(until) < STAGES.index("merge"):
-        return Outcome("stopped", f"The run stopped after stage {until}, as asked; no LiDAR is placed yet.", ())
     explanation = explain(document)
+    if explanation.cause is not None:
+        badge = _BADGES.get(explanation.cause, "refused")
+        details = (contents.ended_early,) if contents.ended_early else ()
+        return Outcome(
+            badge, explanation.headline, (*details, *explanation.warnings), explanation.known, explanation.advice
+        )
     target = f"The target is {contents.target}: {document['target_reason'].rstrip('.')}."
-    failures = tuple(_failure(contents, missing) for missing in explanation.missing)
-    return Outcome(document["status"], _headline(contents, explanation), (target, *explanation.warnings), failures)
+    failures = tuple(_failure(missing) for missing in explanation.missing)
+    headline = _headline(contents, explanation)
+    return Outcome(document["status"], headline, (target, *explanation.warnings), failures=failures)
 
 
 def _headline(contents: ReportContents, explanation: Explanation) -> str:
@@ -77,10 +93,9 @@ def _is(names: list[str]) -> str:
     return "is" if len(names) == 1 else "are"
 
 
-def _failure(contents: ReportContents, missing: Missing) -> Failure:
+def _failure(missing: Missing) -> Failure:
     if missing.decisive is None:
-        returns = contents.document["input"]["lidars"][missing.lidar]["points"]
-        step = "coarse: no pose was found with any other LiDAR" if returns else "preprocess: there were no returns"
+        step = _SENSOR_STEPS.get(missing.cause, "coarse: no pose was found with any other LiDAR")
         return Failure(missing, step, None)
     step = "fine: the verdict on the registered pair" if missing.decisive.codes else "merge: joining the groups"
     return Failure(missing, step, (missing.decisive.target, missing.decisive.source))

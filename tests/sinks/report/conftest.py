@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from multilica.errors import UnfitSnapshotError
 from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.page import report_html
 from multilica.sinks.report.report_file import ReportFile
@@ -19,7 +18,7 @@ from multilica.sinks.run_story import RunStory
 from tests.sinks.made_events import made_events
 
 HOSTILE = "</script><script>window.harmed = 1</script><img src=x onerror='window.harmed = 2'>"
-MOVED = "The vehicle moves in drive.mcap: rear by 0.30 m; record while it stands still."
+STOPPED = "Stopped by SIGTERM."
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 # A root user's browser has no sandbox, a machine without a graphics card draws in software.
 ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -42,9 +41,9 @@ def with_hostile_name(contents: ReportContents, lidar: str) -> ReportContents:
 
 def ended_early(directory: Path) -> None:
     with ReportFile(directory) as report:
-        for event in list(made_events())[:3]:
+        for event in list(made_events())[:12]:
             report(event)
-        raise UnfitSnapshotError(MOVED)
+        raise KeyboardInterrupt(STOPPED)
 
 
 @pytest.fixture(scope="session")
@@ -56,7 +55,7 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     pages["hostile"] = with_hostile_name(pages["partial"], "rear")
     for name, contents in pages.items():
         (folder / f"{name}.html").write_text(report_html(contents), encoding="utf-8")
-    with pytest.raises(UnfitSnapshotError):
+    with pytest.raises(KeyboardInterrupt):
         ended_early(folder)
     (folder / "report.html").rename(folder / "ended early.html")
     return {path.stem: path for path in folder.iterdir()}
@@ -76,7 +75,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture
 def open_report(browser: Browser, reports: dict[str, Path]) -> Iterator[Callable[..., Page]]:
     """Opens a report; at the end nothing may have been said on the console, nor asked of any network."""
-    context = browser.new_context(viewport={"width": 1000, "height": 640})
+    context = browser.new_context(viewport={"width": 900, "height": 560})
     complaints: list[str] = []
     asked: list[str] = []
 

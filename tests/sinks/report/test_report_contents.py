@@ -11,13 +11,15 @@ import pytest
 
 from multilica.geometry import RigidTransform
 from multilica.sinks.palette import distinct_colours
+from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.level import level_pose
 from multilica.sinks.report.merge_graph import merge_graph
 from multilica.sinks.report.outcome import outcome_of
 from multilica.sinks.report.rig_scene import refused_poses, rig_scene
 from multilica.sinks.report.tables import matrix_rows, result_rows, stage_rows
-from tests.sinks.made_events import TRUTH, UNPLACED
-from tests.sinks.report.conftest import MOVED, made_contents
+from multilica.sinks.run_story import RunStory
+from tests.sinks.made_events import TRUTH, UNPLACED, made_events
+from tests.sinks.report.conftest import STOPPED, made_contents
 
 LEVEL = RigidTransform.from_xyz_rpy("level", "top", (0.0, 0.0, 2.0), (0.0, 0.1, 0.0))
 
@@ -54,11 +56,29 @@ def test_a_run_that_was_to_stop_has_not_failed():
     assert outcome.failures == ()
 
 
-def test_a_run_that_ended_early_tells_why_first(partial):
-    outcome = outcome_of(replace(partial, ended_early=MOVED, ended_in="preprocess"))
+def test_a_run_that_ended_early_tells_why_first():
+    story = RunStory()
+    for event in list(made_events())[:12]:
+        story(event)
+    outcome = outcome_of(contents_of(story, ended_early=STOPPED))
     assert outcome.badge == "ended early"
-    assert "stage preprocess" in outcome.headline
-    assert outcome.details == (MOVED,)
+    assert "in stage features" in outcome.headline
+    assert outcome.details == (STOPPED,)
+    assert outcome.known
+
+
+def test_a_refused_snapshot_is_named_as_such(partial):
+    refusal = {"code": "moving_vehicle", "text": "The vehicle moves in drive.mcap."}
+    outcome = outcome_of(replace(partial, document={**partial.document, "refusal": refusal}))
+    assert outcome.badge == "refused"
+    assert "the vehicle moved" in outcome.headline
+    assert outcome.known == (refusal["text"],)
+    assert outcome.advice
+
+
+def test_nothing_is_reported_before_a_run_has_started():
+    with pytest.raises(ValueError, match="before a calibration has started"):
+        contents_of(RunStory())
 
 
 def test_rows_hold_the_figures_of_the_document(partial):
