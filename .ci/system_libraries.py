@@ -27,6 +27,7 @@ OPEN3D = {
 }
 VENV_MODULES = ("venv", "ensurepip")
 VULKAN_DRIVERS = "/usr/share/vulkan/icd.d"
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 
 
 def missing_packages() -> list[str]:
@@ -43,6 +44,11 @@ def missing_for_pictures() -> list[str]:
     if not any(Path(VULKAN_DRIVERS).glob("lvp_icd*")):
         packages.append("mesa-vulkan-drivers")
     return packages
+
+
+def missing_browser() -> list[str]:
+    """The package with which reports are read where there is no browser; tests skip without it."""
+    return [] if any(map(shutil.which, BROWSERS)) else ["chromium-headless-shell"]
 
 
 def loads(library: str) -> bool:
@@ -87,7 +93,7 @@ def main() -> None:
     """Install what is missing; exit with the command to run where that is not allowed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--pictures", action="store_true", help="also what headless pictures need; never fails for want of it"
+        "--pictures", action="store_true", help="also what tests draw pictures with; never fails for want of it"
     )
     pictures = parser.parse_args().pictures
     if sys.version_info < OLDEST_PYTHON:
@@ -100,9 +106,10 @@ def main() -> None:
             "These system packages are missing; install them, then run make again:\n  sudo apt-get install "
             + " ".join(packages)
         )
-    extra = missing_for_pictures() if pictures else []
-    if extra and not install(extra):
-        print("tests that draw pictures are skipped; they need: sudo apt-get install", *extra)
+    # One after the other: not every distribution has the browser.
+    for extra in (missing_for_pictures(), missing_browser()) if pictures else ():
+        if extra and not install(extra):
+            print("some tests are skipped; they need: sudo apt-get install", *extra)
 
 
 if __name__ == "__main__":

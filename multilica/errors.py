@@ -8,11 +8,12 @@
     │   ├── ConfigError             a key, value or file of the configuration
     │   ├── UnknownNameError        a topic, LiDAR, preset or stage that does not exist
     │   └── MissingDependencyError  an optional engine that is not installed
-    └── InputError                  the recording cannot be used            exit code 3
-        ├── SourceNotFoundError     nothing at that path
-        ├── UnreadableSourceError   broken, truncated, or not what its name says
-        ├── UnfitSnapshotError      readable, yet nothing that can be calibrated
-        └── UnfitPriorError         readable, yet no poses of this rig's LiDARs
+    ├── InputError                  the recording cannot be used            exit code 3
+    │   ├── SourceNotFoundError     nothing at that path
+    │   ├── UnreadableSourceError   broken, truncated, or not what its name says
+    │   ├── UnfitSnapshotError      readable, yet nothing that can be calibrated
+    │   └── UnfitPriorError         readable, yet no poses of this rig's LiDARs
+    └── ViewerError                 no viewer can be shown on this machine  exit code 1
 
 Each message is one sentence that says what was found, where, what was expected and what to do.
 """
@@ -33,6 +34,7 @@ __all__ = [
     "UnknownNameError",
     "UnreadableSourceError",
     "UsageError",
+    "ViewerError",
 ]
 
 
@@ -99,3 +101,7 @@ class UnfitSnapshotError(InputError):
 
 class UnfitPriorError(InputError):
     """The prior was read, yet does not say how LiDARs of this snapshot sit to each other."""
+
+
+class ViewerError(MultilicaError):
+    """Rerun's viewer cannot be shown on this machine, or does not answer."""

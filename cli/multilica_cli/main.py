@@ -17,8 +17,10 @@ from multilica_cli.commands.diff import diff
 from multilica_cli.commands.evaluate import evaluate
 from multilica_cli.commands.explain import explain
 from multilica_cli.commands.inspect import inspect
+from multilica_cli.commands.report import report
 from multilica_cli.commands.simulate import simulate
-from multilica_cli.failures import report
+from multilica_cli.commands.view import view
+from multilica_cli.failures import report as report_failure
 from multilica_cli.interruption import unwind_on_signals
 
 __all__ = ["app", "main", "run"]
@@ -32,7 +34,7 @@ app = typer.Typer(
     "5 diff found the runs different, "
     "130 Ctrl-C, 143 SIGTERM.",
 )
-for command in (calibrate, inspect, explain, diff, config, simulate, evaluate, demo):
+for command in (calibrate, inspect, explain, diff, view, report, config, simulate, evaluate, demo):
     app.command()(command)
 
 
@@ -53,7 +55,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except SystemExit:
         raise
     except BaseException as failure:  # noqa: BLE001
-        return report(failure)
+        return report_failure(failure)
 
 
 def _print_version(asked: bool) -> None:

@@ -20,7 +20,7 @@ from tests.cli.support import (
     write_pcd,
 )
 
-WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "result.json", "result.mcap"}
+WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "result.json", "result.mcap"}
 
 
 def test_a_run_ends_with_a_table_and_what_was_written(invoke: Invoke, two_lidars: Path) -> None:

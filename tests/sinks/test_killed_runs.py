@@ -29,7 +29,8 @@ def test_every_finished_stage_can_be_read_and_nothing_is_half_written(tmp_path, 
         assert process.stdout.readline() == "reached\n"
         process.send_signal(signal_number)
         assert process.wait(timeout=30) != 0
-    assert {path.name for path in tmp_path.iterdir()} == {"config.toml", "recording.partial.rrd"}
+    told_at_the_end = {"report.html"} if signal_number == signal.SIGINT else set()  # the others leave Python no time
+    assert {path.name for path in tmp_path.iterdir()} == {"config.toml", "recording.partial.rrd"} | told_at_the_end
     recording = Recording(tmp_path / "recording.partial.rrd")
     finished = [text for _, _, text in recording.log if text.endswith(" finished")]
     assert finished[-1] == "stage verify finished"

@@ -21,6 +21,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(module, "loads", bool)
     monkeypatch.setattr(module, "privilege", lambda: None)
     monkeypatch.setattr(module, "missing_for_pictures", list)
+    monkeypatch.setattr(module, "missing_browser", list)
     monkeypatch.setattr(sys, "argv", [str(SCRIPT)])
     return module
 
@@ -67,9 +68,11 @@ def test_missing_pictures_are_no_failure(
     script: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(script, "missing_for_pictures", lambda: ["libvulkan1"])
+    monkeypatch.setattr(script, "missing_browser", lambda: ["chromium-headless-shell"])
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), "--pictures"])
     script.main()
-    assert "libvulkan1" in capsys.readouterr().out
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[-1] for line in lines] == ["libvulkan1", "chromium-headless-shell"]
 
 
 def test_an_old_python_is_refused(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,10 +21,10 @@ _TEXT_COLOUR: Rgb = (232, 236, 241)
 _AXIS_COLOURS: tuple[Rgb, ...] = ((255, 120, 110), (120, 220, 130), (120, 170, 255))
 _OPACITY_OF_A_POINT = 0.7
 _PALETTE_SIZE = 128
-_AXIS_SHARE = 0.03
+_AXIS_SHARE = 0.04
 _MARGIN_PX = 12
 _MARGIN = 1.08
-_NEARLY_ALL = (0.03, 0.97)
+_NEARLY_ALL = (0.04, 0.96)
 _REACH_M = 50.0
 _LEAST_WIDTH_M = 8.0
 _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
@@ -152,7 +152,7 @@ def _counts(view: View, layer: Layer) -> FloatArray:
 
 
 def _draw_axes(pen: ImageDraw.ImageDraw, view: View, sensor: RigidTransform) -> None:
-    length_m = _AXIS_SHARE * view.width_m
+    length_m = _AXIS_SHARE * min(view.size_px) / view.pixels_per_m
     ends = view.project(np.vstack([sensor.xyz_m, sensor.xyz_m + length_m * sensor.rotation.T]))
     for axis, colour in enumerate(_AXIS_COLOURS):
         pen.line([tuple(ends[0]), tuple(ends[axis + 1])], fill=colour, width=3)

@@ -11,12 +11,12 @@ import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey
-from multilica.sinks.palette import AGREE, OCCLUDED, VIOLATE, Rgb
+from multilica.sinks.palette import AGREE, OCCLUDED, VIOLATE, Rgb, distinct_colours
 from multilica.sinks.report.cloud_picture import Layer, View, draw_clouds, png_bytes, side_view, top_view
 from multilica.sinks.report.contents import JudgedPoints, ReportContents
 from multilica.stages.beam_image import BeamLabel
 
-__all__ = ["Figure", "pair_figures", "rig_figures", "rig_layers"]
+__all__ = ["Figure", "pair_figures", "rig_figures", "rig_picture"]
 
 _SIZE_PX = (1080, 720)
 _PAIR_SIZE_PX = (900, 640)
@@ -53,8 +53,8 @@ class Figure:
 def rig_figures(contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb]) -> dict[str, Figure]:
     """Top and side view of all clouds, each as recorded and as placed: `top_before`, `top_after`, `side_...`."""
     before, after = (
-        rig_layers(contents, level, colours, placed=False),
-        rig_layers(contents, level, colours, placed=True),
+        _rig_layers(contents, level, colours, placed=False),
+        _rig_layers(contents, level, colours, placed=True),
     )
     points_m = _all_points(after or before)
     views = {"top": top_view(points_m, _SIZE_PX), "side": side_view(points_m, _SIZE_PX[0])}
@@ -74,7 +74,14 @@ def rig_figures(contents: ReportContents, level: RigidTransform, colours: Mappin
     return figures
 
 
-def rig_layers(
+def rig_picture(contents: ReportContents, level: RigidTransform, size_px: tuple[int, int]) -> bytes:
+    """PNG of the calibrated clouds from above; as recorded where fewer than two LiDARs are placed."""
+    placed = len(contents.placed_poses()) > 1
+    layers = _rig_layers(contents, level, distinct_colours(contents.names), placed=placed)
+    return png_bytes(draw_clouds(top_view(_all_points(layers), size_px), layers))
+
+
+def _rig_layers(
     contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], *, placed: bool
 ) -> list[Layer]:
     """A layer per LiDAR with returns, in the level frame; as `placed`, those without a pose are left out."""

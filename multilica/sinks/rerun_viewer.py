@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rerun's viewer, with a window or without one."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+from multilica.errors import ViewerError
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+__all__ = ["show_recording", "viewer_picture"]
+
+_COMMAND = (sys.executable, "-m", "rerun")
+_NO_DRIVER = (
+    "pictures without a screen need a Vulkan driver, on Debian and Ubuntu "
+    "`sudo apt-get install mesa-vulkan-drivers libvulkan1`"
+)
+_PATIENCE_S = 60.0
+_PAUSE_S = 0.4
+_SAME_IN_A_ROW = 3
+_SMALL_PX = 320
+
+
+def show_recording(recording: Path) -> None:
+    """Open a recording in a window; returns when it is closed.
+
+    Raises:
+        ViewerError: there is no screen, or the viewer fails.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError(
+            f"There is no screen to show {recording} on (neither DISPLAY nor WAYLAND_DISPLAY is set); "
+            "write a picture with --png FILE, or copy the file to a machine with a screen and open it with `rerun`."
+        )
+    code = subprocess.run([*_COMMAND, str(recording)], check=False).returncode  # noqa: S603
+    if code != 0:
+        raise ViewerError(f"Rerun's viewer ended with code {code} on {recording}; write a picture with --png FILE.")
+
+
+def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:
+    """PNG of what the viewer shows first of a recording, drawn without a screen.
+
+    Raises:
+        ViewerError: the viewer does not start here (no Vulkan driver), or does not come to rest.
+    """
+    try:
+        with _headless_viewer(size_px) as viewer:
+            viewer.open(str(recording.resolve()))
+            _await_loaded(viewer, recording)
+            return _settled_picture(viewer, recording)
+    except (ConnectionError, RuntimeError, TimeoutError) as error:
+        raise ViewerError(f"Rerun's viewer does not answer ({error}); {_NO_DRIVER}.") from error
+
+
+@contextmanager
+def _headless_viewer(size_px: tuple[int, int]) -> Iterator[ViewerClient]:
+    """A viewer of our own on a free port, which ends with the block."""
+    port = _free_port()
+    arguments = ["--headless", "--hide-welcome-screen", "--port", str(port)]
+    arguments += ["--window-size", f"{size_px[0]}x{size_px[1]}"]
+    # It counts its runs unless CI is set; it starts a process of its own, so both end as a group.
+    with (
+        tempfile.TemporaryFile() as output,
+        subprocess.Popen(  # noqa: S603
+            [*_COMMAND, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env={**os.environ, "CI": "1"},
+            start_new_session=True,
+        ) as process,
+    ):
+        try:
+            yield _connect(process, port, output)
+        finally:
+            os.killpg(process.pid, signal.SIGTERM)
+
+
+def _free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def _connect(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> ViewerClient:
+    from rerun.experimental import ViewerClient
+
+    end_s = time.monotonic() + _PATIENCE_S
+    while process.poll() is None and time.monotonic() < end_s:
+        try:
+            return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+        except ConnectionError:
+            time.sleep(0.1)
+    output.seek(0)
+    lines = output.read().decode(errors="replace").split("\n")
+    said = next((line.strip() for line in reversed(lines) if line.strip()), "nothing")
+    raise ViewerError(f"Rerun's viewer does not start without a screen (it says: {said}); {_NO_DRIVER}.")
+
+
+def _await_loaded(viewer: ViewerClient, recording: Path) -> None:
+    end_s = time.monotonic() + _PATIENCE_S
+    while time.monotonic() < end_s:
+        state = viewer.get_state()
+        if state.recordings and not state.loading and any(one.timelines for one in state.recordings):
+            return
+        time.sleep(0.1)
+    raise ViewerError(f"Rerun's viewer did not load {recording} within {_PATIENCE_S:.0f} s; is it a recording?")
+
+
+def _settled_picture(viewer: ViewerClient, recording: Path) -> bytes:
+    """The picture once it has stopped changing: chunks arrive on demand, messages of the viewer fade."""
+    end_s = time.monotonic() + _PATIENCE_S
+    last, same = b"", 0
+    while time.monotonic() < end_s:
+        picture = viewer.take_screenshot(max_size=_SMALL_PX)
+        same = same + 1 if picture == last else 0
+        if same >= _SAME_IN_A_ROW:
+            return bytes(viewer.take_screenshot())
+        last = picture
+        time.sleep(_PAUSE_S)
+    raise ViewerError(f"Rerun's viewer did not come to rest over {recording} within {_PATIENCE_S:.0f} s.")
