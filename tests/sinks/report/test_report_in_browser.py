@@ -12,6 +12,7 @@ from PIL import Image
 from playwright.sync_api import Page, expect
 
 pytestmark = pytest.mark.xdist_group("browser")
+IS_PAINTED = "(element) => element.checkVisibility({ contentVisibilityAuto: true })"
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
 
 
@@ -99,6 +100,7 @@ def test_a_refused_pose_is_there_to_be_looked_at(open_report):
 
 def test_a_failure_is_told_on_the_first_screen(open_report):
     page = open_report("partial")
+    page.set_viewport_size({"width": 1280, "height": 720})
     expect(page.locator("h1")).to_have_text("2 of 3 LiDARs are placed; rear is not.")
     for words in ("Step", "Against", "Decisive", "What helps"):
         expect(page.locator("dt", has_text=words)).to_be_in_viewport()
@@ -129,8 +131,10 @@ def test_dark_and_light_follow_the_reader(open_report):
 
 def test_it_prints_with_pictures_and_unfolded_configuration(open_report):
     page = open_report("partial")
+    assert page.locator("pre").evaluate(IS_PAINTED) is False
     page.emulate_media(media="print")
     expect(page.locator(".controls")).to_be_hidden()
+    assert page.locator("pre").evaluate(IS_PAINTED) is True
     printed = page.pdf(format="A4", print_background=True)
     assert printed.startswith(b"%PDF")
     assert len(re.findall(rb"/Type\s*/Page\b", printed)) >= 3
