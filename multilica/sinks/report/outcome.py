@@ -41,6 +41,7 @@ class Outcome:
     Args:
         badge: ``complete``, ``partial``, ``failed``, ``refused``, ``stopped`` as asked, or ``ended early``.
         details: what else there is to say at once.
+        warnings: what is doubtful although it did not stop the run.
         known: what a run without a result had found.
         advice: what would help the whole run.
     """
@@ -48,6 +49,7 @@ class Outcome:
     badge: str
     headline: str
     details: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
     known: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     failures: tuple[Failure, ...] = ()
@@ -71,12 +73,12 @@ def outcome_of(contents: ReportContents) -> Outcome:
         badge = _BADGES.get(explanation.cause, "refused")
         details = (contents.ended_early,) if contents.ended_early else ()
         return Outcome(
-            badge, explanation.headline, (*details, *explanation.warnings), explanation.known, explanation.advice
+            badge, explanation.headline, details, explanation.warnings, explanation.known, explanation.advice
         )
     target = f"The target is {contents.target}: {document['target_reason'].rstrip('.')}."
     failures = tuple(_failure(missing) for missing in explanation.missing)
     headline = _headline(contents, explanation)
-    return Outcome(document["status"], headline, (target, *explanation.warnings), failures=failures)
+    return Outcome(document["status"], headline, (target,), explanation.warnings, failures=failures)
 
 
 def _headline(contents: ReportContents, explanation: Explanation) -> str:

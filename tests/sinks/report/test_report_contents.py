@@ -76,6 +76,16 @@ def test_a_refused_snapshot_is_named_as_such(partial):
     assert outcome.advice
 
 
+def test_a_doubtful_sensor_is_a_warning_even_where_all_is_placed():
+    contents = made_contents("complete")
+    dirt = {"code": "dirty", "value": 0.4, "limit": 0.1, "text": "40% of its field of view ends nearer than 1 m"}
+    lidars = contents.document["lidars"]
+    lidars["rear"] = {**lidars["rear"], "health": {"reasons": [dirt]}}
+    (warning,) = outcome_of(contents).warnings
+    assert "rear" in warning
+    assert dirt["text"] in warning
+
+
 def test_nothing_is_reported_before_a_run_has_started():
     with pytest.raises(ValueError, match="before a calibration has started"):
         contents_of(RunStory())
