@@ -6,6 +6,7 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from textwrap import shorten
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +28,7 @@ _MARGIN = 1.08
 _NEARLY_ALL = (0.04, 0.96)
 _REACH_M = 50.0
 _LEAST_WIDTH_M = 8.0
+_MAX_LABEL = 40
 _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
@@ -174,7 +176,8 @@ def _draw_labels(pen: ImageDraw.ImageDraw, view: View, layers: Sequence[Layer]) 
     for row, index in enumerate(order):
         layer, y = labelled[index], top + row * spacing
         pen.line([tuple(places[index]), (column - 4, y)], fill=layer.colour, width=1)
-        pen.text((column, y), layer.label, layer.colour, font, anchor="lm", stroke_width=3, stroke_fill=GROUND_COLOUR)
+        text = shorten(layer.label, _MAX_LABEL)  # a name may hold line breaks, which no label can
+        pen.text((column, y), text, layer.colour, font, anchor="lm", stroke_width=3, stroke_fill=GROUND_COLOUR)
 
 
 def _draw_scale(pen: ImageDraw.ImageDraw, view: View) -> None:

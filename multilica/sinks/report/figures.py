@@ -52,10 +52,8 @@ class Figure:
 
 def rig_figures(contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb]) -> dict[str, Figure]:
     """Top and side view of all clouds, each as recorded and as placed: `top_before`, `top_after`, `side_...`."""
-    before, after = (
-        _rig_layers(contents, level, colours, placed=False),
-        _rig_layers(contents, level, colours, placed=True),
-    )
+    before = _rig_layers(contents, level, colours, placed=False)
+    after = _rig_layers(contents, level, colours, placed=True)
     points_m = _all_points(after or before)
     views = {"top": top_view(points_m, _SIZE_PX), "side": side_view(points_m, _SIZE_PX[0])}
     axes = {"top": "Seen from above: x to the right, y up", "side": "Seen from the side: x to the right, z up"}
@@ -120,13 +118,16 @@ def _pair_figure(
     points_m = T_level_source.apply(judged.points_m)
     view = top_view(layers[1].points_m, _PAIR_SIZE_PX)
     layers += [Layer(points_m[judged.labels == label], colour, dot_px=_JUDGED_DOT_PX) for label, colour in _JUDGEMENTS]
+    shown = f"{source} on {target} {words}, from above"
+    if len(judged.points_m) == 0:
+        return _figure(view, layers, f"{shown}.", f"{shown}, each in its colour.")
     counts = {label: int((judged.labels == label).sum()) for label, _ in _JUDGEMENTS}
     return _figure(
         view,
         layers,
-        f"{source} on {target} {words}, from above: {counts[BeamLabel.AGREE]} points agree, "
-        f"{counts[BeamLabel.VIOLATE]} stand in empty space, {counts[BeamLabel.OCCLUDED]} are hidden.",
-        f"{source} on {target} {words}, from above; the large points are those of {source} that were judged.",
+        f"{shown}: {counts[BeamLabel.AGREE]} points agree, {counts[BeamLabel.VIOLATE]} stand in empty space, "
+        f"{counts[BeamLabel.OCCLUDED]} are hidden.",
+        f"{shown}; the large points are those of {source} that were judged.",
     )
 
 

@@ -30,6 +30,7 @@ MAX_BYTES = 8_000_000
 
 _MAX_PICTURED = 4
 _SLACK_BYTES = 20_000
+"""For what the page says of the thinning itself."""
 _PACKAGE = "multilica.sinks.report"
 
 
@@ -75,7 +76,10 @@ def _context(contents: ReportContents, level: RigidTransform, *, levelled: bool)
 
 
 def _pair_figures(contents: ReportContents, outcome: Outcome, level: RigidTransform) -> dict[str, list[Figure]]:
-    """Per LiDAR that is not placed, its decisive comparison; one that decides for several is shown at the first."""
+    """Per LiDAR that is not placed, its decisive comparison; of a large rig the first ones only.
+
+    A comparison that decides for several LiDARs is shown at the first of them.
+    """
     colours = distinct_colours(contents.names)
     first = {failure.pair: failure.missing.lidar for failure in reversed(outcome.failures) if failure.pair is not None}
     shown = [(pair, lidar) for pair, lidar in reversed(first.items()) if pair is not None][:_MAX_PICTURED]

@@ -65,6 +65,12 @@ def test_odd_clouds_make_a_picture_all_the_same(points_m):
         assert Image.open(io.BytesIO(png)).size == view.size_px
 
 
+@pytest.mark.parametrize("label", ["two\nlines", "x" * 500, "\u8eca\x00", "  "])
+def test_any_name_can_be_a_label(label):
+    layer = Layer(np.zeros((1, 3)), RED, sensor=RigidTransform.identity("level", "a"), label=label)
+    assert drawn(VIEW, layer).shape == (100, 200, 3)
+
+
 def test_labels_of_sensors_in_one_place_do_not_cover_each_other():
     sensor = RigidTransform.identity("level", "a")
     nothing = np.empty((0, 3))
