@@ -66,7 +66,7 @@ def refuse_into(directory):
 
 def test_a_refused_snapshot_leaves_every_file(tmp_path):
     assert refuse_into(tmp_path).started
-    names = {"calibration.toml", "result.json", "recording.rrd", "result.mcap", "config.toml"}
+    names = {"calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"}
     assert {path.name for path in tmp_path.iterdir()} == names
     assert json.loads((tmp_path / "result.json").read_text())["refusal"]["code"] == "moving_vehicle"
 
