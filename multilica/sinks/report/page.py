@@ -20,7 +20,7 @@ from multilica.sinks.report.level import LEVEL, level_pose
 from multilica.sinks.report.merge_graph import merge_graph
 from multilica.sinks.report.outcome import Outcome, outcome_of
 from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, hex_colour, refused_poses, rig_scene
-from multilica.sinks.report.tables import matrix_rows, pair_rows, result_rows, stage_rows
+from multilica.sinks.report.tables import matrix_rows, pair_rows, result_rows, snapshot_rows, stage_rows
 from multilica.sinks.toml_text import toml_text
 
 __all__ = ["MAX_BYTES", "report_html"]
@@ -70,6 +70,7 @@ def _context(contents: ReportContents, level: RigidTransform, *, levelled: bool)
         "result_rows": result_rows(contents),
         "matrix_rows": matrix_rows(contents),
         "pair_rows": pair_rows(contents),
+        "snapshot_rows": snapshot_rows(contents),
         "stage_rows": stage_rows(contents),
         "config_toml": toml_text(contents.document["config"]),
     }

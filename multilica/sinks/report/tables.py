@@ -9,7 +9,18 @@ from typing import Any
 
 from multilica.sinks.report.contents import ReportContents
 
-__all__ = ["MatrixCell", "PairRow", "ResultRow", "StageRow", "matrix_rows", "pair_rows", "result_rows", "stage_rows"]
+__all__ = [
+    "MatrixCell",
+    "PairRow",
+    "ResultRow",
+    "SnapshotRow",
+    "StageRow",
+    "matrix_rows",
+    "pair_rows",
+    "result_rows",
+    "snapshot_rows",
+    "stage_rows",
+]
 
 _NONE = "-"
 
@@ -55,6 +66,16 @@ class StageRow:
     stage: str
     seconds: str
     share: float
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotRow:
+    """What one snapshot gave to a joint result; `off` is its largest deviation in mm and in degrees."""
+
+    name: str
+    source: str
+    verdict: str
+    off: tuple[str, str]
 
 
 def result_rows(contents: ReportContents) -> list[ResultRow]:
@@ -118,3 +139,19 @@ def stage_rows(contents: ReportContents) -> list[StageRow]:
     known = {stage: seconds for stage, seconds in contents.document["timing_s"].items() if seconds is not None}
     slowest = max([*known.values(), 1e-9])
     return [StageRow(stage, f"{seconds:.2f}", seconds / slowest) for stage, seconds in known.items()]
+
+
+def snapshot_rows(contents: ReportContents) -> list[SnapshotRow]:
+    """A row per snapshot of a joint result; none for the result of a single one."""
+    return [_snapshot_row(snapshot) for snapshot in contents.document.get("snapshots", ())]
+
+
+def _snapshot_row(snapshot: Mapping[str, Any]) -> SnapshotRow:
+    verdicts = [f"left out: {snapshot['refusal']}"] if snapshot["refusal"] else []
+    verdicts += [f"outvoted on {lidar}" for lidar in snapshot["outliers"]]
+    verdicts += [f"contradicts others on {lidar}, undecided" for lidar in snapshot["disputed"]]
+    off: Mapping[str, Any] = max(
+        snapshot["deviations"], key=lambda deviation: float(deviation["distance_m"]), default={}
+    )
+    figures = (_number(off.get("distance_m"), 1e3, 1), _number(off.get("angle_deg"), 1.0, 3))
+    return SnapshotRow(snapshot["name"], snapshot["source"], "; ".join(verdicts) or "agrees", figures)

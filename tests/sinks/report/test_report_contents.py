@@ -15,8 +15,9 @@ from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.level import level_pose
 from multilica.sinks.report.merge_graph import merge_graph
 from multilica.sinks.report.outcome import outcome_of
+from multilica.sinks.report.page import report_html
 from multilica.sinks.report.rig_scene import refused_poses, rig_scene
-from multilica.sinks.report.tables import matrix_rows, result_rows, stage_rows
+from multilica.sinks.report.tables import matrix_rows, result_rows, snapshot_rows, stage_rows
 from multilica.sinks.run_story import RunStory
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
 from tests.sinks.report.conftest import STOPPED, made_contents
@@ -97,6 +98,24 @@ def test_rows_hold_the_figures_of_the_document(partial):
     assert rows["front left/1"].pose == (*(f"{value:.3f}" for value in xyz), *(f"{value:.2f}" for value in rpy))
     assert (rows["rear"].status, rows["top"].status) == ("not placed", "target")
     assert [row.stage for row in stage_rows(partial)] == ["fine"]  # that of a stage without a time is left out
+
+
+def test_each_snapshot_of_a_joint_result_has_its_verdict(partial):
+    off = [{"lidar": "rear", "distance_m": 0.0021, "angle_deg": 0.05, "outlier": False}]
+    agrees = {"name": "a", "source": "a.mcap", "refusal": None, "outliers": [], "disputed": [], "deviations": off}
+    left_out = {**agrees, "name": "b", "refusal": "the vehicle moves", "deviations": []}
+    outvoted = {**agrees, "name": "c", "outliers": ["rear"], "disputed": ["top"]}
+    document = {**partial.document, "snapshots": [agrees, left_out, outvoted]}
+    rows = snapshot_rows(replace(partial, document=document))
+    assert [row.verdict for row in rows] == [
+        "agrees",
+        "left out: the vehicle moves",
+        "outvoted on rear; contradicts others on top, undecided",
+    ]
+    assert [row.off for row in rows] == [("2.1", "0.050"), ("-", "-"), ("2.1", "0.050")]
+    assert snapshot_rows(partial) == []
+    page = report_html(replace(partial, document=document))
+    assert "left out: the vehicle moves" in page
 
 
 def test_the_matrix_has_each_pair_once_and_the_right_way_round(partial):
