@@ -16,7 +16,7 @@ from multilica_cli.sample import find_sample
 from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose
 
 SCHEMA = json.loads((ROOT / "tests" / "sinks" / "result.schema.json").read_text(encoding="utf-8"))
-WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "result.json", "result.mcap"}
+WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "result.json", "result.mcap"}
 FEWER = ("--set", "verify.finalists=2")
 
 
