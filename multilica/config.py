@@ -150,6 +150,8 @@ class VerifyConfig(Section):
         6, ge=2, description="distinct answers that are tried before the search may stop early"
     )
     settled_ratio: Share = Field(0.5, description="it stops if the runner-up has at most this share of the evidence")
+    rivals: int = Field(6, ge=0, description="poses turned by right angles that are tried against the best")
+    rival_reach_m: PositiveMetres = Field(15.0, description="no farther apart are two LiDARs of one vehicle")
     slide_step_m: PositiveMetres = Field(
         1.0, description="a pose that is not firmly held is tried so far along its weakest direction, too"
     )
@@ -161,6 +163,10 @@ class VerifyConfig(Section):
     min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
     max_violation_share: Share = Field(0.012, description="share of points in proven-empty space that can be chance")
     max_runner_up: Share = Field(0.7, description="share of the evidence that another distinct pose may have")
+    max_equal: Share = Field(
+        0.25, description="the same of a pose that would be accepted by itself: it may have less of the scene in view"
+    )
+    alike: Share = Field(0.8, description="such a pose explains at least this share of what the best explains")
     min_evidence: Metres = Field(
         60.0, description="distinctive agreement that explains the view, less violations, that a pose needs"
     )
@@ -168,7 +174,7 @@ class VerifyConfig(Section):
     min_held_by: Metres = Field(0.1, description="points that hold the pose in its weakest direction, 10 m lever arm")
     firmly_held_by: Metres = Field(20.0, description="with so many, parallax and clutter need no further explanation")
     min_explained: Share = Field(
-        0.5,
+        0.4,
         description="share of the structure in view that must be on measured surfaces, not hidden or in empty space",
     )
     min_explained_firm: Share = Field(0.1, description="the same where the pose is firmly held")

@@ -201,8 +201,8 @@ VIOLATION_WEIGHT = 30.0
 STRUCTURE_VIOLATION_WEIGHT = 60.0
 """The same among points off the commonest plane, of which a wrong pose on the ground has few that count at all."""
 
-STRAY_POINTS = 2
-"""So many points in empty space happen by chance on any structure, however small."""
+STRAY_POINTS, STRAY_SHARE = 2, 0.001
+"""So many points in empty space happen by chance: on any structure, and as a share of all that agree."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,6 +238,11 @@ class Testimony:
         return np.asarray(np.linalg.eigh(self.information)[1][:, 0])
 
     @property
+    def commonest_normal(self) -> FloatArray:
+        """(3,) unit normal that most agreeing points share, mostly that of the ground."""
+        return np.asarray(np.linalg.eigh(self.information[3:, 3:])[1][:, -1])
+
+    @property
     def slide_direction(self) -> FloatArray:
         """(3,) unit vector along which the pose can be shifted most easily, the rotation free to follow."""
         turn, cross, shift = self.information[:3, :3], self.information[:3, 3:], self.information[3:, 3:]
@@ -269,7 +274,7 @@ class Testimony:
 
         Sensors of one vehicle see the world from nearly the same place: little of it is hidden from one of them alone.
         """
-        violate = max(0, self.structure_violate - STRAY_POINTS)
+        violate = max(0.0, self.structure_violate - STRAY_POINTS - STRAY_SHARE * self.agree)
         against = self.structure_occluded + STRUCTURE_VIOLATION_WEIGHT * violate
         return (self.structure_agree + 1) / (self.structure_agree + 1 + against)
 

@@ -67,17 +67,30 @@ def decide_by_fitness(registration: PairRegistration, config: MergeConfig) -> Ve
 
 
 def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason | None:
-    if len(finalists) == 1 or finalists[0].evidence <= 0:
+    best, *rivals = finalists
+    if best.evidence <= 0:
         return None
-    ratio = max(0.0, finalists[1].evidence / finalists[0].evidence)
-    metres, radians = finalists[0].T_target_source.distance_to(finalists[1].T_target_source)
-    return _check(
-        "ambiguous",
-        ratio,
-        config.max_runner_up,
-        f"another pose, {metres:.2f} m and {np.rad2deg(radians):.0f} deg away, has {ratio:.0%} of the evidence; "
-        f"at most {config.max_runner_up:.0%} leaves no doubt",
-        failed=ratio > config.max_runner_up,
+    for rival in rivals:
+        ratio = max(0.0, rival.evidence / best.evidence)
+        limit = config.max_equal if _stands_by_itself(rival, best, config) else config.max_runner_up
+        if ratio > limit:
+            metres, radians = best.T_target_source.distance_to(rival.T_target_source)
+            text = (
+                f"another pose, {metres:.2f} m and {np.rad2deg(radians):.0f} deg away, has {ratio:.0%} of the "
+                f"evidence; at most {limit:.0%} leaves no doubt"
+            )
+            return Reason("ambiguous", ratio, limit, text)
+    return None
+
+
+def _stands_by_itself(rival: Assessment, best: Assessment, config: VerifyConfig) -> bool:
+    """Whether the rival would be believed if the best were not known: it may just have less of the scene in view."""
+    return (
+        rival.testimony.agree >= config.min_agree
+        and rival.testimony.violation_share <= config.max_violation_share
+        and rival.testimony.explained_share >= config.alike * best.testimony.explained_share
+        and rival.testimony.held_by >= config.min_held_by
+        and rival.weakest_curvature >= config.min_curvature
     )
 
 

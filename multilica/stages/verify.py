@@ -14,6 +14,7 @@ from multilica.stages.gicp import register_narrower
 from multilica.stages.observability import weakest_curvature
 from multilica.stages.poses import is_distinct
 from multilica.stages.registration_cloud import RegistrationCloud
+from multilica.stages.rivals import turned_rivals
 from multilica.stages.witness import Witness, judge
 
 __all__ = ["assess_hypotheses", "short_gicp"]
@@ -47,8 +48,8 @@ def assess_hypotheses(
 
     A beam that returned from 20 m proves that the 20 m before it are empty: points that a pose puts there violate,
     points that it puts on measured surfaces agree, points behind surfaces say nothing. Hypotheses that start where
-    an earlier one ended are the same answer and cost nothing; the rest is left out once one is clearly right. If the
-    best is not firmly held, poses along its weakest direction are tried as well.
+    an earlier one ended are the same answer and cost nothing; the rest is left out once one is clearly right. Rivals
+    of the best are tried as well: turned by right angles, and along its weakest direction if it is not firmly held.
 
     The prior has no say in which of the others are tried: where a scene looks alike both ways, a
     wrong prior could else end the search before the true pose has its turn.
@@ -73,7 +74,7 @@ def assess_hypotheses(
             tried.append(assessment)
     for assessment in claimed:
         found = _joined(found, assessment)
-    for index, hypothesis in _slides(found, config):
+    for index, hypothesis in _rivals(target[0], source[0], found, config):
         if is_distinct(hypothesis.T_target_source, (other.T_target_source for other in found)):
             found = _joined(found, _assess(target, source, index, hypothesis, config, gicp, threads))
     return tuple(sorted(found, key=lambda assessment: -assessment.evidence))
@@ -87,24 +88,31 @@ def _joined(found: Sequence[Assessment], further: Assessment) -> list[Assessment
     return [further, *(other for other in found if other not in same)]
 
 
-def _slides(found: Sequence[Assessment], config: VerifyConfig) -> list[tuple[int, Hypothesis]]:
-    """The best answer shifted along its weakest direction, unless it is firmly held.
-
-    Where facades or pillars repeat, the true pose may be steps away.
-    """
+def _rivals(
+    target: Witness, source: Witness, found: Sequence[Assessment], config: VerifyConfig
+) -> list[tuple[int, Hypothesis]]:
+    """Poses that may look as good as the best one: turned in a scene of right angles, or slid along if held loosely."""
     best = max(found, key=lambda assessment: assessment.evidence, default=None)
-    if best is None or best.testimony.agree < config.min_agree or best.testimony.held_by >= config.firmly_held_by:
+    if best is None or best.testimony.agree < config.min_agree:
         return []
+    up = best.testimony.commonest_normal
+    poses = turned_rivals(target, source, best.T_target_source, up, config.rival_reach_m, config.rivals)
+    if best.testimony.held_by < config.firmly_held_by:
+        poses += _slid(best, config)
+    nothing = np.zeros(0, dtype=bool)
+    return [(best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin)) for pose in poses]
+
+
+def _slid(best: Assessment, config: VerifyConfig) -> list[RigidTransform]:
+    """The pose shifted along its weakest direction: where facades or pillars repeat, the true one may be steps away."""
     pose, shift_m = best.T_target_source, config.slide_step_m * best.testimony.slide_direction
-    shifted = [
+    return [
         RigidTransform.from_rotation_translation(
             pose.target, pose.source, pose.rotation, pose.xyz_m + side * step * shift_m
         )
         for step in range(1, config.slides + 1)
         for side in (-1.0, 1.0)
     ]
-    nothing = np.zeros(0, dtype=bool)
-    return [(best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin)) for pose in shifted]
 
 
 def _assess(

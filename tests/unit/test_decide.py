@@ -65,13 +65,24 @@ def test_agreement_on_one_plane_only_is_no_evidence():
 
 
 def test_another_answer_that_explains_nearly_as_much_leaves_it_undecided():
-    verdict = decide([_answer(agree=1000), _answer(_ELSEWHERE, agree=880)], _CONFIG)
+    verdict = decide([_answer(agree=1000), _answer(_ELSEWHERE, agree=880, curvature=0.1)], _CONFIG)
     assert verdict.outcome == "undecided"
     assert not verdict.accepted
     assert _codes(verdict) == ["ambiguous"]
     assert verdict.reasons[0].value == pytest.approx(0.8)
     for figure in ("5.00 m and 90 deg", "80%", "70%"):
         assert figure in verdict.reasons[0].text
+
+
+def test_a_pose_that_would_be_accepted_by_itself_is_a_rival_however_little_it_has_in_view():
+    rival = {"agree": 700, "plane": 400.0, "structure": (99, 0, 0)}
+    best = _answer(agree=1400, structure=(400, 0, 0))
+    verdict = decide([best, _answer(_ELSEWHERE, **rival)], _CONFIG)
+    assert _codes(verdict) == ["ambiguous"]
+    assert verdict.reasons[0].value == pytest.approx(0.3)
+    assert verdict.reasons[0].limit == _CONFIG.max_equal
+    for weakness in ({"agree": 149, "plane": 0.0}, {"held_by": 0.05}, {"curvature": 0.1}, {"structure": (99, 0, 50)}):
+        assert decide([best, _answer(_ELSEWHERE, **{**rival, **weakness})], _CONFIG).accepted
 
 
 @pytest.mark.parametrize(
@@ -95,7 +106,7 @@ def test_a_pose_that_can_slide_leaves_it_undecided(weak, value, limit, figures):
     ("held_by", "structure", "explained"),
     [
         (5.0, (99, 2, 300), 0.25),
-        (5.0, (99, 7, 0), 0.25),
+        (5.0, (99, 16, 0), 0.25),
         (50.0, (9, 0, 190), 0.05),
     ],
     ids=["hidden", "in empty space", "hidden, firmly held"],
