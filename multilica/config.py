@@ -6,10 +6,11 @@ from __future__ import annotations
 import difflib
 import tomllib
 from collections.abc import Iterable, Mapping
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from multilica.errors import ConfigError, UnknownNameError
 
@@ -59,9 +60,28 @@ class IngestConfig(Section):
 
     frames: Count = Field(10, description="frames per LiDAR that are accumulated")
     start_s: float = Field(0.0, ge=0.0, description="seconds after the first frame at which the window begins")
-    topics: dict[str, str] = Field(
-        default_factory=dict, description="LiDAR name -> topic; empty: every point cloud topic of the recording"
+    start_at: str = Field(
+        "", description="as start_s, but a time: ISO 8601 (UTC unless it says otherwise), or seconds since the epoch"
     )
+    window: Literal["start", "auto"] = Field(
+        "start", description="auto: from start_s on, the longest stretch in which the vehicle stands still"
+    )
+    window_s: float = Field(
+        0.0, ge=0.0, description="time over which the frames are spread; 0: one after the other, auto: at most 30"
+    )
+    topics: dict[str, str] = Field(
+        default_factory=dict, description="LiDAR name -> its topic, or a pattern or type that only one topic has"
+    )
+    only: tuple[str, ...] = Field(
+        (), description="topics, patterns as /lidar_*/points, or types; empty: topics, else all with point clouds"
+    )
+    strict: bool = Field(default=False, description="refuse a recording of which less than all can be used")
+
+    @field_validator("start_at", mode="before")
+    @classmethod
+    def _as_text(cls, value: object) -> object:
+        """TOML has times and numbers of its own."""
+        return str(value) if isinstance(value, datetime | int | float) else value
 
 
 class StillnessConfig(Section):

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +20,17 @@ _ORTHONORMAL_TOLERANCE = 1e-6
 
 
 def read_only(array: npt.ArrayLike, dtype: type[ScalarT]) -> npt.NDArray[ScalarT]:
-    """A contiguous copy of ``array`` that nobody can write to."""
+    """A contiguous copy of ``array`` that nobody can write to; the array itself if it is that already."""
+    if isinstance(array, np.ndarray) and array.dtype == dtype and _is_settled(array):
+        return array
     copy = np.array(array, dtype=dtype, order="C", copy=True)
     copy.setflags(write=False)
     return copy
+
+
+def _is_settled(array: npt.NDArray[Any]) -> bool:
+    flags = array.flags
+    return flags.c_contiguous and flags.owndata and not flags.writeable
 
 
 def skew(vectors: FloatArray) -> FloatArray:

@@ -137,17 +137,29 @@ def _checked_row_step(cloud: PointCloud2) -> int:
 def finite_points(
     x: Column, y: Column, z: Column, intensity: Column | None = None
 ) -> tuple[Float32Array, Float32Array | None]:
-    """Columns (N,) of any number type as float32 points (K, 3), without those that are not finite, in order."""
+    """Columns (N,) of any number type as read-only float32 points (K, 3), without those not finite, in order."""
     points_m = np.empty((len(x), 3), np.float32)
     with np.errstate(over="ignore"):
         for axis, column in enumerate((x, y, z)):
-            points_m[:, axis] = column
+            # Two steps: from packed records, NumPy copies to contiguous memory ten times as fast as to strided one.
+            points_m[:, axis] = column.astype(np.float32)
         values = None if intensity is None else intensity.astype(np.float32)
-    finite = np.isfinite(points_m)
-    if finite.all():
-        return points_m, values
-    keep = finite[:, 0] & finite[:, 1] & finite[:, 2]
-    return points_m[keep], None if values is None else values[keep]
+    if not _all_finite(points_m):
+        finite = np.isfinite(points_m)
+        keep = finite[:, 0] & finite[:, 1] & finite[:, 2]
+        points_m, values = points_m[keep], None if values is None else values[keep]
+    for array in (points_m, values):
+        if array is not None:
+            # A scan then keeps it without a copy.
+            array.setflags(write=False)
+    return points_m, values
+
+
+def _all_finite(points_m: Float32Array) -> bool:
+    # One pass without a temporary array; a sum of squares that overflows only leads to the longer way.
+    flat = points_m.reshape(-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(np.dot(flat, flat)))
 
 
 def encode_points(points_m: Float32Array, intensity: Float32Array | None = None) -> PointCloud2:

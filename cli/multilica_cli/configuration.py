@@ -13,7 +13,7 @@ from multilica_cli.inline_toml import inline_toml
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
-__all__ = ["resolve_config", "topic_names"]
+__all__ = ["ingest_options", "resolve_config", "topic_names"]
 
 
 def resolve_config(
@@ -44,6 +44,40 @@ def resolve_config(
     config = load_config(config_file) if config_file else preset(preset_name or "default")
     given = [f"{key}={inline_toml(value)}" for key, value in options.items() if value is not None]
     return with_overrides(with_overrides(config, given), settings)
+
+
+def ingest_options(
+    topics: Sequence[str] | None,
+    frames: int | None,
+    start: str | None,
+    window: str | None,
+    window_s: float | None,
+    *,
+    strict: bool,
+) -> dict[str, object]:
+    """The options that say what to read, as `resolve_config` takes them.
+
+    Raises:
+        UsageError: a text of `--topic` of another form, or a name twice.
+    """
+    start_s = _seconds(start)
+    return {
+        "ingest.topics": topic_names([text for text in topics or () if "=" in text]),
+        "ingest.only": [text for text in topics or () if "=" not in text] or None,
+        "ingest.frames": frames,
+        "ingest.start_s": start_s,
+        "ingest.start_at": start if start_s is None else None,
+        "ingest.window": window,
+        "ingest.window_s": window_s,
+        "ingest.strict": strict or None,
+    }
+
+
+def _seconds(start: str | None) -> float | None:
+    try:
+        return None if start is None else float(start)
+    except ValueError:
+        return None
 
 
 def topic_names(texts: Sequence[str]) -> dict[str, str] | None:

@@ -18,28 +18,46 @@ __all__ = [
     "Quiet",
     "Settings",
     "Sources",
-    "StartSeconds",
+    "Start",
+    "Strict",
     "Threads",
     "Topics",
+    "Window",
+    "WindowSeconds",
 ]
 
 Sources = Annotated[
     list[Path],
     typer.Argument(
         metavar="SOURCE",
-        help="An MCAP file, a ROS 1 or ROS 2 bag, a directory of PCD or PLY files, or such files, one per LiDAR; "
-        "for calibrate also several recordings of one rig, a snapshot each.",
+        help="An MCAP file, a ROS 1 or ROS 2 bag, a directory of PCD, PLY or other point files, or such files, one per "
+        "LiDAR; recordings with different LiDARs each are one snapshot, recordings of the same LiDARs a snapshot each.",
         show_default=False,
     ),
 ]
 Topics = Annotated[
     list[str] | None,
-    typer.Option("--topic", metavar="NAME=/topic", help="Take this topic as the LiDAR of that name; repeatable."),
+    typer.Option(
+        "--topic",
+        metavar="[NAME=]/topic",
+        help="Take only this topic, as the LiDAR of that name; or a pattern (/lidar_*/points), or a type; repeatable.",
+    ),
 ]
 Frames = Annotated[int | None, typer.Option("--frames", metavar="N", help="Frames per LiDAR that are accumulated.")]
-StartSeconds = Annotated[
-    float | None, typer.Option("--start", metavar="S", help="Seconds after the first frame at which to begin.")
+Start = Annotated[
+    str | None,
+    typer.Option(
+        "--start", metavar="S|TIME", help="Begin so many seconds after the first frame, or at an ISO 8601 time."
+    ),
 ]
+Window = Annotated[
+    Literal["start", "auto"] | None,
+    typer.Option("--window", metavar="start|auto", help="auto: where the vehicle stands still for longest."),
+]
+WindowSeconds = Annotated[
+    float | None, typer.Option("--over", metavar="S", help="Spread the frames over so many seconds.")
+]
+Strict = Annotated[bool, typer.Option("--strict", help="Refuse a recording of which less than all can be used.")]
 Preset = Annotated[str | None, typer.Option("--preset", metavar="default|paper", help="Parameters to start from.")]
 PriorSource = Annotated[
     str | None,

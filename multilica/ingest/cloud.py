@@ -9,18 +9,31 @@ from importlib import import_module
 from typing import cast
 
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.packets import missing_decoder
 from multilica.ingest.recording import Message, Topic
 from multilica.snapshot import Scan
 
 __all__ = ["Cloud", "decode_cloud", "is_cloud"]
 
 _DECODERS = {
-    ("sensor_msgs/msg/PointCloud2", "cdr"): "multilica.ingest.ros_messages",
-    ("sensor_msgs/msg/PointCloud2", "ros1"): "multilica.ingest.ros_messages",
-    ("PCD", "pcd"): "multilica.ingest.pcd",
-    ("PLY", "ply"): "multilica.ingest.ply",
+    ("sensor_msgs/msg/PointCloud2", "cdr"): "ros_messages",
+    ("sensor_msgs/msg/PointCloud2", "ros1"): "ros_messages",
+    ("foxglove.PointCloud", "protobuf"): "foxglove_messages",
+    ("foxglove.PointCloud", "json"): "foxglove_messages",
+    ("livox_ros_driver/msg/CustomMsg", "ros1"): "livox_messages",
+    ("livox_ros_driver2/msg/CustomMsg", "ros1"): "livox_messages",
+    ("livox_ros_driver2/msg/CustomMsg", "cdr"): "livox_messages",
+    ("livox_interfaces/msg/CustomMsg", "cdr"): "livox_messages",
+    ("velodyne_msgs/msg/VelodyneScan", "cdr"): "velodyne_packets",
+    ("velodyne_msgs/msg/VelodyneScan", "ros1"): "velodyne_packets",
+    ("PCD", "pcd"): "pcd",
+    ("PLY", "ply"): "ply",
+    ("LAS", "las"): "las",
+    ("NPY", "npy"): "raw_arrays",
+    ("KITTI", "kitti"): "raw_arrays",
+    ("NUSCENES", "nuscenes"): "raw_arrays",
 }
-"""(message type, encoding) -> module whose `decode_cloud` unpacks it."""
+"""(message type, encoding) -> module beside this one whose `decode_cloud` unpacks it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,15 +42,17 @@ class Cloud:
 
     Args:
         frame_id: as the message says, without slashes at its ends; empty where the format has none.
+        remark: what the user should know about its topic, as a predicate; empty: nothing.
     """
 
     scan: Scan
     frame_id: str = ""
+    remark: str = ""
 
 
 def is_cloud(of: Topic | Message) -> bool:
     """Whether this message, or those on this topic, can be unpacked to points."""
-    return (of.message_type, of.encoding) in _DECODERS
+    return (of.message_type, of.encoding) in _DECODERS and not missing_decoder(of.message_type)
 
 
 def decode_cloud(message: Message) -> Cloud:
@@ -46,7 +61,7 @@ def decode_cloud(message: Message) -> Cloud:
     Raises:
         UnreadableSourceError: the message is broken.
     """
-    module = import_module(_DECODERS[message.message_type, message.encoding])
+    module = import_module(f"multilica.ingest.{_DECODERS[message.message_type, message.encoding]}")
     decode = cast(Callable[[Message], Cloud], module.decode_cloud)
     try:
         return decode(message)

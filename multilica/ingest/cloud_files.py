@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
 from multilica.ingest.damage import damage_named
-from multilica.ingest.detect import CLOUD_SUFFIXES, detect_format
-from multilica.ingest.recording import Message, Span, Topic
+from multilica.ingest.detect import detect_format, named_format
+from multilica.ingest.recording import Message, Messages, Span, Topic
 
 __all__ = ["CloudFiles", "FrameFiles", "open_frames"]
 
@@ -50,6 +50,7 @@ class CloudFiles:
 
     format = "point files"
     damage = ""
+    is_indexed = True
 
     def __init__(self, topics: tuple[Topic, ...], files: dict[str, tuple[Path, ...]]) -> None:
         self.topics = topics
@@ -60,7 +61,7 @@ class CloudFiles:
         del topics
         return None
 
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """The first frame of each topic, then the second of each; `start_ns` has no meaning."""
         del start_ns
         chosen = [topic for topic in self.topics if topic.name in topics]
@@ -74,7 +75,7 @@ class CloudFiles:
 
 
 def _format(path: Path) -> str:
-    return CLOUD_SUFFIXES.get(path.suffix.lower()) or detect_format(path)
+    return named_format(path) or detect_format(path)
 
 
 def _message(topic: Topic, path: Path) -> Message:

@@ -7,13 +7,25 @@ from pathlib import Path
 
 from multilica.errors import UnreadableSourceError
 
-__all__ = ["CLOUD_SUFFIXES", "FILE_SUFFIXES", "RECORDING_SUFFIXES", "detect_format", "require_format"]
+__all__ = [
+    "CLOUD_SUFFIXES",
+    "PACKED",
+    "PACKED_SUFFIXES",
+    "RECORDING_SUFFIXES",
+    "detect_format",
+    "named_format",
+    "require_format",
+]
 
 HEAD_BYTES = 1024
 
 RECORDING_SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
-CLOUD_SUFFIXES = {".pcd": "pcd", ".ply": "ply"}
+CLOUD_SUFFIXES = {".pcd": "pcd", ".ply": "ply", ".las": "las", ".laz": "las", ".bin": "kitti", ".npy": "npy"}
 FILE_SUFFIXES = RECORDING_SUFFIXES | CLOUD_SUFFIXES
+
+PACKED = "zstd"
+"""The format of a recording that is compressed as a whole."""
+PACKED_SUFFIXES = (".zst", ".zstd")
 
 _TITLES = {
     "mcap": "an MCAP file",
@@ -21,27 +33,40 @@ _TITLES = {
     "ros1": "a ROS 1 bag",
     "pcd": "a PCD file",
     "ply": "a PLY file",
+    "las": "a LAS file",
+    "npy": "a NumPy file",
+    "kitti": "a file of float32 (KITTI)",
+    "nuscenes": "a file of float32 (nuScenes)",
+    PACKED: "compressed with zstd",
 }
+_WITHOUT_MAGIC = ("kitti", "nuscenes")
 _MAGIC = (
     (b"\x89MCAP0\r\n", "mcap"),
     (b"SQLite format 3\0", "sqlite3"),
     (b"#ROSBAG V2.0", "ros1"),
     (b"ply\n", "ply"),
     (b"ply\r", "ply"),
+    (b"LASF", "las"),
+    (b"\x93NUMPY", "npy"),
+    (b"\x28\xb5\x2f\xfd", PACKED),
 )
 _PCD_KEYWORDS = (b"VERSION", b"FIELDS")
 _FOREIGN = (
     (b"#ROSBAG", "a ROS 1 bag of an old version; convert it with `rosbag migrate`"),
-    (b"\x28\xb5\x2f\xfd", "compressed with zstd; unpack it with `zstd -d`"),
     (b"\x1f\x8b", "compressed with gzip; unpack it with `gunzip`"),
     (b"PK\x03\x04", "a zip archive; unpack it"),
-    (b"LASF", "a LAS file; convert it to PCD or PLY"),
     (b"RRF", "a Rerun recording; give the log that it was made from"),
 )
 
 
+def named_format(path: Path) -> str | None:
+    """The format that a file's name promises; None if it promises none."""
+    # nuScenes names its files so, which hold no PCD.
+    return "nuscenes" if path.name.lower().endswith(".pcd.bin") else FILE_SUFFIXES.get(path.suffix.lower())
+
+
 def detect_format(path: Path) -> str:
-    """``mcap``, ``sqlite3``, ``ros1``, ``pcd`` or ``ply``.
+    """``mcap``, ``sqlite3``, ``ros1``, ``pcd``, ``ply``, ``las``, ``npy``, ``kitti``, ``nuscenes`` or ``zstd``.
 
     Raises:
         UnreadableSourceError: empty, of no format that is read here, or of another one than its name says.
@@ -49,7 +74,7 @@ def detect_format(path: Path) -> str:
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     try:
-        return require_format(head, FILE_SUFFIXES.get(path.suffix.lower()))
+        return require_format(head, named_format(path))
     except ValueError as error:
         raise UnreadableSourceError(f"{path} {error}.") from error
 
@@ -68,6 +93,8 @@ def require_format(head: bytes | memoryview, named: str | None) -> str:
     if not start:
         raise ValueError("is empty: it has no bytes at all")
     found = _format_of(start)
+    if found is None and named in _WITHOUT_MAGIC:
+        return named
     if found is None:
         raise ValueError(_unknown(start, named))
     if named not in (None, found):
@@ -94,6 +121,5 @@ def _unknown(start: bytes, named: str | None) -> str:
             return f"is {what}"
     if named is not None:
         return f"is not {_TITLES[named]}, although its name says so: its first bytes are {start[:8]!r}"
-    return (
-        f"is of no format that is read here (MCAP, ROS 2 bag, ROS 1 bag, PCD, PLY): its first bytes are {start[:8]!r}"
-    )
+    known = "MCAP, ROS 2 bag, ROS 1 bag, PCD, PLY, LAS, LAZ, NPY"
+    return f"is of no format that is read here ({known}): its first bytes are {start[:8]!r}"

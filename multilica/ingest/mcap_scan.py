@@ -1,81 +1,112 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MCAP files without an index, as a recorder that died leaves them."""
+"""MCAP files from front to end, for those without an index."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Collection, Iterator, Mapping
+import zlib
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import IO, cast
 
-from mcap.reader import NonSeekingReader
-from mcap.records import Channel, Schema
+from mcap.opcode import Opcode
+from mcap.records import Schema
 
-from multilica.ingest.damage import DamagedRecordingError, damage_named
-from multilica.ingest.mcap_records import Record, message_of, topics_of
-from multilica.ingest.recording import Message, Recording, Span, Topic, joint_span
+from multilica.ingest.damage import damage_named
+from multilica.ingest.mcap_records import (
+    MESSAGE_HEAD,
+    RECORD_HEAD,
+    Stream,
+    channel_of,
+    chunk_of,
+    record_length,
+    records_of,
+    schema_of,
+    stream_of,
+)
+from multilica.ingest.recording import Message
+from multilica.ingest.unindexed import UnindexedRecording
 from multilica.ingest.whole_reads import WholeReads
 
 __all__ = ["open_unindexed"]
 
+_MAGIC = b"\x89MCAP0\r\n"
+_READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
+_BLOCK_BYTES = 1 << 20
 
-def open_unindexed(path: Path) -> Recording:
+
+def open_unindexed(path: Path) -> UnindexedRecording:
     """Open an MCAP file by reading it from the front for as long as it makes sense.
 
     Raises:
         DamagedRecordingError: not a single message can be read.
     """
-    channels: dict[int, Channel] = {}
-    schemas: dict[int, Schema] = {}
-    counts: Counter[int] = Counter()
-    spans: dict[str, Span] = {}
-    damage = ""
-    try:
-        for schema, channel, message in _records(path):
-            channels[channel.id] = channel
-            if schema is not None:
-                schemas[schema.id] = schema
-            counts[channel.id] += 1
-            first, last = spans.get(channel.topic, (message.log_time, message.log_time))
-            spans[channel.topic] = min(first, message.log_time), max(last, message.log_time)
-    except DamagedRecordingError as error:
-        if not counts:
-            raise
-        damage = error.reason
-    return UnindexedMcap(path, topics_of(channels.values(), schemas, counts), spans, damage)
+    return UnindexedRecording("MCAP without index", partial(_messages, path))
 
 
-class UnindexedMcap:
-    """An MCAP file that is read in the order of writing."""
-
-    format = "MCAP without index"
-
-    def __init__(self, path: Path, topics: tuple[Topic, ...], spans: Mapping[str, Span], damage: str) -> None:
-        self.topics = topics
-        self.damage = damage
-        self._path = path
-        self._spans = spans
-
-    def span_ns(self, topics: Collection[str]) -> Span | None:
-        """Known since the file was opened."""
-        return joint_span(self._spans, topics)
-
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[Message]:
-        """In the order of writing."""
-        for record in _records(self._path):
-            if record[1].topic in topics and record[2].log_time >= start_ns:
-                yield message_of(record, self._path)
-
-    def close(self) -> None:
-        """Nothing stays open."""
-
-
-def _records(path: Path) -> Iterator[Record]:
+def _messages(path: Path) -> Iterator[Message]:
     stream = WholeReads.of_file(path)
+    known = _Known(path)
     try:
         with damage_named(str(path)):
-            reader = NonSeekingReader(cast(IO[bytes], stream), validate_crcs=True)
-            # In log-time order the reader would first load the whole file.
-            yield from reader.iter_messages(log_time_order=False)
+            for opcode, record in _records(stream):
+                yield from known.messages_of(opcode, record)
     finally:
         stream.close()
+
+
+def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
+    """What bears on messages; attachments and the like are passed over, whatever their size."""
+    head = stream.read(len(_MAGIC))
+    if head != _MAGIC:
+        raise ValueError("it does not begin as an MCAP file does")
+    crc32 = zlib.crc32(head)
+    opcode = 0
+    while opcode != Opcode.FOOTER:
+        before = crc32
+        head = stream.read(RECORD_HEAD.size)
+        opcode, length = RECORD_HEAD.unpack(head)
+        crc32 = zlib.crc32(head, crc32)
+        if opcode not in _READ:
+            crc32 = _skip(stream, length, crc32)
+            continue
+        record_length(head)  # refuses what is too large
+        record = stream.read(length)
+        crc32 = zlib.crc32(record, crc32)
+        if opcode == Opcode.DATA_END and int.from_bytes(record, "little") not in (0, before):
+            raise ValueError("a checksum does not match its data")
+        yield opcode, memoryview(record)
+    stream.read(len(_MAGIC))
+
+
+def _skip(stream: WholeReads, length: int, crc32: int) -> int:
+    for offset in range(0, length, _BLOCK_BYTES):
+        crc32 = zlib.crc32(stream.read(min(_BLOCK_BYTES, length - offset)), crc32)
+    return crc32
+
+
+class _Known:
+    """The schemas and channels that were met so far."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._schemas: dict[int, Schema] = {}
+        self._streams: dict[int, Stream] = {}
+
+    def messages_of(self, opcode: int, record: memoryview) -> Iterator[Message]:
+        """The messages of a record, be it one or a chunk of many."""
+        if opcode == Opcode.CHUNK:
+            for inner_opcode, inner in records_of(chunk_of(record).unpack()):
+                yield from self._messages_of(inner_opcode, inner)
+        else:
+            yield from self._messages_of(opcode, record)
+
+    def _messages_of(self, opcode: int, record: memoryview) -> Iterator[Message]:
+        if opcode == Opcode.MESSAGE:
+            channel, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(record)
+            yield self._streams[channel].message(record, log_time_ns)
+        elif opcode == Opcode.CHANNEL:
+            channel_found = channel_of(record)
+            self._streams[channel_found.id] = stream_of(channel_found, self._schemas, self._path)
+        elif opcode == Opcode.SCHEMA:
+            schema = schema_of(record)
+            self._schemas[schema.id] = schema

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from importlib import import_module
 from pathlib import Path
 from typing import cast
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.cloud_files import open_frames
-from multilica.ingest.detect import detect_format
+from multilica.ingest.detect import PACKED, detect_format
+from multilica.ingest.joined_recording import JoinedRecording
+from multilica.ingest.packed_file import open_packed
 from multilica.ingest.recording import Recording
 from multilica.ingest.source import Source
 from multilica.ingest.split_recording import SplitRecording
@@ -33,14 +36,36 @@ def open_source(source: Source) -> Recording:
     """
     if source.frames:
         return open_frames(source.frames)
+    if source.recorders:
+        return _open_recorders(source.recorders)
     if len(source.recordings) == 1:
         return _open_file(source.recordings[0])
     return _open_parts(source.recordings)
 
 
 def _open_file(path: Path) -> Recording:
-    adapter = import_module(_ADAPTERS[detect_format(path)])
+    name = detect_format(path)
+    if name == PACKED:
+        return open_packed(path, _open_unpacked)
+    adapter = import_module(_ADAPTERS[name])
     return cast(Callable[[Path], Recording], adapter.open_file)(path)
+
+
+def _open_unpacked(path: Path) -> Recording:
+    if detect_format(path) not in _ADAPTERS:
+        raise UnreadableSourceError(f"{path.name} was compressed and is no recording; unpack it with `zstd -d`.")
+    return _open_file(path)
+
+
+def _open_recorders(sources: tuple[Source, ...]) -> Recording:
+    with ExitStack() as opened:
+        parts = []
+        for source in sources:
+            parts.append((Path(source.label), open_source(source)))
+            opened.enter_context(closing(parts[-1][1]))
+        joined = JoinedRecording(parts)
+        opened.pop_all()
+    return joined
 
 
 def _open_parts(paths: tuple[Path, ...]) -> Recording:

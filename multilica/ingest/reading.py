@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 from multilica.config import IngestConfig
-from multilica.ingest.choice import choose_topics
+from multilica.ingest.choice import choose_topics, packet_notes
 from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.naming import lidar_names, shared_frames
 from multilica.ingest.opening import open_source
@@ -26,8 +26,9 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
     """Read what each LiDAR of a recording saw in one window of time.
 
     Args:
-        source: an MCAP file, a ROS 2 bag (folder, ``.db3`` or ``.mcap``), a ROS 1 bag, a folder of PCD and PLY files
-            with one per LiDAR or one sub-folder of frames per LiDAR, or a list of such files and folders.
+        source: an MCAP file, a ROS 2 bag (folder, ``.db3`` or ``.mcap``), a ROS 1 bag, a folder of point files with one
+            per LiDAR or one sub-folder of frames per LiDAR, or a list: of point files and folders of them, or of
+            recordings with different LiDARs each.
         config: which topics, from when on, how many frames.
 
     Returns:
@@ -38,27 +39,34 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         UnreadableSourceError: empty, broken, or not what its name says.
         UnfitSnapshotError: no point clouds, or none in the window.
         UnknownNameError: no point cloud topic of that name.
-        UsageError: several recordings at once, or a topic with two names.
+        UsageError: several recordings of the same LiDAR, or a topic with two names.
     """
     found = find_source(source)
     with ThreadPoolExecutor(max_workers=1) as aside, closing(open_source(found)) as recording:
         # Hashing takes as long as unpacking and holds no lock on Python.
         sha256 = aside.submit(sha256_of_files, found.files)
-        given = choose_topics(recording, config.topics, found.label)
+        given = choose_topics(recording, config.topics, found.label, config.only)
         window = collect_frames(recording, given.keys(), config, found.label)
         require_frames(window, given.keys(), config, found.label)
         static = read_static_transforms(recording)
-    return assemble_snapshot(found.label, given, window, static, sha256.result())
+        packets = packet_notes(recording)
+    return assemble_snapshot(found.label, given, window, static, sha256.result(), packets)
 
 
 def assemble_snapshot(
-    label: str, given: Mapping[str, str], window: Window, static: StaticTransforms, sha256: str = ""
+    label: str,
+    given: Mapping[str, str],
+    window: Window,
+    static: StaticTransforms,
+    sha256: str = "",
+    notes: Sequence[str] = (),
 ) -> Snapshot:
     """Name the LiDARs that were taken.
 
     Args:
         label: the source as the user named it.
         given: topic -> name, empty where the frame id is to give it; other topics of the window are left out.
+        notes: more that the user should know.
     """
     clouds = {topic: frames for topic, frames in window.clouds.items() if topic in given}
     frame_ids = {topic: frames[0].frame_id for topic, frames in clouds.items()}
@@ -72,7 +80,7 @@ def assemble_snapshot(
         source=label,
         source_sha256=sha256,
         static_transforms=static[0],
-        notes=(*window.notes, *static[1], *_frame_notes(frame_ids)),
+        notes=(*window.notes, *static[1], *_frame_notes(frame_ids), *notes),
     )
 
 

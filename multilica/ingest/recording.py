@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Generator, Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
-__all__ = ["Message", "Recording", "Span", "Topic", "joint_span", "normal_type"]
+__all__ = ["Message", "Messages", "Recording", "Span", "Topic", "joint_span", "normal_type"]
 
 Span = tuple[int, int]
 """Log times of the first and the last message, in nanoseconds."""
@@ -39,6 +39,7 @@ class Message:
     Args:
         log_time_ns: when it was recorded; 0 where the format has no time.
         origin: what a sentence about this very message begins with, for instance its file.
+        lidar: as of `Topic`.
     """
 
     topic: str
@@ -47,6 +48,11 @@ class Message:
     log_time_ns: int
     data: bytes | memoryview
     origin: str
+    lidar: str = ""
+
+
+Messages: TypeAlias = Generator[Message, None, None]
+"""An iterator that lets go of its file when it is closed."""
 
 
 class Recording(Protocol):
@@ -64,10 +70,14 @@ class Recording(Protocol):
     def damage(self) -> str:
         """Why less can be read than was recorded ("the file ends too early"); empty if nothing is known."""
 
+    @property
+    def is_indexed(self) -> bool:
+        """Messages from some time on can be had without reading those before."""
+
     def span_ns(self, topics: Collection[str]) -> Span | None:
         """When these topics begin and end; None without messages, or where the format has no time."""
 
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """The messages on these topics that were logged at `start_ns` or later, oldest first.
 
         Raises:

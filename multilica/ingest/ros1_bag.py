@@ -3,16 +3,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import struct
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
-from rosbags.rosbag1 import Reader
-
+from multilica.ingest.chunked import ChunkedRecording, ChunkPlace, PackedChunk
 from multilica.ingest.damage import DamagedRecordingError, damage_named
-from multilica.ingest.recording import Message, Recording, Span, Topic, joint_span
+from multilica.ingest.recording import Message, Recording, Topic
+from multilica.ingest.ros1_records import (
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    MAGIC_BYTES,
+    MESSAGE,
+    Connection,
+    connection_of,
+    packed_chunk,
+    read_header,
+    read_length,
+    records_of,
+    time_ns,
+)
 from multilica.ingest.ros1_scan import open_unindexed
+from multilica.ingest.whole_reads import WholeReads
 
 __all__ = ["open_file"]
+
+_OFFSET = struct.Struct("<Q")
+_COUNT = struct.Struct("<4sI")
 
 
 def open_file(path: Path) -> Recording:
@@ -21,50 +41,64 @@ def open_file(path: Path) -> Recording:
     Raises:
         DamagedRecordingError: not a single message can be read.
     """
-    reader = Reader(path)
+    stream = WholeReads.of_file(path)
     try:
         with damage_named(str(path)):
-            reader.open()
+            return _open_indexed(stream, path)
     except DamagedRecordingError:
+        stream.close()
         return open_unindexed(path)
-    return IndexedRos1Bag(path, reader)
 
 
-class IndexedRos1Bag:
-    """A bag whose index is whole."""
+def _open_indexed(stream: WholeReads, path: Path) -> ChunkedRecording:
+    connections: dict[bytes, Connection] = {}
+    counts: Counter[bytes] = Counter()
+    chunks: list[ChunkPlace] = []
+    stream.seek(MAGIC_BYTES)
+    (index_pos,) = _OFFSET.unpack(read_header(stream)[b"index_pos"])
+    if index_pos <= MAGIC_BYTES:
+        raise ValueError("it has no index")
+    stream.seek(index_pos)
+    while stream.remaining:
+        header = read_header(stream)
+        data = stream.read(read_length(stream))
+        if header[b"op"][0] == CONNECTION:
+            connections[header[b"conn"]] = connection_of(header, memoryview(data), path)
+        elif header[b"op"][0] == CHUNK_INFO:
+            held = dict(_COUNT.iter_unpack(data))
+            counts.update(held)
+            chunks.append(
+                ChunkPlace(
+                    _OFFSET.unpack(header[b"chunk_pos"])[0],
+                    time_ns(header[b"start_time"]),
+                    time_ns(header[b"end_time"]),
+                    frozenset(connections[number].topic for number in held),
+                )
+            )
+    if not chunks:
+        raise ValueError("its index is empty")
+    topics = _topics(connections, counts)
+    return ChunkedRecording("ROS 1 bag", str(path), stream, topics, chunks, _read_chunk, partial(_split, connections))
 
-    format = "ROS 1 bag"
-    damage = ""
 
-    def __init__(self, path: Path, reader: Reader) -> None:
-        self._path = path
-        self._reader = reader
-        self._spans: dict[str, Span] = {}
-        for name, info in reader.topics.items():
-            times = [entry.time for link in info.connections for entry in reader.indexes.get(link.id, ())]
-            if times:
-                self._spans[name] = min(times), max(times)
-        self.topics = tuple(
-            Topic(name, info.msgtype or "several types", "ros1", info.msgcount)
-            for name, info in sorted(reader.topics.items())
-        )
+def _topics(connections: Mapping[bytes, Connection], counts: Mapping[bytes, int]) -> tuple[Topic, ...]:
+    totals: Counter[tuple[str, str]] = Counter()
+    for number, connection in connections.items():
+        totals[connection.topic, connection.message_type] += counts.get(number, 0)
+    return tuple(Topic(name, message_type, "ros1", count) for (name, message_type), count in sorted(totals.items()))
 
-    def span_ns(self, topics: Collection[str]) -> Span | None:
-        """Known from the index."""
-        return joint_span(self._spans, topics)
 
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[Message]:
-        """In the order of log times."""
-        chosen = [link for link in self._reader.connections if link.topic in topics]
-        if not chosen:
-            return
-        with damage_named(str(self._path)):
-            for link, log_time_ns, data in self._reader.messages(chosen, start=start_ns):
-                # A damaged index may point to a message of another connection.
-                if link.topic in topics:
-                    origin = f"In {self._path}, a scan of '{link.topic}'"
-                    yield Message(link.topic, link.msgtype, "ros1", log_time_ns, data, origin)
+def _read_chunk(stream: WholeReads, place: ChunkPlace) -> PackedChunk:
+    stream.seek(place.offset)
+    header = read_header(stream)
+    if header[b"op"][0] != CHUNK:
+        raise ValueError("its index points to something that is no chunk")
+    return packed_chunk(header, stream.read(read_length(stream)))
 
-    def close(self) -> None:
-        """Close the file."""
-        self._reader.close()
+
+def _split(connections: Mapping[bytes, Connection], data: memoryview, topics: Collection[str]) -> Iterator[Message]:
+    for header, content in records_of(data):
+        if header[b"op"][0] == MESSAGE:
+            connection = connections[header[b"conn"]]
+            if connection.topic in topics:
+                yield connection.message(header, content)

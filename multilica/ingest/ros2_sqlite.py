@@ -14,7 +14,7 @@ import apsw
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.damage import DamagedRecordingError, damage_named
-from multilica.ingest.recording import Message, Recording, Span, Topic, joint_span, normal_type
+from multilica.ingest.recording import Message, Messages, Recording, Span, Topic, joint_span, normal_type
 from multilica.ingest.whole_pages import WHOLE_PAGES, page_bytes
 
 __all__ = ["open_file"]
@@ -72,6 +72,7 @@ class Ros2Sqlite:
     """
 
     format = "ROS 2 bag (sqlite3)"
+    is_indexed = True
 
     def __init__(
         self,
@@ -92,7 +93,7 @@ class Ros2Sqlite:
         """Known since the file was opened."""
         return joint_span(self._spans, topics)
 
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """In the order of log times; of writing where the file is damaged."""
         chosen = {key: topic for key, topic in self._streams.items() if topic.name in topics}
         query = _MESSAGES_BY_PLACE if self.damage else _MESSAGES_BY_TIME

@@ -6,7 +6,6 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-import zstandard
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
@@ -14,13 +13,12 @@ from rosbags.typesys.store import Typestore
 from multilica.ingest.cloud import Cloud
 from multilica.ingest.damage import reason_of
 from multilica.ingest.recording import Message
+from multilica.ingest.unpacking import ZSTD_MAGIC, unpack_zstd_message
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan
 
-__all__ = ["decode_cloud", "unpacked"]
+__all__ = ["decode_cloud", "message_bytes", "unpacked"]
 
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
-_MAX_MESSAGE_BYTES = 1 << 30
 _OLD_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
@@ -54,23 +52,28 @@ def unpacked(message: Message) -> Any:  # noqa: ANN401 - the classes are made by
         ValueError: the bytes are no such message; the text is a predicate.
     """
     message_type = _OLD_NAMES.get(message.message_type, message.message_type)
+    data = message_bytes(message)
     try:
-        data = _decompressed(message.data)
         if message.encoding == "ros1":
             return _ros1_types().deserialize_ros1(data, message_type)
         return _ros2_types().deserialize_cdr(data, message_type)
-    except (SerdeError, zstandard.ZstdError) as error:
+    except SerdeError as error:
         raise ValueError(f"cannot be unpacked: {reason_of(error)}") from error
 
 
-def _decompressed(data: bytes | memoryview) -> memoryview:
+def message_bytes(message: Message) -> memoryview:
+    """The serialised message, unpacked where the bag has message compression.
+
+    Raises:
+        ValueError: it cannot be unpacked; the text is a predicate.
+    """
     # A bag with message compression says so in its metadata.yaml only; a serialised message never begins like this.
-    if data[:4] != _ZSTD_MAGIC:
-        return memoryview(data)
-    size = zstandard.frame_content_size(data)
-    if not 0 <= size <= _MAX_MESSAGE_BYTES:
-        raise ValueError(f"unpacks to {size} bytes; expected not more than {_MAX_MESSAGE_BYTES}")
-    return memoryview(zstandard.ZstdDecompressor().decompress(data))
+    if message.data[:4] != ZSTD_MAGIC:
+        return memoryview(message.data)
+    try:
+        return unpack_zstd_message(message.data)
+    except ValueError as error:
+        raise ValueError(f"cannot be unpacked: {error}") from error
 
 
 @cache

@@ -11,34 +11,36 @@ from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
 from multilica.ingest.cloud_files import FrameFiles
-from multilica.ingest.detect import CLOUD_SUFFIXES, RECORDING_SUFFIXES, detect_format
+from multilica.ingest.detect import CLOUD_SUFFIXES, PACKED, PACKED_SUFFIXES, RECORDING_SUFFIXES, detect_format
 
 __all__ = ["PathLike", "Source", "find_source"]
 
 PathLike = str | Path
 
-_PACKED_SUFFIXES = (".zst", ".zstd")
 _LISTED = 5
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The files behind a source: either those of one bag, or point files.
+    """The files behind a source: those of one bag, point files, or a bag per recorder.
 
     Args:
         label: the source as the user named it.
         recordings: the files of one bag, oldest first.
         frames: the point files of each LiDAR.
+        recorders: bags that were recorded at the same time, with different LiDARs each.
     """
 
     label: str
     recordings: tuple[Path, ...] = ()
     frames: tuple[FrameFiles, ...] = ()
+    recorders: tuple[Source, ...] = ()
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file, in order."""
-        return self.recordings + tuple(path for lidar in self.frames for path in lidar.files)
+        frames = tuple(path for lidar in self.frames for path in lidar.files)
+        return self.recordings + frames + tuple(path for source in self.recorders for path in source.files)
 
 
 def find_source(source: PathLike | Sequence[PathLike]) -> Source:
@@ -72,7 +74,7 @@ def _find(paths: list[Path]) -> Source:
 def _file(path: Path) -> Source:
     if not path.is_file():
         raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
-    if detect_format(path) in RECORDING_SUFFIXES.values():
+    if detect_format(path) in (*RECORDING_SUFFIXES.values(), PACKED):
         return Source(str(path), recordings=(path,))
     return Source(str(path), frames=(FrameFiles(path.name, path.stem, (path,)),))
 
@@ -82,15 +84,14 @@ def _several(paths: list[Path]) -> Source:
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise UsageError(f"{repeated[0]} is given more than once.")
+    sources = [_folder(path) if path.is_dir() else _file(path) for path in paths]
+    if all(source.recordings for source in sources):
+        return Source(label, recorders=tuple(sources))
     names, stems = Counter(path.name for path in paths), Counter(path.stem for path in paths)
     lidars: list[FrameFiles] = []
-    for path in paths:
-        source = _folder(path) if path.is_dir() else _file(path)
+    for path, source in zip(paths, sources, strict=True):
         if source.recordings:
-            raise UsageError(
-                f"{path} is a recording among other sources; give one recording alone, or point files; "
-                "several recordings, and nothing else, are several snapshots for `multilica calibrate`."
-            )
+            raise UsageError(f"{path} is a recording among point files; give recordings alone, or point files alone.")
         topic = path.name if names[path.name] == 1 else str(path)
         lidar = path.stem if stems[path.stem] == 1 else f"{path.parent.name}_{path.stem}"
         lidars.append(FrameFiles(topic, path.name if path.is_dir() else lidar, source.files))
@@ -100,7 +101,7 @@ def _several(paths: list[Path]) -> Source:
 def _folder(folder: Path) -> Source:
     entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
     files = [entry for entry in entries if entry.is_file()]
-    recordings = [path for path in files if path.suffix.lower() in (*RECORDING_SUFFIXES, *_PACKED_SUFFIXES)]
+    recordings = [path for path in files if path.suffix.lower() in (*RECORDING_SUFFIXES, *PACKED_SUFFIXES)]
     frames = _frames(entries)
     if recordings and frames:
         raise UsageError(
@@ -109,11 +110,14 @@ def _folder(folder: Path) -> Source:
         )
     if not recordings and not frames:
         raise UnfitSnapshotError(
-            f"{folder} holds no point clouds; expected PCD or PLY files, folders of them, or a bag, "
+            f"{folder} holds no point clouds; expected point files, folders of them, or a bag, "
             f"found {_names(entries) or 'nothing'}."
         )
     if len(recordings) > 1 and not _are_one_bag(folder, recordings):
-        raise UsageError(f"{folder} holds {len(recordings)} recordings ({_names(recordings)}); give one of them.")
+        raise UsageError(
+            f"{folder} holds {len(recordings)} recordings ({_names(recordings)}); give one of them by its name, "
+            "or several of them if each holds another LiDAR."
+        )
     return Source(str(folder), tuple(recordings), tuple(frames))
 
 

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 
-from multilica.ingest.recording import Message, Recording, Span, Topic
+from multilica.ingest.recording import Messages, Recording, Span, Topic
 
 __all__ = ["SplitRecording"]
 
@@ -22,6 +22,7 @@ class SplitRecording:
     def __init__(self, parts: Sequence[Recording], damage: str = "") -> None:
         self.format = f"{parts[0].format}, {len(parts)} files"
         self.damage = damage or next((part.damage for part in parts if part.damage), "")
+        self.is_indexed = all(part.is_indexed for part in parts)
         self.topics = _joint_topics(parts)
         self._parts = tuple(parts)
 
@@ -30,7 +31,7 @@ class SplitRecording:
         spans = [span for part in self._parts if (span := part.span_ns(topics)) is not None]
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Iterator[Message]:
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Part after part."""
         for part in self._parts:
             yield from part.messages(topics, start_ns)

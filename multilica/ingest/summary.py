@@ -12,7 +12,7 @@ import numpy as np
 from multilica.config import IngestConfig
 from multilica.errors import InputError, UnfitSnapshotError
 from multilica.geometry import RigidTransform
-from multilica.ingest.choice import choose_topics
+from multilica.ingest.choice import choose_topics, packet_notes
 from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.opening import open_source
 from multilica.ingest.reading import DEFAULT_CONFIG, assemble_snapshot
@@ -105,7 +105,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     with closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _look(recording, config, found.label)
-        snapshot = assemble_snapshot(found.label, given, window, static)
+        snapshot = assemble_snapshot(found.label, given, window, static, notes=packet_notes(recording))
         return SourceSummary(
             source=found.label,
             format=recording.format,
@@ -124,7 +124,7 @@ def _look(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
     given: Mapping[str, str] = {}
     window = Window({}, {}, ())
     try:
-        given = choose_topics(recording, config.topics, label)
+        given = choose_topics(recording, config.topics, label, config.only)
         topics = {topic.name for topic in recording.topics if is_cloud(topic)}
         window = collect_frames(recording, topics, config, label)
         require_frames(window, given.keys(), config, label)

@@ -3,18 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnreadableSourceError
-from multilica.ingest.cloud import Cloud, decode_cloud, is_cloud
+from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import Message, Recording
+from multilica.ingest.sampling import evenly, sampled
+from multilica.ingest.taken_frames import TakenFrames, clock_notes
+from multilica.ingest.time_range import TimeRange, find_time_range
 
 __all__ = ["Window", "collect_frames", "require_frames"]
-
-_NS_PER_S = 1_000_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,37 +26,17 @@ class Window:
         clouds: topic -> its frames, oldest first; topics without any are left out.
         broken: topic -> what is wrong, for topics of which every frame is broken.
         notes: what the user should know.
+        faults: those of the notes that tell of something in the recording that cannot be used.
     """
 
     clouds: Mapping[str, tuple[Cloud, ...]]
     broken: Mapping[str, str]
     notes: tuple[str, ...]
-
-
-@dataclass(slots=True)
-class _Stream:
-    """What was taken of one topic so far."""
-
-    topic: str
-    wanted: int
-    clouds: list[Cloud] = field(default_factory=list)
-    broken: list[str] = field(default_factory=list)
-
-    @property
-    def is_full(self) -> bool:
-        return len(self.clouds) >= self.wanted
-
-    def take(self, message: Message) -> None:
-        if self.is_full or not is_cloud(message):
-            return
-        try:
-            self.clouds.append(decode_cloud(message))
-        except UnreadableSourceError as error:
-            self.broken.append(str(error))
+    faults: tuple[str, ...] = ()
 
 
 def collect_frames(recording: Recording, topics: Collection[str], config: IngestConfig, label: str) -> Window:
-    """Take `config.frames` frames of each topic, from `config.start_s` on.
+    """Take `config.frames` frames of each topic, from when the configuration says on.
 
     Broken frames are passed over. Reading ends when there are enough frames, or where the recording is damaged.
 
@@ -67,16 +48,19 @@ def collect_frames(recording: Recording, topics: Collection[str], config: Ingest
         UnfitSnapshotError: the recording ends before the window begins.
         UnreadableSourceError: it is damaged before the first frame.
     """
-    start_ns, notes = _start(recording, config.start_s, label)
-    streams = [_Stream(topic, _wanted(recording, topic, config)) for topic in sorted(topics)]
-    damage = _fill({stream.topic: stream for stream in streams}, recording, start_ns)
-    notes += [note for stream in streams for note in _notes(stream, streams, damage)]
+    times = find_time_range(recording, config, label)
+    streams = [TakenFrames(topic, _wanted(recording, topic, config)) for topic in sorted(topics)]
+    damage = _fill({stream.topic: stream for stream in streams}, recording, times, config.frames)
+    faults = [fault for stream in streams for fault in stream.faults()]
+    shortages = [note for stream in streams for note in _shortages(stream, streams, damage)]
     if damage and all(stream.is_full for stream in streams):
-        notes.append(f"{label} is damaged: {damage}; the scans that were asked for lie before that.")
+        shortages.append(f"{label} is damaged: {damage}; the scans that were asked for lie before that.")
+    remarks = [*times.notes, *(remark for stream in streams for remark in stream.remarks()), *clock_notes(streams)]
     return Window(
-        {stream.topic: _by_time(stream.clouds) for stream in streams if stream.clouds},
+        {stream.topic: stream.by_time() for stream in streams if stream.clouds},
         {stream.topic: stream.broken[0] for stream in streams if stream.broken and not stream.clouds},
-        tuple(notes),
+        (*faults, *shortages, *remarks),
+        (*(shortages if damage else ()), *faults),
     )
 
 
@@ -84,9 +68,11 @@ def require_frames(window: Window, topics: Collection[str], config: IngestConfig
     """Check that there is a frame at all, and one of every topic that was asked for by name.
 
     Raises:
-        UnreadableSourceError: all frames of a topic are broken.
+        UnreadableSourceError: all frames of a topic are broken, or anything is at fault where `config.strict`.
         UnfitSnapshotError: no frame lies in the window.
     """
+    if config.strict and window.faults:
+        raise UnreadableSourceError(f"{label} is refused, for ingest.strict is set: {window.faults[0]}")
     for topic in sorted(topics):
         if topic in window.broken:
             raise UnreadableSourceError(window.broken[topic])
@@ -96,21 +82,6 @@ def require_frames(window: Window, topics: Collection[str], config: IngestConfig
         raise UnfitSnapshotError(f"{label} has no scan that can be read from {config.start_s:g} s on.")
 
 
-def _start(recording: Recording, start_s: float, label: str) -> tuple[int, list[str]]:
-    if start_s == 0.0:
-        return 0, []
-    span = recording.span_ns({topic.name for topic in recording.topics if is_cloud(topic)})
-    if span is None:
-        return 0, ["Point files have no time: ingest.start_s has no effect."]
-    duration_s = (span[1] - span[0]) / _NS_PER_S
-    if start_s > duration_s:
-        raise UnfitSnapshotError(
-            f"{label} has no point cloud {start_s:g} s after its first one: they span {duration_s:.3f} s; "
-            "set ingest.start_s to less."
-        )
-    return span[0] + round(start_s * _NS_PER_S), []
-
-
 def _wanted(recording: Recording, topic: str, config: IngestConfig) -> int:
     if recording.damage:
         return config.frames
@@ -118,10 +89,10 @@ def _wanted(recording: Recording, topic: str, config: IngestConfig) -> int:
     return min(config.frames, count)
 
 
-def _fill(streams: Mapping[str, _Stream], recording: Recording, start_ns: int) -> str:
+def _fill(streams: Mapping[str, TakenFrames], recording: Recording, times: TimeRange, frames: int) -> str:
     """Take frames until there are enough; why reading ended before, or what is known to be missing."""
     try:
-        for message in recording.messages(streams.keys(), start_ns):
+        for message in _candidates(recording, streams.keys(), times, frames):
             streams[message.topic].take(message)
             if all(stream.is_full for stream in streams.values()):
                 break
@@ -132,21 +103,18 @@ def _fill(streams: Mapping[str, _Stream], recording: Recording, start_ns: int) -
     return recording.damage
 
 
-def _notes(stream: _Stream, streams: list[_Stream], damage: str) -> list[str]:
-    notes: list[str] = []
-    taken, broken = len(stream.clouds), len(stream.broken)
-    if broken:
-        scans = f"{broken} of {broken + taken} scans of '{stream.topic}'"
-        notes.append(f"{scans} are broken and left out: {stream.broken[0]}")
+def _candidates(recording: Recording, topics: Collection[str], times: TimeRange, frames: int) -> Iterator[Message]:
+    if times.end_ns is None:
+        yield from recording.messages(topics, times.start_ns)
+    else:
+        spread_ns = evenly(times.start_ns, times.end_ns, frames)
+        yield from (message for _, message in sampled(recording, topics, spread_ns, times.end_ns))
+
+
+def _shortages(stream: TakenFrames, streams: list[TakenFrames], damage: str) -> list[str]:
+    taken = len(stream.clouds)
     if damage and not stream.is_full:
-        notes.append(f"'{stream.topic}': {taken} of {stream.wanted} scans, then {damage}.")
-    elif taken < max(len(other.clouds) for other in streams):
-        notes.append(f"'{stream.topic}' has {taken} scans in the window, others have more.")
-    frame_ids = sorted({cloud.frame_id for cloud in stream.clouds})
-    if len(frame_ids) > 1:
-        notes.append(f"'{stream.topic}' has scans in several frames ({', '.join(frame_ids)}), taken as one.")
-    return notes
-
-
-def _by_time(clouds: list[Cloud]) -> tuple[Cloud, ...]:
-    return tuple(sorted(clouds, key=lambda cloud: cloud.scan.stamp_ns))
+        return [f"'{stream.topic}': {taken} of {stream.wanted} scans, then {damage}."]
+    if taken < max(len(other.clouds) for other in streams):
+        return [f"'{stream.topic}' has {taken} scans in the window, others have more."]
+    return []

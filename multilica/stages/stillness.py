@@ -153,5 +153,5 @@ def explain_motion(motions: Mapping[str, Motion], source: str = "") -> str:
     return (
         f"The vehicle moves{' in ' + source if source else ''}: {evidence} between its first and last frame "
         f"({len(moving)} of the {telling} LiDARs that can tell); record while it stands still, "
-        "or choose another window with --start."
+        "or choose another window with --start or --window auto."
     )

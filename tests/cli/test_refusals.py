@@ -103,7 +103,8 @@ def test_inspect_refuses_what_cannot_be_read(make: object, invoke: Invoke, tmp_p
     [
         (["--target", "lfet"], "left"),
         (["--topic", "front=/nope"], "/nope"),
-        (["--topic", "front"], "NAME=/topic"),
+        (["--topic", "front"], "left.pcd"),
+        (["--topic", "=/x"], "NAME=/topic"),
         (["--topic", "a=/x", "--topic", "a=/y"], "'a'"),
         (["--set", "fine.max_iteration=3"], "fine.max_iterations"),
         (["--set", "fine.max_iterations=many"], "fine.max_iterations"),

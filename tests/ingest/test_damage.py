@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import resource
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -147,10 +148,17 @@ def test_a_damaged_part_of_a_split_bag(tmp_path: Path) -> None:
     assert any("log_1.mcap is damaged" in note for note in snapshot.notes)
 
 
-def test_a_bag_packed_as_a_whole_says_how_to_unpack_it(tmp_path: Path) -> None:
-    write_ros2_bag(make_snapshot(), tmp_path / "bag", compression=CompressionMode.FILE)
-    with pytest.raises(UnreadableSourceError, match="compressed with zstd; unpack it with `zstd -d`"):
+def test_a_bag_packed_as_a_whole_and_cut_off(tmp_path: Path) -> None:
+    write_ros2_bag(make_snapshot(frames=FRAMES), tmp_path / "bag", compression=CompressionMode.FILE)
+    (packed,) = (tmp_path / "bag").glob("*.zstd")
+    content = packed.read_bytes()
+    for size in range(30, len(content), len(content) // 20):
+        packed.write_bytes(content[:size])
+        read_or_refuse(tmp_path / "bag")
+    packed.write_bytes(b"\x28\xb5\x2f\xfd" + b"\xff" * 50)
+    with pytest.raises(UnreadableSourceError, match="compressed data cannot be unpacked"):
         read_snapshot(tmp_path / "bag")
+    assert not list(Path(tempfile.gettempdir()).glob("multilica-*"))
 
 
 def test_memory_is_bounded_whatever_a_header_claims(tmp_path: Path) -> None:

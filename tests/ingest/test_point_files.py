@@ -108,7 +108,7 @@ def test_points_that_are_not_finite_are_dropped_and_order_is_kept(tmp_path: Path
 
 
 def test_a_folder_of_frames_per_lidar(tmp_path: Path) -> None:
-    frames = [np.full((2, 3), number, np.float32) for number in range(12)]
+    frames = [np.full((2, 3), number, np.float32) for number in range(1, 13)]
     for name, count in (("front", 12), ("rear", 1)):
         (tmp_path / name).mkdir()
         for number, points in enumerate(frames[:count]):
@@ -116,7 +116,7 @@ def test_a_folder_of_frames_per_lidar(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("not a cloud")
     snapshot = read_snapshot(tmp_path, config=IngestConfig(frames=11))
     assert snapshot.names == ("front", "rear")
-    assert [scan.points_m[0, 0] for scan in snapshot["front"].scans] == list(range(11))
+    assert [scan.points_m[0, 0] for scan in snapshot["front"].scans] == list(range(1, 12))
     assert len(snapshot["rear"].scans) == 1
     assert snapshot["rear"].topic == "rear"
     assert snapshot.notes == ("'rear' has 1 scans in the window, others have more.",)

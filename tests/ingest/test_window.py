@@ -232,8 +232,11 @@ def test_several_recordings_are_refused(tmp_path: Path) -> None:
         write_mcap(make_snapshot(), tmp_path / name)
     with pytest.raises(UsageError, match=r"holds 2 recordings \(a.mcap, b.mcap\); give one of them"):
         read_snapshot(tmp_path)
-    with pytest.raises(UsageError, match="is a recording among other sources"):
+    with pytest.raises(UsageError, match=r"a\.mcap and .*b\.mcap both hold the LiDAR 'lidar_0'"):
         read_snapshot([tmp_path / "a.mcap", tmp_path / "b.mcap"])
+    (tmp_path / "c.pcd").write_text("VERSION 0.7\n")
+    with pytest.raises(UsageError, match="is a recording among point files"):
+        read_snapshot([tmp_path / "a.mcap", tmp_path / "c.pcd"])
     with pytest.raises(UsageError, match="is given more than once"):
         read_snapshot([tmp_path / "a.mcap", tmp_path / "a.mcap"])
 

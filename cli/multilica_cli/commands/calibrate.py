@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from multilica_cli.configuration import resolve_config, topic_names
+from multilica_cli.configuration import ingest_options, resolve_config
 from multilica_cli.options import (
     ConfigFile,
     Frames,
@@ -19,9 +19,12 @@ from multilica_cli.options import (
     Quiet,
     Settings,
     Sources,
-    StartSeconds,
+    Start,
+    Strict,
     Threads,
     Topics,
+    Window,
+    WindowSeconds,
 )
 from multilica_cli.outcome import (
     print_document,
@@ -54,7 +57,10 @@ def calibrate(
     prior: PriorSource = None,
     topics: Topics = None,
     frames: Frames = None,
-    start_s: StartSeconds = None,
+    start: Start = None,
+    window: Window = None,
+    window_s: WindowSeconds = None,
+    strict: Strict = False,
     preset: Preset = None,
     config_file: ConfigFile = None,
     settings: Settings = None,
@@ -76,9 +82,7 @@ def calibrate(
     options = {
         "target": target,
         "until": until,
-        "ingest.topics": topic_names(topics or ()),
-        "ingest.frames": frames,
-        "ingest.start_s": start_s,
+        **ingest_options(topics, frames, start, window, window_s, strict=strict),
         "ground.enabled": ground or None,
         "runtime.threads": threads,
     }

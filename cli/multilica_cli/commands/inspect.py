@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import typer
 
 from multilica.errors import UnfitSnapshotError
-from multilica_cli.configuration import resolve_config, topic_names
-from multilica_cli.options import Frames, Json, Sources, StartSeconds, Topics
+from multilica_cli.configuration import ingest_options, resolve_config
+from multilica_cli.options import Frames, Json, Sources, Start, Strict, Topics, Window, WindowSeconds
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
@@ -24,14 +24,17 @@ def inspect(
     *,
     topics: Topics = None,
     frames: Frames = None,
-    start_s: StartSeconds = None,
+    start: Start = None,
+    window: Window = None,
+    window_s: WindowSeconds = None,
+    strict: Strict = False,
     as_json: Json = False,
 ) -> None:
     """Print what a recording holds, and what calibrate would take from it."""
     from multilica.ingest import inspect_source
     from multilica_cli.source_tables import print_summary, summary_document
 
-    options = {"ingest.topics": topic_names(topics or ()), "ingest.frames": frames, "ingest.start_s": start_s}
+    options = ingest_options(topics, frames, start, window, window_s, strict=strict)
     config = resolve_config(None, None, options, ())
     summary = inspect_source(sources, config=config.ingest)
     if as_json:

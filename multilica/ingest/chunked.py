@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings whose messages lie in chunks that an index tells of."""
+
+from __future__ import annotations
+
+import heapq
+from collections import deque
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
+from itertools import count
+
+from multilica.ingest.damage import damage_named
+from multilica.ingest.recording import Message, Messages, Span, Topic
+from multilica.ingest.unpacking import require_checksum, unpack
+from multilica.ingest.whole_reads import WholeReads
+
+__all__ = ["ChunkPlace", "ChunkedRecording", "PackedChunk"]
+
+_AHEAD = 2
+"""Chunks that are unpacked while the one before is decoded."""
+_MAX_WAITING_BYTES = 256 << 20
+"""Chunks that overlap in time are held back together up to this size; beyond, order gives way."""
+_END_OF_TIME = 2**64
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlace:
+    """Where a chunk lies, as the index says.
+
+    Args:
+        offset: of the chunk in its file.
+        start_ns, end_ns: log times of its first and last message.
+        topics: whose messages it holds; None if the index does not tell.
+    """
+
+    offset: int
+    start_ns: int
+    end_ns: int
+    topics: frozenset[str] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedChunk:
+    """A chunk as it lies in the file; its size and checksum are those of the unpacked data."""
+
+    compression: str
+    data: bytes | memoryview
+    size: int
+    crc32: int = 0
+
+    def unpack(self) -> memoryview:
+        """Its records.
+
+        Raises:
+            ValueError: the data are broken; the text is a clause.
+        """
+        data = unpack(self.compression, self.data, self.size)
+        require_checksum(data, self.crc32)
+        return data
+
+
+class ChunkedRecording:
+    """A recording of which only the chunks that are needed are read.
+
+    Args:
+        title: as `Recording.format`.
+        where: the file, for messages.
+        chunks: in any order.
+        read_chunk: reads the chunk at a place from the stream.
+        split: the messages in the records of a chunk, on these topics.
+    """
+
+    damage = ""
+    is_indexed = True
+
+    def __init__(
+        self,
+        title: str,
+        where: str,
+        stream: WholeReads,
+        topics: tuple[Topic, ...],
+        chunks: Iterable[ChunkPlace],
+        read_chunk: Callable[[WholeReads, ChunkPlace], PackedChunk],
+        split: Callable[[memoryview, Collection[str]], Iterator[Message]],
+    ) -> None:
+        self.format = title
+        self.topics = topics
+        self._where = where
+        self._stream = stream
+        self._chunks = sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
+        self._read_chunk = read_chunk
+        self._split = split
+
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Read from the first and the last chunks that hold one of the topics."""
+        with closing(self.messages(topics)) as messages:
+            first = next(messages, None)
+        if first is None:
+            return None
+        last_ns = first.log_time_ns
+        with damage_named(self._where):
+            for chunk in sorted(self._chunks_with(topics, 0), key=lambda chunk: -chunk.end_ns):
+                if chunk.end_ns <= last_ns:
+                    break
+                for message in self._split(self._read_chunk(self._stream, chunk).unpack(), topics):
+                    last_ns = max(last_ns, message.log_time_ns)
+        return first.log_time_ns, last_ns
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """In the order of log times."""
+        chunks = self._chunks_with(topics, start_ns)
+        starts = [*(chunk.start_ns for chunk in chunks[1:]), _END_OF_TIME]
+        waiting: list[tuple[int, int, Message]] = []
+        waiting_bytes = 0
+        number = count()
+        with damage_named(self._where), closing(self._unpacked(chunks)) as unpacked:
+            try:
+                for records, next_start_ns in zip(unpacked, starts, strict=False):
+                    waiting_bytes += len(records)
+                    for message in self._split(records, topics):
+                        if message.log_time_ns >= start_ns:
+                            heapq.heappush(waiting, (message.log_time_ns, next(number), message))
+                    crowded = waiting_bytes > _MAX_WAITING_BYTES
+                    while waiting and (crowded or waiting[0][0] <= next_start_ns):
+                        yield heapq.heappop(waiting)[2]
+                    waiting_bytes *= bool(waiting)
+            except Exception:
+                # What came before the damage is good.
+                while waiting:
+                    yield heapq.heappop(waiting)[2]
+                raise
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
+
+    def _chunks_with(self, topics: Collection[str], start_ns: int) -> list[ChunkPlace]:
+        wanted = frozenset(topics)
+        return [
+            chunk
+            for chunk in self._chunks
+            if chunk.end_ns >= start_ns and (chunk.topics is None or chunk.topics & wanted)
+        ]
+
+    def _unpacked(self, chunks: Sequence[ChunkPlace]) -> Generator[memoryview, None, None]:
+        """The records of each chunk; the next ones are unpacked by another thread meanwhile."""
+        ahead: deque[Future[memoryview]] = deque()
+        with ThreadPoolExecutor(max_workers=1) as aside:
+            for chunk in chunks:
+                ahead.append(aside.submit(self._read_chunk(self._stream, chunk).unpack))
+                if len(ahead) > _AHEAD:
+                    yield ahead.popleft().result()
+            while ahead:
+                yield ahead.popleft().result()
