@@ -29,7 +29,10 @@ def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: 
     """
     if size > MAX_UNPACKED_BYTES:
         raise ValueError(f"a record claims to unpack to {size} bytes; not more than {MAX_UNPACKED_BYTES} are believed")
-    unpacked = _unpacked(compression, packed, size)
+    try:
+        unpacked = _unpacked(compression, packed, size)
+    except (zstandard.ZstdError, RuntimeError, OSError, EOFError) as error:
+        raise ValueError("compressed data cannot be unpacked") from error
     if len(unpacked) != size and not partial:
         raise ValueError(f"a record unpacks to {len(unpacked)} bytes, yet claims {size}")
     return unpacked

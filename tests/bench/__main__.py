@@ -7,8 +7,8 @@ import os
 import sys
 from importlib import import_module
 
-MEASUREMENTS = ("real_scans", "simulated", "blind", "speed", "repeat", "harder", "causes", "crash")
-ON_REQUEST = ("paper",)
+MEASUREMENTS = ("real_scans", "simulated", "blind", "speed", "repeat", "harder", "causes", "crash", "ingest")
+ON_REQUEST = ("paper", "fuzz")
 
 
 def main(names: list[str]) -> int:

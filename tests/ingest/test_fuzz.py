@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files damaged by seed, for every reader; `python -m tests.bench fuzz` tries thousands more."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.ingest.mutations import SEEDS, mutated, read_or_refuse, write_seed
+
+MUTATIONS = 200
+SLOW = {"a.laz": 10, "b.laz": 10, "packed.db3.zstd": 100}
+"""Readers that start a process or unpack a file to disk."""
+ONCE_FAILED = [
+    ("messages.db3", 42),  # a compressed message that cannot be unpacked
+    ("b.laz", 16),  # a layer that claims gigabytes, for which the engine ends its process
+]
+
+
+@pytest.mark.parametrize("name", SEEDS)
+def test_whole_files_are_read(tmp_path: Path, name: str) -> None:
+    snapshot = read_or_refuse(write_seed(name, tmp_path), inspect=True)
+    assert snapshot is not None
+    assert all(lidar.points_count > 0 for lidar in snapshot.lidars)
+
+
+@pytest.mark.parametrize("name", SEEDS)
+def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
+    path = write_seed(name, tmp_path)
+    content = path.read_bytes()
+    read = 0
+    for seed in range(SLOW.get(name, MUTATIONS)):
+        path.write_bytes(mutated(content, np.random.default_rng(seed)))
+        read += read_or_refuse(path, inspect=seed % 8 == 0) is not None
+    assert read < SLOW.get(name, MUTATIONS)
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(("name", "seed"), ONCE_FAILED)
+def test_what_once_failed(tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str, seed: int) -> None:
+    path = write_seed(name, tmp_path)
+    path.write_bytes(mutated(path.read_bytes(), np.random.default_rng(seed)))
+    read_or_refuse(path, inspect=True)
+    assert capfd.readouterr() == ("", "")
