@@ -16,7 +16,7 @@ from mcap.records import Channel, Schema
 
 from multilica.ingest.chunked import PackedChunk
 from multilica.ingest.recording import Message, Topic, normal_type
-from multilica.ingest.unpacking import MAX_UNPACKED_BYTES
+from multilica.ingest.unpacking import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.whole_reads import EndOfFileError
 from multilica.pointcloud2 import LIDAR_NAME_KEY
 
@@ -63,9 +63,12 @@ def records_of(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
     Raises:
         EndOfFileError: a record is longer than what is there.
+        ValueError: there are more than a chunk can sanely hold; the text is a clause.
     """
     place = 0
-    while place < len(data):
+    for _ in range(MAX_RECORDS):
+        if place == len(data):
+            return
         if len(data) - place < RECORD_HEAD.size:
             raise EndOfFileError
         opcode, length = RECORD_HEAD.unpack_from(data, place)
@@ -74,6 +77,7 @@ def records_of(data: memoryview) -> Iterator[tuple[int, memoryview]]:
             raise EndOfFileError
         yield opcode, data[place : place + length]
         place += length
+    raise ValueError("a chunk holds an impossible number of records")
 
 
 def record_length(head: bytes) -> tuple[int, int]:

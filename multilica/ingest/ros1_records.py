@@ -11,7 +11,7 @@ from typing import TypeAlias
 
 from multilica.ingest.chunked import PackedChunk
 from multilica.ingest.recording import Message, normal_type
-from multilica.ingest.unpacking import MAX_UNPACKED_BYTES
+from multilica.ingest.unpacking import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.whole_reads import EndOfFileError, WholeReads
 
 __all__ = [
@@ -92,12 +92,16 @@ def records_of(chunk: memoryview) -> Iterator[tuple[Header, memoryview]]:
 
     Raises:
         EndOfFileError: a record is longer than what is there.
+        ValueError: there are more than a chunk can sanely hold; the text is a clause.
     """
     place = 0
-    while place < len(chunk):
+    for _ in range(MAX_RECORDS):
+        if place == len(chunk):
+            return
         header, place = _part(chunk, place)
         data, place = _part(chunk, place)
         yield _fields(header), data
+    raise ValueError("a chunk holds an impossible number of records")
 
 
 def _part(data: memoryview, place: int) -> tuple[memoryview, int]:

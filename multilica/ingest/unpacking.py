@@ -9,10 +9,13 @@ import zlib
 import lz4.frame
 import zstandard
 
-__all__ = ["MAX_UNPACKED_BYTES", "ZSTD_MAGIC", "require_checksum", "unpack", "unpack_zstd_message"]
+__all__ = ["MAX_RECORDS", "MAX_UNPACKED_BYTES", "ZSTD_MAGIC", "require_checksum", "unpack", "unpack_zstd_message"]
 
 MAX_UNPACKED_BYTES = 512 << 20
 """No chunk and no message of a sane recording is larger; what claims more is not unpacked."""
+
+MAX_RECORDS = 1 << 20
+"""Records of a chunk; with more of them, they are too short to be any."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 

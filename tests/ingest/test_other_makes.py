@@ -3,6 +3,11 @@
 
 from __future__ import annotations
 
+import base64
+import json
+import os
+import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,7 +29,16 @@ from tests.ingest.format_writers import (
     write_mcap_ros1,
     write_raw_mcap,
 )
-from tests.ingest.recording_writers import START_NS, assert_same_points, assert_same_times, make_snapshot
+from tests.ingest.recording_writers import (
+    START_NS,
+    assert_same_points,
+    assert_same_times,
+    make_snapshot,
+    raw_messages,
+    ros2_types,
+)
+
+NODE_MODULES = Path(__file__).parents[1] / "node" / "node_modules"
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +74,22 @@ del RECORDINGS["livox_ros_driver-cdr"]  # no such driver
 @pytest.mark.parametrize("make", RECORDINGS)
 def test_recordings_of_other_makes(tmp_path: Path, scene: Snapshot, make: str) -> None:
     RECORDINGS[make](scene, tmp_path / "a.mcap")
+    found = read_snapshot(tmp_path / "a.mcap")
+    assert found.notes == ()
+    assert_same_points(found, scene)
+    assert_same_times(found, scene)
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
+@pytest.mark.skipif(not NODE_MODULES.is_dir(), reason="run: npm install --prefix tests/node --no-package-lock")
+def test_a_file_written_by_mcap_core(tmp_path: Path, scene: Snapshot) -> None:
+    lines = [
+        json.dumps({"topic": topic, "type": kind, "logTime": str(time_ns), "data": base64.b64encode(data).decode()})
+        for topic, kind, time_ns, data in raw_messages(scene, ros2_types(), "cdr")
+    ]
+    command = ["node", str(Path(__file__).parent / "write_mcap.cjs"), str(tmp_path / "a.mcap")]
+    environment = {**os.environ, "NODE_PATH": str(NODE_MODULES)}
+    subprocess.run(command, input="\n".join(lines), text=True, check=True, env=environment, timeout=60)
     found = read_snapshot(tmp_path / "a.mcap")
     assert found.notes == ()
     assert_same_points(found, scene)

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The longest stretch in which the vehicle stands still, by whatever shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys.store import Typestore
+
+from multilica.config import IngestConfig
+from multilica.errors import UnfitSnapshotError
+from multilica.ingest import read_snapshot
+from multilica.snapshot import Scan, Snapshot
+from tests.ingest.recording_writers import (
+    CLOUD,
+    START_NS,
+    cloud_message,
+    header,
+    make_snapshot,
+    ros1_types,
+    ros2_types,
+    write_mcap,
+)
+
+DURATION_S = 20.0
+STILL_S = ((3.0, 5.0), (9.0, 16.0))
+SPEED_MPS = 2.0
+ROOM_M = np.array([9.0, 6.0, 4.0])
+
+Raw = tuple[str, str, int, bytes]
+
+
+def moving(time_s: float) -> bool:
+    return not any(first <= time_s < last for first, last in STILL_S)
+
+
+def position_m(time_s: float) -> float:
+    """Back and forth, so that the room does not end."""
+    driven_s = np.arange(0.0, time_s, 0.01)
+    return 0.4 * np.sin(SPEED_MPS * 0.01 * sum(map(moving, driven_s)) / 0.4)
+
+
+def room_scan(time_s: float, seed: int) -> Scan:
+    rng = np.random.default_rng(seed)
+    azimuth, elevation = np.meshgrid(np.arange(0.0, 2 * np.pi, 0.03), np.deg2rad(np.arange(-38.5, 40.0, 3.0)))
+    azimuth = azimuth + rng.uniform(0.0, 0.03)
+    flat = np.cos(elevation)
+    beams = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
+    range_m = np.min((np.sign(beams) * ROOM_M - [position_m(time_s), 0.0, 0.0]) / beams, axis=1)
+    points_m = beams * (range_m + rng.normal(scale=0.01, size=len(range_m)))[:, None]
+    return Scan(points_m.astype(np.float32), stamp_ns(time_s), np.zeros(len(points_m), np.float32))
+
+
+def stamp_ns(time_s: float) -> int:
+    return START_NS + round(time_s * 1e9)
+
+
+def clouds(store: Typestore, serialise: Callable[[Any, str], Any], *, real: bool) -> Iterator[Raw]:
+    small = make_snapshot(lidars=1, frames=1, points=5).lidars[0].scans[0]
+    for number, time_s in enumerate(np.arange(0.0, DURATION_S, 0.2)):
+        scan = room_scan(time_s, number) if real else Scan(small.points_m + number, stamp_ns(time_s), small.intensity)
+        yield "/points", CLOUD, stamp_ns(time_s), bytes(serialise(cloud_message(store, scan, "roof"), CLOUD))
+
+
+def odometry(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]:
+    types, name = store.types, "nav_msgs/msg/Odometry"
+    vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
+    for time_s in np.arange(0.0, DURATION_S, 0.05):
+        speed = SPEED_MPS * moving(time_s)
+        twist = types["geometry_msgs/msg/Twist"](vector(speed, 0.0, 0.0), vector(0.0, 0.0, 0.001))
+        pose = types["geometry_msgs/msg/Pose"](
+            point(0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        )
+        message = types[name](
+            header(store, "odom", stamp_ns(time_s)),
+            "base",
+            types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        )
+        yield "/odom", name, stamp_ns(time_s), bytes(serialise(message, name))
+
+
+def imu(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]:
+    types, name, rng = store.types, "sensor_msgs/msg/Imu", np.random.default_rng(0)
+    vector = types["geometry_msgs/msg/Vector3"]
+    for time_s in np.arange(0.0, DURATION_S, 0.01):
+        shake = 0.6 if moving(time_s) else 0.03
+        message = types[name](
+            header(store, "imu", stamp_ns(time_s)),
+            types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+            np.zeros(9),
+            vector(*rng.normal(0.0, 0.1 * shake, 3)),
+            np.zeros(9),
+            vector(*rng.normal([0.0, 0.0, 9.81], shake)),
+            np.zeros(9),
+        )
+        yield "/imu", name, stamp_ns(time_s), bytes(serialise(message, name))
+
+
+WITNESSES = {"odometry on '/odom'": odometry, "the IMU on '/imu'": imu, "the clouds on '/points'": None}
+
+
+@pytest.mark.parametrize("witness", WITNESSES)
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+def test_the_longest_standstill_is_found(tmp_path: Path, witness: str, encoding: str) -> None:
+    store = ros2_types() if encoding == "cdr" else ros1_types()
+    serialise = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
+    messages = list(clouds(store, serialise, real=WITNESSES[witness] is None))
+    if WITNESSES[witness] is not None:
+        messages += WITNESSES[witness](store, serialise)
+    messages.sort(key=lambda message: message[2])
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", encoding=encoding, messages=messages, chunk_size=20_000)
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=5))
+    times_s = [(scan.stamp_ns - START_NS) / 1e9 for scan in snapshot["roof"].scans]
+    first_s, last_s = STILL_S[1]
+    assert len(times_s) == 5
+    assert first_s <= times_s[0] < first_s + 1.5
+    assert last_s - 3.0 < times_s[-1] < last_s
+    (note,) = snapshot.notes
+    assert note.startswith("The vehicle stands still from ")
+    assert f" by {witness}; frames are from there." in note
+
+
+def test_from_some_time_on(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = [*clouds(store, store.serialize_cdr, real=False), *odometry(store, store.serialize_cdr)]
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=sorted(messages, key=lambda message: message[2]))
+    config = IngestConfig(window="auto", start_s=15.0, frames=1)
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+        read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 16.5}))
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+        read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 15.6}))
+    assert len(read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 13.0})).lidars) == 1
+
+
+def test_a_vehicle_that_always_stands_gives_the_whole_recording(tmp_path: Path) -> None:
+    store = ros1_types()
+    messages = [*clouds(store, store.serialize_ros1, real=False), *odometry(store, store.serialize_ros1)]
+    first_s, last_s = STILL_S[1]
+    still = sorted((raw for raw in messages if stamp_ns(first_s) <= raw[2] < stamp_ns(last_s)), key=lambda raw: raw[2])
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", encoding="ros1", messages=still)
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=7))
+    assert [round((scan.stamp_ns - START_NS) / 1e9) for scan in snapshot["roof"].scans] == [9, 10, 11, 12, 13, 14, 15]
+    write_mcap(make_snapshot(frames=3), tmp_path / "short.mcap")
+    with pytest.raises(UnfitSnapshotError, match="expected a stretch of a second or more"):
+        read_snapshot(tmp_path / "short.mcap", config=IngestConfig(window="auto"))
+
+
+def test_odd_messages_are_no_witnesses(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = [*clouds(store, store.serialize_cdr, real=False), *odometry(store, store.serialize_cdr)]
+    cut = [(topic, kind, time_ns, data[:30] if topic == "/odom" else data) for topic, kind, time_ns, data in messages]
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=sorted(cut, key=lambda message: message[2]))
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+        read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto"))
