@@ -18,8 +18,8 @@ from multilica.ingest.whole_reads import WholeReads
 
 __all__ = ["ChunkPlace", "ChunkedRecording", "PackedChunk"]
 
-_AHEAD = 2
-"""Chunks that are unpacked while the one before is decoded."""
+_AHEAD = 1
+"""Chunks that are unpacked while the one before is decoded; more of them only crowd the processor's cache."""
 _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time are held back together up to this size; beyond, order gives way."""
 _END_OF_TIME = 2**64

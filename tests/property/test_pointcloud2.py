@@ -59,7 +59,7 @@ def _values(datatype: int) -> st.SearchStrategy[float]:
     return st.integers(int(limits.min), int(limits.max))
 
 
-def _expected(case: Case) -> tuple[np.ndarray, np.ndarray | None]:
+def expected(case: Case) -> tuple[np.ndarray, np.ndarray | None]:
     """Point after point in plain Python: the definition that the vectorised code has to meet."""
     kept = [row for row in case.rows if all(np.isfinite(np.float32(row[axis])) for axis in "xyz")]
     points = np.array([[row[axis] for axis in "xyz"] for row in kept], np.float64).astype(np.float32).reshape(-1, 3)
@@ -72,7 +72,7 @@ def _expected(case: Case) -> tuple[np.ndarray, np.ndarray | None]:
 @given(clouds())
 def test_any_layout_gives_its_points_back(case: Case) -> None:
     points, intensity = decode_points(case.cloud)
-    expected_points, expected_intensity = _expected(case)
+    expected_points, expected_intensity = expected(case)
     assert points.dtype == np.float32
     np.testing.assert_array_equal(points, expected_points)
     np.testing.assert_array_equal(intensity, expected_intensity)

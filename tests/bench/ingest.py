@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How fast each format is read, and what a window of a large log costs."""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionMode
+
+from multilica.ingest.cloud import decode_cloud, is_cloud
+from multilica.ingest.opening import open_source
+from multilica.ingest.source import find_source
+from multilica.snapshot import LidarScans, Scan, Snapshot
+from tests.ingest.format_writers import livox_messages, write_foxglove_json, write_foxglove_sdk, write_raw_mcap
+from tests.ingest.recording_writers import (
+    CLOUD,
+    PERIOD_NS,
+    START_NS,
+    cloud_message,
+    ros2_types,
+    write_mcap,
+    write_ros1_bag,
+    write_ros2_bag,
+)
+
+FRAMES, POINTS = 20, 65_536
+CHUNK_BYTES = 4 << 20
+REPEATS = 5
+LARGE_BYTES = 2_000_000_000
+_STAMP_AT = 4
+"""In CDR, after the four bytes that say how it is encoded."""
+
+CASES: dict[str, Callable[[Snapshot, Path], None]] = {
+    "ros2 none.mcap": lambda snapshot, path: _mcap(snapshot, path, CompressionType.NONE),
+    "ros2 lz4.mcap": lambda snapshot, path: _mcap(snapshot, path, CompressionType.LZ4),
+    "ros2 zstd.mcap": lambda snapshot, path: _mcap(snapshot, path, CompressionType.ZSTD),
+    "ros1 zstd.mcap": lambda snapshot, path: write_mcap(snapshot, path, encoding="ros1", chunk_size=CHUNK_BYTES),
+    "unindexed zstd.mcap": lambda snapshot, path: write_mcap(snapshot, path, indexed=False, chunk_size=CHUNK_BYTES),
+    "foxglove protobuf.mcap": write_foxglove_sdk,
+    "foxglove json lz4.mcap": write_foxglove_json,
+    "livox cdr.mcap": lambda snapshot, path: write_raw_mcap(
+        livox_messages(_head(snapshot), "livox_ros_driver2", "cdr"), path, "cdr"
+    ),
+    "none.bag": write_ros1_bag,
+    "lz4.bag": lambda snapshot, path: write_ros1_bag(snapshot, path, Ros1Writer.CompressionFormat.LZ4),
+    "bz2.bag": lambda snapshot, path: write_ros1_bag(_head(snapshot), path, Ros1Writer.CompressionFormat.BZ2),
+    "ros2 sqlite3": write_ros2_bag,
+    "ros2 sqlite3 zstd messages": lambda snapshot, path: write_ros2_bag(
+        snapshot, path, compression=CompressionMode.MESSAGE
+    ),
+    "ros2 sqlite3 zstd file": lambda snapshot, path: write_ros2_bag(snapshot, path, compression=CompressionMode.FILE),
+}
+"""Name of the file -> its writer; whole clouds of 26 bytes a point unless the format has its own layout."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """One file, read from front to end."""
+
+    size: int
+    points: int
+    elapsed_s: float
+    processor_s: float
+
+    @property
+    def rate(self) -> str:
+        """Megabytes per second."""
+        return f"{self.size / 1e6 / self.elapsed_s:.0f}"
+
+
+def main() -> None:
+    """Print both tables."""
+    with tempfile.TemporaryDirectory() as folder:
+        _print_throughput(Path(folder))
+    with tempfile.TemporaryDirectory() as folder:
+        _print_window(Path(folder))
+
+
+def _print_throughput(folder: Path) -> None:
+    print("MB of messages as they are before compression. bare: `mcap`'s own iteration, without and with checksums; ")
+    print("the shares are of processor time over all threads, which other work on the machine does not change\n")
+    print("| file | MB | bare MB/s | checked MB/s | decoded MB/s | M points/s | bare / decoded | checked / decoded |")
+    print("|---|---|---|---|---|---|---|---|")
+    snapshot = _snapshot()
+    for name, write in CASES.items():
+        path = folder / name.replace(" ", "_")
+        write(snapshot, path)
+        print(_throughput_row(name, path), flush=True)
+
+
+def _throughput_row(name: str, path: Path) -> str:
+    decoded = _best(lambda: _decode_all(path))
+    row = f"| {name} | {decoded.size / 1e6:.0f} "
+    if path.suffix != ".mcap":
+        return f"{row}| | | {decoded.rate} | {decoded.points / decoded.elapsed_s / 1e6:.1f} | | |"
+    bare, checked = (_best(lambda crc=crc: _iterate(path, validate_crcs=crc)) for crc in (False, True))
+    shares = f"{bare.processor_s / decoded.processor_s:.2f} | {checked.processor_s / decoded.processor_s:.2f}"
+    rates = f"{bare.rate} | {checked.rate} | {decoded.rate} | {decoded.points / decoded.elapsed_s / 1e6:.1f}"
+    return f"{row}| {rates} | {shares} |"
+
+
+def _print_window(folder: Path) -> None:
+    path = folder / "large.mcap"
+    _write_large(path)
+    command = [sys.executable, "-m", "tests.bench.window_read", str(path)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    cost = json.loads(ended.stdout)
+    print(f"\nTen frames of two LiDARs from the middle of an MCAP file of {path.stat().st_size / 1e9:.2f} GB:\n")
+    print("| for | MB read | s |")
+    print("|---|---|---|")
+    print(f"| the snapshot | {cost['read_bytes'] / 1e6:.1f} | {cost['read_s']:.2f} |")
+    print(f"| its hash | {cost['hash_bytes'] / 1e6:.1f} | {cost['hash_s']:.2f} |")
+    print(f"\nThe frames lie in {cost['frames_bytes'] / 1e6:.1f} MB of messages; their points take ", end="")
+    print(f"{cost['points_bytes'] / 1e6:.1f} MB. Peak memory: {cost['peak_bytes'] / 1e6:.1f} MB, ", end="")
+    print(f"{cost['grown_bytes'] / 1e6:.1f} MB more than before.")
+
+
+def _snapshot() -> Snapshot:
+    """Two LiDARs that see noise on a grid of two millimetres, as sensors give it."""
+    rng = np.random.default_rng(0)
+    return Snapshot(
+        tuple(
+            LidarScans(
+                f"lidar_{index}",
+                tuple(_scan(rng, START_NS + frame * PERIOD_NS + index * 1000) for frame in range(FRAMES)),
+                topic=f"/lidar_{index}/points",
+            )
+            for index in range(2)
+        )
+    )
+
+
+def _scan(rng: np.random.Generator, stamp_ns: int) -> Scan:
+    points_m = np.round(rng.normal(0.0, 20.0, (POINTS, 3)) * 500.0) / 500.0
+    return Scan(points_m.astype(np.float32), stamp_ns, rng.integers(0, 255, POINTS).astype(np.float32))
+
+
+def _head(snapshot: Snapshot) -> Snapshot:
+    """A tenth of the frames: for formats that are slow to write."""
+    few = FRAMES // 10
+    return Snapshot(tuple(LidarScans(lidar.name, lidar.scans[:few], topic=lidar.topic) for lidar in snapshot.lidars))
+
+
+def _mcap(snapshot: Snapshot, path: Path, compression: CompressionType) -> None:
+    write_mcap(snapshot, path, compression=compression, chunk_size=CHUNK_BYTES)
+
+
+def _decode_all(path: Path) -> tuple[int, int]:
+    """Bytes of the messages, and their points."""
+    size = points = 0
+    with closing(open_source(find_source(path))) as recording:
+        topics = {topic.name for topic in recording.topics if is_cloud(topic)}
+        for message in recording.messages(topics):
+            size += len(message.data)
+            points += len(decode_cloud(message).scan.points_m)
+    return size, points
+
+
+def _iterate(path: Path, *, validate_crcs: bool) -> tuple[int, int]:
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=validate_crcs)
+        return sum(len(message.data) for _, _, message in reader.iter_messages()), 0
+
+
+def _best(run: Callable[[], tuple[int, int]]) -> _Reading:
+    """The shortest of some times: other work on the machine only ever adds to them."""
+    readings = []
+    for _ in range(REPEATS):
+        start_s, start_processor_s = time.perf_counter(), time.process_time()
+        size, points = run()
+        readings.append((time.perf_counter() - start_s, time.process_time() - start_processor_s))
+    return _Reading(size, points, *map(min, zip(*readings, strict=True)))
+
+
+def _write_large(path: Path) -> None:
+    """The same two clouds over and over, each time with another stamp."""
+    rng = np.random.default_rng(0)
+    store = ros2_types()
+    frames = [
+        bytearray(store.serialize_cdr(cloud_message(store, _scan(rng, START_NS), f"lidar_{index}"), CLOUD))
+        for index in range(2)
+    ]
+    definition, _ = store.generate_msgdef(CLOUD, ros_version=2)
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=CompressionType.NONE)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema(CLOUD, "ros2msg", definition.encode())
+        channels = [writer.register_channel(f"/lidar_{index}/points", "cdr", schema) for index in range(2)]
+        for number in range(LARGE_BYTES // sum(map(len, frames))):
+            for channel, data in zip(channels, frames, strict=True):
+                time_ns = START_NS + number * PERIOD_NS
+                struct.pack_into("<II", data, _STAMP_AT, *divmod(time_ns, 10**9))
+                writer.add_message(channel, time_ns, bytes(data), time_ns)
+        writer.finish()
