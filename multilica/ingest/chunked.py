@@ -43,21 +43,28 @@ class ChunkPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PackedChunk:
-    """A chunk as it lies in the file; its size and checksum are those of the unpacked data."""
+    """A chunk as it lies in the file.
+
+    Args:
+        size, crc32: of the unpacked data.
+        is_whole: False where the file ends within it.
+    """
 
     compression: str
     data: bytes | memoryview
     size: int
     crc32: int = 0
+    is_whole: bool = True
 
     def unpack(self) -> memoryview:
-        """Its records.
+        """Its records; of one that is not whole, those at its beginning, unchecked.
 
         Raises:
             ValueError: the data are broken; the text is a clause.
         """
-        data = unpack(self.compression, self.data, self.size)
-        require_checksum(data, self.crc32)
+        data = unpack(self.compression, self.data, self.size, partial=not self.is_whole)
+        if self.is_whole:
+            require_checksum(data, self.crc32)
         return data
 
 

@@ -93,20 +93,23 @@ def record_length(head: bytes) -> tuple[int, int]:
 
 
 def chunk_of(record: memoryview) -> PackedChunk:
-    """The chunk in a record, still packed.
+    """The chunk in a record, still packed; of one that was cut off, its beginning.
 
     Raises:
-        EndOfFileError: it contradicts the length of the record.
+        EndOfFileError: it ends before its data begin, or before its record does.
     """
+    if len(record) < _CHUNK_HEAD.size:
+        raise EndOfFileError
     _, _, size, crc32, name_bytes = _CHUNK_HEAD.unpack_from(record)
     end = _CHUNK_HEAD.size + name_bytes
     if end + _LENGTH.size > len(record):
         raise EndOfFileError
     (length,) = _LENGTH.unpack_from(record, end)
     data = record[end + _LENGTH.size :]
-    if length != len(data):
+    if length < len(data):
         raise EndOfFileError
-    return PackedChunk(str(record[_CHUNK_HEAD.size : end], "utf-8"), data, size, crc32)
+    compression = str(record[_CHUNK_HEAD.size : end], "utf-8")
+    return PackedChunk(compression, data, size, crc32, is_whole=length == len(data))
 
 
 def channel_of(record: memoryview) -> Channel:

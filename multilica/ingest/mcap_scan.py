@@ -25,7 +25,7 @@ from multilica.ingest.mcap_records import (
 )
 from multilica.ingest.recording import Message
 from multilica.ingest.unindexed import UnindexedRecording
-from multilica.ingest.whole_reads import WholeReads
+from multilica.ingest.whole_reads import EndOfFileError, WholeReads
 
 __all__ = ["open_unindexed"]
 
@@ -55,7 +55,10 @@ def _messages(path: Path) -> Iterator[Message]:
 
 
 def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
-    """What bears on messages; attachments and the like are passed over, whatever their size."""
+    """What bears on messages; attachments and the like are passed over, whatever their size.
+
+    Of a chunk that was cut off, what is there.
+    """
     head = stream.read(len(_MAGIC))
     if head != _MAGIC:
         raise ValueError("it does not begin as an MCAP file does")
@@ -70,6 +73,9 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
             crc32 = _skip(stream, length, crc32)
             continue
         record_length(head)  # refuses what is too large
+        if opcode == Opcode.CHUNK and length > stream.remaining:
+            yield opcode, memoryview(stream.read(stream.remaining))
+            raise EndOfFileError
         record = stream.read(length)
         crc32 = zlib.crc32(record, crc32)
         if opcode == Opcode.DATA_END and int.from_bytes(record, "little") not in (0, before):

@@ -24,7 +24,6 @@ from multilica.ingest.ros1_records import (
     records_of,
 )
 from multilica.ingest.unindexed import UnindexedRecording
-from multilica.ingest.unpacking import unpack
 from multilica.ingest.whole_reads import EndOfFileError, WholeReads
 
 __all__ = ["open_unindexed"]
@@ -61,7 +60,7 @@ def _all_records(path: Path) -> Iterator[tuple[Header, memoryview]]:
             data = stream.read(min(size, stream.remaining))
             closed = closed or header[b"op"][0] == CHUNK_INFO
             if header[b"op"][0] == CHUNK:
-                yield from _chunk_records(header, data)
+                yield from records_of(packed_chunk(header, data, is_whole=len(data) == size).unpack())
             else:
                 yield header, memoryview(data)
             if len(data) < size:
@@ -70,9 +69,3 @@ def _all_records(path: Path) -> Iterator[tuple[Header, memoryview]]:
         stream.close()
     if not closed:
         raise EndOfFileError
-
-
-def _chunk_records(header: Header, data: bytes) -> Iterator[tuple[Header, memoryview]]:
-    chunk = packed_chunk(header, data)
-    # A chunk that was cut off still gives what lies before the cut.
-    yield from records_of(unpack(chunk.compression, chunk.data, chunk.size, partial=True))

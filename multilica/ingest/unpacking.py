@@ -33,7 +33,7 @@ def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: 
     if size > MAX_UNPACKED_BYTES:
         raise ValueError(f"a record claims to unpack to {size} bytes; not more than {MAX_UNPACKED_BYTES} are believed")
     try:
-        unpacked = _unpacked(compression, packed, size)
+        unpacked = _unpacked(compression, packed, size, partial=partial)
     except (zstandard.ZstdError, RuntimeError, OSError, EOFError) as error:
         raise ValueError("compressed data cannot be unpacked") from error
     if len(unpacked) != size and not partial:
@@ -63,13 +63,13 @@ def require_checksum(data: bytes | memoryview, crc32: int) -> None:
         raise ValueError("a checksum does not match its data")
 
 
-def _unpacked(compression: str, packed: bytes | memoryview, size: int) -> memoryview:
+def _unpacked(compression: str, packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
     if compression in ("", "none"):
         return memoryview(packed)
     if size == 0:
         return memoryview(b"")
     if compression == "zstd":
-        return _unpacked_zstd(packed, size)
+        return _unpacked_zstd(packed, size, partial=partial)
     if compression == "lz4":
         return memoryview(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
     if compression == "bz2":
@@ -77,7 +77,9 @@ def _unpacked(compression: str, packed: bytes | memoryview, size: int) -> memory
     raise ValueError(f"a record is compressed with '{compression[:16]}'; expected zstd, lz4 or bz2")
 
 
-def _unpacked_zstd(packed: bytes | memoryview, size: int) -> memoryview:
+def _unpacked_zstd(packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
+    if partial:
+        return memoryview(zstandard.ZstdDecompressor().stream_reader(packed).read(size))
     # The library sets aside what the frame states, whatever bound it is given.
     if _stated_size(packed) > size:
         raise ValueError(f"a record unpacks to {_stated_size(packed)} bytes, yet claims {size}")

@@ -121,6 +121,19 @@ def test_what_was_recovered_is_said(tmp_path: Path) -> None:
     assert few.notes == (f"{path} is damaged: the file ends too early; the scans that were asked for lie before that.",)
 
 
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_the_beginning_of_a_chunk_that_was_cut_off_is_used(tmp_path: Path, compression: CompressionType) -> None:
+    whole = make_snapshot(lidars=1, frames=100, points=500)
+    path = tmp_path / "a.mcap"
+    write_mcap(whole, path, compression=compression, chunk_size=1 << 30)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) * 8 // 10])
+    found = read_snapshot(path, config=IngestConfig(frames=100))
+    assert 60 < len(found.lidars[0].scans) < 85
+    assert_prefix(found, whole)
+    assert any("of 100 scans, then the file ends too early" in note for note in found.notes)
+
+
 def test_a_flipped_bit_is_found_by_its_checksum(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write_mcap(make_snapshot(lidars=1, frames=4, points=500), path, compression=CompressionType.NONE, chunk_size=1)
