@@ -17,7 +17,7 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest import chunked, packed_file, read_snapshot
+from multilica.ingest import chunked, inspect_source, packed_file, read_snapshot
 from multilica.ingest.unpacking import MAX_UNPACKED_BYTES, unpack, unpack_zstd_message
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.format_writers import write_raw_mcap
@@ -159,6 +159,7 @@ def test_a_flipped_bit_in_the_index_is_found(tmp_path: Path) -> None:
     assert zlib.crc32(content[summary_start:-12]) == struct.unpack_from("<I", content, len(content) - 12)[0]
     content[summary_start + 60] ^= 4
     (tmp_path / "a.mcap").write_bytes(content)
+    assert inspect_source(tmp_path / "a.mcap").format == "MCAP without index"
     assert_same_points(read_snapshot(tmp_path / "a.mcap"), snapshot)
 
 

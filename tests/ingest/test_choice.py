@@ -130,6 +130,8 @@ def test_a_recorder_per_lidar(tmp_path: Path) -> None:
     assert [cloud.frames for cloud in summary.clouds] == [4, 4, 4, 4]
     later = read_snapshot(paths, config=IngestConfig(frames=1, start_s=0.15))
     assert {lidar.scans[0].stamp_ns // PERIOD_NS for lidar in later.lidars} == {START_NS // PERIOD_NS + 2}
+    spread = read_snapshot(paths, config=IngestConfig(frames=2, window_s=0.2))
+    assert [len(lidar.scans) for lidar in spread.lidars] == [2, 2, 2, 2]
 
 
 def test_recorders_that_call_their_topics_alike(tmp_path: Path) -> None:

@@ -66,14 +66,20 @@ def clouds(store: Typestore, serialise: Callable[[Any, str], Any], *, real: bool
         yield "/points", CLOUD, stamp_ns(time_s), bytes(serialise(cloud_message(store, scan, "roof"), CLOUD))
 
 
-def odometry(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]:
+def odometry_without_speed(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]:
+    yield from odometry(store, serialise, with_speed=False)
+
+
+def odometry(store: Typestore, serialise: Callable[[Any, str], Any], *, with_speed: bool = True) -> Iterator[Raw]:
     types, name = store.types, "nav_msgs/msg/Odometry"
     vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
+    driven_m = 0.0
     for time_s in np.arange(0.0, DURATION_S, 0.05):
-        speed = SPEED_MPS * moving(time_s)
+        driven_m += SPEED_MPS * 0.05 * moving(time_s)
+        speed = SPEED_MPS * moving(time_s) * with_speed
         twist = types["geometry_msgs/msg/Twist"](vector(speed, 0.0, 0.0), vector(0.0, 0.0, 0.001))
         pose = types["geometry_msgs/msg/Pose"](
-            point(0.0, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+            point(driven_m, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
         )
         message = types[name](
             header(store, "odom", stamp_ns(time_s)),
@@ -101,17 +107,24 @@ def imu(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]
         yield "/imu", name, stamp_ns(time_s), bytes(serialise(message, name))
 
 
-WITNESSES = {"odometry on '/odom'": odometry, "the IMU on '/imu'": imu, "the clouds on '/points'": None}
+WITNESSES = [
+    ("odometry on '/odom'", odometry),
+    ("odometry on '/odom'", odometry_without_speed),
+    ("the IMU on '/imu'", imu),
+    ("the clouds on '/points'", None),
+]
 
 
-@pytest.mark.parametrize("witness", WITNESSES)
+@pytest.mark.parametrize(("witness", "tell"), WITNESSES)
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
-def test_the_longest_standstill_is_found(tmp_path: Path, witness: str, encoding: str) -> None:
+def test_the_longest_standstill_is_found(
+    tmp_path: Path, witness: str, tell: Callable[..., Iterator[Raw]] | None, encoding: str
+) -> None:
     store = ros2_types() if encoding == "cdr" else ros1_types()
     serialise = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
-    messages = list(clouds(store, serialise, real=WITNESSES[witness] is None))
-    if WITNESSES[witness] is not None:
-        messages += WITNESSES[witness](store, serialise)
+    messages = list(clouds(store, serialise, real=tell is None))
+    if tell is not None:
+        messages += tell(store, serialise)
     messages.sort(key=lambda message: message[2])
     write_mcap(Snapshot(()), tmp_path / "a.mcap", encoding=encoding, messages=messages, chunk_size=20_000)
     snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=5))
