@@ -37,12 +37,14 @@ class SnapshotSource:
 def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig = DEFAULT_CONFIG) -> tuple[SnapshotSource, ...]:
     """Several recordings, or folders with a bag each, are several snapshots of one rig; all else is one snapshot.
 
-    Point files stay one snapshot, with a file or a folder per LiDAR.
+    Point files stay one snapshot, with a file or a folder per LiDAR; so do recordings of which no two share a LiDAR's
+    name, as of a recorder per LiDAR.
 
     Raises:
         SourceNotFoundError: nothing at one of the paths.
         UnreadableSourceError: a recording that cannot be read.
-        UsageError: recordings that share no LiDAR name, or one that is given more than once.
+        UsageError: recordings of which only some share a LiDAR's name, or one that is given more than once.
+        UnknownNameError: a topic that none of the recordings has.
     """
     paths = tuple(Path(source).expanduser() for source in sources)
     if len(paths) < 2 or not all(find_source(path).recordings for path in paths):
@@ -50,11 +52,20 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig = DEFAUL
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise UsageError(f"{repeated[0]} is given more than once.")
+    if _are_recorders(paths, config):
+        return (SnapshotSource(paths[0].stem, paths),)
     found = tuple(
         SnapshotSource(name, (path,), _lidars(path, config)) for name, path in zip(_names(paths), paths, strict=True)
     )
     _require_shared({str(source.paths[0]): source.lidars for source in found if source.lidars})
     return found
+
+
+def _are_recorders(paths: Sequence[Path], config: IngestConfig) -> bool:
+    """Whether no LiDAR is in two of the recordings, whichever of their topics are asked for."""
+    whole = config.model_copy(update={"topics": {}, "only": ()})
+    names = [name for path in paths for name in _lidars(path, whole)]
+    return len(names) == len(set(names))
 
 
 def require_lidar(name: str, sources: Sequence[SnapshotSource]) -> None:
@@ -74,7 +85,7 @@ def _lidars(path: Path, config: IngestConfig) -> tuple[str, ...]:
     first = config.model_copy(update={"frames": 1})
     with closing(open_source(found)) as recording:
         try:
-            given = choose_topics(recording, config.topics, found.label)
+            given = choose_topics(recording, config.topics, found.label, config.only)
             window = collect_frames(recording, given.keys(), first, found.label)
         except UnfitSnapshotError:
             return ()

@@ -24,6 +24,7 @@ from multilica.ingest.cloud import decode_cloud, is_cloud
 from multilica.ingest.opening import open_source
 from multilica.ingest.source import find_source
 from multilica.snapshot import LidarScans, Scan, Snapshot
+from tests.bench.claims import Claim, print_claims, print_table
 from tests.ingest.format_writers import livox_messages, write_foxglove_json, write_foxglove_sdk, write_raw_mcap
 from tests.ingest.recording_writers import (
     CLOUD,
@@ -39,6 +40,7 @@ from tests.ingest.recording_writers import (
 FRAMES, POINTS = 20, 65_536
 CHUNK_BYTES = 4 << 20
 REPEATS = 5
+JUDGED = ("ros2 lz4.mcap", "ros2 zstd.mcap")
 LARGE_BYTES = 2_000_000_000
 _STAMP_AT = 4
 """In CDR, after the four bytes that say how it is encoded."""
@@ -81,51 +83,72 @@ class _Reading:
         return f"{self.size / 1e6 / self.elapsed_s:.0f}"
 
 
-def main() -> None:
-    """Print both tables."""
+def main() -> bool:
+    """Print both tables, and whether what is expected of them holds."""
     with tempfile.TemporaryDirectory() as folder:
-        _print_throughput(Path(folder))
+        claims = _throughput(Path(folder))
     with tempfile.TemporaryDirectory() as folder:
-        _print_window(Path(folder))
+        claims += _window(Path(folder))
+    return print_claims(claims)
 
 
-def _print_throughput(folder: Path) -> None:
+def _throughput(folder: Path) -> list[Claim]:
     print("MB of messages as they are before compression. bare: `mcap`'s own iteration, without and with checksums; ")
     print("the shares are of processor time over all threads, which other work on the machine does not change\n")
-    print("| file | MB | bare MB/s | checked MB/s | decoded MB/s | M points/s | bare / decoded | checked / decoded |")
-    print("|---|---|---|---|---|---|---|---|")
     snapshot = _snapshot()
+    rows, claims = [], []
     for name, write in CASES.items():
         path = folder / name.replace(" ", "_")
         write(snapshot, path)
-        print(_throughput_row(name, path), flush=True)
+        row, share = _throughput_row(name, path)
+        rows.append(row)
+        if name in JUDGED:
+            what = f"decoding {name} against iterating it, checksums in both"
+            claims.append(Claim(what, ">= 0.8 x", f"{share:.2f} x", share >= 0.8))
+    rates = ("bare MB/s", "checked MB/s", "decoded MB/s", "M points/s")
+    print_table(("file", "MB", *rates, "bare / decoded", "checked / decoded"), rows)
+    return claims
 
 
-def _throughput_row(name: str, path: Path) -> str:
+def _throughput_row(name: str, path: Path) -> tuple[tuple[str, ...], float]:
+    """The figures as text; processor time of `mcap` with checksums as a share of that of decoding."""
     decoded = _best(lambda: _decode_all(path))
-    row = f"| {name} | {decoded.size / 1e6:.0f} "
+    figures = (decoded.rate, f"{decoded.points / decoded.elapsed_s / 1e6:.1f}")
+    size = f"{decoded.size / 1e6:.0f}"
     if path.suffix != ".mcap":
-        return f"{row}| | | {decoded.rate} | {decoded.points / decoded.elapsed_s / 1e6:.1f} | | |"
+        return (name, size, "", "", *figures, "", ""), float("nan")
     bare, checked = (_best(lambda crc=crc: _iterate(path, validate_crcs=crc)) for crc in (False, True))
-    shares = f"{bare.processor_s / decoded.processor_s:.2f} | {checked.processor_s / decoded.processor_s:.2f}"
-    rates = f"{bare.rate} | {checked.rate} | {decoded.rate} | {decoded.points / decoded.elapsed_s / 1e6:.1f}"
-    return f"{row}| {rates} | {shares} |"
+    shares = [each.processor_s / decoded.processor_s for each in (bare, checked)]
+    return (name, size, bare.rate, checked.rate, *figures, *(f"{share:.2f}" for share in shares)), shares[1]
 
 
-def _print_window(folder: Path) -> None:
+def _window(folder: Path) -> list[Claim]:
     path = folder / "large.mcap"
     _write_large(path)
     command = [sys.executable, "-m", "tests.bench.window_read", str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     cost = json.loads(ended.stdout)
-    print(f"\nTen frames of two LiDARs from the middle of an MCAP file of {path.stat().st_size / 1e9:.2f} GB:\n")
-    print("| for | MB read | s |")
-    print("|---|---|---|")
-    print(f"| the snapshot | {cost['read_bytes'] / 1e6:.1f} | {cost['read_s']:.2f} |")
-    print(f"| its hash | {cost['hash_bytes'] / 1e6:.1f} | {cost['hash_s']:.2f} |")
-    print(f"\nThe frames lie in {cost['frames_bytes'] / 1e6:.1f} MB of messages; their points take ", end="")
-    print(f"{cost['points_bytes'] / 1e6:.1f} MB. Peak memory: {cost['peak_bytes'] / 1e6:.1f} MB, ", end="")
-    print(f"{cost['grown_bytes'] / 1e6:.1f} MB more than before.")
+    print(f"Ten frames of two LiDARs from the middle of an MCAP file of {path.stat().st_size / 1e9:.2f} GB:\n")
+    rows = [
+        (what, f"{cost[f'{key}_bytes'] / 1e6:.1f}", f"{cost[f'{key}_s']:.2f}")
+        for what, key in (("the snapshot", "read"), ("its hash", "hash"))
+    ]
+    print_table(("for", "MB read", "s"), rows)
+    grown = f"{cost['grown_bytes'] / 1e6:.0f} MB, of which points {cost['points_bytes'] / 1e6:.0f} MB"
+    read = f"{cost['read_bytes'] / 1e6:.0f} MB for {cost['frames_bytes'] / 1e6:.0f} MB of frames"
+    return [
+        Claim("memory that the window takes", "< 300 MB plus its points", grown, _fits(cost)),
+        Claim("bytes read for the window", "its chunks, and a few", read, cost["read_bytes"] < _most_read(cost)),
+    ]
+
+
+def _fits(cost: dict[str, float]) -> bool:
+    return cost["grown_bytes"] < 300e6 + cost["points_bytes"]
+
+
+def _most_read(cost: dict[str, float]) -> float:
+    """The frames; a chunk each at both ends, ahead, and twice two to learn the span; the index."""
+    return cost["frames_bytes"] + 8 * CHUNK_BYTES
 
 
 def _snapshot() -> Snapshot:

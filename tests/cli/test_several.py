@@ -61,7 +61,7 @@ def test_a_run_without_a_usable_snapshot_leaves_no_older_joint_result(invoke: In
 @pytest.mark.parametrize(
     ("names", "options", "named"),
     [
-        (("first", "other"), (), "none of those of the other recordings (rear, top)"),
+        (("first", "second", "other"), (), "and none of those of the other recordings (left, right)"),
         (("first", "first"), (), "given more than once"),
         (("first", "second"), ("--until", "fine"), "--until fine"),
         (("first", "second"), ("--preset", "paper"), "preset paper"),

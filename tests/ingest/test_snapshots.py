@@ -57,7 +57,18 @@ def test_one_source_and_point_files_are_one_snapshot(tmp_path: Path) -> None:
     assert [each.paths for each in find_snapshots([one])] == [(one,)]
 
 
-def test_a_recorder_per_lidar_is_refused(tmp_path: Path) -> None:
+def test_a_recorder_per_lidar_makes_one_snapshot(tmp_path: Path) -> None:
+    paths = [tmp_path / "left.mcap", tmp_path / "right.mcap"]
+    for path, lidar in zip(paths, make_snapshot().lidars, strict=True):
+        write_mcap(Snapshot((lidar,)), path)
+    (found,) = find_snapshots(paths)
+    assert (found.name, found.paths) == ("left", tuple(paths))
+    named = IngestConfig(topics={"front": "/lidar_0/points", "rear": "/lidar_1/points"})
+    (found,) = find_snapshots(paths, config=named)
+    assert read_snapshot(found.paths, config=named).names == ("front", "rear")
+
+
+def test_recordings_of_which_only_some_share_lidars_are_refused(tmp_path: Path) -> None:
     first, second = recording(tmp_path / "a.mcap"), recording(tmp_path / "b.mcap")
     config = IngestConfig(topics={"front": "/lidar_0/points"})
     assert len(find_snapshots([first, second], config=config)) == 2
