@@ -8,11 +8,16 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
 
+from multilica.errors import UnreadableSourceError
 from multilica.ingest.damage import damage_named
 from multilica.ingest.detect import detect_format, named_format
 from multilica.ingest.recording import Message, Messages, Span, Topic
 
 __all__ = ["CloudFiles", "FrameFiles", "open_frames"]
+
+
+_MAX_FILE_BYTES = 1 << 30
+"""Thirty million points are a map, no scan."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,5 +85,10 @@ def _format(path: Path) -> str:
 
 def _message(topic: Topic, path: Path) -> Message:
     with damage_named(str(path)):
+        size = path.stat().st_size
+        if size > _MAX_FILE_BYTES:
+            raise UnreadableSourceError(
+                f"{path} has {size} bytes; expected one scan, of not more than {_MAX_FILE_BYTES}."
+            )
         encoding = _format(path)
         return Message(topic.name, encoding.upper(), encoding, 0, path.read_bytes(), str(path))

@@ -163,6 +163,17 @@ def test_a_flipped_bit_in_the_index_is_found(tmp_path: Path) -> None:
     assert_same_points(read_snapshot(tmp_path / "a.mcap"), snapshot)
 
 
+def test_a_point_file_that_is_a_map_is_not_loaded(tmp_path: Path) -> None:
+    with (tmp_path / "map.las").open("wb") as file:
+        file.write(b"LASF")
+        file.truncate(30 << 30)
+    with (
+        little_memory(),
+        pytest.raises(UnreadableSourceError, match=r"map\.las has 32212254720 bytes; expected one scan"),
+    ):
+        read_snapshot(tmp_path / "map.las")
+
+
 def test_a_bag_with_message_compression_that_is_damaged(tmp_path: Path) -> None:
     packed = zstandard.ZstdCompressor().compress(bytes(1000))
     write_raw_mcap(iter([("/a", CLOUD, START_NS, packed[:8] + b"\xff" * 9)]), tmp_path / "a.mcap", "cdr")
