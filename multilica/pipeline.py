@@ -33,6 +33,7 @@ from multilica.results import (
     Refinement,
     Refusal,
     SensorHealth,
+    Testimony,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
@@ -49,8 +50,9 @@ from multilica.stages.refine import linked, refine
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.sensor_health import examine_sensor
 from multilica.stages.stillness import detect_motion, explain_motion
+from multilica.stages.symmetry import doubt_by_symmetry
 from multilica.stages.verify import assess_hypotheses, short_gicp
-from multilica.stages.witness import Witness, prepare_witness
+from multilica.stages.witness import Witness, judge, prepare_witness
 
 __all__ = ["calibrate"]
 
@@ -238,6 +240,22 @@ class _Run:
             candidates = self._candidates(pair)
             if candidates:
                 self.registrations[pair] = self._register(sides[pair[0]], sides[pair[1]], candidates)
+        self._doubt_by_symmetry()
+
+    def _doubt_by_symmetry(self) -> None:
+        settled = list(self.registrations.items())
+        doubted = doubt_by_symmetry([pair for _, pair in settled], self._testify, self.config.verify)
+        for (key, before), after in zip(settled, doubted, strict=True):
+            if after is not before:
+                self.registrations[key] = after
+                self.observe(events.PairRegistered(after))
+
+    def _testify(self, pair: PairRegistration, pose: RigidTransform) -> Testimony:
+        here, there = (
+            [(RigidTransform.identity(name, name), self.witnesses[name])] for name in (pair.target, pair.source)
+        )
+        limits = self.config.verify
+        return judge(here, there, pose, limits.final_tolerance_m, limits.final_tolerance_deg)
 
     def _candidates(self, pair: PairKey) -> list[Candidate]:
         if self.config.verify.enabled:

@@ -11,7 +11,7 @@ from multilica.config import MergeConfig, VerifyConfig
 from multilica.geometry import FloatArray
 from multilica.results import Assessment, PairRegistration, Reason, Testimony, Verdict
 
-__all__ = ["decide", "decide_by_fitness"]
+__all__ = ["decide", "decide_by_fitness", "standing_rivals"]
 
 
 def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
@@ -66,13 +66,26 @@ def decide_by_fitness(registration: PairRegistration, config: MergeConfig) -> Ve
     return Verdict("reject", (Reason("low_fitness", registration.fitness, config.fitness_threshold, text),))
 
 
+def standing_rivals(finalists: Sequence[Assessment], config: VerifyConfig) -> list[Assessment]:
+    """The distinct poses beside the best that would be believed if the best were not known."""
+    if len(finalists) < 2 or finalists[0].evidence <= 0:
+        return []
+    best, *rivals = finalists
+    return [
+        rival
+        for rival in rivals
+        if rival.evidence > config.max_equal * best.evidence and _stands_by_itself(rival, best, config)
+    ]
+
+
 def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason | None:
     best, *rivals = finalists
     if best.evidence <= 0:
         return None
+    standing = standing_rivals(finalists, config)
     for rival in rivals:
+        limit = config.max_equal if rival in standing else config.max_runner_up
         ratio = max(0.0, rival.evidence / best.evidence)
-        limit = config.max_equal if _stands_by_itself(rival, best, config) else config.max_runner_up
         if ratio > limit:
             metres, radians = best.T_target_source.distance_to(rival.T_target_source)
             text = (

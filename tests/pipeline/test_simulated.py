@@ -53,6 +53,13 @@ def _assert_true(result, truth):
         assert radians < _GOOD_RAD, (placement.lidar, radians)
 
 
+def test_in_a_garage_that_looks_the_same_turned_around_nothing_is_placed():
+    """The sides look apart and fit on each other turned around; the top one sees that both poses are possible."""
+    result = calibrate(simulate_snapshot("sides", "symmetric_garage", 3, frames=1).snapshot)
+    assert result.status == "failed"
+    assert all("ambiguous" in {reason.code for reason in pair.verdict.reasons} for pair in result.pairs)
+
+
 def test_all_are_placed_within_2_cm_and_a_tenth_of_a_degree(complete):
     result, _ = complete
     assert result.status == "complete"
