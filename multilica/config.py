@@ -181,7 +181,7 @@ class VerifyConfig(Section):
     final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
     final_tolerance_deg: float = Field(0.2, gt=0.0, description="as tolerance_deg, for the finely registered")
     min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
-    max_violation_share: Share = Field(0.012, description="share of points in proven-empty space that can be chance")
+    max_violation_share: Share = Field(0.01, description="share of points in proven-empty space that can be chance")
     max_runner_up: Share = Field(0.7, description="share of the evidence that another distinct pose may have")
     max_equal: Share = Field(
         0.25, description="the same of a pose that would be accepted by itself: it may have less of the scene in view"
@@ -207,7 +207,7 @@ class FineConfig(Section):
     voxel_size_m: PositiveMetres = Field(0.1, description="grid on which GICP runs")
     max_points: Count = Field(50_000, description="a cloud with more points is thinned on a coarser grid")
     max_correspondence_distances_m: tuple[PositiveMetres, ...] = Field(
-        (0.5, 0.25, 0.12), min_length=1, description="one GICP run each, from coarse to fine"
+        (0.5, 0.25), min_length=1, description="one GICP run each, from coarse to fine"
     )
     max_iterations: Count = Field(30, description="largest number of iterations of each run")
     rotation_epsilon_rad: PositiveMetres = Field(1e-4, description="converged when a step turns by less (small_gicp)")
@@ -235,7 +235,7 @@ class RefineConfig(Section):
     """Adjusting all poses to all accepted pairs, and how sure they are."""
 
     enabled: bool = Field(default=True, description="off: poses stay as the merge left them")
-    distance_m: PositiveMetres = Field(0.12, description="points nearer to the other cloud than this hold the pose")
+    distance_m: PositiveMetres = Field(0.2, description="points nearer to the other cloud than this hold the pose")
     min_sigma_m: PositiveMetres = Field(0.005, description="residuals are not believed to be smaller than this")
     correlated_points: PositiveMetres = Field(6.0, description="neighbouring points that err together and count as one")
     outlier_sigma: PositiveMetres = Field(3.0, description="a pair off by this many sigma keeps half its weight")

@@ -205,6 +205,10 @@ STRAY_POINTS, STRAY_SHARE = 2, 0.001
 """So many points in empty space happen by chance: on any structure, and as a share of all that agree."""
 
 
+FEW_POINTS = 5
+"""Shares of structure begin at one and need some points to fall."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Testimony:
     """What the beams of both sides say of each other's points.
@@ -256,7 +260,8 @@ class Testimony:
     @property
     def evidence(self) -> float:
         """Distinctive agreement, weighed by what is not hidden, less what contradicts it; poses rank by it."""
-        return self.distinctive * self.shared_share - VIOLATION_WEIGHT * self.violate
+        against = max(0.0, self.violate - STRAY_SHARE * self.agree)
+        return self.distinctive * self.shared_share - VIOLATION_WEIGHT * against
 
     @property
     def held_by(self) -> float:
@@ -266,7 +271,8 @@ class Testimony:
     @property
     def shared_share(self) -> float:
         """How much of the structure in view both sides saw; the rest is hidden from one of them."""
-        return (self.structure_agree + 1) / (self.structure_agree + 1 + self.structure_occluded)
+        agree = self.structure_agree + FEW_POINTS
+        return agree / (agree + self.structure_occluded)
 
     @property
     def explained_share(self) -> float:
@@ -276,7 +282,8 @@ class Testimony:
         """
         violate = max(0.0, self.structure_violate - STRAY_POINTS - STRAY_SHARE * self.agree)
         against = self.structure_occluded + STRUCTURE_VIOLATION_WEIGHT * violate
-        return (self.structure_agree + 1) / (self.structure_agree + 1 + against)
+        agree = self.structure_agree + FEW_POINTS
+        return agree / (agree + against)
 
     @property
     def violation_share(self) -> float:
