@@ -27,11 +27,12 @@ __all__ = [
 ]
 
 Sources = Annotated[
-    list[Path],
+    list[str],
     typer.Argument(
         metavar="SOURCE",
         help="An MCAP file, a ROS 1 or ROS 2 bag, a directory of PCD, PLY or other point files, or such files, one per "
-        "LiDAR; recordings with different LiDARs each are one snapshot, recordings of the same LiDARs a snapshot each.",
+        "LiDAR; recordings with different LiDARs each are one snapshot, recordings of the same LiDARs a snapshot each; "
+        "a file may be at s3://, gs:// or https://.",
         show_default=False,
     ),
 ]

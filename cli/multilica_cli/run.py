@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
     from multilica.events import Event, Observer
     from multilica.extrinsics import Extrinsics
+    from multilica.ingest.source import PathLike
     from multilica.results import CalibrationResult
     from multilica.sinks.run_directory import Run
     from multilica.snapshot import Snapshot
@@ -50,14 +51,16 @@ class FinishedRun:
     written: tuple[Path, ...]
 
 
-def default_out_dir(sources: Sequence[Path], snapshots: int = 1) -> Path:
+def default_out_dir(sources: Sequence[str | Path], snapshots: int = 1) -> Path:
     """Where a run goes when `--out` is not given; a joint run never where one of its snapshots alone would go."""
+    from multilica.ingest.address import stem_of
+
     more = f"-and-{snapshots - 1}-more" if snapshots > 1 else ""
-    return Path("recordings") / "runs" / f"{sources[0].resolve().stem}{more}"
+    return Path("recordings") / "runs" / f"{stem_of(sources[0])}{more}"
 
 
 def calibrate_sources(
-    sources: Sequence[Path],
+    sources: Sequence[str | Path],
     out_dir: Path,
     config: CalibrationConfig,
     *,
@@ -98,7 +101,7 @@ def both(run: Observer, show: Observer) -> Observer:
     return observe
 
 
-def read(sources: Sequence[Path], config: CalibrationConfig, show: Observer, console: Console) -> Snapshot:
+def read(sources: Sequence[PathLike], config: CalibrationConfig, show: Observer, console: Console) -> Snapshot:
     """The snapshot, after every check that needs no calibration: a refusal must leave earlier results alone."""
     from multilica.events import StageFinished, StageStarted
     from multilica.ingest import read_snapshot, require_calibratable

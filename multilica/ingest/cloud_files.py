@@ -6,12 +6,12 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from pathlib import Path
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.damage import damage_named
 from multilica.ingest.detect import detect_format, named_format
 from multilica.ingest.recording import Message, Messages, Span, Topic
+from multilica.ingest.remote_file import SourceFile
 
 __all__ = ["CloudFiles", "FrameFiles", "open_frames"]
 
@@ -32,7 +32,7 @@ class FrameFiles:
 
     topic: str
     lidar: str
-    files: tuple[Path, ...]
+    files: tuple[SourceFile, ...]
 
 
 def open_frames(lidars: Sequence[FrameFiles]) -> CloudFiles:
@@ -57,7 +57,7 @@ class CloudFiles:
     damage = ""
     is_indexed = True
 
-    def __init__(self, topics: tuple[Topic, ...], files: dict[str, tuple[Path, ...]]) -> None:
+    def __init__(self, topics: tuple[Topic, ...], files: dict[str, tuple[SourceFile, ...]]) -> None:
         self.topics = topics
         self._files = files
 
@@ -79,11 +79,11 @@ class CloudFiles:
         """Nothing stays open."""
 
 
-def _format(path: Path) -> str:
+def _format(path: SourceFile) -> str:
     return named_format(path) or detect_format(path)
 
 
-def _message(topic: Topic, path: Path) -> Message:
+def _message(topic: Topic, path: SourceFile) -> Message:
     with damage_named(str(path)):
         size = path.stat().st_size
         if size > _MAX_FILE_BYTES:

@@ -3,15 +3,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.remote_file import SourceFile
 
 __all__ = [
     "CLOUD_SUFFIXES",
     "PACKED",
     "PACKED_SUFFIXES",
     "RECORDING_SUFFIXES",
+    "TITLES",
     "detect_format",
     "named_format",
     "require_format",
@@ -27,7 +27,7 @@ PACKED = "zstd"
 """The format of a recording that is compressed as a whole."""
 PACKED_SUFFIXES = (".zst", ".zstd")
 
-_TITLES = {
+TITLES = {
     "mcap": "an MCAP file",
     "sqlite3": "an SQLite file (ROS 2 bag)",
     "ros1": "a ROS 1 bag",
@@ -59,13 +59,13 @@ _FOREIGN = (
 )
 
 
-def named_format(path: Path) -> str | None:
+def named_format(path: SourceFile) -> str | None:
     """The format that a file's name promises; None if it promises none."""
     # nuScenes names its files so, which hold no PCD.
     return "nuscenes" if path.name.lower().endswith(".pcd.bin") else FILE_SUFFIXES.get(path.suffix.lower())
 
 
-def detect_format(path: Path) -> str:
+def detect_format(path: SourceFile) -> str:
     """``mcap``, ``sqlite3``, ``ros1``, ``pcd``, ``ply``, ``las``, ``npy``, ``kitti``, ``nuscenes`` or ``zstd``.
 
     Raises:
@@ -98,7 +98,7 @@ def require_format(head: bytes | memoryview, named: str | None) -> str:
     if found is None:
         raise ValueError(_unknown(start, named))
     if named not in (None, found):
-        raise ValueError(f"is {_TITLES[found]}, yet named like {_TITLES[named]}; give it the right suffix")
+        raise ValueError(f"is {TITLES[found]}, yet named like {TITLES[named]}; give it the right suffix")
     return found
 
 
@@ -120,6 +120,6 @@ def _unknown(start: bytes, named: str | None) -> str:
         if start.startswith(magic):
             return f"is {what}"
     if named is not None:
-        return f"is not {_TITLES[named]}, although its name says so: its first bytes are {start[:8]!r}"
+        return f"is not {TITLES[named]}, although its name says so: its first bytes are {start[:8]!r}"
     known = "MCAP, ROS 2 bag, ROS 1 bag, PCD, PLY, LAS, LAZ, NPY"
     return f"is of no format that is read here ({known}): its first bytes are {start[:8]!r}"

@@ -8,12 +8,12 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
-from pathlib import Path
 
 from multilica.errors import UnreadableSourceError, UsageError
 from multilica.ingest.cloud import decode_cloud, is_cloud
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import Message, Messages, Recording, Span, Topic
+from multilica.ingest.remote_file import SourceFile
 
 __all__ = ["JoinedRecording"]
 
@@ -28,7 +28,7 @@ class JoinedRecording:
         UsageError: two of them hold the same LiDAR.
     """
 
-    def __init__(self, parts: Sequence[tuple[Path, Recording]]) -> None:
+    def __init__(self, parts: Sequence[tuple[SourceFile, Recording]]) -> None:
         _require_disjoint(parts)
         self._parts = tuple((recording, _public_names(path, recording, parts)) for path, recording in parts)
         self.format = " beside ".join(sorted({recording.format for recording, _ in self._parts}))
@@ -65,7 +65,9 @@ class JoinedRecording:
                 stack.enter_context(closing(part))
 
 
-def _public_names(path: Path, recording: Recording, parts: Sequence[tuple[Path, Recording]]) -> dict[str, str]:
+def _public_names(
+    path: SourceFile, recording: Recording, parts: Sequence[tuple[SourceFile, Recording]]
+) -> dict[str, str]:
     """Name of a topic in its recording -> name among all."""
     counts = Counter(name for _, part in parts for name in {topic.name for topic in part.topics})
     return {
@@ -87,9 +89,9 @@ def _renamed(
         damage.append(error)
 
 
-def _require_disjoint(parts: Sequence[tuple[Path, Recording]]) -> None:
+def _require_disjoint(parts: Sequence[tuple[SourceFile, Recording]]) -> None:
     """Refuse two recordings of one LiDAR: of the same name, or with the same frame id on the same topic."""
-    holders: dict[tuple[str, str], Path] = {}
+    holders: dict[tuple[str, str], SourceFile] = {}
     for path, recording in parts:
         for key in sorted(
             {_identity(recording, topic) for topic in recording.topics if is_cloud(topic) and topic.count}

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from functools import partial
-from pathlib import Path
 from typing import IO, cast
 
 from mcap.data_stream import ReadDataStream
@@ -16,6 +15,7 @@ from mcap.summary import Summary
 
 from multilica.ingest.chunked import ChunkedRecording, ChunkPlace, PackedChunk
 from multilica.ingest.damage import DamagedRecordingError, damage_named
+from multilica.ingest.downloaded import open_on_disk
 from multilica.ingest.mcap_records import (
     MESSAGE_HEAD,
     RECORD_HEAD,
@@ -28,6 +28,7 @@ from multilica.ingest.mcap_records import (
 )
 from multilica.ingest.mcap_scan import open_unindexed
 from multilica.ingest.recording import Message, Recording
+from multilica.ingest.remote_file import SourceFile
 from multilica.ingest.unpacking import require_checksum
 from multilica.ingest.whole_reads import WholeReads
 
@@ -38,7 +39,7 @@ _MAGIC_BYTES = 8
 _CRC_BYTES = 4
 
 
-def open_file(path: Path) -> Recording:
+def open_file(path: SourceFile) -> Recording:
     """Open an MCAP file: by its index, or from front to end where that is missing.
 
     Raises:
@@ -48,7 +49,7 @@ def open_file(path: Path) -> Recording:
     indexed = open_indexed(stream, str(path))
     if indexed is None:
         stream.close()
-        return open_unindexed(path)
+        return open_on_disk(path, "an MCAP file without index", open_unindexed)
     return indexed
 
 

@@ -5,17 +5,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack, closing
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import cast
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.cloud_files import open_frames
-from multilica.ingest.detect import PACKED, detect_format
+from multilica.ingest.detect import PACKED, TITLES, detect_format
+from multilica.ingest.downloaded import open_on_disk
 from multilica.ingest.joined_recording import JoinedRecording
 from multilica.ingest.packed_file import open_packed
 from multilica.ingest.recording import Recording
-from multilica.ingest.source import Source
+from multilica.ingest.remote_file import SourceFile
+from multilica.ingest.source import Source, locate
 from multilica.ingest.split_recording import SplitRecording
 
 __all__ = ["open_source"]
@@ -26,6 +29,8 @@ _ADAPTERS = {
     "ros1": "multilica.ingest.ros1_bag",
 }
 """Format -> module whose `open_file` opens it; imported when such a file is opened."""
+_READ_BY_RANGES = {"mcap"}
+"""Formats that are read in place, wherever the file is."""
 
 
 def open_source(source: Source) -> Recording:
@@ -43,12 +48,14 @@ def open_source(source: Source) -> Recording:
     return _open_parts(source.recordings)
 
 
-def _open_file(path: Path) -> Recording:
-    name = detect_format(path)
+def _open_file(file: SourceFile) -> Recording:
+    name = detect_format(file)
     if name == PACKED:
-        return open_packed(path, _open_unpacked)
+        return open_on_disk(file, "a compressed file", partial(open_packed, open_file=_open_unpacked))
     adapter = import_module(_ADAPTERS[name])
-    return cast(Callable[[Path], Recording], adapter.open_file)(path)
+    if name in _READ_BY_RANGES:
+        return cast(Callable[[SourceFile], Recording], adapter.open_file)(file)
+    return open_on_disk(file, TITLES[name], cast(Callable[[Path], Recording], adapter.open_file))
 
 
 def _open_unpacked(path: Path) -> Recording:
@@ -61,19 +68,19 @@ def _open_recorders(sources: tuple[Source, ...]) -> Recording:
     with ExitStack() as opened:
         parts = []
         for source in sources:
-            parts.append((Path(source.label), open_source(source)))
+            parts.append((locate(source.label), open_source(source)))
             opened.enter_context(closing(parts[-1][1]))
         joined = JoinedRecording(parts)
         opened.pop_all()
     return joined
 
 
-def _open_parts(paths: tuple[Path, ...]) -> Recording:
+def _open_parts(files: tuple[SourceFile, ...]) -> Recording:
     parts: list[Recording] = []
     errors: list[UnreadableSourceError] = []
-    for path in paths:
+    for file in files:
         try:
-            parts.append(_open_file(path))
+            parts.append(_open_file(file))
         except UnreadableSourceError as error:
             errors.append(error)
     if not parts:

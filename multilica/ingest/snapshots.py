@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from pathlib import Path
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.ingest.choice import choose_topics
 from multilica.ingest.opening import open_source
 from multilica.ingest.reading import DEFAULT_CONFIG, assemble_snapshot
-from multilica.ingest.source import PathLike, find_source
+from multilica.ingest.remote_file import SourceFile
+from multilica.ingest.source import PathLike, find_source, locate
 from multilica.ingest.window import collect_frames
 
 __all__ = ["SnapshotSource", "find_snapshots", "require_lidar"]
@@ -30,7 +30,7 @@ class SnapshotSource:
     """
 
     name: str
-    paths: tuple[Path, ...]
+    paths: tuple[SourceFile, ...]
     lidars: tuple[str, ...] = ()
 
 
@@ -46,7 +46,7 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig = DEFAUL
         UsageError: recordings of which only some share a LiDAR's name, or one that is given more than once.
         UnknownNameError: a topic that none of the recordings has.
     """
-    paths = tuple(Path(source).expanduser() for source in sources)
+    paths = tuple(locate(source) for source in sources)
     if len(paths) < 2 or not all(find_source(path).recordings for path in paths):
         return (SnapshotSource(paths[0].stem if paths else "", paths),)
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
@@ -61,7 +61,7 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig = DEFAUL
     return found
 
 
-def _are_recorders(paths: Sequence[Path], config: IngestConfig) -> bool:
+def _are_recorders(paths: Sequence[SourceFile], config: IngestConfig) -> bool:
     """Whether no LiDAR is in two of the recordings, whichever of their topics are asked for."""
     whole = config.model_copy(update={"topics": {}, "only": ()})
     names = [name for path in paths for name in _lidars(path, whole)]
@@ -79,7 +79,7 @@ def require_lidar(name: str, sources: Sequence[SnapshotSource]) -> None:
         raise UnknownNameError("LiDAR", name, lidars, ", ".join(str(path) for each in sources for path in each.paths))
 
 
-def _lidars(path: Path, config: IngestConfig) -> tuple[str, ...]:
+def _lidars(path: SourceFile, config: IngestConfig) -> tuple[str, ...]:
     """Names of the LiDARs; none where nothing can be calibrated, which reading the snapshot will explain."""
     found = find_source(path)
     first = config.model_copy(update={"frames": 1})
@@ -103,7 +103,7 @@ def _require_shared(lidars: Mapping[str, tuple[str, ...]]) -> None:
             )
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
+def _names(paths: Sequence[SourceFile]) -> list[str]:
     names: list[str] = []
     stems = Counter(path.resolve().stem for path in paths)
     for path in paths:

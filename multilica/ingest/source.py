@@ -10,12 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
+from multilica.ingest.address import require_readable, scheme_of
 from multilica.ingest.cloud_files import FrameFiles
 from multilica.ingest.detect import CLOUD_SUFFIXES, PACKED, PACKED_SUFFIXES, RECORDING_SUFFIXES, detect_format
+from multilica.ingest.remote_file import RemoteFile, SourceFile
 
-__all__ = ["PathLike", "Source", "find_source"]
+__all__ = ["PathLike", "Source", "find_source", "locate"]
 
-PathLike = str | Path
+PathLike = str | SourceFile
 
 _LISTED = 5
 
@@ -32,12 +34,12 @@ class Source:
     """
 
     label: str
-    recordings: tuple[Path, ...] = ()
+    recordings: tuple[SourceFile, ...] = ()
     frames: tuple[FrameFiles, ...] = ()
     recorders: tuple[Source, ...] = ()
 
     @property
-    def files(self) -> tuple[Path, ...]:
+    def files(self) -> tuple[SourceFile, ...]:
         """Every file, in order."""
         frames = tuple(path for lidar in self.frames for path in lidar.files)
         return self.recordings + frames + tuple(path for source in self.recorders for path in source.files)
@@ -48,12 +50,12 @@ def find_source(source: PathLike | Sequence[PathLike]) -> Source:
 
     Raises:
         SourceNotFoundError: nothing at one of the paths.
-        UnreadableSourceError: an empty file, or one of no format that is read here.
+        UnreadableSourceError: an empty file, one of no format that is read here, or one that its server withholds.
         UnfitSnapshotError: a folder with nothing to read.
-        UsageError: several recordings, or none at all.
+        UsageError: several recordings, or none at all; an address of a kind that is not read here.
     """
-    given = [source] if isinstance(source, str | Path) else list(source)
-    paths = [Path(path).expanduser() for path in given]
+    given = [source] if isinstance(source, PathLike) else list(source)
+    paths = [locate(path) for path in given]
     if not paths:
         raise UsageError("No source was given; expected a recording, a folder or point files.")
     try:
@@ -62,16 +64,32 @@ def find_source(source: PathLike | Sequence[PathLike]) -> Source:
         raise UnreadableSourceError(f"{error.filename} cannot be opened: {error.strerror}.") from error
 
 
-def _find(paths: list[Path]) -> Source:
+def locate(source: PathLike) -> SourceFile:
+    """The file or folder behind what a user gave: of the disk, or at an address. It need not exist.
+
+    Raises:
+        UsageError: an address of a kind that is not read here.
+    """
+    if isinstance(source, RemoteFile):
+        return source
+    require_readable(source)
+    return RemoteFile(str(source)) if scheme_of(source) else Path(source).expanduser()
+
+
+def _find(paths: list[SourceFile]) -> Source:
     for path in paths:
         if not path.exists():
             raise SourceNotFoundError(f"Nothing exists at {path}.")
     if len(paths) > 1:
         return _several(paths)
-    return _folder(paths[0]) if paths[0].is_dir() else _file(paths[0])
+    return _look_at(paths[0])
 
 
-def _file(path: Path) -> Source:
+def _look_at(path: SourceFile) -> Source:
+    return _folder(path) if isinstance(path, Path) and path.is_dir() else _file(path)
+
+
+def _file(path: SourceFile) -> Source:
     if not path.is_file():
         raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
     if detect_format(path) in (*RECORDING_SUFFIXES.values(), PACKED):
@@ -79,12 +97,12 @@ def _file(path: Path) -> Source:
     return Source(str(path), frames=(FrameFiles(path.name, path.stem, (path,)),))
 
 
-def _several(paths: list[Path]) -> Source:
+def _several(paths: list[SourceFile]) -> Source:
     label = ", ".join(str(path) for path in paths[:_LISTED]) + (", ..." if len(paths) > _LISTED else "")
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise UsageError(f"{repeated[0]} is given more than once.")
-    sources = [_folder(path) if path.is_dir() else _file(path) for path in paths]
+    sources = [_look_at(path) for path in paths]
     if all(source.recordings for source in sources):
         return Source(label, recorders=tuple(sources))
     names, stems = Counter(path.name for path in paths), Counter(path.stem for path in paths)

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 from io import SEEK_SET, BytesIO
-from pathlib import Path
 from typing import IO, Self
+
+from multilica.ingest.remote_file import SourceFile
 
 __all__ = ["EndOfFileError", "WholeReads"]
 
@@ -29,7 +30,7 @@ class WholeReads:
         self._size = size
 
     @classmethod
-    def of_file(cls, path: Path) -> Self:
+    def of_file(cls, path: SourceFile) -> Self:
         """The bytes of a file."""
         return cls(path.open("rb"), path.stat().st_size)
 

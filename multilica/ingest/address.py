@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sources that are addresses rather than paths."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path, PurePosixPath
+from urllib.parse import urlsplit
+
+from multilica.errors import UsageError
+
+__all__ = ["LIVE_SCHEMES", "REMOTE_SCHEMES", "is_live", "require_readable", "scheme_of", "stem_of", "without_secrets"]
+
+REMOTE_SCHEMES = ("s3", "gs", "https", "http")
+"""Files elsewhere, read by ranges."""
+LIVE_SCHEMES = ("ws", "wss")
+"""Running bridges of the Foxglove WebSocket protocol."""
+
+_FLATTENED = re.compile(rf"({'|'.join(REMOTE_SCHEMES + LIVE_SCHEMES)}):/")
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
+
+
+def scheme_of(source: str | Path) -> str:
+    """What stands before ``://``, in lower case; empty for a path."""
+    found = _SCHEME.match(source) if isinstance(source, str) else None
+    return found[1].lower() if found else ""
+
+
+def is_live(source: str | Path) -> bool:
+    """Whether this is the address of a running vehicle rather than of a recording."""
+    return scheme_of(source) in LIVE_SCHEMES
+
+
+def require_readable(source: str | Path) -> None:
+    """Check that a source is a path, or an address that can be read like a file.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    scheme = scheme_of(source)
+    if isinstance(source, Path) and _FLATTENED.match(str(source)):
+        raise UsageError(f"The path {source} was an address, of which a Path drops a slash; give it as a text.")
+    if scheme in LIVE_SCHEMES:
+        raise UsageError(
+            f"{without_secrets(str(source))} is a running system, not a recording; "
+            "take a snapshot with `multilica record` first."
+        )
+    if scheme and scheme not in REMOTE_SCHEMES:
+        raise UsageError(
+            f"{without_secrets(str(source))} is an address of a kind that is not read here; "
+            "expected a path, s3://, gs://, https:// or http://."
+        )
+
+
+def stem_of(source: str | Path) -> str:
+    """What the source is called, without folders and suffix; the host where an address has no path."""
+    if not scheme_of(source):
+        return Path(source).resolve().stem
+    parts = urlsplit(str(source))
+    return PurePosixPath(parts.path).stem or (parts.hostname or "")
+
+
+def without_secrets(url: str) -> str:
+    """The address without user, password, query and fragment, any of which may hold a key."""
+    parts = urlsplit(url)
+    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"

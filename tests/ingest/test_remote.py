@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files on servers, which run in processes of their own."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from importlib import import_module
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+
+from multilica.config import IngestConfig
+from multilica.errors import (
+    MissingDependencyError,
+    MultilicaError,
+    SourceNotFoundError,
+    UnreadableSourceError,
+    UsageError,
+)
+from multilica.ingest import inspect_source, read_snapshot, remote_file
+from multilica.ingest.block_cache import BLOCK_BYTES
+from tests.ingest.processes import served
+from tests.ingest.recording_writers import (
+    assert_same_points,
+    assert_same_times,
+    make_snapshot,
+    write_mcap,
+    write_ros1_bag,
+)
+
+CHUNK_BYTES = 1 << 20
+WINDOW = IngestConfig(frames=3, start_s=9.0)
+BUCKET = "fleet-logs"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("served")
+    write_mcap(
+        make_snapshot(frames=150, points=4000),
+        folder / "long.mcap",
+        compression=CompressionType.NONE,
+        chunk_size=CHUNK_BYTES,
+    )
+    write_mcap(make_snapshot(), folder / "unindexed.mcap", indexed=False)
+    write_ros1_bag(make_snapshot(), folder / "drive.bag")
+    (folder / "notes.txt").write_text("It rained.", encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def web(folder: Path) -> Iterator[str]:
+    with served("file_server.py", folder) as port:
+        yield f"http://127.0.0.1:{port}"
+
+
+@pytest.fixture(scope="module")
+def s3_port(folder: Path) -> Iterator[int]:
+    import boto3
+
+    with served("s3_server.py") as port:
+        client = boto3.client(
+            "s3",
+            endpoint_url=f"http://127.0.0.1:{port}",
+            aws_access_key_id="id",
+            aws_secret_access_key="key",  # noqa: S106
+            region_name="us-east-1",
+        )
+        client.create_bucket(Bucket=BUCKET)
+        client.upload_file(str(folder / "long.mcap"), BUCKET, "june/long.mcap")
+        client.close()
+        yield port
+
+
+@pytest.fixture
+def s3(s3_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{s3_port}")
+    monkeypatch.setenv("AWS_ACCESS_KEY_ID", "id")
+    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", "key")
+    monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
+    return f"s3://{BUCKET}/june/long.mcap"
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote_file, "_RETRY_AFTER_S", (0.01,))
+
+
+def needed_bytes(path: Path) -> int:
+    """Index, hashed edges and the chunks of the window, each rounded up to blocks, with a few that are read ahead."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    begin_ns = summary.statistics.message_start_time + 9_000_000_000
+    chunks = [
+        index
+        for index in summary.chunk_indexes
+        if index.message_end_time >= begin_ns and index.message_start_time <= begin_ns + 200_000_000
+    ]
+    largest = max(index.chunk_length for index in summary.chunk_indexes) + 2 * BLOCK_BYTES
+    # The first and the last chunk tell when the recording begins and ends.
+    return (len(chunks) + 2 + 3) * largest + 2 * (CHUNK_BYTES + BLOCK_BYTES)
+
+
+def assert_equal_to_the_file(url: str, path: Path, config: IngestConfig) -> None:
+    found, expected = read_snapshot(url, config=config), read_snapshot(path, config=config)
+    assert_same_points(found, expected)
+    assert_same_times(found, expected)
+    assert [len(lidar.scans) for lidar in found.lidars] == [config.frames] * 2
+
+
+def test_a_window_of_a_web_file_costs_its_chunks(web: str, folder: Path) -> None:
+    path = folder / "long.mcap"
+    before = int(urlopen(f"{web}/sent").read())  # noqa: S310
+    assert_equal_to_the_file(f"{web}/files/long.mcap", path, WINDOW)
+    sent = int(urlopen(f"{web}/sent").read()) - before  # noqa: S310
+    assert 0 < sent <= needed_bytes(path) < path.stat().st_size / 2
+
+
+def test_a_window_of_an_s3_object_costs_its_chunks(s3: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from s3fs.core import S3File
+
+    fetched: list[int] = []
+    fetch = S3File._fetch_range
+
+    def counted(self: S3File, start: int, end: int) -> bytes:
+        data = fetch(self, start, end)
+        fetched.append(len(data))
+        return data
+
+    monkeypatch.setattr(S3File, "_fetch_range", counted)
+    path = folder / "long.mcap"
+    assert_equal_to_the_file(s3, path, WINDOW)
+    assert 0 < sum(fetched) <= needed_bytes(path)
+
+
+def test_inspect_reads_it_too(s3: str) -> None:
+    summary = inspect_source(s3, config=WINDOW)
+    assert summary.source == s3
+    assert [cloud.frames for cloud in summary.clouds] == [150, 150]
+    assert summary.objection == ""
+
+
+def test_the_hash_of_a_large_file_needs_only_its_ends(web: str, s3: str) -> None:
+    hashes = {read_snapshot(url, config=WINDOW).source_sha256 for url in (f"{web}/files/long.mcap", s3)}
+    assert len(hashes) == 1
+
+
+@pytest.mark.parametrize("name", ["unindexed.mcap", "drive.bag"])
+def test_what_cannot_be_read_by_ranges_is_copied(name: str, web: str, folder: Path) -> None:
+    assert_equal_to_the_file(f"{web}/files/{name}", folder / name, IngestConfig(frames=3))
+
+
+def test_recorders_are_named_by_their_addresses(web: str) -> None:
+    urls = [f"{web}/files/{name}" for name in ("long.mcap", "unindexed.mcap")]
+    with pytest.raises(UsageError, match="both hold the LiDAR 'lidar_0'") as caught:
+        read_snapshot(urls)
+    assert str(caught.value).startswith(" and ".join(urls))
+
+
+def test_a_copy_is_not_made_of_a_large_file(web: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote_file, "MAX_WHOLE_BYTES", 1000)
+    with pytest.raises(UnreadableSourceError, match="a ROS 1 bag can only be read as a whole"):
+        read_snapshot(f"{web}/files/drive.bag")
+
+
+def test_a_copy_bears_the_name_of_the_original(web: str, folder: Path) -> None:
+    (folder / "torn.bag").write_bytes((folder / "drive.bag").read_bytes()[:200])
+    with pytest.raises(UnreadableSourceError, match=r"^http://127\.0\.0\.1:\d+/files/torn\.bag is damaged"):
+        read_snapshot(f"{web}/files/torn.bag")
+
+
+def test_secrets_of_an_address_are_not_shown(web: str) -> None:
+    secret = web.replace("http://", "http://fleet:hunter2@")
+    snapshot = read_snapshot(f"{secret}/files/long.mcap?signature=hunter2#hunter2", config=WINDOW)
+    assert snapshot.source == f"{web}/files/long.mcap"
+    for place in ("denied/a.mcap", "files/none.mcap", "files/notes.txt", "busy/a.mcap"):
+        with pytest.raises(MultilicaError) as caught:
+            read_snapshot(f"{secret}/{place}?signature=hunter2")
+        assert "hunter2" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("place", "error", "text"),
+    [
+        ("files/none.mcap", SourceNotFoundError, "Nothing exists at"),
+        ("denied/long.mcap", UnreadableSourceError, "Access to .* is denied"),
+        ("busy/long.mcap", UnreadableSourceError, "status 503"),
+        ("whole/long.mcap", UnreadableSourceError, "does not serve parts of files"),
+        ("lost/long.mcap", UnreadableSourceError, "The connection to the server of .* failed"),
+        ("files/notes.txt", UnreadableSourceError, "of no format that is read here"),
+    ],
+)
+def test_what_a_web_server_refuses_is_one_sentence(
+    place: str, error: type[MultilicaError], text: str, web: str
+) -> None:
+    with pytest.raises(error, match=text) as caught:
+        read_snapshot(f"{web}/{place}", config=WINDOW)
+    assert str(caught.value).count("\n") == 0
+
+
+def test_what_is_lost_once_is_asked_for_again(web: str, folder: Path) -> None:
+    assert_equal_to_the_file(f"{web}/shaky/long.mcap", folder / "long.mcap", WINDOW)
+
+
+def test_a_server_that_is_not_there_is_one_sentence() -> None:
+    with pytest.raises(UnreadableSourceError, match="failed; check the address"):
+        read_snapshot("http://127.0.0.1:9/long.mcap")
+
+
+@pytest.mark.usefixtures("s3")
+@pytest.mark.parametrize(
+    ("place", "error", "text"),
+    [
+        (f"{BUCKET}/june/none.mcap", SourceNotFoundError, "Nothing exists at"),
+        ("another-bucket/june/long.mcap", SourceNotFoundError, "Nothing exists at"),
+        (f"{BUCKET}/june", UnreadableSourceError, "is a folder"),
+    ],
+)
+def test_what_is_no_object_is_told(place: str, error: type[MultilicaError], text: str) -> None:
+    with pytest.raises(error, match=text):
+        read_snapshot(f"s3://{place}")
+
+
+def test_missing_credentials_are_told(s3: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.delenv(name)
+    for name in ("AWS_SHARED_CREDENTIALS_FILE", "AWS_CONFIG_FILE"):
+        monkeypatch.setenv(name, str(tmp_path / "none"))
+    with pytest.raises(UnreadableSourceError, match="No credentials were found for s3://"):
+        read_snapshot(s3)
+
+
+@pytest.mark.parametrize(
+    ("url", "module", "command"),
+    [
+        ("s3://logs/a.mcap", "s3fs", "pip install 'multilica[s3]'"),
+        ("gs://logs/a.mcap", "gcsfs", "pip install 'multilica[gcs]'"),
+    ],
+)
+def test_a_missing_package_is_named(url: str, module: str, command: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, module, None)
+    monkeypatch.delitem(import_module("fsspec.registry")._registry, url[:2], raising=False)
+    with pytest.raises(MissingDependencyError) as caught:
+        read_snapshot(url)
+    assert command in str(caught.value)
+
+
+def test_an_address_made_into_a_path_is_told() -> None:
+    with pytest.raises(UsageError, match=r"s3:/logs/a\.mcap was an address"):
+        read_snapshot(Path("s3://logs/a.mcap"))
+
+
+@pytest.mark.parametrize("url", ["ftp://a/b.mcap", "ws://127.0.0.1:8765"])
+def test_other_addresses_are_refused(url: str) -> None:
+    with pytest.raises(UsageError, match=url):
+        read_snapshot(url)
