@@ -76,6 +76,7 @@ class IngestConfig(Section):
         (), description="topics, patterns as /lidar_*/points, or types; empty: topics, else all with point clouds"
     )
     strict: bool = Field(default=False, description="refuse a recording of which less than all can be used")
+    timeout_s: float = Field(30.0, gt=0.0, description="seconds after which a live source is listened to no longer")
 
     @field_validator("start_at", mode="before")
     @classmethod

@@ -17,6 +17,7 @@ from multilica_cli.commands.diff import diff
 from multilica_cli.commands.evaluate import evaluate
 from multilica_cli.commands.explain import explain
 from multilica_cli.commands.inspect import inspect
+from multilica_cli.commands.record import record
 from multilica_cli.commands.report import report
 from multilica_cli.commands.simulate import simulate
 from multilica_cli.commands.view import view
@@ -30,11 +31,10 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Exit codes: 0 all placed, 1 machine or bug, 2 usage, 3 input unreadable or unfit, 4 some LiDAR not placed, "
-    "5 diff found the runs different, "
-    "130 Ctrl-C, 143 SIGTERM.",
+    epilog="Exit codes: 0 all placed, 1 machine or bug, 2 usage, 3 input unreadable or unfit, "
+    "4 some LiDAR not placed or silent, 5 diff found the runs different, 130 Ctrl-C, 143 SIGTERM.",
 )
-for command in (calibrate, inspect, explain, diff, view, report, config, simulate, evaluate, demo):
+for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, demo):
     app.command()(command)
 
 

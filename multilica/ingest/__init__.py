@@ -8,6 +8,7 @@ from multilica.ingest.reading import read_snapshot
 from multilica.ingest.requirement import require_calibratable
 from multilica.ingest.snapshots import SnapshotSource, find_snapshots, require_lidar
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
+from multilica.ingest.taking import TakenSnapshot, take_snapshot
 
 __all__ = [
     "CloudTopicSummary",
@@ -15,10 +16,12 @@ __all__ = [
     "Prior",
     "SnapshotSource",
     "SourceSummary",
+    "TakenSnapshot",
     "find_snapshots",
     "inspect_source",
     "read_prior",
     "read_snapshot",
     "require_calibratable",
     "require_lidar",
+    "take_snapshot",
 ]

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-__all__ = ["Message", "Messages", "Recording", "Span", "Topic", "joint_span", "normal_type"]
+__all__ = ["Message", "MessageObserver", "Messages", "Recording", "Span", "Topic", "joint_span", "normal_type"]
 
 Span = tuple[int, int]
 """Log times of the first and the last message, in nanoseconds."""
+MessageObserver = Callable[[str, int], None]
+"""Told of a topic of a running vehicle, and of the number of its messages so far."""
 
 
 @dataclass(frozen=True, slots=True)

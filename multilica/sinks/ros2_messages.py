@@ -17,6 +17,7 @@ from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, encode_points
 from multilica.sinks.mcap_messages import Message, MessageSchema
 from multilica.sinks.narration import LogLine
+from multilica.sinks.ros2_qos import offered_qos
 from multilica.snapshot import Float32Array
 
 __all__ = ["Ros2Encoding"]
@@ -26,22 +27,6 @@ _CLOUD = "sensor_msgs/msg/PointCloud2"
 _LOG = "rcl_interfaces/msg/Log"
 _STRING = "std_msgs/msg/String"
 _LEVELS = {"DEBUG": 10, "INFO": 20, "WARN": 30, "ERROR": 40}
-
-_QOS = """\
-- history: 1
-  depth: {depth}
-  reliability: 1
-  durability: {durability}
-  deadline: &forever
-    sec: 9223372036
-    nsec: 854775807
-  lifespan: *forever
-  liveliness: 1
-  liveliness_lease_duration: *forever
-  avoid_ros_namespace_conventions: false
-"""
-_TRANSIENT_LOCAL = 1
-_VOLATILE = 2
 
 
 class Ros2Encoding:
@@ -55,7 +40,7 @@ class Ros2Encoding:
     def transforms(self, poses: Sequence[RigidTransform], stamp_ns: int) -> Message:
         """``tf2_msgs/msg/TFMessage`` on `/tf_static`, latched for those who subscribe later."""
         message = _store().types[_TRANSFORMS](transforms=[_transform(pose, stamp_ns) for pose in poses])
-        return _message("/tf_static", message, durability=_TRANSIENT_LOCAL)
+        return _message("/tf_static", message, latched=True)
 
     def cloud(self, lidar: str, points_m: Float32Array, stamp_ns: int) -> Message:
         """``sensor_msgs/msg/PointCloud2`` of little-endian float32; the topic is named as ROS 2 allows."""
@@ -124,13 +109,11 @@ def _message(
     message: Any,  # noqa: ANN401 - the classes are made by rosbags at run time
     metadata: Mapping[str, str] | None = None,
     *,
-    durability: int = _VOLATILE,
+    latched: bool = False,
 ) -> Message:
     message_type: str = message.__msgtype__
     data = bytes(_store().serialize_cdr(message, message_type))
-    depth = 1 if durability == _TRANSIENT_LOCAL else 10
-    qos = {"offered_qos_profiles": _QOS.format(depth=depth, durability=durability)}
-    return Message(topic, _schema(message_type), data, {**qos, **(metadata or {})})
+    return Message(topic, _schema(message_type), data, {**offered_qos(latched=latched), **(metadata or {})})
 
 
 def _time(stamp_ns: int) -> Any:  # noqa: ANN401 - see _message

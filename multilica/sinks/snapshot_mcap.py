@@ -17,12 +17,11 @@ import multilica
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, encode_points
 from multilica.sinks.atomic import atomic_file
+from multilica.sinks.ros2_qos import offered_qos
+from multilica.sinks.snapshot_metadata import METADATA_NAME, snapshot_metadata
 from multilica.snapshot import Scan, Snapshot
 
-__all__ = ["METADATA_NAME", "write_snapshot_mcap"]
-
-METADATA_NAME = "multilica:snapshot"
-"""Name of the metadata record."""
+__all__ = ["write_snapshot_mcap"]
 
 _CLOUD = "sensor_msgs/msg/PointCloud2"
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -37,14 +36,14 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
     The file takes its name when it is whole.
 
     Args:
-        metadata: further entries of the metadata record, for instance the seed of a simulation.
+        metadata: further entries of the metadata record, for instance those of `window_metadata`.
     """
     with atomic_file(path) as file:
         writer = Writer(file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
         writer.start(profile=Profile.ROS2, library=f"multilica {multilica.__version__}")
         _write_static_transforms(writer, snapshot)
         _write_scans(writer, snapshot)
-        writer.add_metadata(METADATA_NAME, _metadata(snapshot) | dict(metadata or {}))
+        writer.add_metadata(METADATA_NAME, snapshot_metadata(snapshot) | dict(metadata or {}))
         writer.finish()  # type: ignore[no-untyped-call]
 
 
@@ -54,7 +53,8 @@ def _write_static_transforms(writer: Writer, snapshot: Snapshot) -> None:
     stamp_ns = min((scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans), default=0)
     types = _store().types
     message = types[_TRANSFORMS](transforms=[_stamped(pose, stamp_ns) for pose in snapshot.static_transforms])
-    channel = writer.register_channel("/tf_static", MessageEncoding.CDR, _register_schema(writer, _TRANSFORMS))
+    schema = _register_schema(writer, _TRANSFORMS)
+    channel = writer.register_channel("/tf_static", MessageEncoding.CDR, schema, offered_qos(latched=True))
     writer.add_message(channel, stamp_ns, _serialised(message), stamp_ns)
 
 
@@ -63,7 +63,10 @@ def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
     topics = _topics(snapshot)
     channels = {
         lidar.name: writer.register_channel(
-            topics[lidar.name], MessageEncoding.CDR, schema, {LIDAR_NAME_KEY: lidar.name}
+            topics[lidar.name],
+            MessageEncoding.CDR,
+            schema,
+            {LIDAR_NAME_KEY: lidar.name, **offered_qos(latched=False)},
         )
         for lidar in snapshot.lidars
     }
@@ -77,15 +80,6 @@ def _topics(snapshot: Snapshot) -> dict[str, str]:
     """The topic that a LiDAR came from, or one made of its name where it came from a file."""
     return {
         lidar.name: lidar.topic if lidar.topic.startswith("/") else f"/{lidar.name}/points" for lidar in snapshot.lidars
-    }
-
-
-def _metadata(snapshot: Snapshot) -> dict[str, str]:
-    return {
-        "lidars": ", ".join(snapshot.names),
-        "source": snapshot.source,
-        "source_sha256": snapshot.source_sha256,
-        "version": multilica.__version__,
     }
 
 

@@ -13,7 +13,8 @@ from rosbags.highlevel import AnyReader
 
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
-from multilica.sinks.snapshot_mcap import METADATA_NAME, write_snapshot_mcap
+from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshot_metadata import METADATA_NAME
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.recording_writers import START_NS, make_snapshot
 

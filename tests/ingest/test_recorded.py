@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recorded snapshot stands in for its source."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+import multilica
+from multilica import read_snapshot
+from multilica.config import CalibrationConfig, IngestConfig, with_overrides
+from multilica.geometry import RigidTransform
+from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshot_metadata import METADATA_NAME, window_metadata
+from multilica.snapshot import Snapshot
+from multilica_cli.sample import find_sample
+from tests.ingest.recording_writers import (
+    assert_same_points,
+    assert_same_times,
+    make_snapshot,
+    write_mcap,
+    write_ros1_bag,
+    write_ros2_bag,
+)
+
+POSE = RigidTransform.from_xyz_rpy("base", "lidar_1", [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+WRITERS: dict[str, Callable[[Snapshot, Path], None]] = {
+    "drive.mcap": write_mcap,
+    "drive.bag": write_ros1_bag,
+    "drive": write_ros2_bag,
+    "ros1.mcap": lambda snapshot, path: write_mcap(snapshot, path, encoding="ros1"),
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_the_recorded_snapshot_reads_like_its_log(name: str, tmp_path: Path) -> None:
+    log, recorded = tmp_path / name, tmp_path / "snapshot.mcap"
+    WRITERS[name](Snapshot(make_snapshot(lidars=3, frames=8).lidars, static_transforms=(POSE,)), log)
+    config = IngestConfig(frames=4, start_s=0.2, topics={"roof": "/lidar_2/points", "lidar_0": "/lidar_0/points"})
+    taken = read_snapshot(log, config=config)
+    write_snapshot_mcap(taken, recorded)
+    found = read_snapshot(recorded)
+    assert [len(lidar.scans) for lidar in found.lidars] == [4, 4]
+    assert_same_points(found, taken)
+    assert_same_times(found, taken)
+    (pose,) = found.static_transforms
+    assert (pose.target, pose.source) == ("base", "lidar_1")
+    np.testing.assert_allclose(pose.matrix, POSE.matrix, atol=1e-12)
+
+
+def test_point_files_become_topics(tmp_path: Path) -> None:
+    folder = tmp_path / "scans"
+    points = np.random.default_rng(0).normal(0.0, 9.0, (20, 3)).astype(np.float32)
+    for name in ("left", "right"):
+        path = folder / f"{name}.pcd"
+        path.parent.mkdir(exist_ok=True)
+        header = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 20\nHEIGHT 1\nPOINTS 20\n"
+        path.write_bytes(header.encode() + b"DATA binary\n" + points.tobytes())
+    write_snapshot_mcap(read_snapshot(folder), tmp_path / "snapshot.mcap")
+    found = read_snapshot(tmp_path / "snapshot.mcap")
+    assert [(lidar.name, lidar.frame_id, lidar.topic) for lidar in found.lidars] == [
+        ("left", "left", "/left/points"),
+        ("right", "right", "/right/points"),
+    ]
+    for lidar in found.lidars:
+        np.testing.assert_array_equal(lidar.scans[0].points_m, points)
+        assert lidar.scans[0].intensity is None
+
+
+def test_calibration_on_the_snapshot_is_that_on_the_log(tmp_path: Path) -> None:
+    config = with_overrides(CalibrationConfig(), ["until=refine", "coarse.max_hypotheses=4", "verify.finalists=2"])
+    config = config.model_copy(
+        update={"ingest": IngestConfig(frames=1, topics={name: f"/lidar/{name}/points" for name in ("front", "right")})}
+    )
+    log = read_snapshot(find_sample().recording, config=config.ingest)
+    write_snapshot_mcap(log, tmp_path / "snapshot.mcap")
+    found = multilica.calibrate(read_snapshot(tmp_path / "snapshot.mcap"), config)
+    expected = multilica.calibrate(log, config)
+    assert expected.status == found.status == "complete"
+    assert found.target == expected.target
+    for ours, theirs in zip(found.placements, expected.placements, strict=True):
+        np.testing.assert_array_equal(ours.T_target_source.matrix, theirs.T_target_source.matrix)
+        assert ours.fitness == theirs.fitness
+
+
+def test_the_file_says_where_it_comes_from(tmp_path: Path) -> None:
+    write_mcap(make_snapshot(), tmp_path / "drive.mcap")
+    config = IngestConfig(frames=2, start_s=0.1)
+    taken = read_snapshot(tmp_path / "drive.mcap", config=config)
+    write_snapshot_mcap(taken, tmp_path / "a.mcap", metadata=window_metadata(config, "bus-7"))
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file)
+        (record,) = reader.iter_metadata()
+        channels = reader.get_summary().channels.values()
+    assert record.name == METADATA_NAME
+    stamps = [scan.stamp_ns for lidar in taken.lidars for scan in lidar.scans]
+    assert record.metadata == {
+        "lidars": "lidar_0, lidar_1",
+        "source": str(tmp_path / "drive.mcap"),
+        "source_sha256": taken.source_sha256,
+        "first_stamp_ns": str(min(stamps)),
+        "last_stamp_ns": str(max(stamps)),
+        "notes": json.dumps(taken.notes),
+        "version": multilica.__version__,
+        "frames": "2",
+        "start_s": "0.1",
+        "start_at": "",
+        "window": "start",
+        "window_s": "0",
+        "vehicle": "bus-7",
+    }
+    assert all("durability: 2" in channel.metadata["offered_qos_profiles"] for channel in channels)
