@@ -28,6 +28,7 @@ __all__ = [
     "JointConfig",
     "MergeConfig",
     "PreprocessConfig",
+    "RecordConfig",
     "RefineConfig",
     "RuntimeConfig",
     "Stage",
@@ -276,6 +277,21 @@ class RuntimeConfig(Section):
     seed: int = Field(0, ge=0, description="seed of everything random")
 
 
+class RecordConfig(Section):
+    """What recording.rrd keeps."""
+
+    detail: Literal["full", "normal", "slim"] = Field(
+        "normal",
+        description="full: every point and match; normal: clouds up to half a million points, a sample of the "
+        "matches; slim: without raw clouds and descriptors, small samples of the rest",
+    )
+    max_megabytes: float = Field(
+        100.0,
+        gt=0.0,
+        description="if it would get larger, all of it is thinned alike, which its log says; full: no limit",
+    )
+
+
 class CalibrationConfig(Section):
     """The whole configuration; one table per stage."""
 
@@ -296,6 +312,7 @@ class CalibrationConfig(Section):
     joint: JointConfig = JointConfig()
     ground: GroundConfig = GroundConfig()
     runtime: RuntimeConfig = RuntimeConfig()
+    record: RecordConfig = RecordConfig()
 
 
 PRESETS: Mapping[str, Mapping[str, Any]] = {

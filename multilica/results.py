@@ -221,9 +221,10 @@ class Testimony:
         information: (6, 6) sum of J J^T over the agreeing points, J = (turn, shift) by which a small motion lifts a
             point off its surface; order rotation, translation in the target's axes about the source's origin,
             rotations scaled by `LEVER_ARM_M`.
-        labels: (N,) `BeamLabel` of each probe of the source.
+        labels: (N,) `BeamLabel` of each probe of the source, by the target's beams.
         structure_agree, structure_violate, structure_occluded: the same counts over structure alone: closed surfaces
             off the commonest orientation, so walls and vehicles, not the ground.
+        target_labels: (M,) `BeamLabel` of each probe of the target, by the source's beams.
     """
 
     agree: int
@@ -235,6 +236,7 @@ class Testimony:
     structure_agree: int = 0
     structure_violate: int = 0
     structure_occluded: int = 0
+    target_labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
 
     @property
     def weakest_direction(self) -> FloatArray:
@@ -301,6 +303,7 @@ class Assessment:
         weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m: near zero where
             the pose can slide without the fit getting worse.
         probes_m: (N, 3) judged points of the source, in its own frame, to which `testimony.labels` belong.
+        target_probes_m: (M, 3) judged points of the target, in its own frame, as `testimony.target_labels`.
     """
 
     hypothesis: int
@@ -311,6 +314,7 @@ class Assessment:
     weakest_curvature: float
     probes_m: FloatArray
     origin: str = ""
+    target_probes_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
 
     @property
     def label(self) -> str:

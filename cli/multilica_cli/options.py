@@ -16,6 +16,7 @@ __all__ = [
     "Preset",
     "PriorSource",
     "Quiet",
+    "Record",
     "Settings",
     "Sources",
     "Start",
@@ -83,6 +84,15 @@ Threads = Annotated[
 McapEncoding = Annotated[
     Literal["foxglove", "ros2"],
     typer.Option("--mcap-encoding", metavar="foxglove|ros2", help="Encoding of the messages in result.mcap."),
+]
+Record = Annotated[
+    Literal["full", "normal", "slim"] | None,
+    typer.Option(
+        "--record",
+        metavar="full|normal|slim",
+        help="How much recording.rrd keeps; as record.detail.",
+        show_default="normal",
+    ),
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else there.")]

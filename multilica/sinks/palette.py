@@ -14,6 +14,9 @@ __all__ = [
     "MUTED",
     "OCCLUDED",
     "REJECTED",
+    "UNDECIDED",
+    "UNSEEN",
+    "VERDICT_COLOURS",
     "VIOLATE",
     "Rgb",
     "distinct_colours",
@@ -38,7 +41,10 @@ REJECTED: Rgb = (86, 48, 42)
 AGREE: Rgb = (120, 230, 170)
 VIOLATE: Rgb = (213, 94, 0)
 OCCLUDED: Rgb = (110, 110, 120)
+UNSEEN: Rgb = (45, 47, 52)
+UNDECIDED: Rgb = (240, 180, 60)
 MUTED: Rgb = (110, 110, 120)
+VERDICT_COLOURS: dict[str, Rgb] = {"accept": AGREE, "undecided": UNDECIDED, "reject": VIOLATE}
 
 _HEAT_STOPS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 

@@ -8,9 +8,10 @@ import rerun.blueprint as rrb
 
 from multilica.geometry import FloatArray
 from multilica.sinks.run_story import RunStory
+from multilica.sinks.slots import shown_radius_m, slot_offsets_m
 from multilica.sinks.thinning import sample_points
 
-__all__ = ["above", "around_lidar", "around_rig", "sampled_cloud", "three_quarter", "up_axis"]
+__all__ = ["above_group", "around_lidar", "around_rig", "sampled_cloud", "three_quarter", "up_axis"]
 
 _SAMPLE = 20_000
 _FAR_SHARE = 75.0
@@ -41,10 +42,12 @@ def three_quarter(centre_m: FloatArray, radius_m: float, up: FloatArray) -> rrb.
     return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
 
 
-def above(low_m: FloatArray, high_m: FloatArray) -> rrb.EyeControls3D:
-    """From above a box whose corners are given, slightly tilted, z up."""
-    centre_m, size_m = (low_m + high_m) / 2.0, float(np.max(high_m - low_m))
-    position = centre_m + size_m * np.array([-0.45, 0.0, 0.55])
+def above_group(story: RunStory) -> rrb.EyeControls3D:
+    """From above the slot in which the target's group grows, slightly tilted, z up; the others wait beside it."""
+    offsets_m = slot_offsets_m(story.snapshot) if story.snapshot is not None else {}
+    centre_m = np.array([0.0, offsets_m.get(story.target, 0.0), 0.0])
+    radius_m = shown_radius_m(sampled_cloud(story, story.target))
+    position = centre_m + 2.0 * radius_m * np.array([-0.7, 0.0, 0.9])
     return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=(0.0, 0.0, 1.0))
 
 

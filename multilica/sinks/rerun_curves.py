@@ -7,7 +7,7 @@ import math
 
 import rerun as rr
 
-from multilica.results import FineStep, PairRegistration
+from multilica.results import PairRegistration
 from multilica.sinks.narration import pair_label
 from multilica.sinks.palette import Rgb, distinct_colours
 from multilica.sinks.rerun_scene import Scene
@@ -21,7 +21,7 @@ CURVES = {
     "translation_step_m": "movement, m",
     "rotation_step_rad": "rotation, rad",
 }
-"""What is drawn, with its title."""
+"""What is drawn of each `FineStep`, with its title."""
 
 
 def log_curves(scene: Scene, registration: PairRegistration, start: str) -> None:
@@ -29,28 +29,18 @@ def log_curves(scene: Scene, registration: PairRegistration, start: str) -> None
     if not registration.steps:
         return
     pair = (registration.target, registration.source)
-    colour = _colour(scene, registration)
+    line = rr.SeriesLines(names=f"{pair_label(*pair)} {start}", colors=_colour(scene, registration), widths=2.0)
     for quantity in CURVES:
-        line = rr.SeriesLines(names=f"{pair_label(*pair)} {start}", colors=colour, widths=2.0)
         scene.log(curve_path(quantity, *pair, start), line)
-    for moment in registration.steps:
-        scene.advance(moment.iteration)
-        for quantity, value in _values(moment).items():
-            scene.log(curve_path(quantity, *pair, start), rr.Scalars(value))
-    scene.advance()
+        values = [float(getattr(moment, quantity)) for moment in registration.steps]
+        rows = [row for row, value in enumerate(values) if math.isfinite(value)]
+        steps = [scene.step + 1 + row for row in rows]
+        iterations = [registration.steps[row].iteration for row in rows]
+        scene.log_curve(curve_path(quantity, *pair, start), steps, iterations, [values[row] for row in rows])
+    scene.advance(len(registration.steps) + 1)
 
 
 def _colour(scene: Scene, registration: PairRegistration) -> Rgb:
     pairs = scene.story.pairs
     labels = [pair_label(*pair) for pair in pairs]
     return distinct_colours(labels)[pair_label(*scene.story.pair_of(registration))]
-
-
-def _values(moment: FineStep) -> dict[str, float]:
-    values = {
-        "inliers": float(moment.inliers),
-        "error": moment.error,
-        "translation_step_m": moment.translation_step_m,
-        "rotation_step_rad": moment.rotation_step_rad,
-    }
-    return {quantity: value for quantity, value in values.items() if math.isfinite(value)}

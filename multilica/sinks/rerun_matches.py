@@ -10,19 +10,17 @@ import rerun as rr
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import BoolArray, Correspondences, Hypothesis
+from multilica.sinks.kept_matches import kept_matches
 from multilica.sinks.palette import KEPT, MUTED, REJECTED, Rgb
-from multilica.sinks.rerun_input import shown_radius_m
 from multilica.sinks.rerun_scene import Scene, rigid
 from multilica.sinks.rerun_tree import lidar_frame, lifted_frame, pair_path
+from multilica.sinks.slots import shown_radius_m
 from multilica.sinks.thinning import sample_indices, sample_points
 
-__all__ = ["MAX_SHOWN_MATCHES", "kept_matches", "log_matches", "log_verdict_on_matches"]
-
-MAX_SHOWN_MATCHES = {"undecided": 1000, "rejected": 1000, "kept": 2000}
-"""Per pair; a fog of wrong lines would hide the right ones."""
+__all__ = ["log_matches", "log_verdict_on_matches"]
 
 _LIFT_PER_RADIUS = 0.5
-_MAX_SHOWN_POINTS = 30_000
+_RADIUS_SAMPLE = 30_000
 
 
 def log_matches(scene: Scene, event: events.CorrespondencesMatched) -> None:
@@ -33,7 +31,7 @@ def log_matches(scene: Scene, event: events.CorrespondencesMatched) -> None:
     if features is not None:
         path = pair_path(target, source, "matches", "source")
         frame = lifted_frame(target, source)
-        scene.log_points(path, frame, features.points_m, scene.colour(source), limit=_MAX_SHOWN_POINTS)
+        scene.log_points(path, frame, features.points_m, scene.colour(source), scene.limits.pair_points)
     pose = _lifted(scene, matches, RigidTransform.identity(target, source))
     everything = np.ones(len(matches), dtype=np.bool_)
     _log_lines(scene, matches, "undecided", everything, pose, MUTED)
@@ -43,24 +41,15 @@ def log_verdict_on_matches(scene: Scene, matches: Correspondences, best: Hypothe
     """Which matches the best hypothesis keeps; all are rejected if there is none."""
     identity = RigidTransform.identity(matches.target, matches.source)
     pose = _lifted(scene, matches, best.T_target_source if best else identity)
-    kept = kept_matches(scene, matches, best) if best else np.zeros(len(matches), dtype=np.bool_)
+    kept = kept_matches(scene.story, matches, best) if best else np.zeros(len(matches), dtype=np.bool_)
     _log_lines(scene, matches, "undecided", np.zeros_like(kept), pose, MUTED)
     _log_lines(scene, matches, "rejected", ~kept, pose, REJECTED)
     _log_lines(scene, matches, "kept", kept, pose, KEPT, radius_pixels=1.2)
 
 
-def kept_matches(scene: Scene, matches: Correspondences, hypothesis: Hypothesis) -> BoolArray:
-    """(M,) which matches agree with the hypothesis, by distance where the solver does not tell."""
-    if len(hypothesis.inliers) == len(matches) and hypothesis.inliers.any():
-        return hypothesis.inliers
-    bound_m = scene.story.config.coarse.noise_bound_m if scene.story.config is not None else 0.0
-    moved_m = hypothesis.T_target_source.apply(matches.source_points_m)
-    return np.asarray(np.linalg.norm(moved_m - matches.target_points_m, axis=1) <= bound_m)
-
-
 def _lifted(scene: Scene, matches: Correspondences, pose: RigidTransform) -> RigidTransform:
     """The pose, moved up the target's z axis; logged as the frame of the lifted cloud."""
-    radius_m = shown_radius_m(sample_points(matches.target_points_m, _MAX_SHOWN_POINTS))
+    radius_m = shown_radius_m(sample_points(matches.target_points_m, _RADIUS_SAMPLE))
     xyz_m = pose.xyz_m + np.array([0.0, 0.0, _LIFT_PER_RADIUS * radius_m])
     lifted = RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
     frame = lifted_frame(matches.target, matches.source)
@@ -80,7 +69,7 @@ def _log_lines(
     radius_pixels: float = 0.25,
 ) -> None:
     rows = np.flatnonzero(chosen)
-    lines = _segments(matches, rows[sample_indices(len(rows), MAX_SHOWN_MATCHES[kind])], pose)
+    lines = _segments(matches, rows[sample_indices(len(rows), scene.limits.matches)], pose)
     strips = rr.LineStrips3D(lines, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
     path = pair_path(matches.target, matches.source, "matches", kind)
     scene.log(path, rr.CoordinateFrame(lidar_frame(matches.target)), strips)

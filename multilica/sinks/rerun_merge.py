@@ -12,7 +12,7 @@ import rerun as rr
 from multilica import events
 from multilica.results import MergeCandidate, MergeDecision, PairKey
 from multilica.sinks.narration import pair_label
-from multilica.sinks.palette import KEPT, MUTED, VIOLATE, Rgb
+from multilica.sinks.palette import VERDICT_COLOURS
 from multilica.sinks.rerun_scene import Scene, rigid
 from multilica.sinks.rerun_tree import MERGE_CANDIDATES, MERGE_GRAPH, lidar_frame, lidar_path, slot_frame
 from multilica.sinks.run_summary import decisions_markdown
@@ -34,8 +34,7 @@ def log_merge_step(scene: Scene, event: events.MergeStepTaken) -> None:
             scene.log(lidar_path(member, "sensor"), rigid(lidar_frame(member), lidar_frame(root), pose))
         else:
             scene.log(lidar_path(member, "sensor"), rigid(lidar_frame(member), slot_frame(member)))
-    text = decisions_markdown(scene.story.decisions)
-    scene.log(MERGE_CANDIDATES, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+    scene.log_document(MERGE_CANDIDATES, decisions_markdown(scene.story.decisions))
     _log_graph(scene, scene.story.decisions)
 
 
@@ -47,8 +46,11 @@ def _log_graph(scene: Scene, decisions: Sequence[MergeDecision]) -> None:
     nodes = rr.GraphNodes(
         node_ids=[*places, *(pair_label(*pair) for pair in pairs)],
         positions=[*places.values(), *(_along(places, pair) for pair in pairs)],
-        labels=[*places, *(f"{candidates[pair].fitness:.2f}" for pair in pairs)],
-        colors=[*(scene.colour(name) for name in places), *(_colour(candidates[pair], decisions) for pair in pairs)],
+        labels=[*places, *(_label(scene, candidates[pair], decisions) for pair in pairs)],
+        colors=[
+            *(scene.colour(name) for name in places),
+            *(VERDICT_COLOURS[_outcome(scene, candidates[pair])] for pair in pairs),
+        ],
         radii=[_NODE_RADIUS] * len(places) + [_LABEL_RADIUS] * len(pairs),
         show_labels=True,
     )
@@ -64,10 +66,20 @@ def _latest_candidates(decisions: Sequence[MergeDecision]) -> dict[PairKey, Merg
     return {(one.target, one.source): one for one in sorted(latest.values(), key=lambda one: (one.target, one.source))}
 
 
-def _colour(candidate: MergeCandidate, decisions: Sequence[MergeDecision]) -> Rgb:
-    if any(candidate == decision.chosen for decision in decisions):
-        return KEPT
-    return MUTED if candidate.passes else VIOLATE
+def _label(scene: Scene, candidate: MergeCandidate, decisions: Sequence[MergeDecision]) -> str:
+    """Fitness with the verdict; merged is what a step chose."""
+    merged = any(candidate == decision.chosen for decision in decisions)
+    return f"{candidate.fitness:.2f} {'merged' if merged else _outcome(scene, candidate)}"
+
+
+def _outcome(scene: Scene, candidate: MergeCandidate) -> str:
+    """The verdict on the latest registration of the two, single or of merged clouds."""
+    if candidate.passes:
+        return "accept"
+    story, names = scene.story, {candidate.target, candidate.source}
+    known = [*story.registrations.values(), *story.merged_registrations]
+    latest = next((each for each in reversed(known) if {each.target, each.source} == names), None)
+    return "reject" if latest is None else latest.verdict.outcome
 
 
 def _places(lidars: Sequence[str]) -> dict[str, npt.NDArray[np.float64]]:

@@ -8,10 +8,11 @@ import numpy.typing as npt
 import rerun as rr
 
 from multilica import events
-from multilica.results import CalibrationResult, GroundPlane
+from multilica.results import CalibrationResult, GroundPlane, LidarPlacement
 from multilica.sinks.palette import MUTED
 from multilica.sinks.rerun_scene import Scene, rigid
 from multilica.sinks.rerun_tree import GROUND, lidar_frame, lidar_path, slot_frame
+from multilica.sinks.uncertainty import SHOWN_ELLIPSOID_SCALE, uncertainty_ellipsoid
 
 __all__ = ["log_ground", "log_outcome"]
 
@@ -32,6 +33,24 @@ def _log_placed(scene: Scene, result: CalibrationResult) -> None:
         if place.placed and place.T_target_source is not None and place.lidar != result.target:
             pose = rigid(lidar_frame(place.lidar), lidar_frame(result.target), place.T_target_source)
             scene.log(lidar_path(place.lidar, "sensor"), pose)
+            if place.covariance is not None:
+                _log_uncertainty(scene, result.target, place)
+
+
+def _log_uncertainty(scene: Scene, target: str, place: LidarPlacement) -> None:
+    """The ellipsoid of the position in the target's frame, enlarged: millimetres would not be seen."""
+    ellipsoid = uncertainty_ellipsoid(place)
+    if ellipsoid is None:
+        return
+    half_sizes_m, axes = ellipsoid
+    shape = rr.Ellipsoids3D(
+        centers=[place.T_target_source.xyz_m] if place.T_target_source else [],
+        half_sizes=[SHOWN_ELLIPSOID_SCALE * half_sizes_m],
+        quaternions=[rr.Quaternion(xyzw=axes.quaternion_xyzw)],
+        colors=[scene.colour(place.lidar)],
+        fill_mode=rr.components.FillMode.DenseWireframe,
+    )
+    scene.log(lidar_path(place.lidar, "uncertainty"), rr.CoordinateFrame(lidar_frame(target)), shape)
 
 
 def log_ground(scene: Scene, event: events.GroundEstimated) -> None:

@@ -3,29 +3,23 @@
 
 from __future__ import annotations
 
-import numpy as np
 import rerun as rr
 
 from multilica import events
 from multilica.geometry import RigidTransform
-from multilica.results import Assessment, PairKey, PairRegistration, hypothesis_label
-from multilica.sinks.palette import AGREE, OCCLUDED, VIOLATE, Rgb
+from multilica.results import Assessment, Hypothesis, PairKey, PairRegistration, hypothesis_label
+from multilica.sinks.pair_scores import pair_scores_markdown
 from multilica.sinks.rerun_curves import log_curves
+from multilica.sinks.rerun_judged import log_judged
 from multilica.sinks.rerun_matches import log_verdict_on_matches
 from multilica.sinks.rerun_scene import Scene, rigid
-from multilica.sinks.rerun_tree import hypothesis_frame, lidar_frame, pair_path
-from multilica.stages.beam_image import BeamLabel
+from multilica.sinks.rerun_tree import before_frame, hypothesis_frame, lidar_frame, pair_path
+from multilica.sinks.rerun_verdict import log_verdict
+from multilica.sinks.run_story import as_matched
 
 __all__ = ["log_assessments", "log_hypotheses", "log_registration", "show_best_poses"]
 
-_MAX_SOURCE_POINTS = 30_000
-_MAX_SHOWN_ASSESSMENTS = 4
 _AXIS_LENGTH_M = 0.5
-_JUDGED: dict[BeamLabel, tuple[str, Rgb]] = {
-    BeamLabel.AGREE: ("agree", AGREE),
-    BeamLabel.VIOLATE: ("violate", VIOLATE),
-    BeamLabel.OCCLUDED: ("occluded", OCCLUDED),
-}
 
 
 def log_hypotheses(scene: Scene, event: events.HypothesesFound) -> None:
@@ -34,27 +28,39 @@ def log_hypotheses(scene: Scene, event: events.HypothesesFound) -> None:
     hypotheses = event.coarse.hypotheses
     for index in reversed(range(len(hypotheses))):
         scene.advance()
+        scene.shown_at[hypotheses[index]] = scene.step
         start = hypothesis_label(index, hypotheses[index].origin)
         _log_pose(scene, pair, start, hypotheses[index].T_target_source)
     log_verdict_on_matches(scene, event.correspondences, hypotheses[0] if hypotheses else None)
+    _log_scores(scene, pair, hypotheses[0] if hypotheses else None)
 
 
 def log_assessments(scene: Scene, event: events.HypothesesAssessed) -> None:
-    """The most believable poses with the points that were judged, one step each, the best one last."""
+    """Every distinct pose with the points that were judged, one step each, the best one last."""
     pair = (event.target, event.source)
-    for assessment in reversed(event.assessments[:_MAX_SHOWN_ASSESSMENTS]):
-        scene.advance()
-        _log_pose(scene, pair, assessment.label, assessment.T_target_source)
-        _log_judged_points(scene, pair, assessment)
+    for assessment in reversed(event.assessments):
+        _show_judged(scene, pair, assessment)
 
 
 def log_registration(scene: Scene, event: events.PairRegistered) -> None:
-    """GICP's progress, then the pose that it ended with."""
+    """GICP's progress, the finalists as they were judged in the end, then the pose with its verdict.
+
+    A pair whose verdict is told anew has its progress and its finalists in the recording.
+    """
     registration = event.registration
     pair, start = scene.story.pair_of(registration), _start(scene, registration)
-    log_curves(scene, registration, start)
-    found = registration.T_target_source
-    _log_pose(scene, pair, start, found if registration.target == pair[0] else found.inverse())
+    anew = any(assessment in scene.shown_at for assessment in registration.assessments)
+    if not anew:
+        log_curves(scene, registration, start)
+    merging = scene.story.stage == "merge"
+    if not merging and not anew:
+        for assessment in reversed(registration.assessments):
+            _show_judged(scene, pair, assessment)
+    _log_pose(scene, pair, start, as_matched(pair, registration.T_target_source))
+    if not merging:
+        _log_before(scene, pair, registration)
+        log_verdict(scene, pair, start, registration)
+        _log_scores(scene, pair, registration.assessments[0] if registration.assessments else None)
 
 
 def show_best_poses(scene: Scene) -> None:
@@ -93,16 +99,32 @@ def _show_at(scene: Scene, pair: PairKey, start: str) -> None:
     target, source = pair
     cloud = scene.story.clouds.get(source)
     path, frame = pair_path(target, source, "source"), hypothesis_frame(target, source, start)
-    if cloud is not None and pair not in scene.shown_sources:
-        scene.shown_sources.add(pair)
-        scene.log_points(path, frame, cloud.points_m, scene.colour(source), limit=_MAX_SOURCE_POINTS)
+    if cloud is not None and path not in scene.shown:
+        scene.log_points(path, frame, cloud.points_m, scene.colour(source), scene.limits.pair_points)
     else:
         scene.log(path, rr.CoordinateFrame(frame))
 
 
-def _log_judged_points(scene: Scene, pair: PairKey, assessment: Assessment) -> None:
+def _show_judged(scene: Scene, pair: PairKey, assessment: Assessment) -> None:
+    scene.advance()
+    scene.shown_at[assessment] = scene.step
+    _log_pose(scene, pair, assessment.label, as_matched(pair, assessment.T_target_source))
+    log_judged(scene, pair, assessment.label, assessment)
+    _log_scores(scene, pair, assessment)
+
+
+def _log_before(scene: Scene, pair: PairKey, registration: PairRegistration) -> None:
+    """The source where the coarse stage had put it: what GICP started from."""
     target, source = pair
-    frame = hypothesis_frame(target, source, assessment.label)
-    for label, (name, colour) in _JUDGED.items():
-        points_m = np.asarray(assessment.probes_m[assessment.testimony.labels == label], dtype=np.float32)
-        scene.log_points(pair_path(target, source, "judged", name), frame, points_m, colour, radius_pixels=2.5)
+    coarse, cloud = scene.story.coarse.get(pair), scene.story.clouds.get(source)
+    if coarse is None or cloud is None or not 0 <= registration.hypothesis < len(coarse.hypotheses):
+        return
+    frame, path = before_frame(target, source), pair_path(target, source, "before")
+    pose = coarse.hypotheses[registration.hypothesis].T_target_source
+    scene.log(pair_path(target, source, "before", "pose"), rigid(frame, lidar_frame(target), pose))
+    scene.log_points(path, frame, cloud.points_m, scene.colour(source), scene.limits.pair_points // 3)
+
+
+def _log_scores(scene: Scene, pair: PairKey, shown: Hypothesis | Assessment | None) -> None:
+    text = pair_scores_markdown(scene.story, pair, shown, scene.shown_at)
+    scene.log_document(pair_path(*pair, "scores"), text)

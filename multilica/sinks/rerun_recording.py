@@ -11,9 +11,12 @@ from typing import Any, Self
 import rerun as rr
 
 from multilica import events
+from multilica.errors import MultilicaError
 from multilica.sinks.narration import LogLine, narrate
+from multilica.sinks.record_limits import limits_for
 from multilica.sinks.rerun_blueprint import final_blueprint, stage_blueprint
-from multilica.sinks.rerun_input import log_features, log_input, log_preprocessed
+from multilica.sinks.rerun_input import log_dropped_table, log_features, log_input, log_preprocessed
+from multilica.sinks.rerun_judged import log_beam_labels
 from multilica.sinks.rerun_matches import log_matches
 from multilica.sinks.rerun_merge import log_merge_step
 from multilica.sinks.rerun_outcome import log_ground, log_outcome
@@ -27,7 +30,6 @@ __all__ = ["APPLICATION_ID", "RerunRecording", "partial_path"]
 
 APPLICATION_ID = "multilica"
 _PROPERTY = "multilica"
-_MAX_CLOUD_POINTS = 500_000
 
 
 def partial_path(path: Path) -> Path:
@@ -36,6 +38,7 @@ def partial_path(path: Path) -> Path:
 
 
 _FLUSH_TIMEOUT_S = 60.0
+_FLUSH_TICK_S = 7 * 86_400.0
 
 
 class RerunRecording:
@@ -45,14 +48,14 @@ class RerunRecording:
     finished, and stays so when the run is interrupted or killed: each finished stage is on disk by then.
 
     Args:
-        path: the final name, ending in `.rrd`; what lies there is replaced.
-        max_cloud_points: larger clouds are thinned at random to so many points, which the log says.
+        path: the final name, ending in `.rrd`; what lies there is replaced. How much of the run it holds is said by the
+            configuration's section `record`.
     """
 
-    def __init__(self, path: Path, *, max_cloud_points: int = _MAX_CLOUD_POINTS) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self._stream = rr.RecordingStream(APPLICATION_ID, send_properties=False)
-        self._scene = Scene(self._stream, RunStory(), max_cloud_points)
+        self._stream = rr.RecordingStream(APPLICATION_ID, send_properties=False, batcher_config=_batching())
+        self._scene = Scene(self._stream, RunStory())
 
     def __enter__(self) -> Self:
         return self
@@ -85,11 +88,23 @@ class RerunRecording:
 
     def _tell_the_end(self, error: BaseException | None) -> None:
         scene = self._scene
-        cause = f"{type(error).__name__}: {error}".rstrip(": ") if error is not None else "no result was reached"
+        cause = _cause(error)
         scene.advance()
         scene.log_line(LogLine("ERROR", f"the run ended early: {cause}"))
-        log_summary(scene)
+        log_summary(scene, cause)
         _send_properties(scene, "interrupted")
+        scene.stream.send_blueprint(stage_blueprint(scene.story))
+
+
+def _batching() -> rr.ChunkBatcherConfig:
+    """Rows are packed by size and at flushes, never by the clock: equal runs make equal files."""
+    return rr.ChunkBatcherConfig(flush_tick=_FLUSH_TICK_S)
+
+
+def _cause(error: BaseException | None) -> str:
+    if error is None:
+        return "no result was reached"
+    return str(error) if isinstance(error, MultilicaError) else f"{type(error).__name__}: {error}".rstrip(": ")
 
 
 def _flush(stream: rr.RecordingStream) -> None:
@@ -101,7 +116,13 @@ def _flush(stream: rr.RecordingStream) -> None:
 
 
 def _start(scene: Scene, event: events.CalibrationStarted) -> None:
+    scene.limits, share = limits_for(event.config.record, event.snapshot)
+    if share < 1.0:
+        budget = f"{event.config.record.max_megabytes:g} MB (record.max_megabytes)"
+        text = f"recorded is {share:.1%} of the usual points and matches, so that the recording stays below {budget}"
+        scene.log_line(LogLine("WARN", text))
     _send_properties(scene, "running")
+    log_beam_labels(scene)
     log_input(scene, event)
     log_summary(scene)
     scene.stream.send_blueprint(stage_blueprint(scene.story))
@@ -110,6 +131,8 @@ def _start(scene: Scene, event: events.CalibrationStarted) -> None:
 
 def _finish_stage(scene: Scene, event: events.StageFinished) -> None:
     """Bring to disk what the stage did; a large cloud does not hold back the small rows behind it."""
+    if event.stage == "preprocess":
+        log_dropped_table(scene)
     if event.stage in ("coarse", "verify", "fine", "merge"):
         show_best_poses(scene)
         log_pair_tables(scene)

@@ -7,15 +7,21 @@ import rerun as rr
 
 __all__ = [
     "CONFIG",
+    "COVERAGE",
     "DISPLAY_FRAME",
+    "DROPPED_TABLE",
     "FITNESS",
     "GROUND",
     "HYPOTHESES_TABLE",
     "LOG",
     "MERGE_CANDIDATES",
     "MERGE_GRAPH",
+    "PAIRS",
+    "PAIRS_TABLE",
     "RESULT",
     "SUMMARY",
+    "VERDICTS",
+    "before_frame",
     "curve_path",
     "hypothesis_frame",
     "lidar_frame",
@@ -29,7 +35,12 @@ LOG = "/log"
 SUMMARY = "/summary"
 CONFIG = "/config"
 RESULT = "/result"
+DROPPED_TABLE = "/dropped"
+PAIRS = "/pairs"
 FITNESS = "/fitness"
+COVERAGE = "/coverage"
+VERDICTS = "/verdicts"
+PAIRS_TABLE = "/pair_figures"
 HYPOTHESES_TABLE = "/hypotheses"
 MERGE_GRAPH = "/merge/graph"
 MERGE_CANDIDATES = "/merge/candidates"
@@ -66,6 +77,11 @@ def slot_frame(lidar: str) -> str:
 def hypothesis_frame(target: str, source: str, start: str) -> str:
     """The source's frame as one hypothesis of a pair places it."""
     return f"pair/{target}/{source}/{start}"
+
+
+def before_frame(target: str, source: str) -> str:
+    """The source's frame as the coarse stage placed it, before any GICP."""
+    return f"pair/{target}/{source}/before"
 
 
 def lifted_frame(target: str, source: str) -> str:

@@ -3,23 +3,44 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+import rerun as rr
 import rerun.blueprint as rrb
+from rerun.encodings import EntityPathLike
 
 from multilica.results import PairKey
 from multilica.sinks.narration import pair_label
+from multilica.sinks.palette import distinct_colours
 from multilica.sinks.rerun_camera import around_lidar
 from multilica.sinks.rerun_tree import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
 from multilica.sinks.run_story import RunStory
 
-__all__ = ["document_view", "log_view", "pair_view", "scene_view", "single_lidar_view", "summary_view"]
+__all__ = [
+    "before_view",
+    "document_view",
+    "judged_view",
+    "log_view",
+    "matches_view",
+    "registered_view",
+    "rival_view",
+    "scene_view",
+    "single_lidar_view",
+    "summary_view",
+]
 
 _DARK = (13, 16, 17)
+_DIM = 0.45
 
 
 def scene_view(
-    name: str, frame: str, contents: Sequence[str], eye: rrb.EyeControls3D, *, grid: bool = False
+    name: str,
+    frame: str,
+    contents: Sequence[str],
+    eye: rrb.EyeControls3D,
+    *,
+    grid: bool = False,
+    overrides: Mapping[EntityPathLike, rr.Points3D] | None = None,
 ) -> rrb.Spatial3DView:
     """Some entities as seen from a frame."""
     return rrb.Spatial3DView(
@@ -29,27 +50,72 @@ def scene_view(
         spatial_information=rrb.SpatialInformation(target_frame=frame),
         eye_controls=eye,
         line_grid=grid,
+        overrides=overrides,
         background=_DARK,
     )
 
 
-def single_lidar_view(story: RunStory, lidar: str, parts: Sequence[str]) -> rrb.Spatial3DView:
+def single_lidar_view(story: RunStory, lidar: str, parts: Sequence[str], name: str = "") -> rrb.Spatial3DView:
     """Some of one LiDAR's entities in its own frame."""
     contents = [f"{lidar_path(lidar, part)}/**" for part in ("sensor", *parts)]
-    return scene_view(lidar, lidar_frame(lidar), contents, around_lidar(story, lidar))
+    return scene_view(name or lidar, lidar_frame(lidar), contents, around_lidar(story, lidar))
 
 
-def pair_view(
-    story: RunStory, pair: PairKey, target_cloud: str, parts: Sequence[str], *, zoom: float = 1.0
+def matches_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
+    """The matches of a pair, from far enough that both layers are seen."""
+    contents = [lidar_path(pair[0], "features"), f"{pair_path(*pair, 'matches')}/**"]
+    return _pair_view(story, pair, pair_label(*pair), contents, zoom=0.6)
+
+
+def judged_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
+    """A pair at the pose that is shown at the step, its clouds dimmed below the points that the beams judged."""
+    clouds = {lidar_path(pair[0], "preprocessed"): pair[0], pair_path(*pair, "source"): pair[1]}
+    contents = [*clouds, f"{pair_path(*pair, 'judged')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
+    return _pair_view(story, pair, pair_label(*pair), contents, overrides=_dimmed(story, clouds))
+
+
+def rival_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
+    """A pair at the other pose that explains nearly as much."""
+    contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'rival')}/**"]
+    return _pair_view(story, pair, f"{pair_label(*pair)}, the other pose", contents)
+
+
+def before_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
+    """A pair where the coarse stage had put it."""
+    contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'before')}/**"]
+    return _pair_view(story, pair, "Before GICP", contents)
+
+
+def registered_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
+    """A pair at the pose that is shown at the step, at the last one the registered."""
+    contents = [lidar_path(pair[0], "preprocessed"), pair_path(*pair, "source")]
+    return _pair_view(story, pair, "After GICP", contents)
+
+
+def _pair_view(
+    story: RunStory,
+    pair: PairKey,
+    name: str,
+    contents: Sequence[str],
+    *,
+    zoom: float = 1.0,
+    overrides: Mapping[EntityPathLike, rr.Points3D] | None = None,
 ) -> rrb.Spatial3DView:
-    """The target's cloud with some of a pair's entities, in the target's frame."""
-    target, source = pair
-    contents = [
-        lidar_path(target, target_cloud),
-        lidar_path(target, "sensor"),
-        *(f"{pair_path(target, source, part)}/**" for part in parts),
-    ]
-    return scene_view(pair_label(*pair), lidar_frame(target), contents, around_lidar(story, target, zoom=zoom))
+    """Entities of a pair in the target's frame."""
+    eye = around_lidar(story, pair[0], zoom=zoom)
+    sensor = lidar_path(pair[0], "sensor")
+    return scene_view(name, lidar_frame(pair[0]), [sensor, *contents], eye, overrides=overrides)
+
+
+def _dimmed(story: RunStory, clouds: Mapping[str, str]) -> dict[EntityPathLike, rr.Points3D]:
+    """Per path of a cloud its LiDAR's colour, darker."""
+    colours = distinct_colours(story.lidars)
+    return {
+        path: rr.Points3D.from_fields(
+            colors=[tuple(int(_DIM * channel) for channel in colours[lidar])], radii=rr.Radius.ui_points(1.0)
+        )
+        for path, lidar in clouds.items()
+    }
 
 
 def log_view(name: str = "Log", levels: Sequence[str] = ("INFO", "WARN", "ERROR")) -> rrb.TextLogView:

@@ -24,7 +24,12 @@ from multilica.results import (
 from multilica.sinks.provenance import Provenance, provenance_of
 from multilica.snapshot import Snapshot
 
-__all__ = ["RunStory"]
+__all__ = ["RunStory", "as_matched"]
+
+
+def as_matched(pair: PairKey, pose: RigidTransform) -> RigidTransform:
+    """The pose of the pair's source in its target, whichever way round it was registered."""
+    return pose if pose.target == pair[0] else pose.inverse()
 
 
 @dataclass(slots=True, eq=False)

@@ -16,18 +16,21 @@ from multilica.results import (
     Testimony,
 )
 from multilica.sinks.explanation_markdown import explanation_markdown
+from multilica.sinks.markdown import escaped, markdown_table
 from multilica.sinks.narration import pair_label
 from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
+from multilica.sinks.uncertainty import SHOWN_ELLIPSOID_SCALE, SIGMAS
 
-__all__ = ["decisions_markdown", "fitness_markdown", "hypotheses_markdown", "summary_markdown"]
+__all__ = ["decisions_markdown", "hypotheses_markdown", "summary_markdown"]
 
 _SHOWN_HYPOTHESES = 3
 
 
-def summary_markdown(story: RunStory) -> str:
-    """The outcome in one page; while the run goes on, how far it is."""
-    parts = [_explanation_part(story), *_result_parts(story.result), _input_part(story), _version_part(story)]
+def summary_markdown(story: RunStory, ended_by: str = "") -> str:
+    """The outcome in one page; while the run goes on, how far it is; or what ended it early."""
+    ending = f"The run ended early: **{escaped(ended_by)}**" if ended_by else ""
+    parts = [_explanation_part(story), ending, *_result_parts(story.result), _input_part(story), _version_part(story)]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -39,13 +42,27 @@ def _explanation_part(story: RunStory) -> str:
 def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
     if result is None or result.refusal is not None:
         return
-    yield f"Target: **{_cell(result.target)}**. {result.target_reason}"
-    yield _table(
-        ("LiDAR", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg", "fitness", "RMSE m"),
+    yield f"Target: **{escaped(result.target)}**. {escaped(result.target_reason)}"
+    yield markdown_table(
+        (
+            "LiDAR",
+            "x m",
+            "y m",
+            "z m",
+            "roll deg",
+            "pitch deg",
+            "yaw deg",
+            "sigma mm",
+            "sigma deg",
+            "fitness",
+            "RMSE m",
+        ),
         [_placement_row(place) for place in result.placements],
     )
+    if any(place.covariance is not None for place in result.placements):
+        yield f"Ellipsoids of the rig: {SIGMAS:g} sigma of the position, {SHOWN_ELLIPSOID_SCALE:g} times enlarged."
     if result.snapshots:
-        yield "\n".join(f"- snapshot **{_cell(report.name)}**: {_cell(report.text)}" for report in result.snapshots)
+        yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in result.snapshots)
     if result.ground is not None:
         share = f"{result.ground.inlier_share:.0%} of the points"
         yield f"Ground: {result.ground.offset_m:.3f} m below the target, {share}."
@@ -53,10 +70,18 @@ def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
 
 def _placement_row(place: LidarPlacement) -> Sequence[str]:
     if place.T_target_source is None or not place.placed:
-        return (place.lidar, *("-",) * 6, f"{place.fitness:.3f}", "not placed")
+        return (place.lidar, *("-",) * 9, "not placed")
     pose = place.T_target_source
     numbers = (*(f"{value:.3f}" for value in pose.xyz_m), *(f"{value:.2f}" for value in pose.rpy_deg))
-    return (place.lidar, *numbers, f"{place.fitness:.3f}", f"{place.rmse_m:.3f}")
+    return (place.lidar, *numbers, *_sigmas(place), f"{place.fitness:.3f}", f"{place.rmse_m:.3f}")
+
+
+def _sigmas(place: LidarPlacement) -> Sequence[str]:
+    """The largest standard deviations of position and rotation."""
+    xyz_m, rotation_deg = place.sigma_xyz_m, place.sigma_rotation_deg
+    if xyz_m is None or rotation_deg is None:
+        return ("-", "-")
+    return (f"{1e3 * xyz_m.max():.1f}", f"{rotation_deg.max():.3f}")
 
 
 def _input_part(story: RunStory) -> str:
@@ -68,7 +93,7 @@ def _input_part(story: RunStory) -> str:
     ]
     digest = story.snapshot.source_sha256[:16] or "none"
     source = f"## Input\n\n`{story.snapshot.source or 'in memory'}`, sha256 `{digest}`"
-    return f"{source}\n\n{_table(('LiDAR', 'topic', 'frames', 'points'), rows)}"
+    return f"{source}\n\n{markdown_table(('LiDAR', 'topic', 'frames', 'points'), rows)}"
 
 
 def _version_part(story: RunStory) -> str:
@@ -85,7 +110,7 @@ def hypotheses_markdown(story: RunStory) -> str:
         "The best of each pair first. Judged points: green agree with the other sensor's surfaces, "
         "red lie in space that its beams passed through, grey are hidden from it."
     )
-    return f"# Hypotheses\n\n{legend}\n\n{_table(header, rows)}"
+    return f"# Hypotheses\n\n{legend}\n\n{markdown_table(header, rows)}"
 
 
 def _hypothesis_rows(story: RunStory, pair: PairKey) -> Iterable[Sequence[str]]:
@@ -125,14 +150,6 @@ def _visibility(testimony: Testimony) -> Sequence[str]:
     return (f"{testimony.agree:,}", f"{testimony.violate:,}", f"{testimony.evidence:,.0f}")
 
 
-def fitness_markdown(story: RunStory) -> str:
-    """The fitness matrix: target in rows, source in columns."""
-    names = story.lidars
-    found = {(one.target, one.source): f"{one.fitness:.3f}" for one in story.registrations.values()}
-    rows = [(target, *(found.get((target, source), "-") for source in names)) for target in names]
-    return "# Fitness\n\nTarget in rows, source in columns.\n\n" + _table(("", *names), rows)
-
-
 def decisions_markdown(decisions: Sequence[MergeDecision]) -> str:
     """The merge steps, the latest first: what could have been chosen, what was, and why."""
     return "\n\n".join(_decision_part(decision) for decision in reversed(decisions))
@@ -144,19 +161,14 @@ def _decision_part(decision: MergeDecision) -> str:
             pair_label(one.target, one.source),
             f"{one.fitness:.3f}",
             f"{one.rmse_m:.3f}",
-            "merged" if one == decision.chosen else "passes" if one.passes else one.reason or "does not pass",
+            "merged" if one == decision.chosen else "passes" if one.passes else "does not pass",
         )
         for one in decision.candidates
     ]
     groups = "; ".join(" + ".join(group) for group in decision.groups)
-    table = _table(("candidate", "fitness", "RMSE m", "verdict"), rows)
-    return f"# Merge step {decision.step}\n\n{decision.reason}\n\n{table}\n\nGroups after it: {groups}"
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(_cell(cell) for cell in line)} |" for line in lines)
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+    table = markdown_table(("candidate", "fitness", "RMSE m", "verdict"), rows)
+    refused = "\n".join(
+        f"- {pair_label(one.target, one.source)}: {one.reason}" for one in decision.candidates if one.reason
+    )
+    parts = (f"# Merge step {decision.step}", decision.reason, table, refused, f"Groups after it: {groups}")
+    return "\n\n".join(part for part in parts if part)

@@ -105,4 +105,5 @@ def _assess(
         weakest_curvature=weakest_curvature(registered),
         probes_m=source.witnesses[0][1].probes_m,
         origin=origin,
+        target_probes_m=target.witnesses[0][1].probes_m,
     )

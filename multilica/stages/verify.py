@@ -140,6 +140,7 @@ def _assess(
         weakest_curvature=weakest_curvature(registration),
         probes_m=source[0].probes_m,
         origin=hypothesis.origin,
+        target_probes_m=target[0].probes_m,
     )
 
 

@@ -70,10 +70,10 @@ def judge(
         tolerance_m, tolerance_deg: see `label_points`.
 
     Returns:
-        Counts over both directions, with the labels of the first source's probes by the first target.
+        Counts over both directions, with the labels that the first target and the first source give each other.
     """
     ballots: list[_Ballot] = []
-    shown: LabelArray | None = None
+    shown: tuple[LabelArray, LabelArray] | None = None
     for T_target_member, target in targets:
         for T_source_member, source in sources:
             T_target_placed = T_target_source @ T_source_member
@@ -82,21 +82,24 @@ def judge(
             back = _labels(source, target, pose.inverse(), tolerance_m, tolerance_deg)
             ballots.append(_ballot(source, forth, T_target_placed))
             ballots.append(_ballot(target, back, T_target_member))
-            shown = forth if shown is None else shown
+            shown = (forth, back) if shown is None else shown
     counts = _counts(np.concatenate([ballot.labels for ballot in ballots]))
     information = sum((_information(ballot, T_target_source.xyz_m) for ballot in ballots), start=np.zeros((6, 6)))
     commonest = np.linalg.eigh(information[3:, 3:])[1][:, -1]
     structure = _counts(np.concatenate([_structure(ballot, commonest) for ballot in ballots]))
+    nothing = np.zeros(0, dtype=np.uint8)
+    labels, target_labels = (nothing, nothing) if shown is None else shown
     return Testimony(
         agree=counts[BeamLabel.AGREE],
         violate=counts[BeamLabel.VIOLATE],
         occluded=counts[BeamLabel.OCCLUDED],
         unseen=counts[BeamLabel.UNSEEN],
         information=information,
-        labels=np.zeros(0, dtype=np.uint8) if shown is None else shown,
+        labels=labels,
         structure_agree=structure[BeamLabel.AGREE],
         structure_violate=structure[BeamLabel.VIOLATE],
         structure_occluded=structure[BeamLabel.OCCLUDED],
+        target_labels=target_labels,
     )
 
 

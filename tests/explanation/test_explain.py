@@ -39,6 +39,7 @@ def set_reasons(document, outcome, *codes):
 def test_a_complete_run_is_told_in_one_headline_with_how_sure_each_is():
     document = made_document("complete")
     document["lidars"]["rear"] |= {"sigma_xyz_m": [0.001, 0.0042, 0.002], "sigma_rotation_deg": [0.01, 0.02, 0.005]}
+    document["lidars"]["front left/1"] |= {"sigma_xyz_m": None, "sigma_rotation_deg": None}
     told = explain(document)
     assert told.headline == "All 3 LiDARs are placed; the target is top."
     assert (told.missing, told.warnings, told.cause) == ((), (), None)
@@ -76,6 +77,7 @@ def test_the_pair_that_came_closest_is_decisive_and_the_other_next_best(partial)
     set_reasons(partial, "reject", "too_little_overlap")
     closest = next(pair for pair in partial["pairs"] if (pair["target"], pair["source"]) == ("rear", "top"))
     closest["verdict"] = {"outcome": "undecided", "reasons": [{"code": "ambiguous", "text": "twice"}]}
+    closest["assessments"] = closest["assessments"][:1]
     missing = missing_of(partial)
     assert (missing.decisive.target, missing.decisive.source) == ("rear", "top")
     assert missing.cause == "ambiguous"
@@ -85,7 +87,7 @@ def test_the_pair_that_came_closest_is_decisive_and_the_other_next_best(partial)
 def test_a_second_pose_of_the_decisive_pair_is_the_next_best(partial):
     for pair in partial["pairs"]:
         other = pair["assessments"][0] | {"agree": 77, "violate": 3, "evidence": 41.0}
-        pair["assessments"].append(other)
+        pair["assessments"] = [pair["assessments"][0], other]
     assert "evidence 41" in missing_of(partial).next_best
     assert "77 points agree, 3 stand in empty space" in missing_of(partial).next_best
 

@@ -152,13 +152,15 @@ class _Run:
             yield events.HypothesesAssessed(target, source, assessments)
 
     def _assessment(self, source: str, index: int, hypothesis: Hypothesis) -> Assessment:
-        probes = self.points[source][::5]
-        labels = (np.arange(len(probes)) % 4).astype(np.uint8)
-        testimony = (
-            Testimony(90, 1, 5, 5, np.eye(6), labels) if index == 0 else Testimony(20, 60, 5, 5, np.eye(6), labels)
-        )
+        target = hypothesis.T_target_source.target
+        probes, target_probes = (self.points[name][:: 5 + LIDARS.index(name)] for name in (source, target))
+        labels, target_labels = ((np.arange(len(each)) % 4).astype(np.uint8) for each in (probes, target_probes))
+        counts = (90, 1, 5, 5) if index == 0 else (20, 60, 5, 5)
+        testimony = Testimony(*counts, np.eye(6), labels, target_labels=target_labels)
         pose, fitness = hypothesis.T_target_source, 0.8 - 0.3 * index
-        return Assessment(index, pose, testimony, fitness, 0.05, 1.0, probes, hypothesis.origin)
+        return Assessment(
+            index, pose, testimony, fitness, 0.05, 1.0, probes, hypothesis.origin, target_probes_m=target_probes
+        )
 
     def fine(self):
         for target, source in self.pairs():
@@ -173,7 +175,13 @@ class _Run:
     def _registration(self, target: str, source: str, hypothesis: int) -> PairRegistration:
         refused = bool(self.refused & {target, source})
         fitness = 0.1 if refused else 0.8
-        doubt = Reason("too_little_overlap", 12.0, 50.0, "only 12 points lie on surfaces; expected 50")
+        best, other = finalists = self._finalists(target, source, hypothesis)
+        share = max(0.0, other.evidence / best.evidence)
+        doubts = (
+            Reason("too_little_overlap", 12.0, 50.0, "only 12 points lie on surfaces; expected 50"),
+            Reason("ambiguous", share, 0.7, f"another pose, 3.00 m and 180 deg away, has {share:.0%} of the evidence"),
+            Reason("not_observable", 0.04, 0.1, "the pose can slide along y: 0.04 points hold it"),
+        )
         steps = tuple(
             FineStep(3 * (k + 1), 2.0 / (k + 1), 100 + k, 10.0 / (k + 1), 0.1 / (k + 1), 0.01) for k in range(4)
         )
@@ -190,14 +198,19 @@ class _Run:
             hypothesis=hypothesis,
             hessian=np.eye(6),
             steps=steps,
-            assessments=(self._final(target, source, hypothesis),),
-            verdict=Verdict("reject", (doubt,)) if refused else Verdict("accept"),
+            assessments=finalists,
+            verdict=Verdict("reject", doubts) if refused else Verdict("accept"),
         )
 
-    def _final(self, target: str, source: str, hypothesis: int) -> Assessment:
+    def _finalists(self, target: str, source: str, hypothesis: int) -> tuple[Assessment, ...]:
         origin = PRIOR if self.prior is not None and hypothesis >= 0 else ""
-        judged = self._assessment(source, 0, Hypothesis(self.truth(target, source), np.zeros(0), 0.0, origin))
-        return replace(judged, hypothesis=hypothesis)
+        truth = self.truth(target, source)
+        turned = RigidTransform.from_xyz_rpy(target, target, (0.0, 0.0, 0.0), (0.0, 0.0, np.pi)) @ truth
+        first = self._assessment(source, 0, Hypothesis(truth, np.zeros(0), 0.0, origin))
+        return (
+            replace(first, hypothesis=hypothesis),
+            self._assessment(source, 1, Hypothesis(turned, np.zeros(0), 0.0, "")),
+        )
 
     def merge(self):
         yield events.TargetChosen(TARGET, "as asked for")
@@ -257,7 +270,10 @@ class _Run:
             return LidarPlacement(name, "stopped early as asked")
         if name in self.refused:
             return LidarPlacement(name, "its best registration has fitness 0.100, below 0.2")
-        return LidarPlacement(name, "placed", placed=True, T_target_source=TRUTH[name], fitness=0.8, rmse_m=0.06)
+        pose, covariance = TRUTH[name], np.diag([1e-8, 1e-8, 4e-8, 1e-6, 4e-6, 9e-6])
+        return LidarPlacement(
+            name, "placed", placed=True, T_target_source=pose, fitness=0.8, rmse_m=0.06, covariance=covariance
+        )
 
 
 def _world(random: np.random.Generator) -> np.ndarray:

@@ -73,7 +73,7 @@ def lasting_complaints(viewer: ViewerClient) -> list[tuple[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    ("outcome", "first", "timeline"), [("complete", "Result", "step"), ("partial", "Not placed", "iteration")]
+    ("outcome", "first", "timeline"), [("complete", "Result", "step"), ("partial", "Not placed: rear", "iteration")]
 )
 def test_no_view_of_any_tab_complains(viewer, recordings, outcome, first, timeline):
     wait_until_shown(viewer, recordings[outcome])

@@ -34,9 +34,9 @@ def test_every_finished_stage_can_be_read_and_nothing_is_half_written(tmp_path, 
     recording = Recording(tmp_path / "recording.partial.rrd")
     finished = [text for _, _, text in recording.log if text.endswith(" finished")]
     assert finished[-1] == "stage verify finished"
-    assert "/pairs/rear/top/judged/violate" in recording.entity_paths
+    assert "/pairs/rear/top/judged/violations" in recording.entity_paths
     assert "/lidars/top/raw" in recording.entity_paths
-    assert any("Hypotheses" in names for names in blueprint_names(tmp_path / "recording.partial.rrd"))
+    assert any("All pairs" in names for names in blueprint_names(tmp_path / "recording.partial.rrd"))
     assert "cut off after stage verify" in recording.last("/summary", "TextDocument:text")[0]
     told = explain_run(tmp_path)
     assert told.cause == "unfinished"

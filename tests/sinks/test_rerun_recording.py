@@ -60,16 +60,6 @@ def test_a_cloud_costs_12_bytes_a_point_and_one_colour(recordings):
     assert chunk.to_record_batch().column("Points3D:positions").nbytes < 12.5 * 1200
 
 
-def test_large_clouds_are_thinned_and_said_to_be(tmp_path):
-    path = tmp_path / "thin.rrd"
-    with RerunRecording(path, max_cloud_points=100) as observe:
-        for event in made_events():
-            observe(event)
-    recording = Recording(path)
-    assert len(recording.last("/lidars/top/raw", "Points3D:positions")) == 100
-    assert (0, "INFO", "top: 100 of 1,200 raw points are in this recording") in recording.log
-
-
 def test_the_source_cloud_is_logged_once_and_moved_by_its_frame(recordings):
     recording = Recording(recordings["complete"])
     assert len(recording.cells("/pairs/rear/top/source", "Points3D:positions")) == 1
@@ -124,24 +114,27 @@ def test_curves_run_over_iterations(recordings):
 
 def test_the_graph_carries_the_fitness(recordings):
     labels = Recording(recordings["partial"]).last("/merge/graph", "GraphNodes:labels")
-    assert labels == [*LIDARS, "0.80", "0.10"]
+    assert labels == [*LIDARS, "0.80 merged", "0.10 reject"]
 
 
-def test_the_fitness_matrix_and_its_table_agree(recordings):
+def test_the_matrices_and_the_table_of_pairs_agree(recordings):
     recording = Recording(recordings["partial"])
-    table = recording.last("/fitness/table", "TextDocument:text")[0]
-    assert "| rear | 0.100 | - | 0.100 |" in table
-    tensor = recording.last("/fitness", "Tensor:data")[0]
-    shares = np.asarray(tensor["buffer"], dtype=np.float32).reshape(tensor["shape"])
-    np.testing.assert_allclose(shares[1], [0.1, np.nan, 0.1], rtol=1e-6)
+    table = recording.last("/pair_figures", "TextDocument:text")[0]
+    doubts = "too little overlap, ambiguous, not observable"
+    assert f"| rear <- top | 80 | 80 | 200 | 0.100 | 0.938 | 1.1% | reject | {doubts} |" in table
+    for path, expected in (("/fitness", [0.1, np.nan, 0.1]), ("/coverage", [90 / 96, np.nan, 90 / 96])):
+        tensor = recording.last(path, "Tensor:data")[0]
+        shares = np.asarray(tensor["buffer"], dtype=np.float32).reshape(tensor["shape"])
+        np.testing.assert_allclose(shares[1], expected, rtol=1e-6)
+    assert recording.last("/verdicts/labels", "Points2D:labels")[:3] == ["accept", "reject", "reject"]
 
 
 def test_the_blueprint_opens_on_what_matters(recordings):
     complete, partial = (blueprint_names(recordings[status])[-1] for status in ("complete", "partial"))
     stages = {"Input", "Preprocess", "Features", "Correspond", "Coarse + verify", "Fine", "Merge", "Log"}
     assert stages | {"Result", "Merged cloud", "Summary"} <= complete
-    assert "Not placed" not in complete
-    assert stages | {"Not placed", "Result"} <= partial
+    assert not any(name.startswith("Not placed") for name in complete)
+    assert stages | {"Not placed: rear", "front left/1 <- rear, the other pose", "Scores", "Result"} <= partial
 
 
 def test_a_run_stopped_after_a_stage_is_whole_and_has_tabs_up_to_there(tmp_path):

@@ -17,6 +17,7 @@ from multilica_cli.options import (
     Preset,
     PriorSource,
     Quiet,
+    Record,
     Settings,
     Sources,
     Start,
@@ -69,6 +70,7 @@ def calibrate(
     ] = None,
     threads: Threads = None,
     ground: Annotated[bool, typer.Option("--ground", help="Estimate roll, pitch and z of the base frame too.")] = False,
+    record: Record = None,
     mcap_encoding: McapEncoding = "foxglove",
     quiet: Quiet = False,
     as_json: Json = False,
@@ -85,6 +87,7 @@ def calibrate(
         **ingest_options(topics, frames, start, window, window_s, strict=strict),
         "ground.enabled": ground or None,
         "runtime.threads": threads,
+        "record.detail": record,
     }
     config = resolve_config(preset, config_file, options, settings or ())
     found = find_snapshots(sources, config=config.ingest)

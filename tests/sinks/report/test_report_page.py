@@ -58,7 +58,7 @@ def test_the_same_run_makes_the_same_page(partial, text):
 def test_it_can_be_read_without_seeing_it(text):
     outline = Outline(text)
     pictures = outline.all("img")
-    assert len(pictures) == 5
+    assert len(pictures) == 6
     assert all(len(picture["alt"]) > 20 for picture in pictures)
     levels = [int(tag[1]) for tag, _ in outline.elements if re.fullmatch("h[1-6]", tag)]
     assert levels[0] == 1
