@@ -19,6 +19,7 @@ from foxglove.messages import (
     PointCloud,
     Pose,
     Quaternion,
+    SceneUpdate,
     Timestamp,
     Vector3,
 )
@@ -26,6 +27,8 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
+from multilica.sinks.drawing import Drawing
+from multilica.sinks.foxglove_scene import scene_update
 from multilica.sinks.mcap_messages import Message, MessageSchema
 from multilica.sinks.narration import LogLine
 from multilica.snapshot import Float32Array
@@ -70,6 +73,11 @@ class FoxgloveEncoding:
         )
         return Message(f"/lidar/{lidar}/points", _schema(PointCloud), cloud.encode(), {LIDAR_NAME_KEY: lidar})
 
+    def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> Message:
+        """``foxglove.SceneUpdate``, an entity per drawing."""
+        update = scene_update(drawings, _timestamp(stamp_ns))
+        return Message(topic, _schema(SceneUpdate), update.encode())
+
     def log(self, line: LogLine, stamp_ns: int) -> Message:
         """``foxglove.Log`` on `/log`."""
         entry = Log(
@@ -90,7 +98,9 @@ class FoxgloveEncoding:
         return Message("/metrics", schema, json.dumps(figures, allow_nan=False).encode())
 
 
-def _schema(kind: type[messages.FrameTransforms | messages.PointCloud | messages.Log]) -> MessageSchema:
+def _schema(
+    kind: type[messages.FrameTransforms | messages.PointCloud | messages.SceneUpdate | messages.Log],
+) -> MessageSchema:
     schema = kind.get_schema()
     return MessageSchema(schema.name, schema.encoding, schema.data, MessageEncoding.Protobuf)
 

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from mcap.writer import Writer
 
 from multilica.geometry import RigidTransform
+from multilica.sinks.drawing import Drawing
 from multilica.sinks.narration import LogLine
 from multilica.snapshot import Float32Array
 
@@ -51,6 +52,9 @@ class Encoding(Protocol):
 
     def cloud(self, lidar: str, points_m: Float32Array, stamp_ns: int) -> Message:
         """Points (N, 3) of a LiDAR in the frame of its name."""
+
+    def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> Message:
+        """Lines, ellipsoids and labels."""
 
     def log(self, line: LogLine, stamp_ns: int) -> Message:
         """A line of the log."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -17,8 +17,10 @@ from multilica.errors import UnknownNameError
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult
 from multilica.sinks.atomic import atomic_file
+from multilica.sinks.foxglove_layout import foxglove_layout
 from multilica.sinks.mcap_messages import Encoding, MessageWriter
 from multilica.sinks.narration import LogLine, narrate
+from multilica.sinks.result_drawings import result_drawings
 from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.thinning import sample_points
@@ -31,29 +33,32 @@ MCAP_ENCODINGS = ("foxglove", "ros2")
 
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000
+_MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html": "text/html"}
 # Readers take a time of zero for "unset".
 _STAMP_WITHOUT_CLOCK_NS = 10**9
 
 
 class ResultMcap:
-    """A sink that writes the calibrated clouds, transforms, log and metrics once the calibration has finished.
+    """A sink that writes the calibrated clouds, transforms, drawings, log and metrics of a finished calibration.
 
-    It is an observer within its `with` block. Nothing is on disk before the end, so nothing is left of a run that
-    was cut off.
+    It is an observer within its `with` block. The file is written when the block ends, so that it can hold what other
+    sinks wrote; nothing is left of a run that was cut off.
 
     Args:
         path: what lies there is replaced.
         encoding: ``foxglove`` (protobuf and JSON) or ``ros2`` (CDR).
+        attached: files that are attached if they are there, beside the configuration and the result.
 
     Raises:
         UnknownNameError: no such encoding.
     """
 
-    def __init__(self, path: Path, encoding: str = "foxglove") -> None:
+    def __init__(self, path: Path, encoding: str = "foxglove", attached: Sequence[Path] = ()) -> None:
         if encoding not in MCAP_ENCODINGS:
             raise UnknownNameError("MCAP encoding", encoding, MCAP_ENCODINGS)
         self.path = path
         self._encoding_name = encoding
+        self._attached = tuple(attached)
         self._story = RunStory()
         self._lines: list[LogLine] = []
 
@@ -61,17 +66,18 @@ class ResultMcap:
         return self
 
     def __call__(self, event: events.Event) -> None:
-        """Remember an event; write at the last one."""
+        """Remember an event."""
         self._story(event)
         self._lines += narrate(event)
-        if isinstance(event, events.CalibrationFinished):
-            with atomic_file(self.path) as file:
-                _write(file, self._story, self._lines, _encoding(self._encoding_name))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Nothing is open."""
+        """Write if the calibration has finished."""
+        if self._story.result is None:
+            return
+        with atomic_file(self.path) as file:
+            _write(file, self._story, self._lines, _encoding(self._encoding_name), self._attached)
 
 
 def _encoding(name: str) -> Encoding:
@@ -84,7 +90,7 @@ def _encoding(name: str) -> Encoding:
     return FoxgloveEncoding()
 
 
-def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Encoding) -> None:
+def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Encoding, attached: Sequence[Path]) -> None:
     """Transforms first, so that a reader in time order can place every cloud."""
     snapshot, result, document = story.snapshot, story.result, run_document(story)
     if snapshot is None or result is None or document is None:
@@ -95,19 +101,24 @@ def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Enco
     writer.add_metadata("multilica", _metadata(document))
     messages = MessageWriter(writer)
     messages.write(encoding.transforms(_static_poses(result), start_ns), start_ns)
-    for lidar in snapshot.lidars:
-        messages.write(encoding.cloud(lidar.name, _cloud(story, lidar), start_ns), start_ns)
+    clouds = {lidar.name: encoding.cloud(lidar.name, _cloud(story, lidar), start_ns) for lidar in snapshot.lidars}
+    for cloud in clouds.values():
+        messages.write(cloud, start_ns)
+    for topic, drawings in result_drawings(story, result).items():
+        messages.write(encoding.drawings(topic, drawings, start_ns), start_ns)
     for index, line in enumerate(lines):
         stamp_ns = start_ns + index * _LINE_SPACING_NS
         messages.write(encoding.log(line, stamp_ns), stamp_ns)
     messages.write(encoding.metrics(_metrics(document)), start_ns + len(lines) * _LINE_SPACING_NS)
-    _attach(writer, "config.toml", "application/toml", toml_text(document["config"]), start_ns)
-    _attach(writer, "result.json", "application/json", json.dumps(document, indent=2, allow_nan=False), start_ns)
+    texts = {
+        "config.toml": toml_text(document["config"]),
+        "result.json": json.dumps(document, indent=2, allow_nan=False),
+        "foxglove-layout.json": foxglove_layout(result.target, {name: cloud.topic for name, cloud in clouds.items()}),
+    }
+    found = {path.name: path.read_bytes() for path in attached if path.is_file()}
+    for name, data in ({name: text.encode("utf-8") for name, text in texts.items()} | found).items():
+        writer.add_attachment(start_ns, start_ns, name, _MEDIA_TYPES[Path(name).suffix], data)
     writer.finish()  # type: ignore[no-untyped-call]
-
-
-def _attach(writer: Writer, name: str, media_type: str, text: str, stamp_ns: int) -> None:
-    writer.add_attachment(stamp_ns, stamp_ns, name, media_type, text.encode("utf-8"))
 
 
 def _first_stamp_ns(snapshot: Snapshot) -> int:

@@ -15,8 +15,10 @@ from rosbags.typesys.store import Typestore
 
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, encode_points
+from multilica.sinks.drawing import Drawing
 from multilica.sinks.mcap_messages import Message, MessageSchema
 from multilica.sinks.narration import LogLine
+from multilica.sinks.ros2_markers import marker_array
 from multilica.sinks.ros2_qos import offered_qos
 from multilica.snapshot import Float32Array
 
@@ -64,6 +66,10 @@ class Ros2Encoding:
             is_dense=True,
         )
         return _message(f"/lidar/{self._topic_token(lidar)}/points", message, {LIDAR_NAME_KEY: lidar})
+
+    def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> Message:
+        """``visualization_msgs/msg/MarkerArray``, a namespace per drawing, latched for those who subscribe later."""
+        return _message(topic, marker_array(_store(), drawings, _time(stamp_ns)), durability=_TRANSIENT_LOCAL)
 
     def log(self, line: LogLine, stamp_ns: int) -> Message:
         """``rcl_interfaces/msg/Log`` on `/log`."""

@@ -25,6 +25,7 @@ __all__ = ["Run", "open_run"]
 _CONFIG = "config.toml"
 _RECORDING = "recording.rrd"
 _MCAP = "result.mcap"
+_ATTACHED = (CALIBRATION_TOML, REPORT_HTML)
 _CONFIG_HEADER = "# The resolved configuration of a multilica run; give it to --config to run the same again.\n"
 
 
@@ -113,9 +114,10 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
     """
     _prepare(out_dir)
     with ExitStack() as stack:
+        # Entered first, so closed last: it attaches what the others wrote.
+        mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding, [out_dir / name for name in _ATTACHED]))
         report = stack.enter_context(ReportFile(out_dir))
         recording = stack.enter_context(RerunRecording(out_dir / _RECORDING))
-        mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding))
         files = stack.enter_context(ResultFiles(out_dir))
         yield Run(out_dir, config, (recording, mcap, files, report))
 

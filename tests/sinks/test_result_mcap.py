@@ -30,6 +30,10 @@ FOXGLOVE_TOPICS = {
     "/lidar/front left/1/points": "foxglove.PointCloud",
     "/lidar/rear/points": "foxglove.PointCloud",
     "/lidar/top/points": "foxglove.PointCloud",
+    "/matches": "foxglove.SceneUpdate",
+    "/merge_graph": "foxglove.SceneUpdate",
+    "/fields_of_view": "foxglove.SceneUpdate",
+    "/uncertainty": "foxglove.SceneUpdate",
     "/log": "foxglove.Log",
     "/metrics": "multilica.Metrics",
 }
@@ -38,6 +42,10 @@ ROS2_TOPICS = {
     "/lidar/front_left_1/points": "sensor_msgs/msg/PointCloud2",
     "/lidar/rear/points": "sensor_msgs/msg/PointCloud2",
     "/lidar/top/points": "sensor_msgs/msg/PointCloud2",
+    "/matches": "visualization_msgs/msg/MarkerArray",
+    "/merge_graph": "visualization_msgs/msg/MarkerArray",
+    "/fields_of_view": "visualization_msgs/msg/MarkerArray",
+    "/uncertainty": "visualization_msgs/msg/MarkerArray",
     "/log": "rcl_interfaces/msg/Log",
     "/metrics": "std_msgs/msg/String",
 }
@@ -175,7 +183,7 @@ def test_the_reader_of_mcap_core_agrees(files, encoding):
     assert seen["topics"] == topics_of(files[encoding, "complete"])
     assert seen["counts"]["/lidar/top/points"] == 1
     assert seen["counts"]["/log"] > len(LIDARS)
-    assert seen["attachments"] == ["config.toml", "result.json"]
+    assert seen["attachments"] == ["config.toml", "result.json", "foxglove-layout.json"]
     assert seen["metadata"]["multilica"]["status"] == "complete"
 
 
@@ -188,11 +196,24 @@ def test_names_that_ros_spells_alike_keep_topics_of_their_own():
     assert encoding.cloud("front_left", np.zeros((1, 3), np.float32), STAMP_NS).topic == topics[1]
 
 
-def test_nothing_is_on_disk_before_the_end(tmp_path):
+def test_nothing_is_on_disk_of_a_run_that_did_not_finish(tmp_path):
     with ResultMcap(tmp_path / "result.mcap") as observe:
         for event in list(made_events())[:-1]:
             observe(event)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_others_wrote_is_attached_if_it_is_there(tmp_path):
+    report, missing = tmp_path / "report.html", tmp_path / "missing.html"
+    with ResultMcap(tmp_path / "result.mcap", attached=(report, missing)) as observe:
+        for event in made_events():
+            observe(event)
+        report.write_text("<html>the end</html>")
+    with (tmp_path / "result.mcap").open("rb") as file:
+        attachments = {one.name: one for one in make_reader(file).iter_attachments()}
+    assert attachments["report.html"].data == b"<html>the end</html>"
+    assert attachments["report.html"].media_type == "text/html"
+    assert "missing.html" not in attachments
 
 
 def test_an_unknown_encoding_is_refused_by_name(tmp_path):

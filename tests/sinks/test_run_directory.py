@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 
 import pytest
+from mcap.reader import make_reader
 
 from multilica import events
 from multilica.config import CalibrationConfig, load_config
@@ -33,6 +34,14 @@ def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
     names = ["calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"]
     assert [path.name for path in run.written] == names
     assert {path.name for path in (tmp_path / "deep" / "run").iterdir()} == set(names)
+
+
+def test_the_mcap_file_holds_what_the_others_wrote(tmp_path):
+    run_into(tmp_path)
+    with (tmp_path / "result.mcap").open("rb") as file:
+        attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
+    for name in ("calibration.toml", "report.html"):
+        assert attached[name] == (tmp_path / name).read_bytes()
 
 
 def test_the_resolved_configuration_can_be_given_back(tmp_path):

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A layout that shows a result.mcap in Foxglove."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from multilica.sinks.palette import distinct_colours
+from multilica.sinks.result_drawings import DRAWING_TOPICS
+
+__all__ = ["foxglove_layout"]
+
+_SCENE, _LOG, _METRICS = "3D!multilica", "RosOut!multilica", "RawMessages!multilica"
+_AT_FIRST = {"/matches": False}
+"""Hidden until asked for: hundreds of lines."""
+
+
+def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
+    """JSON for "Import from file": clouds in the LiDARs' colours and drawings in one scene, beside it log and metrics.
+
+    Args:
+        target: the LiDAR whose frame the scene follows.
+        cloud_topics: of every LiDAR, in order.
+    """
+    layout = {
+        "configById": {
+            _SCENE: _scene(target, cloud_topics),
+            _LOG: {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"},
+            _METRICS: {"topicPath": "/metrics", "diffEnabled": False},
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {
+            "direction": "row",
+            "first": _SCENE,
+            "second": {"direction": "column", "first": _METRICS, "second": _LOG, "splitPercentage": 50},
+            "splitPercentage": 70,
+        },
+    }
+    return json.dumps(layout, indent=2, ensure_ascii=False) + "\n"
+
+
+def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
+    colours = distinct_colours(tuple(cloud_topics))
+    clouds = {
+        topic: {
+            "visible": True,
+            "colorMode": "flat",
+            "flatColor": "#{:02x}{:02x}{:02x}".format(*colours[name]),
+            "pointSize": 2,
+        }
+        for name, topic in cloud_topics.items()
+    }
+    drawings = {topic: {"visible": _AT_FIRST.get(topic, True)} for topic in DRAWING_TOPICS}
+    return {
+        "followMode": "follow-pose",
+        "followTf": target,
+        "scene": {"transforms": {"showLabel": True, "axisScale": 0.5}},
+        "cameraState": {"perspective": True, "distance": 30, "phi": 55, "thetaOffset": 45, "targetOffset": [0, 0, 0]},
+        "topics": {**clouds, **drawings},
+        "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 40, "divisions": 40}},
+    }
