@@ -7,7 +7,18 @@ import os
 import sys
 from importlib import import_module
 
-MEASUREMENTS = ("real_scans", "simulated", "blind", "speed", "repeat", "harder", "causes", "crash", "ingest")
+MEASUREMENTS = (
+    "real_scans",
+    "simulated",
+    "blind",
+    "speed",
+    "repeat",
+    "harder",
+    "causes",
+    "crash",
+    "ingest",
+    "recording",
+)
 ON_REQUEST = ("paper", "fuzz")
 
 
