@@ -178,7 +178,7 @@ class VerifyConfig(Section):
         1.0, description="a pose that is not firmly held is tried so far along its weakest direction, too"
     )
     slides: int = Field(6, ge=0, description="number of such steps to either side: repeating facades look alike there")
-    finalists: Count = Field(5, description="distinct answers that are registered more finely")
+    finalists: Count = Field(8, description="distinct answers that are registered more finely")
     finalist_points: Count = Field(10_000, description="points per LiDAR of that registration")
     final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
     final_tolerance_deg: float = Field(0.2, gt=0.0, description="as tolerance_deg, for the finely registered")

@@ -69,7 +69,7 @@ class Ros2Encoding:
 
     def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> Message:
         """``visualization_msgs/msg/MarkerArray``, a namespace per drawing, latched for those who subscribe later."""
-        return _message(topic, marker_array(_store(), drawings, _time(stamp_ns)), durability=_TRANSIENT_LOCAL)
+        return _message(topic, marker_array(_store(), drawings, _time(stamp_ns)), latched=True)
 
     def log(self, line: LogLine, stamp_ns: int) -> Message:
         """``rcl_interfaces/msg/Log`` on `/log`."""

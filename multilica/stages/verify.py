@@ -106,12 +106,11 @@ def _rivals(
 def _slid(best: Assessment, config: VerifyConfig) -> list[RigidTransform]:
     """The pose shifted along its weakest direction: where facades or pillars repeat, the true one may be steps away."""
     pose, shift_m = best.T_target_source, config.slide_step_m * best.testimony.slide_direction
+    positions_m = [pose.xyz_m + side * step * shift_m for step in range(1, config.slides + 1) for side in (-1.0, 1.0)]
     return [
-        RigidTransform.from_rotation_translation(
-            pose.target, pose.source, pose.rotation, pose.xyz_m + side * step * shift_m
-        )
-        for step in range(1, config.slides + 1)
-        for side in (-1.0, 1.0)
+        RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
+        for xyz_m in positions_m
+        if np.linalg.norm(xyz_m) <= config.rival_reach_m
     ]
 
 
