@@ -126,6 +126,7 @@ class _Run:
     coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
     assessments: dict[PairKey, tuple[Assessment, ...]] = field(default_factory=dict)
     witnesses: dict[str, Witness] = field(default_factory=dict)
+    sides: dict[str, Side] = field(default_factory=dict)
     registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
     target: str = ""
     target_reason: str = ""
@@ -235,11 +236,11 @@ class _Run:
             self.observe(events.HypothesesAssessed(*pair, self.assessments[pair]))
 
     def _fine(self) -> None:
-        sides = {name: self._side(Group.of_one(name)) for name in self.clouds}
+        self.sides = {name: self._side(Group.of_one(name)) for name in self.clouds}
         for pair in self._pairs():
             candidates = self._candidates(pair)
             if candidates:
-                self.registrations[pair] = self._register(sides[pair[0]], sides[pair[1]], candidates)
+                self.registrations[pair] = self._register(self.sides[pair[0]], self.sides[pair[1]], candidates)
         self._doubt_by_symmetry()
 
     def _doubt_by_symmetry(self) -> None:
@@ -337,10 +338,22 @@ class _Run:
     def _refine(self) -> None:
         if not self.config.refine.enabled or self.group is None:
             return
+        if self.config.verify.enabled:
+            self._close_loops(self.group)
         rig = refine(self.target, self.group.poses, self._trusted_pairs(), self.config.refine)
         self.group = Group(self.target, rig.poses)
         self.covariances, self.refinement = rig.covariances, rig.refinement
         self.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
+
+    def _close_loops(self, group: Group) -> None:
+        """Register placed pairs that were not accepted from where the rig puts them; the search may have missed it."""
+        for pair in self._pairs():
+            before = self.registrations.get(pair)
+            if set(pair) <= set(group.poses) and (before is None or not before.verdict.accepted):
+                placed = group.poses[pair[0]].inverse() @ group.poses[pair[1]]
+                after = self._register(self.sides[pair[0]], self.sides[pair[1]], [Candidate(placed, -1)])
+                if after.verdict.accepted:
+                    self.registrations[pair] = after
 
     def _trusted_pairs(self) -> list[PairRegistration]:
         """The accepted pairs of single LiDARs, with the merges that joined what no such pair joins."""

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from multilica import events
+from multilica import events, pipeline
 from multilica.config import STAGES, CalibrationConfig, preset, with_overrides
 from multilica.errors import UnfitSnapshotError, UnknownNameError
 from multilica.pipeline import calibrate
@@ -51,6 +52,21 @@ def _assert_true(result, truth):
         metres, radians = placement.T_target_source.distance_to(truth.between(result.target, placement.lidar))
         assert metres < _GOOD_M, (placement.lidar, metres)
         assert radians < _GOOD_RAD, (placement.lidar, radians)
+
+
+def test_a_pair_that_the_search_missed_closes_its_loop_from_the_rig(monkeypatch):
+    find = pipeline.find_hypotheses
+
+    def blind_to_left_and_top(matches, *rest):
+        found = find(matches, *rest)
+        missed = {matches.target, matches.source} == {"left", "top"}
+        return replace(found, hypotheses=()) if missed else found
+
+    monkeypatch.setattr(pipeline, "find_hypotheses", blind_to_left_and_top)
+    result, _ = _watched(_sides().snapshot)
+    assert {(edge.target, edge.source) for edge in result.refinement.edges} >= {("top", "left")}
+    assert len(result.refinement.edges) == 3
+    _assert_true(result, _sides().truth)
 
 
 def test_in_a_garage_that_looks_the_same_turned_around_nothing_is_placed():
