@@ -33,7 +33,6 @@ from multilica.results import (
     Refinement,
     Refusal,
     SensorHealth,
-    Testimony,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
@@ -53,6 +52,7 @@ from multilica.stages.stillness import detect_motion, explain_motion
 from multilica.stages.symmetry import doubt_by_symmetry
 from multilica.stages.verify import assess_hypotheses, short_gicp
 from multilica.stages.witness import Witness, judge, prepare_witness
+from multilica.testimony import Testimony
 
 __all__ = ["calibrate"]
 

@@ -13,7 +13,6 @@ from multilica.results import (
     LidarPlacement,
     MergeDecision,
     PairKey,
-    Testimony,
 )
 from multilica.sinks.explanation_markdown import explanation_markdown
 from multilica.sinks.markdown import escaped, markdown_table
@@ -21,6 +20,7 @@ from multilica.sinks.narration import pair_label
 from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.uncertainty import SHOWN_ELLIPSOID_SCALE, SIGMAS
+from multilica.testimony import Testimony
 
 __all__ = ["decisions_markdown", "hypotheses_markdown", "summary_markdown"]
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from multilica.config import MergeConfig, VerifyConfig
 from multilica.geometry import FloatArray
-from multilica.results import Assessment, PairRegistration, Reason, Testimony, Verdict
+from multilica.results import Assessment, PairRegistration, Reason, Verdict
+from multilica.testimony import Testimony
 
 __all__ = ["decide", "decide_by_fitness", "standing_rivals"]
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import PairRegistration, Reason, Testimony, Verdict
+from multilica.results import PairRegistration, Reason, Verdict
 from multilica.stages.decide import standing_rivals
+from multilica.testimony import Testimony
 
 __all__ = ["doubt_by_symmetry"]
 

@@ -11,9 +11,10 @@ from scipy.spatial import cKDTree
 
 from multilica.config import VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import LEVER_ARM_M, BoolArray, PreprocessedCloud, Testimony
+from multilica.results import BoolArray, PreprocessedCloud
 from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_beam_image, label_points
 from multilica.stages.voxel_grid import thin
+from multilica.testimony import LEVER_ARM_M, Testimony
 
 __all__ = ["PlacedWitness", "Witness", "judge", "prepare_witness"]
 

@@ -32,10 +32,10 @@ from multilica.results import (
     PreprocessedCloud,
     Reason,
     Refinement,
-    Testimony,
     Verdict,
 )
 from multilica.snapshot import LidarScans, Scan, Snapshot
+from multilica.testimony import Testimony
 
 __all__ = ["LIDARS", "STAMP_NS", "TRUTH", "UNPLACED", "made_events"]
 

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from multilica import results
+from multilica import testimony
 from multilica.config import MergeConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import Assessment, PairRegistration
@@ -20,8 +20,8 @@ def _answer(pose=_POSE, *, agree=1000, violate=0, plane=400.0, held_by=50.0, cur
     """
     rest = plane / 2.0
     information = np.diag([held_by, rest, rest, rest, rest, plane])
-    testimony = results.Testimony(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8), *structure)
-    return Assessment(0, pose, testimony, 0.8, 0.03, curvature, np.zeros((0, 3)))
+    said = testimony.Testimony(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8), *structure)
+    return Assessment(0, pose, said, 0.8, 0.03, curvature, np.zeros((0, 3)))
 
 
 def _codes(verdict):

@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica import results
+from multilica import testimony
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import Assessment, PairRegistration, Verdict
@@ -20,7 +20,7 @@ def _pose(target, source, x_m=1.0, yaw_rad=0.3):
 
 
 def _testimony(agree=1000, violate=0):
-    return results.Testimony(
+    return testimony.Testimony(
         agree, violate, 0, 0, np.diag([50.0, 200, 200, 200, 200, 400]), np.zeros(0, dtype=np.uint8)
     )
 

@@ -6,9 +6,10 @@ import pytest
 
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import LEVER_ARM_M, PreprocessedCloud
+from multilica.results import PreprocessedCloud
 from multilica.stages.beam_image import BeamLabel
 from multilica.stages.witness import judge, prepare_witness
+from multilica.testimony import LEVER_ARM_M
 from tests.unit.made_rooms import HALL, Face, Foliage, box, scan
 
 _CONFIG = VerifyConfig()
