@@ -171,32 +171,43 @@ class VerifyConfig(Section):
     settled_after: Count = Field(
         6, ge=2, description="distinct answers that are tried before the search may stop early"
     )
+    settled_after_firm: Count = Field(3, ge=2, description="the same where the best of them is firmly held")
     settled_ratio: Share = Field(0.5, description="it stops if the runner-up has at most this share of the evidence")
     rivals: int = Field(6, ge=0, description="poses turned by right angles that are tried against the best")
     rival_reach_m: PositiveMetres = Field(15.0, description="no farther apart are two LiDARs of one vehicle")
+    loose_reach_m: PositiveMetres = Field(
+        5.0,
+        description="the same for a pose that is not firmly held: a chance agreement may be anywhere, a car is short",
+    )
     slide_step_m: PositiveMetres = Field(
         1.0, description="a pose that is not firmly held is tried so far along its weakest direction, too"
     )
     slides: int = Field(6, ge=0, description="number of such steps to either side: repeating facades look alike there")
     finalists: Count = Field(8, description="distinct answers that are registered more finely")
+    hopeless_evidence: PositiveMetres = Field(
+        300.0, description="one that is so much behind the best, and by more than the best has, is not registered"
+    )
     finalist_points: Count = Field(10_000, description="points per LiDAR of that registration")
     final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
     final_tolerance_deg: float = Field(0.2, gt=0.0, description="as tolerance_deg, for the finely registered")
     min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
-    max_violation_share: Share = Field(0.01, description="share of points in proven-empty space that can be chance")
+    max_violation_share: Share = Field(
+        0.005, description="share of points in proven-empty space that can be chance: foliage, glass, what moved"
+    )
+    max_violation_share_firm: Share = Field(0.01, description="the same where the pose is firmly held")
     max_runner_up: Share = Field(0.7, description="share of the evidence that another distinct pose may have")
     max_equal: Share = Field(
         0.25, description="the same of a pose that would be accepted by itself: it may have less of the scene in view"
     )
     alike: Share = Field(0.8, description="such a pose explains at least this share of what the best explains")
     min_evidence: Metres = Field(
-        60.0, description="distinctive agreement that explains the view, less violations, that a pose needs"
+        35.0, description="distinctive agreement that explains the view, less violations, that a pose needs"
     )
     min_curvature: Metres = Field(0.2, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm")
-    min_held_by: Metres = Field(0.1, description="points that hold the pose in its weakest direction, 10 m lever arm")
-    firmly_held_by: Metres = Field(20.0, description="with so many, parallax and clutter need no further explanation")
+    min_held_by: Metres = Field(0.12, description="points that hold the pose in its weakest direction, 10 m lever arm")
+    firmly_held_by: Metres = Field(8.0, description="with so many, parallax and clutter need no further explanation")
     min_explained: Share = Field(
-        0.4,
+        0.6,
         description="share of the structure in view that must be on measured surfaces, not hidden or in empty space",
     )
     min_explained_firm: Share = Field(0.1, description="the same where the pose is firmly held")

@@ -17,6 +17,8 @@ FloatArray = npt.NDArray[np.float64]
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 _ORTHONORMAL_TOLERANCE = 1e-6
+_IDENTITY = np.eye(3)
+_LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def read_only(array: npt.ArrayLike, dtype: type[ScalarT]) -> npt.NDArray[ScalarT]:
@@ -43,7 +45,9 @@ def skew(vectors: FloatArray) -> FloatArray:
 
 def rotation_angle_rad(rotation: FloatArray) -> float:
     """Angle of a rotation matrix (3, 3), in radians; exact for small angles too."""
-    return float(Rotation.from_matrix(rotation).magnitude())
+    half_sine = np.sqrt(max(0.0, float(np.sum((rotation - _IDENTITY) ** 2)))) / np.sqrt(8.0)
+    half_cosine = np.sqrt(max(0.0, 1.0 + float(np.trace(rotation)))) / 2.0
+    return float(2.0 * np.arctan2(half_sine, half_cosine))
 
 
 def rotation_vector_rad(rotation: FloatArray) -> FloatArray:
@@ -72,13 +76,13 @@ class RigidTransform:
         matrix = np.array(self.matrix, dtype=np.float64, copy=True)
         if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
             raise ValueError(f"expected a finite 4x4 matrix, found shape {matrix.shape}")
-        if not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=_ORTHONORMAL_TOLERANCE):
+        if np.abs(matrix[3] - _LAST_ROW).max() > _ORTHONORMAL_TOLERANCE:
             raise ValueError(f"expected the last row 0 0 0 1, found {matrix[3]}")
         rotation = matrix[:3, :3]
-        residual = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        residual = np.abs(rotation @ rotation.T - _IDENTITY).max()
         if residual > _ORTHONORMAL_TOLERANCE or np.linalg.det(rotation) < 0.0:
             raise ValueError(f"expected a rotation, found a matrix off by {residual:.2g}")
-        matrix[3] = [0.0, 0.0, 0.0, 1.0]
+        matrix[3] = _LAST_ROW
         matrix.setflags(write=False)
         object.__setattr__(self, "matrix", matrix)
 
@@ -94,7 +98,7 @@ class RigidTransform:
         """From a rotation matrix (3, 3) and a translation (3,); the rotation is made orthonormal first."""
         u, _, vt = np.linalg.svd(np.asarray(rotation, dtype=np.float64))
         matrix = np.eye(4)
-        matrix[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+        matrix[:3, :3] = (u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
         matrix[:3, 3] = translation_m
         return cls(target, source, matrix)
 

@@ -236,7 +236,8 @@ class _Run:
             self.observe(events.HypothesesAssessed(*pair, self.assessments[pair]))
 
     def _fine(self) -> None:
-        self.sides = {name: self._side(Group.of_one(name)) for name in self.clouds}
+        for name in self.clouds:
+            self.sides[name] = self._side(Group.of_one(name))
         for pair in self._pairs():
             candidates = self._candidates(pair)
             if candidates:
@@ -260,10 +261,15 @@ class _Run:
 
     def _candidates(self, pair: PairKey) -> list[Candidate]:
         if self.config.verify.enabled:
-            return [Candidate(each.T_target_source, each.hypothesis, each.origin) for each in self.assessments[pair]]
+            return [
+                Candidate(each.T_target_source, each.hypothesis, each.origin, each.evidence)
+                for each in self.assessments[pair]
+            ]
         return [Candidate(each.T_target_source, index) for index, each in enumerate(self.coarse[pair].hypotheses)]
 
     def _side(self, group: Group) -> Side:
+        if len(group.poses) == 1 and group.root in self.sides:
+            return self.sides[group.root]
         points_m = self._merged_points(group)
         cloud = prepare_registration_cloud(group.root, points_m, self.config.fine, self._threads)
         drafting = self.config.fine.model_copy(update={"max_points": self.config.verify.finalist_points})

@@ -21,9 +21,11 @@ VIOLATION_WEIGHT = 30.0
 STRUCTURE_VIOLATION_WEIGHT = 60.0
 """The same among points off the commonest plane, of which a wrong pose on the ground has few that count at all."""
 
-STRAY_POINTS, STRAY_SHARE = 2, 0.001
-"""So many points in empty space happen by chance: on any structure, and as a share of all that agree."""
+STRAY_SHARE = 0.003
+"""So many points in empty space, as a share of all that agree, happen by chance: foliage, glass, what moved."""
 
+STRAY_STRUCTURE_POINTS, STRAY_STRUCTURE_SHARE = 2, 0.001
+"""The same of points off the commonest plane, of which there are fewer: a number, and a share of all that agree."""
 
 FEW_POINTS = 5
 """Shares of structure begin at one and need some points to fall."""
@@ -45,6 +47,8 @@ class Testimony:
         structure_agree, structure_violate, structure_occluded: the same counts over structure alone: closed surfaces
             off the commonest orientation, so walls and vehicles, not the ground.
         target_labels: (M,) `BeamLabel` of each probe of the target, by the source's beams.
+        seen_through_m: distance at which the beams of one side pass through the place of the other's sensor and
+            through all around it, so that nothing can carry a sensor there; 0 where they do not.
     """
 
     agree: int
@@ -57,6 +61,7 @@ class Testimony:
     structure_violate: int = 0
     structure_occluded: int = 0
     target_labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
+    seen_through_m: float = 0.0
 
     @property
     def weakest_direction(self) -> FloatArray:
@@ -83,7 +88,8 @@ class Testimony:
     def evidence(self) -> float:
         """Distinctive agreement, weighed by what is not hidden, less what contradicts it; poses rank by it."""
         against = max(0.0, self.violate - STRAY_SHARE * self.agree)
-        return self.distinctive * self.shared_share - VIOLATION_WEIGHT * against
+        weighed = self.distinctive * self.shared_share - VIOLATION_WEIGHT * against
+        return min(weighed, 0.0) if self.seen_through_m else weighed
 
     @property
     def held_by(self) -> float:
@@ -102,7 +108,7 @@ class Testimony:
 
         Sensors of one vehicle see the world from nearly the same place: little of it is hidden from one of them alone.
         """
-        violate = max(0.0, self.structure_violate - STRAY_POINTS - STRAY_SHARE * self.agree)
+        violate = max(0.0, self.structure_violate - STRAY_STRUCTURE_POINTS - STRAY_STRUCTURE_SHARE * self.agree)
         against = self.structure_occluded + STRUCTURE_VIOLATION_WEIGHT * violate
         agree = self.structure_agree + FEW_POINTS
         return agree / (agree + against)

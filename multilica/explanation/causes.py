@@ -15,9 +15,11 @@ _BY_CODE: Sequence[tuple[str, Cause]] = (
     ("too_little_overlap", "no_overlap"),
     ("too_little_evidence", "no_overlap"),
     ("empty_space_violated", "contradiction"),
+    ("place_proven_empty", "contradiction"),
     ("ambiguous", "ambiguous"),
     ("not_observable", "not_observable"),
     ("structure_unexplained", "unexplained"),
+    ("too_far_apart", "unexplained"),
     ("low_fitness", "low_fitness"),
 )
 """The first code that a verdict has decides."""

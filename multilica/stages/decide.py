@@ -12,17 +12,18 @@ from multilica.geometry import FloatArray
 from multilica.results import Assessment, PairRegistration, Reason, Verdict
 from multilica.testimony import Testimony
 
-__all__ = ["decide", "decide_by_fitness", "standing_rivals"]
+__all__ = ["decide", "decide_by_fitness", "max_violation_share", "standing_rivals"]
 
 
 def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
     """Judge the best of the distinct answers that were registered finely, the one with the most evidence first.
 
-    Reject: too little surface in common, or points in space that beams proved empty. Undecided: another distinct
-    answer explains nearly as much, the pose can slide without the fit getting worse, or much of the structure in view
-    is left unexplained.
+    Reject: too little surface in common, or points, or a LiDAR, in space that beams proved empty. Undecided: another
+    distinct answer explains nearly as much, the pose can slide without the fit getting worse, much of the structure in
+    view is left unexplained, or the LiDARs would be farther apart than the vehicle is long.
     """
     best = finalists[0].testimony
+    violation_limit = max_violation_share(best, config)
     against = [
         _check(
             "too_little_overlap",
@@ -34,10 +35,18 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
         _check(
             "empty_space_violated",
             best.violation_share,
-            config.max_violation_share,
+            violation_limit,
             f"{best.violation_share:.1%} of the points stand in space that the other sensor's beams passed through; "
-            f"at most {config.max_violation_share:.1%} can be chance",
-            failed=best.violation_share > config.max_violation_share,
+            f"at most {violation_limit:.1%} can be chance",
+            failed=best.violation_share > violation_limit,
+        ),
+        _check(
+            "place_proven_empty",
+            best.seen_through_m,
+            0.0,
+            f"the beams of one pass through the place of the other, {best.seen_through_m:.1f} m away, and through all "
+            "around it, where nothing could carry a LiDAR",
+            failed=best.seen_through_m > 0.0,
         ),
         _check(
             "too_little_evidence",
@@ -52,6 +61,7 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
         _ambiguity(finalists, config),
         _observability(finalists[0], config),
         _explanation(finalists[0].testimony, config),
+        _distance(finalists[0], config),
     ]
     reasons = tuple(reason for reason in (*against, *doubts) if reason is not None)
     if any(reason in reasons for reason in against):
@@ -67,6 +77,11 @@ def decide_by_fitness(registration: PairRegistration, config: MergeConfig) -> Ve
     return Verdict("reject", (Reason("low_fitness", registration.fitness, config.fitness_threshold, text),))
 
 
+def max_violation_share(testimony: Testimony, config: VerifyConfig) -> float:
+    """The share of points in proven-empty space that can be chance; a loosely held pose finds fits by chance, too."""
+    return config.max_violation_share_firm if _is_firm(testimony, config) else config.max_violation_share
+
+
 def standing_rivals(finalists: Sequence[Assessment], config: VerifyConfig) -> list[Assessment]:
     """The distinct poses beside the best that would be believed if the best were not known."""
     if len(finalists) < 2 or finalists[0].evidence <= 0:
@@ -77,6 +92,10 @@ def standing_rivals(finalists: Sequence[Assessment], config: VerifyConfig) -> li
         for rival in rivals
         if rival.evidence > config.max_equal * best.evidence and _stands_by_itself(rival, best, config)
     ]
+
+
+def _is_firm(testimony: Testimony, config: VerifyConfig) -> bool:
+    return testimony.held_by >= config.firmly_held_by
 
 
 def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason | None:
@@ -101,7 +120,7 @@ def _stands_by_itself(rival: Assessment, best: Assessment, config: VerifyConfig)
     """Whether the rival would be believed if the best were not known: it may just have less of the scene in view."""
     return (
         rival.testimony.agree >= config.min_agree
-        and rival.testimony.violation_share <= config.max_violation_share
+        and rival.testimony.violation_share <= max_violation_share(rival.testimony, config)
         and rival.testimony.explained_share >= config.alike * best.testimony.explained_share
         and rival.testimony.held_by >= config.min_held_by
         and rival.weakest_curvature >= config.min_curvature
@@ -129,8 +148,7 @@ def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:
 
 
 def _explanation(best: Testimony, config: VerifyConfig) -> Reason | None:
-    firm = best.held_by >= config.firmly_held_by
-    limit = config.min_explained_firm if firm else config.min_explained
+    limit = config.min_explained_firm if _is_firm(best, config) else config.min_explained
     return _check(
         "structure_unexplained",
         best.explained_share,
@@ -139,6 +157,19 @@ def _explanation(best: Testimony, config: VerifyConfig) -> Reason | None:
         f"measured, {best.structure_occluded} are hidden and {best.structure_violate} stand in empty space: "
         f"{best.explained_share:.0%} are explained; expected {limit:.0%}",
         failed=best.explained_share < limit,
+    )
+
+
+def _distance(best: Assessment, config: VerifyConfig) -> Reason | None:
+    limit_m = config.rival_reach_m if _is_firm(best.testimony, config) else config.loose_reach_m
+    distance_m = float(np.linalg.norm(best.T_target_source.xyz_m))
+    return _check(
+        "too_far_apart",
+        distance_m,
+        limit_m,
+        f"the LiDARs would be {distance_m:.1f} m apart; a pose that {best.testimony.held_by:.1f} points hold is "
+        f"believed up to {limit_m:g} m",
+        failed=distance_m > limit_m,
     )
 
 

@@ -37,11 +37,12 @@ class Side:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """A pose to start from, with index and origin of the hypothesis behind it."""
+    """A pose to start from, with index and origin of the hypothesis behind it, and its evidence where that is known."""
 
     T_target_source: RigidTransform
     hypothesis: int
     origin: str = ""
+    evidence: float | None = None
 
 
 def register_best(
@@ -83,12 +84,20 @@ def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], veri
     for candidate in candidates:
         if is_distinct(candidate.T_target_source, [other.T_target_source for other in distinct]):
             distinct.append(candidate)
+    if len(distinct) == 1:
+        return distinct
+    evidence = [_evidence(target, source, candidate, verify) for candidate in distinct]
+    ranked = sorted(range(len(distinct)), key=lambda index: -evidence[index])[: verify.finalists]
+    best = evidence[ranked[0]]
+    worst = best - max(abs(best), verify.hopeless_evidence)
+    return [distinct[index] for index in ranked if index == ranked[0] or evidence[index] > worst]
 
-    def evidence(candidate: Candidate) -> float:
-        pose = candidate.T_target_source
-        return judge(target.witnesses, source.witnesses, pose, verify.tolerance_m, verify.tolerance_deg).evidence
 
-    return sorted(distinct, key=lambda candidate: -evidence(candidate))[: verify.finalists]
+def _evidence(target: Side, source: Side, candidate: Candidate, verify: VerifyConfig) -> float:
+    if candidate.evidence is not None:
+        return candidate.evidence
+    pose = candidate.T_target_source
+    return judge(target.witnesses, source.witnesses, pose, verify.tolerance_m, verify.tolerance_deg).evidence
 
 
 def _assess(

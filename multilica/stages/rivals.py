@@ -50,14 +50,14 @@ def turned_rivals(
     found: list[tuple[float, RigidTransform]] = []
     for quarter in (1, 2, 3):
         turn = Rotation.from_rotvec(0.5 * np.pi * quarter * up).as_matrix()
-        overlap = _overlap(plan, seen_m @ turn.T @ across.T)
-        for cells, shift_m in _peaks(overlap, max(needed, 1.0)):
-            xyz_m = pose.xyz_m + shift_m @ across
-            if np.linalg.norm(xyz_m) <= reach_m:
-                rotation = turn @ pose.rotation
-                found.append(
-                    (cells, RigidTransform.from_rotation_translation(pose.target, pose.source, rotation, xyz_m))
-                )
+        cells, shifts_m = _maxima(_overlap(plan, seen_m @ turn.T @ across.T), max(needed, 1.0))
+        positions_m = pose.xyz_m + shifts_m @ across
+        near = np.flatnonzero(np.linalg.norm(positions_m, axis=1) <= reach_m)
+        for index in near[_apart(shifts_m[near], most)]:
+            rival = RigidTransform.from_rotation_translation(
+                pose.target, pose.source, turn @ pose.rotation, positions_m[index]
+            )
+            found.append((float(cells[index]), rival))
     return [rival for _, rival in sorted(found, key=lambda each: -each[0])[:most]]
 
 
@@ -81,15 +81,22 @@ def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArr
     return np.asarray(overlap, dtype=np.float64)
 
 
-def _peaks(overlap: FloatArray, needed: float) -> list[tuple[float, FloatArray]]:
-    """Local maxima with at least so many cells, each with its shift in metres."""
+def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]:
+    """Local maxima with at least so many cells: the cells (N,), most first, and the shifts (N, 2) in metres."""
     width = int(_APART_M / _CELL_M) + 1
     highest = ndimage.maximum_filter(overlap, width, mode="wrap")
     cells = np.argwhere((overlap >= highest - 0.5) & (overlap >= needed))
     cells = cells[np.argsort(-overlap[cells[:, 0], cells[:, 1]], kind="stable")]
-    kept: list[tuple[float, FloatArray]] = []
-    for cell in cells:
-        shift_m = np.asarray(_CELL_M * (((cell + _CELLS // 2) % _CELLS) - _CELLS // 2), dtype=np.float64)
-        if all(np.linalg.norm(shift_m - other) >= _APART_M for _, other in kept):
-            kept.append((float(overlap[tuple(cell)]), shift_m))
+    shifts_m = _CELL_M * (((cells + _CELLS // 2) % _CELLS) - _CELLS // 2).astype(np.float64)
+    return overlap[cells[:, 0], cells[:, 1]], shifts_m
+
+
+def _apart(shifts_m: FloatArray, most: int) -> list[int]:
+    """The first shifts of which none is near an earlier one."""
+    kept: list[int] = []
+    for index, shift_m in enumerate(shifts_m):
+        if len(kept) == most:
+            break
+        if np.all(np.linalg.norm(shifts_m[kept] - shift_m, axis=1) >= _APART_M):
+            kept.append(index)
     return kept

@@ -67,7 +67,7 @@ def _symmetries(pair: PairRegistration, lidar: str, config: VerifyConfig) -> Ite
 
 
 def _is_possible(testimony: Testimony, config: VerifyConfig) -> bool:
-    return testimony.violation_share <= config.max_violation_share
+    return testimony.violation_share <= config.max_violation_share_firm
 
 
 def _reason(pose: RigidTransform, rival: RigidTransform, witness: PairRegistration) -> Reason:

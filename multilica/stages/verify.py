@@ -10,6 +10,7 @@ import numpy as np
 from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import PRIOR, Assessment, CoarseResult, Hypothesis
+from multilica.stages.decide import max_violation_share
 from multilica.stages.gicp import register_narrower
 from multilica.stages.observability import weakest_curvature
 from multilica.stages.poses import is_distinct
@@ -145,12 +146,14 @@ def _assess(
 
 def _is_settled(found: Sequence[Assessment], config: VerifyConfig) -> bool:
     """Whether one answer stands out so far that the hypotheses left, which have fewer matches, need no trial."""
-    if len(found) < config.settled_after:
+    if len(found) < 2:
         return False
     best, second = sorted(found, key=lambda assessment: -assessment.evidence)[:2]
+    firm = best.testimony.held_by >= config.firmly_held_by
     return (
-        best.evidence > 0
+        len(found) >= (config.settled_after_firm if firm else config.settled_after)
+        and best.evidence > 0
         and second.evidence <= config.settled_ratio * best.evidence
-        and best.testimony.violation_share <= config.max_violation_share
+        and best.testimony.violation_share <= max_violation_share(best.testimony, config)
         and best.weakest_curvature >= 2.0 * config.min_curvature
     )

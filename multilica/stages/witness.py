@@ -18,9 +18,13 @@ from multilica.testimony import LEVER_ARM_M, Testimony
 
 __all__ = ["PlacedWitness", "Witness", "judge", "prepare_witness"]
 
-_SOLID_NEIGHBOURS = 30
+_SURFACE_VOXEL_M = 0.1
+_SURFACE_NEIGHBOURS = 40
 _SOLID_FLATNESS = 0.02
 _PLANE_WIDTH = 0.05
+_WIDER_THAN_THICK = 10.0
+_OWN_BODY_M = 3.0
+_CARRIED_M = 0.3
 _STRUCTURE = float(np.cos(np.deg2rad(45.0)))
 _GRAZING = float(np.sin(np.deg2rad(15.0)))
 
@@ -75,12 +79,17 @@ def judge(
     """
     ballots: list[_Ballot] = []
     shown: tuple[LabelArray, LabelArray] | None = None
+    seen_through_m = 0.0
     for T_target_member, target in targets:
         for T_source_member, source in sources:
             T_target_placed = T_target_source @ T_source_member
             pose = T_target_member.inverse() @ T_target_placed
             forth = _labels(target, source, pose, tolerance_m, tolerance_deg)
             back = _labels(source, target, pose.inverse(), tolerance_m, tolerance_deg)
+            if _sees_through(target, pose, tolerance_m, tolerance_deg) or _sees_through(
+                source, pose.inverse(), tolerance_m, tolerance_deg
+            ):
+                seen_through_m = max(seen_through_m, float(np.linalg.norm(pose.xyz_m)))
             ballots.append(_ballot(source, forth, T_target_placed))
             ballots.append(_ballot(target, back, T_target_member))
             shown = (forth, back) if shown is None else shown
@@ -101,6 +110,7 @@ def judge(
         structure_violate=structure[BeamLabel.VIOLATE],
         structure_occluded=structure[BeamLabel.OCCLUDED],
         target_labels=target_labels,
+        seen_through_m=seen_through_m,
     )
 
 
@@ -157,6 +167,19 @@ def _labels(
     return labels
 
 
+def _sees_through(beams: Witness, T_beams_other: RigidTransform, tolerance_m: float, tolerance_deg: float) -> bool:
+    """Whether beams pass through all around the place of another sensor, which nothing would carry there.
+
+    Over the vehicle's own body, near by, beams may graze what carries it.
+    """
+    place_m = T_beams_other.xyz_m
+    if beams.image is None or float(np.linalg.norm(place_m)) < _OWN_BODY_M:
+        return False
+    around_m = place_m + _CARRIED_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    labels = label_points(beams.image, around_m, tolerance_m, float(np.deg2rad(tolerance_deg)))
+    return bool(np.all(labels == BeamLabel.VIOLATE))
+
+
 def _opaque(image: BeamImage | None, probes_m: FloatArray, config: VerifyConfig) -> BoolArray:
     """Which probes the sensor's own beams confirm: of a fence or a pole, most beams nearby see what is behind it."""
     if image is None:
@@ -168,14 +191,17 @@ def _opaque(image: BeamImage | None, probes_m: FloatArray, config: VerifyConfig)
 def _surfaces(probes_m: FloatArray, points_m: FloatArray) -> tuple[BoolArray, FloatArray]:
     """Which probes have flat surroundings, as surfaces have and foliage has not, with their normals.
 
+    The surroundings are thinned first: in a dense cloud the nearest points lie within the range noise of each other.
     Neighbours on one line, a single ring of a sparse sensor, are flat yet have no normal.
     """
     if len(probes_m) == 0:
         return np.zeros(0, dtype=bool), np.zeros((0, 3))
-    _, index = cKDTree(points_m).query(probes_m, k=min(_SOLID_NEIGHBOURS, len(points_m)))
-    around = points_m[index.reshape(len(probes_m), -1)]
+    near_m = thin(points_m, _SURFACE_VOXEL_M)
+    _, index = cKDTree(near_m).query(probes_m, k=min(_SURFACE_NEIGHBOURS, len(near_m)))
+    around = near_m[index.reshape(len(probes_m), -1)]
     centred = around - around.mean(axis=1, keepdims=True)
     variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
     solid = np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))
-    spanned = solid & (variances[:, 1] >= _PLANE_WIDTH * variances[:, 2])
+    wide = variances[:, 1] >= np.maximum(_PLANE_WIDTH * variances[:, 2], _WIDER_THAN_THICK * variances[:, 0])
+    spanned = solid & wide
     return solid, np.where(spanned[:, None], axes[:, :, 0], 0.0)

@@ -26,11 +26,13 @@ Members = tuple[str, ...]
 _KINDS = {
     "too_little_overlap": "too little in common",
     "too_little_evidence": "too little in common",
+    "structure_unexplained": "too little in common",
     "not_observable": "other poses explain as much",
     "ambiguous": "other poses explain as much",
 }
-# The true pose puts nothing into empty space: a refusal of it for that reason is the stages' own fault.
-_NEVER_TRUE = "empty_space_violated"
+# The true pose puts nothing into empty space, and no LiDAR beside the vehicle: a refusal of it for such a reason is the
+# stages' own fault.
+_NEVER_TRUE = ("empty_space_violated", "place_proven_empty", "too_far_apart")
 
 
 @dataclass(slots=True)
@@ -80,7 +82,7 @@ def is_borne_out(refused_for: Iterable[str], trial: Trial) -> bool:
 
 
 def _kinds(codes: Iterable[str]) -> set[str]:
-    return {_KINDS.get(code, code) for code in codes if code != _NEVER_TRUE}
+    return {_KINDS.get(code, code) for code in codes if code not in _NEVER_TRUE}
 
 
 def try_truth(

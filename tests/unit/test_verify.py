@@ -64,15 +64,15 @@ def test_answers_are_distinct_and_in_the_order_of_their_evidence(sides):
 
 def test_once_an_answer_is_clearly_right_the_rest_is_left_out(sides):
     poses = [_near(_TRUTH), _near(_HALF_TURN), *(_near(_TRUTH, (0, 0, 0), yaw) for yaw in (0.8, 1.6, 2.4))]
-    every = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 50}))
-    early = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 2}))
+    every = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after_firm": 50}))
+    early = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after_firm": 2}))
     assert len(early) == 2 < len(every)
     assert early[0].T_target_source.matrix.tobytes() == every[0].T_target_source.matrix.tobytes()
 
 
 def test_the_search_goes_on_while_no_answer_is_right(sides):
     poses = [_near(_HALF_TURN), _near(_TRUTH, (0, 0, 0), 0.8), _near(_TRUTH)]
-    found = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 2}))
+    found = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 2, "settled_after_firm": 2}))
     assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
 
 
