@@ -13,7 +13,7 @@ __all__ = ["explain_run"]
 
 
 def explain_run(path: Path) -> Explanation:
-    """Explain a run directory, its `result.json`, or a recording, also one that was cut off.
+    """Explain a run directory, its `result.json`, a recording, also one that was cut off, or its `result.mcap`.
 
     Raises:
         SourceNotFoundError: nothing there, or a directory without a run.

@@ -16,6 +16,7 @@ from multilica.sinks.result_files import RESULT_JSON
 __all__ = ["RunDocument", "read_result_json", "read_run_document"]
 
 _RECORDINGS = ("recording.rrd", "recording.partial.rrd")
+_MCAPS = ("result.mcap", "result.partial.mcap")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,33 +35,58 @@ class RunDocument:
 
 
 def read_run_document(path: Path) -> RunDocument:
-    """Read a run directory, its `result.json`, or a recording, also one that was cut off.
+    """Read a run directory, its `result.json`, a recording, also one that was cut off, or its `result.mcap`.
 
     Raises:
         SourceNotFoundError: nothing there, or a directory without a run.
         UnreadableSourceError: damaged, or not of a run.
     """
     if not path.exists():
-        raise SourceNotFoundError(f"No run at {path}; give a run directory, its {RESULT_JSON} or a recording (.rrd).")
+        raise SourceNotFoundError(
+            f"No run at {path}; give a run directory, its {RESULT_JSON}, a recording (.rrd) or a result.mcap."
+        )
     if path.suffix == ".rrd":
-        return _of_recording(path, path)
+        return RunDocument(path, _recorded(path), path)
+    if path.suffix == ".mcap":
+        return RunDocument(path, _recorded(path), None)
     directory = path if path.is_dir() else path.parent
-    recording = next((directory / name for name in _RECORDINGS if (directory / name).exists()), None)
+    recording, mcap = _first_in(directory, _RECORDINGS), _first_in(directory, _MCAPS)
     file = path / RESULT_JSON if path.is_dir() else path
     if file.exists():
         return RunDocument(path, read_result_json(file), recording)
-    if recording is None:
+    left = [one for one in (recording, mcap) if one is not None]
+    if not left:
+        names = " nor ".join((*_RECORDINGS, *_MCAPS))
         raise SourceNotFoundError(
-            f"{path} is not the directory of a run: it has neither {RESULT_JSON} nor {' nor '.join(_RECORDINGS)}, "
+            f"{path} is not the directory of a run: it has neither {RESULT_JSON} nor {names}, "
             "which `multilica calibrate --out` leaves."
         )
-    return _of_recording(path, recording)
+    return RunDocument(path, _of_what_is_left(left), recording)
 
 
-def _of_recording(path: Path, recording: Path) -> RunDocument:
+def _first_in(directory: Path, names: tuple[str, ...]) -> Path | None:
+    return next((directory / name for name in names if (directory / name).exists()), None)
+
+
+def _of_what_is_left(files: list[Path]) -> dict[str, Any]:
+    """The document of the first that can be read: a run may have been killed while it began the other."""
+    first, *others = files
+    try:
+        return _recorded(first)
+    except UnreadableSourceError:
+        if not others:
+            raise
+        return _of_what_is_left(others)
+
+
+def _recorded(file: Path) -> dict[str, Any]:
+    if file.suffix == ".mcap":
+        from multilica.sinks.mcap_reading import read_attached_document
+
+        return _of_schema(file, read_attached_document(file))
     from multilica.sinks.rerun_reading import read_recorded_document
 
-    return RunDocument(path, _of_schema(recording, read_recorded_document(recording)), recording)
+    return _of_schema(file, read_recorded_document(file))
 
 
 def read_result_json(file: Path) -> dict[str, Any]:

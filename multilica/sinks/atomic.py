@@ -6,10 +6,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["atomic_file", "write_text_atomically"]
+__all__ = ["atomic_file", "begun_files", "partial_path", "write_text_atomically"]
 
 
 @contextmanager
@@ -28,6 +29,16 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def begun_files(path: Path) -> list[Path]:
+    """What processes that were killed left of a file that they were writing as `atomic_file`."""
+    return sorted(path.parent.glob(f".{escape(path.name)}.*.tmp"))
+
+
+def partial_path(path: Path) -> Path:
+    """What a file of a run is called until the run has ended: ``recording.rrd`` -> ``recording.partial.rrd``."""
+    return path.with_name(f"{path.stem}.partial{path.suffix}")
 
 
 def write_text_atomically(path: Path, text: str) -> None:

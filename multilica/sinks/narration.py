@@ -8,10 +8,11 @@ from functools import singledispatch
 from typing import Literal
 
 from multilica import events
+from multilica.errors import MultilicaError
 from multilica.results import PRIOR, Assessment, PairRegistration
 from multilica.sinks.prior_words import surprises
 
-__all__ = ["LogLevel", "LogLine", "narrate", "pair_label"]
+__all__ = ["LogLevel", "LogLine", "cause_of_end", "narrate", "narrate_end", "pair_label"]
 
 LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
 
@@ -29,6 +30,18 @@ class LogLine:
 def pair_label(target: str, source: str) -> str:
     """How a pair is called wherever people read it."""
     return f"{target} <- {source}"
+
+
+def narrate_end(error: BaseException | None) -> LogLine:
+    """What there is to say of a run that came to no result."""
+    return LogLine("ERROR", f"the run ended early: {cause_of_end(error)}")
+
+
+def cause_of_end(error: BaseException | None) -> str:
+    """Why a run came to no result, by what was raised."""
+    if error is None:
+        return "no result was reached"
+    return str(error) if isinstance(error, MultilicaError) else f"{type(error).__name__}: {error}".rstrip(": ")
 
 
 @singledispatch

@@ -11,8 +11,8 @@ from typing import Any, Self
 import rerun as rr
 
 from multilica import events
-from multilica.errors import MultilicaError
-from multilica.sinks.narration import LogLine, narrate
+from multilica.sinks.atomic import partial_path
+from multilica.sinks.narration import LogLine, cause_of_end, narrate, narrate_end
 from multilica.sinks.record_limits import limits_for
 from multilica.sinks.rerun_blueprint import final_blueprint, stage_blueprint
 from multilica.sinks.rerun_input import log_dropped_table, log_features, log_input, log_preprocessed
@@ -26,17 +26,10 @@ from multilica.sinks.rerun_tables import log_pair_tables, log_summary
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.toml_text import toml_text
 
-__all__ = ["APPLICATION_ID", "RerunRecording", "partial_path"]
+__all__ = ["APPLICATION_ID", "RerunRecording"]
 
 APPLICATION_ID = "multilica"
 _PROPERTY = "multilica"
-
-
-def partial_path(path: Path) -> Path:
-    """Where the recording is written until it is whole: ``recording.rrd`` -> ``recording.partial.rrd``."""
-    return path.with_name(f"{path.stem}.partial{path.suffix}")
-
-
 _FLUSH_TIMEOUT_S = 60.0
 _FLUSH_TICK_S = 7 * 86_400.0
 
@@ -88,10 +81,9 @@ class RerunRecording:
 
     def _tell_the_end(self, error: BaseException | None) -> None:
         scene = self._scene
-        cause = _cause(error)
         scene.advance()
-        scene.log_line(LogLine("ERROR", f"the run ended early: {cause}"))
-        log_summary(scene, cause)
+        scene.log_line(narrate_end(error))
+        log_summary(scene, cause_of_end(error))
         _send_properties(scene, "interrupted")
         scene.stream.send_blueprint(stage_blueprint(scene.story))
 
@@ -99,12 +91,6 @@ class RerunRecording:
 def _batching() -> rr.ChunkBatcherConfig:
     """Rows are packed by size and at flushes, never by the clock: equal runs make equal files."""
     return rr.ChunkBatcherConfig(flush_tick=_FLUSH_TICK_S)
-
-
-def _cause(error: BaseException | None) -> str:
-    if error is None:
-        return "no result was reached"
-    return str(error) if isinstance(error, MultilicaError) else f"{type(error).__name__}: {error}".rstrip(": ")
 
 
 def _flush(stream: rr.RecordingStream) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -16,12 +17,12 @@ from multilica import events
 from multilica.errors import UnknownNameError
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult
-from multilica.sinks.atomic import atomic_file
+from multilica.sinks.atomic import atomic_file, partial_path
 from multilica.sinks.foxglove_layout import foxglove_layout
 from multilica.sinks.mcap_messages import Encoding, MessageWriter
-from multilica.sinks.narration import LogLine, narrate
+from multilica.sinks.narration import LogLine, narrate, narrate_end
 from multilica.sinks.result_drawings import result_drawings
-from multilica.sinks.run_document import run_document
+from multilica.sinks.run_document import result_so_far, run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.thinning import sample_points
 from multilica.sinks.toml_text import toml_text
@@ -39,13 +40,14 @@ _STAMP_WITHOUT_CLOCK_NS = 10**9
 
 
 class ResultMcap:
-    """A sink that writes the calibrated clouds, transforms, drawings, log and metrics of a finished calibration.
+    """A sink that writes the calibrated clouds, transforms, drawings, log and metrics of a calibration.
 
     It is an observer within its `with` block. The file is written when the block ends, so that it can hold what other
-    sinks wrote; nothing is left of a run that was cut off.
+    sinks wrote. Until then `<stem>.partial.mcap` holds what is known, written anew at the end of each stage: a whole,
+    indexed file at any time. It stays when the run is interrupted or killed.
 
     Args:
-        path: what lies there is replaced.
+        path: the final name; what lies there is replaced.
         encoding: ``foxglove`` (protobuf and JSON) or ``ros2`` (CDR).
         attached: files that are attached if they are there, beside the configuration and the result.
 
@@ -66,17 +68,26 @@ class ResultMcap:
         return self
 
     def __call__(self, event: events.Event) -> None:
-        """Remember an event."""
+        """Remember an event; what is known is written when a stage ends."""
         self._story(event)
         self._lines += narrate(event)
+        if isinstance(event, events.CalibrationStarted | events.StageFinished):
+            self._write(partial_path(self.path))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Write if the calibration has finished."""
-        if self._story.result is None:
-            return
-        with atomic_file(self.path) as file:
+        """Write the end of a calibration that has started."""
+        partial = partial_path(self.path)
+        if self._story.result is not None:
+            self._write(self.path)
+            partial.unlink(missing_ok=True)
+        elif self._story.snapshot is not None:
+            self._lines.append(narrate_end(error))
+            self._write(partial)
+
+    def _write(self, path: Path) -> None:
+        with atomic_file(path) as file:
             _write(file, self._story, self._lines, _encoding(self._encoding_name), self._attached)
 
 
@@ -92,9 +103,11 @@ def _encoding(name: str) -> Encoding:
 
 def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Encoding, attached: Sequence[Path]) -> None:
     """Transforms first, so that a reader in time order can place every cloud."""
-    snapshot, result, document = story.snapshot, story.result, run_document(story)
-    if snapshot is None or result is None or document is None:
+    snapshot, document = story.snapshot, run_document(story)
+    if snapshot is None or document is None:
         return
+    result = result_so_far(story)
+    result = replace(result, target=result.target or snapshot.names[0])
     start_ns = _first_stamp_ns(snapshot)
     writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(profile=encoding.profile, library=f"multilica {document['versions']['multilica']}")

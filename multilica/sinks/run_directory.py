@@ -13,9 +13,9 @@ from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.errors import UsageError
 from multilica.events import Observer
-from multilica.sinks.atomic import write_text_atomically
+from multilica.sinks.atomic import begun_files, partial_path, write_text_atomically
 from multilica.sinks.report.report_file import REPORT_HTML, ReportFile
-from multilica.sinks.rerun_recording import RerunRecording, partial_path
+from multilica.sinks.rerun_recording import RerunRecording
 from multilica.sinks.result_files import CALIBRATION_TOML, RESULT_JSON, ResultFiles
 from multilica.sinks.result_mcap import ResultMcap
 from multilica.sinks.toml_text import toml_text
@@ -86,9 +86,11 @@ class Run:
             sink(event)
 
     def clear(self) -> None:
-        """Remove what an earlier run left."""
+        """Remove what an earlier run left, also what it was writing when it was killed."""
         for path in _outputs(self.directory):
             path.unlink(missing_ok=True)
+            for begun in begun_files(path):
+                begun.unlink(missing_ok=True)
 
     @property
     def written(self) -> tuple[Path, ...]:
@@ -136,10 +138,10 @@ def _proves_fit(event: events.Event) -> bool:
 
 
 def _outputs(directory: Path) -> tuple[Path, ...]:
-    partial = partial_path(Path(_RECORDING)).name
-    return tuple(
-        directory / name for name in (CALIBRATION_TOML, RESULT_JSON, REPORT_HTML, _RECORDING, partial, _MCAP, _CONFIG)
-    )
+    recording, mcap = directory / _RECORDING, directory / _MCAP
+    texts = (CALIBRATION_TOML, RESULT_JSON, REPORT_HTML)
+    written_last = (recording, partial_path(recording), mcap, partial_path(mcap), directory / _CONFIG)
+    return (*(directory / name for name in texts), *written_last)
 
 
 def _prepare(directory: Path) -> None:

@@ -10,7 +10,7 @@ from multilica.sinks.result_document import json_safe, result_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.stage_figures import stage_figures
 
-__all__ = ["UNFINISHED", "run_document"]
+__all__ = ["UNFINISHED", "result_so_far", "run_document"]
 
 UNFINISHED = "unfinished"
 """Status in the recording of a run that was cut off; `result.json` never has it."""
@@ -24,7 +24,7 @@ def run_document(story: RunStory) -> dict[str, Any] | None:
     """
     if story.config is None or story.provenance is None:
         return None
-    result = story.result if story.result is not None else _so_far(story)
+    result = result_so_far(story)
     document = result_document(result, story.config, story.provenance)
     if story.result is None:
         document["status"] = UNFINISHED
@@ -34,8 +34,10 @@ def run_document(story: RunStory) -> dict[str, Any] | None:
     return document
 
 
-def _so_far(story: RunStory) -> CalibrationResult:
-    """Nothing is placed before the end: a merge may yet be adjusted."""
+def result_so_far(story: RunStory) -> CalibrationResult:
+    """The result, or what is known of it: nothing is placed before the end, for a merge may yet be adjusted."""
+    if story.result is not None:
+        return story.result
     target = story.target or (story.config.target if story.config is not None else "")
     return CalibrationResult(
         target=target,

@@ -33,6 +33,7 @@ def test_calibrate_explain_and_the_bare_recording_name_the_same_cause(
     shutil.copy(run / "recording.rrd", tmp_path / "alone.rrd")
     assert invoke("explain", tmp_path / "alone.rrd").out == told.out
     assert invoke("explain", run / "result.json").out == told.out
+    assert invoke("explain", run / "result.mcap").out == told.out
 
 
 def test_the_explanation_as_json(run_of_a_dead_lidar: tuple[Path, str], invoke: Invoke) -> None:
@@ -88,6 +89,11 @@ def no_recording(folder: Path) -> Path:
     return folder / "junk.rrd"
 
 
+def no_mcap(folder: Path) -> Path:
+    (folder / "junk.mcap").write_bytes(b"no mcap" * 100)
+    return folder / "junk.mcap"
+
+
 def another_schema(folder: Path) -> Path:
     (folder / "result.json").write_text('{"schema": "something/else"}', encoding="utf-8")
     return folder / "result.json"
@@ -98,6 +104,6 @@ def half_a_document(folder: Path) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("make", [nowhere, empty, no_recording, another_schema, half_a_document])
+@pytest.mark.parametrize("make", [nowhere, empty, no_recording, no_mcap, another_schema, half_a_document])
 def test_what_is_no_run_is_refused(make: object, invoke: Invoke, tmp_path: Path) -> None:
     assert_one_sentence(invoke("explain", make(tmp_path)), ExitCode.INPUT)

@@ -37,7 +37,8 @@ def test_a_stopped_run_leaves_a_readable_recording(
     assert str(out) in last
     assert "Traceback" not in told
     assert printed == ""
-    assert {path.name for path in out.iterdir()} == {"config.toml", "recording.partial.rrd", "report.html"}
+    left = {"config.toml", "recording.partial.rrd", "result.partial.mcap", "report.html"}
+    assert {path.name for path in out.iterdir()} == left
     verify = [sys.executable, "-m", "rerun", "rrd", "verify", str(out / "recording.partial.rrd")]
     assert subprocess.run(verify, capture_output=True, check=False).returncode == 0
 

@@ -12,8 +12,9 @@ from multilica import events
 from multilica.errors import InputError
 from multilica.explanation import explain
 from multilica.results import PreprocessedCloud
+from multilica.sinks.atomic import partial_path
 from multilica.sinks.failures import Failure, decisive_failure, failures
-from multilica.sinks.rerun_recording import RerunRecording, partial_path
+from multilica.sinks.rerun_recording import RerunRecording
 from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from tests.sinks.made_events import UNPLACED, made_events

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from multilica.fleet.explain_run import explain_run
 from tests.sinks.recording_reader import Recording, blueprint_names
@@ -30,7 +31,8 @@ def test_every_finished_stage_can_be_read_and_nothing_is_half_written(tmp_path, 
         process.send_signal(signal_number)
         assert process.wait(timeout=30) != 0
     told_at_the_end = {"report.html"} if signal_number == signal.SIGINT else set()  # the others leave Python no time
-    assert {path.name for path in tmp_path.iterdir()} == {"config.toml", "recording.partial.rrd"} | told_at_the_end
+    left = {"config.toml", "recording.partial.rrd", "result.partial.mcap"}
+    assert {path.name for path in tmp_path.iterdir()} == left | told_at_the_end
     recording = Recording(tmp_path / "recording.partial.rrd")
     finished = [text for _, _, text in recording.log if text.endswith(" finished")]
     assert finished[-1] == "stage verify finished"
@@ -42,6 +44,19 @@ def test_every_finished_stage_can_be_read_and_nothing_is_half_written(tmp_path, 
     assert told.cause == "unfinished"
     assert "cut off after stage verify" in told.headline
     assert any(known.startswith("rear <- top: 2 distinct poses, the best with 90 points") for known in told.known)
+    assert explain_run(tmp_path / "result.partial.mcap") == told
+    held = messages_of(tmp_path / "result.partial.mcap")
+    assert {"/lidar/top/points", "/matches", "/log"} <= set(held)
+    assert b"stage verify finished" in b"".join(held["/log"])
     if signal_number == signal.SIGINT:
+        assert b"the run ended early: KeyboardInterrupt" in held["/log"][-1]
         assert recording.properties()["status"] == "interrupted"
         assert rerun_rrd("verify", tmp_path / "recording.partial.rrd").returncode == 0
+
+
+def messages_of(mcap: Path) -> dict[str, list[bytes]]:
+    found: dict[str, list[bytes]] = {}
+    with mcap.open("rb") as file:
+        for _, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            found.setdefault(channel.topic, []).append(message.data)
+    return found

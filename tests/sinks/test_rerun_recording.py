@@ -12,7 +12,8 @@ import pytest
 from multilica import events
 from multilica.config import STAGES
 from multilica.results import PreprocessedCloud
-from multilica.sinks.rerun_recording import RerunRecording, partial_path
+from multilica.sinks.atomic import partial_path
+from multilica.sinks.rerun_recording import RerunRecording
 from multilica.snapshot import LidarScans
 from tests.sinks.conftest import record
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events

@@ -53,9 +53,21 @@ def test_files_of_an_earlier_run_do_not_stay_beside_those_of_a_later_one(tmp_pat
     run_into(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
     run = run_into(tmp_path, stop_after=8)
-    assert [path.name for path in run.written] == ["report.html", "recording.partial.rrd", "config.toml"]
+    assert [path.name for path in run.written] == [
+        "report.html",
+        "recording.partial.rrd",
+        "result.partial.mcap",
+        "config.toml",
+    ]
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert "recording.partial.rrd" not in {path.name for path in run_into(tmp_path).written}
+    assert not any("partial" in path.name for path in run_into(tmp_path).written)
+
+
+def test_what_a_killed_run_was_writing_goes_with_it(tmp_path):
+    begun = tmp_path / ".result.partial.mcap.4711.tmp"
+    begun.write_bytes(b"half")
+    run_into(tmp_path)
+    assert not begun.exists()
 
 
 def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):

@@ -21,7 +21,7 @@ def explain(
         Path,
         typer.Argument(
             metavar="RUN",
-            help="A run directory, its result.json, or a recording (.rrd), also one that was cut off.",
+            help="A run directory, its result.json, a recording (.rrd), also one cut off, or its result.mcap.",
             show_default=False,
         ),
     ],
