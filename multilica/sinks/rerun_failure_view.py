@@ -8,7 +8,6 @@ import rerun.blueprint as rrb
 from multilica.results import PairKey
 from multilica.sinks.failures import Failure, decisive_failure
 from multilica.sinks.rerun_tree import MERGE_CANDIDATES, pair_path
-from multilica.sinks.rerun_verdict import rival_of
 from multilica.sinks.rerun_views import (
     document_view,
     judged_view,
@@ -17,6 +16,7 @@ from multilica.sinks.rerun_views import (
     single_lidar_view,
     summary_view,
 )
+from multilica.sinks.rival_pose import rival_of
 from multilica.sinks.run_story import RunStory
 
 __all__ = ["failure_tab"]
@@ -49,7 +49,7 @@ def _seen_by(story: RunStory, lidar: str) -> rrb.View:
 def _compared(story: RunStory, pair: PairKey) -> rrb.Container | rrb.View:
     """The pose that is believed most; below it the other one, where the two cannot be told apart."""
     believed = judged_view(story, pair)
-    if rival_of(story.registrations[pair]) is None:
+    if rival_of(story, story.registrations[pair]) is None:
         return believed
     return rrb.Vertical(believed, rival_view(story, pair))
 

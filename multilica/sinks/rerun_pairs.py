@@ -45,19 +45,20 @@ def log_assessments(scene: Scene, event: events.HypothesesAssessed) -> None:
 def log_registration(scene: Scene, event: events.PairRegistered) -> None:
     """GICP's progress, the finalists as they were judged in the end, then the pose with its verdict.
 
-    A pair whose verdict is told anew has its progress and its finalists in the recording.
+    A pair whose verdict is told anew has its progress and its finalists in the recording. Of merged clouds, and of
+    loops that did not close, only progress and pose are told.
     """
     registration = event.registration
     pair, start = scene.story.pair_of(registration), _start(scene, registration)
     anew = any(assessment in scene.shown_at for assessment in registration.assessments)
     if not anew:
         log_curves(scene, registration, start)
-    merging = scene.story.stage == "merge"
-    if not merging and not anew:
+    kept = scene.story.registrations.get(pair) is registration
+    if kept and not anew:
         for assessment in reversed(registration.assessments):
             _show_judged(scene, pair, assessment)
     _log_pose(scene, pair, start, as_matched(pair, registration.T_target_source))
-    if not merging:
+    if kept:
         _log_before(scene, pair, registration)
         log_verdict(scene, pair, start, registration)
         _log_scores(scene, pair, registration.assessments[0] if registration.assessments else None)

@@ -119,7 +119,7 @@ def _finish_stage(scene: Scene, event: events.StageFinished) -> None:
     """Bring to disk what the stage did; a large cloud does not hold back the small rows behind it."""
     if event.stage == "preprocess":
         log_dropped_table(scene)
-    if event.stage in ("coarse", "verify", "fine", "merge"):
+    if event.stage in ("coarse", "verify", "fine", "merge", "refine"):
         show_best_poses(scene)
         log_pair_tables(scene)
     log_summary(scene)

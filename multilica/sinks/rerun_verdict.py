@@ -11,9 +11,10 @@ from multilica.sinks.narration import pair_label
 from multilica.sinks.palette import UNDECIDED, VERDICT_COLOURS
 from multilica.sinks.rerun_scene import Scene, rigid
 from multilica.sinks.rerun_tree import hypothesis_frame, lidar_frame, pair_path
+from multilica.sinks.rival_pose import rival_of
 from multilica.sinks.run_story import as_matched
 
-__all__ = ["log_verdict", "rival_of", "verdict_words"]
+__all__ = ["log_verdict", "verdict_words"]
 
 _ARROW_M = 4.0
 
@@ -24,25 +25,13 @@ def verdict_words(registration: PairRegistration) -> str:
     return f"{registration.verdict.outcome}: {codes}" if codes else registration.verdict.outcome
 
 
-def rival_of(registration: PairRegistration) -> Assessment | None:
-    """The other pose that the evidence does not tell from the chosen one; None if that is not the trouble.
-
-    Neither is there one where another pair makes this one doubtful: no pose of its own is the rival then.
-    """
-    shares = [reason.value for reason in registration.verdict.reasons if reason.code == "ambiguous"]
-    if not shares or not registration.assessments:
-        return None
-    best, *others = registration.assessments
-    return next((one for one in others if np.isclose(max(0.0, one.evidence / best.evidence), shares[0])), None)
-
-
 def log_verdict(scene: Scene, pair: PairKey, start: str, registration: PairRegistration) -> None:
     """The verdict at the source's origin; the rival pose with its cloud; arrows along which the pose can slide."""
     colour = VERDICT_COLOURS[registration.verdict.outcome]
     label = f"{pair_label(*pair)} {verdict_words(registration)}"
     point = rr.Points3D([(0.0, 0.0, 0.0)], colors=[colour], labels=[label], radii=rr.Radius.ui_points(7.0))
     scene.log(pair_path(*pair, "verdict"), rr.CoordinateFrame(hypothesis_frame(*pair, start)), point)
-    _log_rival(scene, pair, rival_of(registration))
+    _log_rival(scene, pair, rival_of(scene.story, registration))
     if any(reason.code == "not_observable" for reason in registration.verdict.reasons):
         own = registration.target == pair[0]
         frame = lidar_frame(pair[0]) if own else hypothesis_frame(*pair, start)
@@ -58,7 +47,8 @@ def _log_rival(scene: Scene, pair: PairKey, rival: Assessment | None) -> None:
     scene.log(pair_path(*pair, "rival", "pose"), rigid(frame, lidar_frame(pair[0]), pose))
     path, limit = pair_path(*pair, "rival"), scene.limits.pair_points // 3
     scene.log_points(path, frame, cloud.points_m, scene.colour(pair[1]), limit)
-    label = f"{pair[1]}, the other pose: {rival.evidence:,.0f} of evidence"
+    beams = rival.testimony
+    label = f"{pair[1]}, the other pose: {beams.agree:,} points agree, {beams.violate:,} stand in empty space"
     point = rr.Points3D([(0.0, 0.0, 0.0)], colors=[UNDECIDED], labels=[label], radii=rr.Radius.ui_points(7.0))
     scene.log(pair_path(*pair, "rival", "label"), rr.CoordinateFrame(frame), point)
 

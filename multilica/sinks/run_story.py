@@ -37,7 +37,8 @@ class RunStory:
     """An observer that remembers; everything else in a recording's summary and blueprint derives from it.
 
     Args:
-        registrations: per pair, as it was matched, the registration of stage fine; those of merged clouds are left out.
+        registrations: per pair, as it was matched, the registration of stage fine, or the one by which stage refine
+            closed a loop; those of merged clouds, and loops that did not close, are left out.
         assessments: per pair its hypotheses by visibility, the most believable first.
         stages: those that finished, in order.
         rig: poses in the target's frame after the joint adjustment.
@@ -102,7 +103,7 @@ class RunStory:
             case events.PairRegistered(registration):
                 if self.stage == "merge":
                     self.merged_registrations.append(registration)
-                else:
+                elif self.stage != "refine" or registration.verdict.accepted:
                     self.registrations[self.pair_of(registration)] = registration
             case events.TargetChosen(target, reason):
                 self.target, self.target_reason = target, reason

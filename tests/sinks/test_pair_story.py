@@ -87,7 +87,7 @@ def test_a_rival_is_shown_where_one_is_the_trouble_only(partial, recordings):
     assert not {f"{PAIR}/rival", f"{PAIR}/slide"} & Recording(recordings["complete"]).entity_paths
 
 
-def test_a_verdict_that_another_pair_makes_doubtful_is_told_without_progress_or_a_rival_of_its_own(tmp_path):
+def test_a_verdict_that_is_told_anew_repeats_no_progress_and_draws_no_rival_where_none_is_found(tmp_path):
     doubt = Verdict("undecided", (Reason("ambiguous", 1.0, 0.0, "another pair finds the scene alike"),))
     path = tmp_path / "doubted.rrd"
     with RerunRecording(path) as observe:

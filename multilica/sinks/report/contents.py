@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration
+from multilica.sinks.rival_pose import rival_of
 from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.thinning import sample_points
@@ -43,7 +44,7 @@ class ReportContents:
     Args:
         document: what `result.json` holds, or would hold; see `multilica.sinks.run_document`.
         clouds: per LiDAR its cleaned cloud (N, 3) in its own frame; empty where it has no returns.
-        judged: per pair as it was registered, its judged poses, the one that was chosen first.
+        judged: per pair as it was registered, the pose that was chosen, then the other one where two are as good.
         notes: what the reader of the input noticed.
         ended_early: why the run ended before its result; "" if it finished.
     """
@@ -87,7 +88,7 @@ def contents_of(story: RunStory, ended_early: str = "") -> ReportContents:
     return ReportContents(
         document=document,
         clouds={lidar.name: _cloud(story, lidar) for lidar in story.snapshot.lidars},
-        judged=_judged(story.registrations.values()),
+        judged={(pair.target, pair.source): _judged(story, pair) for pair in story.registrations.values()},
         notes=story.snapshot.notes,
         ended_early=ended_early,
     )
@@ -100,10 +101,8 @@ def _cloud(story: RunStory, lidar: LidarScans) -> FloatArray:
     return sample_points(lidar.points_m, _RAW_SAMPLE).astype(np.float64)
 
 
-def _judged(registrations: Iterable[PairRegistration]) -> dict[PairKey, tuple[JudgedPoints, ...]]:
-    return {
-        (pair.target, pair.source): tuple(
-            JudgedPoints(one.T_target_source, one.probes_m, one.testimony.labels) for one in pair.assessments
-        )
-        for pair in registrations
-    }
+def _judged(story: RunStory, pair: PairRegistration) -> tuple[JudgedPoints, ...]:
+    shown = (*pair.assessments[:1], rival_of(story, pair))
+    return tuple(
+        JudgedPoints(one.T_target_source, one.probes_m, one.testimony.labels) for one in shown if one is not None
+    )

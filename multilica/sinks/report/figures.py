@@ -96,11 +96,8 @@ def pair_figures(
     contents: ReportContents, pair: PairKey, level: RigidTransform, colours: Mapping[str, Rgb]
 ) -> list[Figure]:
     """A pair that was refused, from above: the pose that was found, and the other one where two are as good."""
-    judged = contents.judged.get(pair, ())
-    found = next(one for one in contents.document["pairs"] if (one["target"], one["source"]) == pair)
-    ambiguous = any(reason["code"] == "ambiguous" for reason in found["verdict"]["reasons"])
     words = ("at the best pose that was found", "at another pose that is about as good")
-    shown = zip(judged[: 2 if ambiguous else 1], words, strict=False)
+    shown = zip(contents.judged.get(pair, ()), words, strict=False)
     return [_pair_figure(contents, one, level, colours, how) for one, how in shown]
 
 
@@ -116,12 +113,15 @@ def _pair_figure(
         for name, pose in ((target, T_level_target), (source, T_level_source))
     ]
     points_m = T_level_source.apply(judged.points_m)
-    view = top_view(layers[1].points_m, _PAIR_SIZE_PX)
+    view = top_view(_all_points(layers), _PAIR_SIZE_PX)
     layers += [Layer(points_m[judged.labels == label], colour, dot_px=_JUDGED_DOT_PX) for label, colour in _JUDGEMENTS]
     shown = f"{source} on {target} {words}, from above"
     if len(judged.points_m) == 0:
         return _figure(view, layers, f"{shown}.", f"{shown}, each in its colour.")
     counts = {label: int((judged.labels == label).sum()) for label, _ in _JUDGEMENTS}
+    if not any(counts.values()):
+        unseen = f"{shown}: no point of one lies in view of the other, so nothing speaks against it."
+        return _figure(view, layers, unseen, unseen)
     return _figure(
         view,
         layers,
