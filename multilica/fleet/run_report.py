@@ -15,16 +15,19 @@ from multilica.fleet.run_documents import read_run_document
 from multilica.geometry import RigidTransform
 from multilica.sinks.report.contents import JudgedPoints, ReportContents
 from multilica.sinks.report.page import report_html
-from multilica.sinks.rerun_reading import read_recorded_cloud
+from multilica.sinks.rerun_reading import RecordedJudgement, read_recorded_cloud, read_recorded_judgement
 
 __all__ = ["contents_of_run", "report_of_run"]
+
+_SAME_POSE = 1e-4
+"""Metres and radians: a recording holds poses in single precision."""
 
 
 def report_of_run(path: Path) -> str:
     """The page of a run directory, its `result.json`, or a recording, also one that was cut off.
 
-    The points that were judged in refused pairs, and what the reader of the input noticed, are only in the report that
-    the run itself wrote.
+    What the reader of the input noticed is only in the report that the run itself wrote. Judged points are those that
+    the recording kept.
 
     Raises:
         SourceNotFoundError: nothing there, or no recording.
@@ -45,14 +48,30 @@ def contents_of_run(path: Path) -> ReportContents:
     recording = run.recording
     try:
         clouds = {name: read_recorded_cloud(recording, name).astype(np.float64) for name in run.document["lidars"]}
-        judged = {(one["target"], one["source"]): _poses(one) for one in run.document["pairs"]}
+        judged = {(one["target"], one["source"]): _judged(recording, one) for one in run.document["pairs"]}
     except (KeyError, TypeError, ValueError) as error:
         raise UnreadableSourceError(f"{path} is not a whole result: {error}.") from error
     return ReportContents(run.document, clouds, judged)
 
 
-def _poses(pair: Mapping[str, Any]) -> tuple[JudgedPoints, ...]:
-    """The judged poses without their points."""
-    matrices = [one["T_target_source"] for one in pair["assessments"]] or [pair["T_target_source"]]
-    transforms = [RigidTransform(pair["target"], pair["source"], np.asarray(one, dtype=np.float64)) for one in matrices]
-    return tuple(JudgedPoints(one, np.empty((0, 3)), np.empty(0, dtype=np.uint8)) for one in transforms)
+def _judged(recording: Path, pair: Mapping[str, Any]) -> tuple[JudgedPoints, ...]:
+    """The pose that was chosen, then the other one; nothing of a pair that was accepted, which no picture shows."""
+    if pair["verdict"]["outcome"] == "accept":
+        return ()
+    found = read_recorded_judgement(recording, pair["target"], pair["source"])
+    finalists = [_pose(pair, one["T_target_source"]) for one in pair["assessments"]]
+    shown = [finalists[0] if finalists else _pose(pair, pair["T_target_source"])]
+    shown += [found.rival] if found.rival is not None else []
+    return tuple(_points_at(pose, finalists, found) for pose in shown)
+
+
+def _pose(pair: Mapping[str, Any], matrix: object) -> RigidTransform:
+    return RigidTransform(pair["target"], pair["source"], np.asarray(matrix, dtype=np.float64))
+
+
+def _points_at(pose: RigidTransform, finalists: list[RigidTransform], found: RecordedJudgement) -> JudgedPoints:
+    """Without points where the recording does not tell what the beams say of that pose."""
+    rank = next((rank for rank, one in enumerate(finalists) if max(one.distance_to(pose)) < _SAME_POSE), None)
+    if rank is None or rank >= len(found.labels):
+        return JudgedPoints(pose, np.empty((0, 3)), np.empty(0, dtype=np.uint8))
+    return JudgedPoints(pose, found.points_m.astype(np.float64), found.labels[rank])

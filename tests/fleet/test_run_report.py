@@ -16,7 +16,9 @@ from multilica.config import CalibrationConfig
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError, ViewerError
 from multilica.fleet.run_picture import picture_of_run, recording_of_run
 from multilica.fleet.run_report import contents_of_run, report_of_run
+from multilica.sinks.report.contents import contents_of
 from multilica.sinks.run_directory import open_run
+from multilica.sinks.run_story import RunStory
 from tests.sinks.made_events import TRUTH, made_events
 
 SIZE_PX = (320, 200)
@@ -47,8 +49,21 @@ def test_the_clouds_and_poses_come_back(runs):
     for name, cloud in contents.clouds.items():
         assert cloud.shape == (600, 3)
         assert np.linalg.norm(TRUTH[name].apply(cloud), axis=1).min() < 8.0
-    pose, _ = contents.judged["rear", "top"]
-    assert np.allclose(pose.T_target_source.matrix, (TRUTH["rear"].inverse() @ TRUTH["top"]).matrix, atol=1e-6)
+
+
+def test_judged_points_and_the_other_pose_come_back_whichever_way_round_a_pair_was_matched(runs):
+    story = RunStory()
+    for event in made_events("partial"):
+        story(event)
+    first, anew = contents_of(story).judged, contents_of_run(runs["partial"]).judged
+    refused = {("rear", "top"), ("rear", "front left/1")}  # the latter was matched as `front left/1 <- rear`
+    assert {pair for pair, poses in anew.items() if poses} == refused
+    for pair in refused:
+        assert len(anew[pair]) == len(first[pair]) == 2
+        for one, other in zip(anew[pair], first[pair], strict=True):
+            assert max(one.T_target_source.distance_to(other.T_target_source)) < 1e-5
+            np.testing.assert_allclose(one.points_m, other.points_m, atol=1e-5)
+            np.testing.assert_array_equal(one.labels, other.labels)
 
 
 def test_a_report_made_anew_tells_the_same(runs):
