@@ -39,6 +39,7 @@ WORDS: Mapping[Cause, str] = MappingProxyType(
         "low_fitness": "too few of its points lie near those of the others",
         "against_prior": "it sits otherwise than its prior claims, as if mounted the other way round",
         "not_joined": "it fits another LiDAR that is itself not placed",
+        "disputed": "the snapshots contradict each other, and no majority settles it",
         "stopped_early": "the run was to stop before LiDARs are placed",
         "unfinished": "the run ended before it was placed",
         "unknown": "no registration with another LiDAR was accepted",
@@ -69,6 +70,10 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
         "low_fitness": (_MORE_OVERLAP, "preset default, which judges by more than fitness"),
         "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),
         "not_joined": (_MORE_OVERLAP, "another target (--target) among the LiDARs that it fits"),
+        "disputed": (
+            "one more snapshot, from another place, for a majority",
+            "a look at what each snapshot gives by itself, in the directory of its name",
+        ),
         "stopped_early": ("run again without --until",),
         "unfinished": ("run again; every finished stage is in the recording",),
         "unknown": (_MORE_OVERLAP, _MORE_FRAMES),

@@ -116,15 +116,31 @@ def _largest(values: Iterable[float] | None) -> float | None:
 def _missing(document: Document, name: str) -> Missing:
     pairs = comparisons_of(document, name)
     decisive = decisive_comparison(pairs[0]) if pairs else None
+    if document.get("snapshots"):
+        return _missing_jointly(document, name, pairs, decisive)
     cause = _cause(document, name, decisive)
-    return Missing(
-        name,
-        cause,
-        f"{name} is not placed: {WORDS[cause]}.",
-        decisive,
-        next_best_sentence(pairs),
-        ADVICE[cause],
-    )
+    return Missing(name, cause, _not_placed(name, cause), decisive, next_best_sentence(pairs), advice=ADVICE[cause])
+
+
+def _missing_jointly(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison | None) -> Missing:
+    """Of several snapshots; the pairs are those of one, so one that was accepted decides nothing."""
+    if decisive is not None and decisive.codes:
+        cause = _cause(document, name, decisive)
+        return Missing(name, cause, _not_placed(name, cause), decisive, next_best_sentence(pairs), advice=ADVICE[cause])
+    cause = _sensor_fault(document, name) or _joint_cause(document, fits=decisive is not None)
+    by_snapshot = f"{document['lidars'][name]['reason'].rstrip('.')}."
+    return Missing(name, cause, _not_placed(name, cause), by_snapshot=by_snapshot, advice=ADVICE[cause])
+
+
+def _joint_cause(document: Document, *, fits: bool) -> Cause:
+    """Why a LiDAR is not placed that no pair of the shown snapshot speaks against."""
+    if any(snapshot["disputed"] for snapshot in document["snapshots"]):
+        return "disputed"
+    return "not_joined" if fits else "unknown"
+
+
+def _not_placed(name: str, cause: Cause) -> str:
+    return f"{name} is not placed: {WORDS[cause]}."
 
 
 def _cause(document: Document, name: str, decisive: Comparison | None) -> Cause:
@@ -142,9 +158,13 @@ def _cause(document: Document, name: str, decisive: Comparison | None) -> Cause:
 def _sensor_fault(document: Document, name: str) -> Cause | None:
     health = document["lidars"][name].get("health") or {}
     codes = {reason["code"] for reason in health.get("reasons", ())}
-    if "dead" in codes or document["input"]["lidars"].get(name, {}).get("points") == 0:
+    if "dead" in codes or (not document.get("snapshots") and _has_no_points(document, name)):
         return "dead_sensor"
     if "dirty" in codes:
         return "dirty_sensor"
     cleaned = document.get("stages", {}).get("preprocess", {}).get(name, {})
     return "no_returns_in_range" if cleaned.get("points") == 0 else None
+
+
+def _has_no_points(document: Document, name: str) -> bool:
+    return bool(document["input"]["lidars"].get(name, {}).get("points") == 0)

@@ -23,6 +23,7 @@ Cause = Literal[
     "low_fitness",
     "against_prior",
     "not_joined",
+    "disputed",
     "stopped_early",
     "unfinished",
     "unknown",
@@ -68,6 +69,7 @@ class Missing:
         headline: the LiDAR with its cause, in one sentence.
         decisive: the comparison that came closest to placing it; None where there was none.
         next_best: the best pose besides the decisive one, of the same pair or another; empty where there was none.
+        by_snapshot: what each of several snapshots says of it, where no one comparison decides; else empty.
         advice: what would help, the most promising first.
     """
 
@@ -76,6 +78,7 @@ class Missing:
     headline: str
     decisive: Comparison | None = None
     next_best: str = ""
+    by_snapshot: str = ""
     advice: tuple[str, ...] = ()
 
 
@@ -127,5 +130,7 @@ def _missing_lines(missing: Missing) -> Iterator[str]:
         yield f"  Decisive: {missing.decisive.sentence}"
     if missing.next_best:
         yield f"  Next best: {missing.next_best}"
+    if missing.by_snapshot:
+        yield f"  By snapshot: {missing.by_snapshot}"
     for advice in missing.advice:
         yield f"  What helps: {advice}."

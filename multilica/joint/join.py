@@ -14,6 +14,7 @@ from multilica.errors import UnfitSnapshotError
 from multilica.geometry import RigidTransform
 from multilica.joint.disputes import Dispute, Edges, culprits, settle
 from multilica.joint.estimate import Estimate, chained, estimate_poses
+from multilica.joint.retell import shown_snapshot
 from multilica.joint.snapshot_run import SnapshotRun
 from multilica.joint.spread import scatter_ratio, spread_of, widened
 from multilica.joint.target import choose_target
@@ -41,7 +42,8 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         config: the default preset if None.
 
     Returns:
-        One placement per LiDAR that any snapshot has; `snapshots` holds what each contributed.
+        One placement per LiDAR that any snapshot has; `snapshots` holds what each contributed, `pairs` and `health`
+        are those of the snapshot that `shown_snapshot` names.
 
     Raises:
         UnfitSnapshotError: every snapshot was refused.
@@ -65,7 +67,7 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         _estimates(target, kept, config),
         {name: culprits([each for each in disputes if each.snapshot == name], target) for name in results},
     )
-    return CalibrationResult(
+    result = CalibrationResult(
         target=target,
         target_reason=reason,
         placements=tuple(joint.placement(name) for name in lidars),
@@ -73,6 +75,8 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         refinement=joint.rig.refinement,
         snapshots=tuple(joint.report(run) for run in runs),
     )
+    shown = results[shown_snapshot(result)]
+    return replace(result, pairs=shown.pairs, health=shown.health)
 
 
 def _rig(target: str, edges: Edges, config: CalibrationConfig) -> RefinedRig:

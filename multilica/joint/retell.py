@@ -39,7 +39,8 @@ def retell(
 
     Args:
         snapshot: the one that `shown_snapshot` names.
-        observe: called with the events of the stages that take place once for all snapshots.
+        observe: called with the events of the stages that take place once for all snapshots, and of the pairs of
+            that one.
 
     Returns:
         The result with the ground plane of that snapshot, if the configuration asks for it.
@@ -54,6 +55,9 @@ def retell(
             for lidar in shown.lidars:
                 clouds.append(preprocess(lidar, config.preprocess, config.stillness))
                 observe(events.CloudPreprocessed(clouds[-1]))
+        with _stage("fine", observe):
+            for pair in result.pairs:
+                observe(events.PairRegistered(pair))
         with _stage("refine", observe):
             observe(events.TargetChosen(result.target, result.target_reason))
             poses = tuple(pose for _, pose in sorted(placed.items()))

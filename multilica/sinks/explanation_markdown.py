@@ -33,4 +33,6 @@ def _missing(missing: Missing) -> str:
         lines.append(f"  - Decisive: {missing.decisive.sentence}")
     if missing.next_best:
         lines.append(f"  - Next best: {missing.next_best}")
+    if missing.by_snapshot:
+        lines.append(f"  - By snapshot: {missing.by_snapshot}")
     return "\n".join([*lines, *(f"  - What helps: {advice}." for advice in missing.advice)])

@@ -48,7 +48,7 @@ def _failure(story: RunStory, missing: Missing) -> Failure:
     if missing.decisive is not None:
         stage: Stage = "fine" if missing.decisive.codes else "merge"
         return Failure(missing.lidar, stage, _as_matched(story, missing.decisive))
-    if not story.pairs:
+    if not story.matches:
         return Failure(missing.lidar, "merge", None)
     own = [pair for pair in story.pairs if missing.lidar in pair]
     pair = max(own, key=lambda pair: _nearness(story, pair), default=None)

@@ -195,6 +195,38 @@ def test_several_with_one_cause_are_told_together():
     assert "front left/1 and rear: it shares too few surfaces" in explain(document).headline
 
 
+def jointly(document, *disputed, reason="monday and tuesday place it 0.300 m apart"):
+    """As of two snapshots, of which one's pairs are told."""
+    document["decisions"] = []
+    document["snapshots"] = [{"name": "monday", "disputed": list(disputed)}, {"name": "tuesday", "disputed": []}]
+    document["lidars"]["rear"]["reason"] = reason
+    return document
+
+
+def test_of_several_snapshots_the_comparison_of_the_shown_one_is_decisive(partial):
+    set_reasons(partial, "undecided", "ambiguous")
+    missing = missing_of(jointly(partial))
+    assert missing.cause == "ambiguous"
+    assert "rear" in (missing.decisive.target, missing.decisive.source)
+    assert not missing.by_snapshot
+
+
+@pytest.mark.parametrize(("disputed", "cause"), [(("rear",), "disputed"), (("top",), "disputed"), ((), "not_joined")])
+def test_of_several_snapshots_an_accepted_pair_decides_nothing(partial, disputed, cause):
+    set_reasons(partial, "accept")
+    missing = missing_of(jointly(partial, *disputed))
+    assert (missing.cause, missing.decisive, missing.next_best) == (cause, None, "")
+    assert missing.by_snapshot == "monday and tuesday place it 0.300 m apart."
+    assert "  By snapshot: monday and tuesday place it 0.300 m apart." in explain(partial).lines
+
+
+def test_a_lidar_that_the_shown_snapshot_lacks_is_not_called_dead(partial):
+    partial["pairs"] = []
+    partial["input"]["lidars"]["rear"]["points"] = 0
+    partial["stages"]["preprocess"]["rear"]["points"] = 600
+    assert missing_of(jointly(partial)).cause == "unknown"
+
+
 def test_every_code_of_the_decision_has_a_cause():
     decide = (ROOT / "multilica" / "stages" / "decide.py").read_text(encoding="utf-8")
     codes = set(re.findall(r'(?:_check\(|Reason\()\s*"(\w+)"', decide))

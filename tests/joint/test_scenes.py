@@ -9,13 +9,19 @@ import pytest
 
 from multilica import events
 from multilica.config import CalibrationConfig, with_overrides
+from multilica.explanation import explain
 from multilica.geometry import RigidTransform
 from multilica.joint import SnapshotRun, join, retell, shown_snapshot
 from multilica.pipeline import calibrate
+from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
+from multilica.sinks.report.contents import contents_of
 from multilica.sinks.rerun_recording import RerunRecording
+from multilica.sinks.rerun_tree import pair_path
+from multilica.sinks.run_document import run_document
+from multilica.sinks.run_story import RunStory
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from tests.sinks.recording_reader import blueprint_names
+from tests.sinks.recording_reader import Recording, blueprint_names
 
 _CONFIG = with_overrides(CalibrationConfig(), ["target=top", "verify.finalists=2"])
 _LEVER_ARM_M = 10.0
@@ -95,6 +101,30 @@ def test_a_joint_result_is_told_as_a_calibration_of_the_snapshot_that_fits_it(tm
     height_m = _simulated("garage").truth.T_target_source["top"].xyz_m[2]
     assert told.ground.offset_m == pytest.approx(height_m, abs=0.1)
     assert told.placements == joint.placements
+
+
+def test_the_comparison_that_decided_against_a_lidar_is_in_the_joint_recording_and_report(tmp_path):
+    runs = [_refusing("garage"), _refusing("parking")]
+    joint = join(runs, _CONFIG)
+    assert joint.pairs == runs[0].result.pairs
+    story = RunStory()
+    with RerunRecording(tmp_path / "joint.rrd") as record:
+        retell(_snapshot("garage"), joint, _CONFIG, lambda event: (record(event), story(event)))
+    assert "Not placed: left" in blueprint_names(tmp_path / "joint.rrd")[-1]
+    shown = Recording(tmp_path / "joint.rrd").entity_paths
+    assert pair_path(joint.pairs[0].target, joint.pairs[0].source, "judged", "source") in shown
+    assert explain(run_document(story)).missing[0].cause == "unexplained"
+    judged = contents_of(story).judged[joint.pairs[0].target, joint.pairs[0].source]
+    assert len(judged[0].points_m) > 100
+
+
+def _refusing(scene):
+    """A snapshot whose only pair was left undecided."""
+    run = _run(scene)
+    doubt = Verdict("undecided", (Reason("structure_unexplained", 0.3, 0.4, "30% are explained; expected 40%"),))
+    pairs = tuple(replace(pair, verdict=doubt) for pair in run.result.pairs)
+    placements = tuple(place if place.lidar == "top" else _placement(place.lidar) for place in run.result.placements)
+    return replace(run, result=replace(run.result, pairs=pairs, trusted=(), placements=placements))
 
 
 def _placement(lidar):

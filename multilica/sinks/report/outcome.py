@@ -55,11 +55,14 @@ class Outcome:
     failures: tuple[Failure, ...] = ()
 
 
-_SENSOR_STEPS: Mapping[Cause, str] = MappingProxyType(
+_STEPS_WITHOUT_PAIR: Mapping[Cause, str] = MappingProxyType(
     {
         "dead_sensor": "preprocess: there were no returns",
         "no_returns_in_range": "preprocess: no return was kept",
         "dirty_sensor": "preprocess: what the window hides is missing",
+        "disputed": "joint: the snapshots beside each other",
+        "not_joined": "joint: the snapshots beside each other",
+        "unknown": "joint: the snapshots beside each other",
     }
 )
 _BADGES: Mapping[Cause, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
@@ -97,7 +100,7 @@ def _is(names: list[str]) -> str:
 
 def _failure(missing: Missing) -> Failure:
     if missing.decisive is None:
-        step = _SENSOR_STEPS.get(missing.cause, "coarse: no pose was found with any other LiDAR")
+        step = _STEPS_WITHOUT_PAIR.get(missing.cause, "coarse: no pose was found with any other LiDAR")
         return Failure(missing, step, None)
     step = "fine: the verdict on the registered pair" if missing.decisive.codes else "merge: joining the groups"
     return Failure(missing, step, (missing.decisive.target, missing.decisive.source))
