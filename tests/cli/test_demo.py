@@ -5,11 +5,14 @@ import json
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from multilica import read_extrinsics
 from multilica_cli import sample as sample_module
 from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_sample_is_calibrated_beside_its_truth(invoke: Invoke) -> None:
@@ -19,6 +22,9 @@ def test_the_sample_is_calibrated_beside_its_truth(invoke: Invoke) -> None:
     assert len(errors) == 3
     assert all(float(millimetres) < 20.0 and float(degrees) < 0.1 for millimetres, degrees in errors)
     assert "wrote run/recording.rrd" in outcome.out
+    with Path("run/result.mcap").open("rb") as file:
+        attached = {one.name: one.data.decode() for one in make_reader(file).iter_attachments()}
+    assert attached["foxglove-layout.json"] == (ROOT / "docs" / "foxglove-layout.json").read_text(encoding="utf-8")
     result = json.loads(Path("run/result.json").read_text(encoding="utf-8"))
     truth = read_extrinsics(find_sample().truth)
     for name, entry in result["lidars"].items():

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 import pytest
 from foxglove.messages import SceneUpdate
@@ -128,6 +129,15 @@ def test_the_layout_names_every_topic_that_it_shows(tmp_path, encoding):
     assert shown | {panels["RawMessages!multilica"]["topicPath"]} == topics - {"/tf", "/tf_static"}
     assert panels["3D!multilica"]["followTf"] == TARGET
     assert panels_in(layout["layout"]) == set(panels)
+
+
+def test_the_layout_has_only_panels_and_settings_that_foxglove_knows():
+    schema = json.loads((Path(__file__).parent / "foxglove_layout.schema.json").read_text(encoding="utf-8"))
+    layout = json.loads(foxglove_layout("top", {"top": "/lidar/top/points"}))
+    jsonschema.validate(layout, schema)
+    layout["configById"]["3D!multilica"]["topics"]["/lidar/top/points"]["colour"] = "red"
+    with pytest.raises(jsonschema.ValidationError, match="colour"):
+        jsonschema.validate(layout, schema)
 
 
 def panels_in(node: Any) -> set[str]:
