@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from multilica.errors import UsageError
-from multilica.fleet.document import comparison_row, evaluation_document
 from multilica.fleet.evaluation import Evaluation
+from multilica.fleet.evaluation_document import comparison_row, evaluation_document
 from multilica.sinks.atomic import atomic_file
 
 __all__ = ["TABLE_SUFFIXES", "require_table_name", "write_table"]

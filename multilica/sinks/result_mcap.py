@@ -35,8 +35,9 @@ MCAP_ENCODINGS = ("foxglove", "ros2")
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000
 _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html": "text/html"}
-# Readers take a time of zero for "unset".
+# Readers take a time of zero for "unset"; ROS has no times from 2038 on.
 _STAMP_WITHOUT_CLOCK_NS = 10**9
+_FAR_FUTURE_NS = 2**31 * 10**9 - 3600 * 10**9
 
 
 class ResultMcap:
@@ -135,8 +136,8 @@ def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Enco
 
 
 def _first_stamp_ns(snapshot: Snapshot) -> int:
-    stamps_ns = [scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans if scan.stamp_ns > 0]
-    return min(stamps_ns, default=_STAMP_WITHOUT_CLOCK_NS)
+    stamps_ns = [scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans]
+    return min((stamp_ns for stamp_ns in stamps_ns if 0 < stamp_ns < _FAR_FUTURE_NS), default=_STAMP_WITHOUT_CLOCK_NS)
 
 
 def _static_poses(result: CalibrationResult) -> list[RigidTransform]:

@@ -4,29 +4,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
 from pathlib import Path
-from typing import Any
 
-from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.well_known import MessageEncoding, Profile
 from mcap.writer import CompressionType, Writer
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
 
 import multilica
-from multilica.geometry import RigidTransform
-from multilica.pointcloud2 import LIDAR_NAME_KEY, encode_points
+from multilica.pointcloud2 import LIDAR_NAME_KEY
 from multilica.sinks.atomic import atomic_file
 from multilica.sinks.ros2_qos import offered_qos
+from multilica.sinks.ros2_types import POINT_CLOUD, TRANSFORMS, point_cloud, schema_of, serialised, transforms
 from multilica.sinks.snapshot_metadata import METADATA_NAME, snapshot_metadata
-from multilica.snapshot import Scan, Snapshot
+from multilica.snapshot import Snapshot
 
 __all__ = ["write_snapshot_mcap"]
 
-_CLOUD = "sensor_msgs/msg/PointCloud2"
-_TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _CHUNK_BYTES = 4 << 20
-_MAX_SECONDS = 2**31 - 1
 
 
 def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
@@ -51,15 +44,14 @@ def _write_static_transforms(writer: Writer, snapshot: Snapshot) -> None:
     if not snapshot.static_transforms:
         return
     stamp_ns = min((scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans), default=0)
-    types = _store().types
-    message = types[_TRANSFORMS](transforms=[_stamped(pose, stamp_ns) for pose in snapshot.static_transforms])
-    schema = _register_schema(writer, _TRANSFORMS)
+    data = serialised(transforms(snapshot.static_transforms, stamp_ns))
+    schema = _register_schema(writer, TRANSFORMS)
     channel = writer.register_channel("/tf_static", MessageEncoding.CDR, schema, offered_qos(latched=True))
-    writer.add_message(channel, stamp_ns, _serialised(message), stamp_ns)
+    writer.add_message(channel, stamp_ns, data, stamp_ns)
 
 
 def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
-    schema = _register_schema(writer, _CLOUD)
+    schema = _register_schema(writer, POINT_CLOUD)
     topics = _topics(snapshot)
     channels = {
         lidar.name: writer.register_channel(
@@ -72,7 +64,8 @@ def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
     }
     frames = [(scan.stamp_ns, lidar, index) for lidar in snapshot.lidars for index, scan in enumerate(lidar.scans)]
     for stamp_ns, lidar, index in sorted(frames, key=lambda frame: frame[0]):
-        data = _serialised(_cloud(lidar.scans[index], lidar.frame_id))
+        scan = lidar.scans[index]
+        data = serialised(point_cloud(lidar.frame_id, stamp_ns, scan.points_m, scan.intensity))
         writer.add_message(channels[lidar.name], stamp_ns, data, stamp_ns, index)
 
 
@@ -83,61 +76,6 @@ def _topics(snapshot: Snapshot) -> dict[str, str]:
     }
 
 
-@cache
-def _store() -> Typestore:
-    return get_typestore(Stores.ROS2_HUMBLE)
-
-
 def _register_schema(writer: Writer, message_type: str) -> int:
-    definition, _ = _store().generate_msgdef(message_type, ros_version=2)
-    return int(writer.register_schema(message_type, SchemaEncoding.ROS2, definition.encode()))
-
-
-def _serialised(message: Any) -> bytes:  # noqa: ANN401 - the classes are made by rosbags at run time
-    return bytes(_store().serialize_cdr(message, message.__msgtype__))
-
-
-def _header(frame_id: str, stamp_ns: int) -> Any:  # noqa: ANN401 - see _serialised
-    types = _store().types
-    seconds, nanoseconds = divmod(stamp_ns, 10**9)
-    if not 0 <= seconds <= _MAX_SECONDS:
-        raise ValueError(
-            f"the stamp {stamp_ns} ns in frame '{frame_id}' lies outside 1970 to 2038, which is all that ROS can hold"
-        )
-    stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
-    return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
-
-
-def _stamped(pose: RigidTransform, stamp_ns: int) -> Any:  # noqa: ANN401 - see _serialised
-    types = _store().types
-    x, y, z = pose.xyz_m.tolist()
-    qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
-    return types["geometry_msgs/msg/TransformStamped"](
-        header=_header(pose.target, stamp_ns),
-        child_frame_id=pose.source,
-        transform=types["geometry_msgs/msg/Transform"](
-            translation=types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z),
-            rotation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
-        ),
-    )
-
-
-def _cloud(scan: Scan, frame_id: str) -> Any:  # noqa: ANN401 - see _serialised
-    types = _store().types
-    cloud = encode_points(scan.points_m, scan.intensity)
-    return types[_CLOUD](
-        header=_header(frame_id, scan.stamp_ns),
-        height=cloud.height,
-        width=cloud.width,
-        fields=[
-            types["sensor_msgs/msg/PointField"](
-                name=field.name, offset=field.offset, datatype=field.datatype, count=field.count
-            )
-            for field in cloud.fields
-        ],
-        is_bigendian=cloud.big_endian,
-        point_step=cloud.point_step,
-        row_step=cloud.row_step,
-        data=cloud.data,
-        is_dense=True,
-    )
+    schema = schema_of(message_type)
+    return int(writer.register_schema(schema.name, schema.encoding, schema.data))

@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from multilica.errors import UsageError
 from multilica.fleet import Evaluation, Truth, evaluate, read_run
-from multilica.fleet.document import comparison_row
+from multilica.fleet.evaluation_document import comparison_row
 from multilica.fleet.tables import write_table
 from tests.fleet.made_runs import made_truth, write_run
 

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import tomllib
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -238,6 +239,20 @@ def test_nothing_is_written_of_a_run_that_never_started(tmp_path):
     with ResultMcap(tmp_path / "result.mcap"):
         pass
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("encoding", ["foxglove", "ros2"])
+def test_a_clock_that_was_never_set_costs_nothing_but_the_time(tmp_path, encoding):
+    with ResultMcap(tmp_path / "result.mcap", encoding) as observe:
+        started, *others = made_events()
+        lidars = tuple(
+            replace(lidar, scans=tuple(replace(scan, stamp_ns=2**62) for scan in lidar.scans))
+            for lidar in started.snapshot.lidars
+        )
+        for event in (replace(started, snapshot=replace(started.snapshot, lidars=lidars)), *others):
+            observe(event)
+    with (tmp_path / "result.mcap").open("rb") as file:
+        assert min(message.log_time for _, _, message in make_reader(file).iter_messages()) == 10**9
 
 
 def test_what_others_wrote_is_attached_if_it_is_there(tmp_path):

@@ -47,7 +47,7 @@ def evaluate(
     """Hold runs against the truth: RMSE per axis, success rate, false accepts and refusals."""
     from multilica import fleet
     from multilica.extrinsics import read_extrinsics
-    from multilica.fleet.document import evaluation_document
+    from multilica.fleet.evaluation_document import evaluation_document
     from multilica.fleet.tables import require_table_name, write_table
     from multilica_cli.evaluation_tables import print_evaluation
 
