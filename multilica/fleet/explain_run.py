@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from multilica.errors import UnreadableSourceError
 from multilica.explanation import Explanation, explain
-from multilica.fleet.run_documents import read_run_document
+from multilica.fleet.run_documents import read_run_document, require_whole
 
 __all__ = ["explain_run"]
 
@@ -20,9 +19,5 @@ def explain_run(path: Path) -> Explanation:
         UnreadableSourceError: damaged, or not of a run.
     """
     run = read_run_document(path)
-    try:
+    with require_whole(path):
         return explain(run.document)
-    except KeyError as error:
-        raise UnreadableSourceError(f"{path} is not a whole result: it has no {error}.") from error
-    except (AttributeError, TypeError, ValueError) as error:
-        raise UnreadableSourceError(f"{path} is not a whole result: {error}.") from error

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.sinks.result_document import RESULT_SCHEMA
 from multilica.sinks.result_files import RESULT_JSON
 
-__all__ = ["RunDocument", "read_result_json", "read_run_document"]
+__all__ = ["RunDocument", "read_result_json", "read_run_document", "require_whole"]
 
 _RECORDINGS = ("recording.rrd", "recording.partial.rrd")
 _MCAPS = ("result.mcap", "result.partial.mcap")
@@ -100,6 +101,21 @@ def read_result_json(file: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError) as error:
         raise UnreadableSourceError(f"{file} is not a JSON file that can be read: {error}.") from error
     return _of_schema(file, document)
+
+
+@contextmanager
+def require_whole(source: object) -> Iterator[None]:
+    """Refuse a document that lacks what is read of it within the block.
+
+    Raises:
+        UnreadableSourceError: it names the source.
+    """
+    try:
+        yield
+    except KeyError as error:
+        raise UnreadableSourceError(f"{source} is not a whole result: it has no {error}.") from error
+    except (AttributeError, TypeError, ValueError) as error:
+        raise UnreadableSourceError(f"{source} is not a whole result: {error}.") from error
 
 
 def _of_schema(file: Path, document: object) -> dict[str, Any]:

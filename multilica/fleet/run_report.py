@@ -11,7 +11,7 @@ import numpy as np
 from jinja2 import UndefinedError
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.fleet.run_documents import read_run_document
+from multilica.fleet.run_documents import read_run_document, require_whole
 from multilica.geometry import RigidTransform
 from multilica.sinks.report.contents import JudgedPoints, ReportContents
 from multilica.sinks.report.page import report_html
@@ -35,8 +35,9 @@ def report_of_run(path: Path) -> str:
     """
     contents = contents_of_run(path)
     try:
-        return report_html(contents)
-    except (KeyError, TypeError, ValueError, UndefinedError) as error:
+        with require_whole(path):
+            return report_html(contents)
+    except UndefinedError as error:
         raise UnreadableSourceError(f"{path} is not a whole result: {error}.") from error
 
 
@@ -46,11 +47,9 @@ def contents_of_run(path: Path) -> ReportContents:
     if run.recording is None:
         raise SourceNotFoundError(f"{path} has no recording beside it, which holds the clouds to draw.")
     recording = run.recording
-    try:
+    with require_whole(path):
         clouds = {name: read_recorded_cloud(recording, name).astype(np.float64) for name in run.document["lidars"]}
         judged = {(one["target"], one["source"]): _judged(recording, one) for one in run.document["pairs"]}
-    except (KeyError, TypeError, ValueError) as error:
-        raise UnreadableSourceError(f"{path} is not a whole result: {error}.") from error
     return ReportContents(run.document, clouds, judged)
 
 

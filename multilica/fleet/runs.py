@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.fleet.run_documents import read_result_json
+from multilica.errors import SourceNotFoundError
+from multilica.fleet.run_documents import read_result_json, require_whole
 from multilica.geometry import FloatArray, RigidTransform, read_only
 from multilica.sinks.result_files import RESULT_JSON
 
@@ -68,12 +68,8 @@ def read_run(path: Path) -> SavedRun:
     """
     file = _result_file(path)
     document = read_result_json(file)
-    try:
+    with require_whole(file):
         return _saved_run(str(file.parent), document)
-    except KeyError as error:
-        raise UnreadableSourceError(f"{file} is not a whole result: it has no {error}.") from error
-    except (AttributeError, TypeError, ValueError) as error:
-        raise UnreadableSourceError(f"{file} is not a whole result: {error}.") from error
 
 
 def _result_file(path: Path) -> Path:
