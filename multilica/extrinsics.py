@@ -76,6 +76,8 @@ def _pose_table(pose: RigidTransform) -> dict[str, Any]:
 def read_extrinsics(path: Path) -> Extrinsics:
     """Read what a table of `extrinsics_table` became as TOML; further keys are ignored.
 
+    Where a LiDAR has no `T_target_source`, as in a table that a person wrote, its `xyz_m` and `rpy_deg` are taken.
+
     Raises:
         SourceNotFoundError: no such file.
         UnreadableSourceError: not TOML, or not such a table.
@@ -93,10 +95,15 @@ def read_extrinsics(path: Path) -> Extrinsics:
         )
     try:
         target = str(table["target"])
-        poses = {
-            name: RigidTransform(target, name, np.asarray(entry["T_target_source"], dtype=np.float64))
-            for name, entry in table["lidars"].items()
-        }
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        poses = {str(name): _read_pose(target, str(name), entry) for name, entry in table["lidars"].items()}
+    except KeyError as error:
+        raise UnreadableSourceError(f"{path} is not a table of extrinsics: it has no {error}.") from error
+    except (AttributeError, TypeError, ValueError) as error:
         raise UnreadableSourceError(f"{path} is not a table of extrinsics: {error}.") from error
     return Extrinsics(target, poses)
+
+
+def _read_pose(target: str, lidar: str, entry: Mapping[str, Any]) -> RigidTransform:
+    if "T_target_source" in entry:
+        return RigidTransform(target, lidar, np.asarray(entry["T_target_source"], dtype=np.float64))
+    return RigidTransform.from_xyz_rpy(target, lidar, entry["xyz_m"], np.deg2rad(entry["rpy_deg"]).tolist())
