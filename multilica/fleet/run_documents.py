@@ -57,12 +57,19 @@ def read_run_document(path: Path) -> RunDocument:
         return RunDocument(path, read_result_json(file), recording)
     left = [one for one in (recording, mcap) if one is not None]
     if not left:
-        names = " nor ".join((*_RECORDINGS, *_MCAPS))
-        raise SourceNotFoundError(
-            f"{path} is not the directory of a run: it has neither {RESULT_JSON} nor {names}, "
-            "which `multilica calibrate --out` leaves."
-        )
+        raise SourceNotFoundError(_no_run(path, directory))
     return RunDocument(path, _of_what_is_left(left), recording)
+
+
+def _no_run(path: Path, directory: Path) -> str:
+    """Runs below it are those of the snapshots of a joint run that was killed before it came to a joint result."""
+    names = (*_RECORDINGS, *_MCAPS)
+    below = sorted(one.name for one in directory.iterdir() if one.is_dir() and _first_in(one, names))
+    hint = f"; below it are the runs {', '.join(below)}" if below else ""
+    return (
+        f"{path} is not the directory of a run: it has neither {RESULT_JSON} nor {' nor '.join(names)}, "
+        f"which `multilica calibrate --out` leaves{hint}."
+    )
 
 
 def _first_in(directory: Path, names: tuple[str, ...]) -> Path | None:
