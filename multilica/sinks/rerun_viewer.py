@@ -28,6 +28,7 @@ _NO_DRIVER = (
     "`sudo apt-get install mesa-vulkan-drivers libvulkan1`"
 )
 _PATIENCE_S = 60.0
+_UNTIMED_S = 3.0
 _PAUSE_S = 0.4
 _SAME_IN_A_ROW = 3
 _SMALL_PX = 320
@@ -110,10 +111,14 @@ def _connect(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> 
 
 
 def _await_loaded(viewer: ViewerClient, recording: Path) -> None:
+    """Until a timeline is there; a recording without any, as of two rigs, is known by nothing more being loaded."""
     end_s = time.monotonic() + _PATIENCE_S
+    busy_s = time.monotonic()
     while time.monotonic() < end_s:
         state = viewer.get_state()
-        if state.recordings and not state.loading and any(one.timelines for one in state.recordings):
+        if not state.recordings or state.loading:
+            busy_s = time.monotonic()
+        elif any(one.timelines for one in state.recordings) or time.monotonic() - busy_s > _UNTIMED_S:
             return
         time.sleep(0.1)
     raise ViewerError(f"Rerun's viewer did not load {recording} within {_PATIENCE_S:.0f} s; is it a recording?")

@@ -3,16 +3,22 @@
 
 from __future__ import annotations
 
+import io
+from pathlib import Path
+
 import numpy as np
 import pytest
+from PIL import Image
 
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.sinks.rerun_reading import read_recorded_cloud, read_recorded_document
 from multilica.sinks.rerun_rigs import LaidRig, write_rigs
+from multilica.sinks.rerun_viewer import viewer_picture
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH
 from tests.sinks.recording_reader import Recording, blueprint_names
 
+DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")]
 CLOUD = np.random.default_rng(4).normal(scale=5.0, size=(300, 3)).astype(np.float32)
 
 
@@ -45,6 +51,12 @@ def test_each_rig_has_its_clouds_in_its_own_frames_and_colour(written):
 
 def test_the_blueprint_opens_on_both(written):
     assert any({"Both rigs", "A", "B", "Summary"} <= names for names in blueprint_names(written))
+
+
+@pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1")
+def test_it_is_drawn_without_a_screen_although_it_has_no_timeline(written):
+    picture = Image.open(io.BytesIO(viewer_picture(written, (640, 400)))).convert("RGB")
+    assert len(picture.getcolors(640 * 400)) > 100
 
 
 def test_nothing_else_is_left_behind(written):
