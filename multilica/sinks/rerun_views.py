@@ -31,6 +31,7 @@ __all__ = [
 
 _DARK = (13, 16, 17)
 _DIM = 0.45
+_JUDGED_LEGEND = ": green agrees, red stands in empty space, grey is hidden"
 
 
 def scene_view(
@@ -71,7 +72,13 @@ def judged_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
     """A pair at the pose that is shown at the step, its clouds dimmed below the points that the beams judged."""
     clouds = {lidar_path(pair[0], "preprocessed"): pair[0], pair_path(*pair, "source"): pair[1]}
     contents = [*clouds, f"{pair_path(*pair, 'judged')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
-    return _pair_view(story, pair, pair_label(*pair), contents, overrides=_dimmed(story, clouds))
+    name = f"{pair_label(*pair)}{_JUDGED_LEGEND if _is_judged(story, pair) else ''}"
+    return _pair_view(story, pair, name, contents, overrides=_dimmed(story, clouds))
+
+
+def _is_judged(story: RunStory, pair: PairKey) -> bool:
+    found = story.registrations.get(pair)
+    return bool(story.assessments.get(pair) or (found is not None and found.assessments))
 
 
 def rival_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:

@@ -136,12 +136,14 @@ def test_the_blueprint_opens_on_what_matters(recordings):
     assert stages | {"Result", "Merged cloud", "Summary"} <= complete
     assert not any(name.startswith("Not placed") for name in complete)
     assert stages | {"Not placed: rear", "front left/1 <- rear, the other pose", "Scores", "Result"} <= partial
+    assert "front left/1 <- rear: green agrees, red stands in empty space, grey is hidden" in partial
 
 
 def test_a_run_stopped_after_a_stage_is_whole_and_has_tabs_up_to_there(tmp_path):
     path = record(tmp_path / "until.rrd", until="coarse")
     names = blueprint_names(path)[-1]
     assert {"Input", "Correspond", "Coarse", "Log"} <= names
+    assert not any("green agrees" in name for name in names)
     assert not names & {"Fine", "Merge", "Result", "Not placed"}
 
 
