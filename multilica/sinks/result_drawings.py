@@ -89,9 +89,10 @@ def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> Lines:
 def _fields_of_view(story: RunStory) -> Iterator[Drawing]:
     colours = distinct_colours(story.lidars)
     for lidar, cloud in sorted(story.clouds.items()):
-        strips = field_of_view(cloud.returns_m)
-        if strips:
-            segments_m = np.concatenate([segments_along(strip) for strip in strips])
+        if lidar not in story.outlines:
+            story.outlines[lidar] = field_of_view(cloud.returns_m)
+        if story.outlines[lidar]:
+            segments_m = np.concatenate([segments_along(strip) for strip in story.outlines[lidar]])
             yield Drawing(lidar, lidar, (Lines(segments_m, colours[lidar]),))
 
 

@@ -72,7 +72,7 @@ class ResultMcap:
         """Remember an event; what is known is written when a stage ends."""
         self._story(event)
         self._lines += narrate(event)
-        if isinstance(event, events.CalibrationStarted | events.StageFinished):
+        if isinstance(event, events.StageFinished):
             self._write(partial_path(self.path))
 
     def __exit__(

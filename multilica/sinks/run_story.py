@@ -9,7 +9,7 @@ from typing import Any
 
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
-from multilica.geometry import RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import (
     Assessment,
     CalibrationResult,
@@ -43,6 +43,7 @@ class RunStory:
         stages: those that finished, in order.
         rig: poses in the target's frame after the joint adjustment.
         figures: of stages that finished, as far as somebody asked for them, see `stage_figures`.
+        outlines: of fields of view, as far as somebody asked for them, see `field_of_view`.
     """
 
     snapshot: Snapshot | None = None
@@ -63,6 +64,7 @@ class RunStory:
     rig: tuple[RigidTransform, ...] = ()
     ground: events.GroundEstimated | None = None
     figures: dict[Stage, Mapping[str, Any]] = field(default_factory=dict)
+    outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
     result: CalibrationResult | None = None
 
     @property

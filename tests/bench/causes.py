@@ -44,7 +44,7 @@ class Case:
 
 CASES = (
     Case("no overlap", "blind", "street", ("no_overlap", "contradiction"), ("rear",)),
-    Case("symmetric garage", "sides", "symmetric_garage", ("ambiguous",), ("top",)),
+    Case("symmetric garage", "sides", "symmetric_garage", ("ambiguous",), ("left", "right")),
     Case("tunnel", "edgar", "tunnel", ("ambiguous", "not_observable"), ("front",)),
     Case("moving vehicle", "sides", "street", ("moving_vehicle",), (), ("moving",)),
     Case("dead sensor", "sides", "street", ("dead_sensor",), ("left",), ("dead:left",)),
