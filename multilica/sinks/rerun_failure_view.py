@@ -21,6 +21,9 @@ from multilica.sinks.run_story import RunStory
 
 __all__ = ["failure_tab"]
 
+_HALF_HEIGHT = 0.65
+"""Zoom of views that share the height of the window."""
+
 
 def failure_tab(story: RunStory) -> rrb.Container | None:
     """The decisive comparison at the stage where it failed, beside the reasons; None if there is nothing to see."""
@@ -48,10 +51,9 @@ def _seen_by(story: RunStory, lidar: str) -> rrb.View:
 
 def _compared(story: RunStory, pair: PairKey) -> rrb.Container | rrb.View:
     """The pose that is believed most; below it the other one, where the two cannot be told apart."""
-    believed = judged_view(story, pair)
     if rival_of(story, story.registrations[pair]) is None:
-        return believed
-    return rrb.Vertical(believed, rival_view(story, pair))
+        return judged_view(story, pair)
+    return rrb.Vertical(judged_view(story, pair, zoom=_HALF_HEIGHT), rival_view(story, pair, zoom=_HALF_HEIGHT))
 
 
 def _page(failure: Failure) -> rrb.View | None:

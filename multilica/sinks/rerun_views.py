@@ -68,12 +68,12 @@ def matches_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
     return _pair_view(story, pair, pair_label(*pair), contents, zoom=0.6)
 
 
-def judged_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
+def judged_view(story: RunStory, pair: PairKey, *, zoom: float = 1.0) -> rrb.Spatial3DView:
     """A pair at the pose that is shown at the step, its clouds dimmed below the points that the beams judged."""
     clouds = {lidar_path(pair[0], "preprocessed"): pair[0], pair_path(*pair, "source"): pair[1]}
     contents = [*clouds, f"{pair_path(*pair, 'judged')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
     name = f"{pair_label(*pair)}{_JUDGED_LEGEND if _is_judged(story, pair) else ''}"
-    return _pair_view(story, pair, name, contents, overrides=_dimmed(story, clouds))
+    return _pair_view(story, pair, name, contents, zoom=zoom, overrides=_dimmed(story, clouds))
 
 
 def _is_judged(story: RunStory, pair: PairKey) -> bool:
@@ -81,10 +81,10 @@ def _is_judged(story: RunStory, pair: PairKey) -> bool:
     return bool(story.assessments.get(pair) or (found is not None and found.assessments))
 
 
-def rival_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
+def rival_view(story: RunStory, pair: PairKey, *, zoom: float = 1.0) -> rrb.Spatial3DView:
     """A pair at the other pose that explains nearly as much."""
     contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'rival')}/**"]
-    return _pair_view(story, pair, f"{pair_label(*pair)}, the other pose", contents)
+    return _pair_view(story, pair, f"{pair_label(*pair)}, the other pose", contents, zoom=zoom)
 
 
 def before_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
