@@ -62,14 +62,29 @@ def write(path: Path, encoding: str, *args) -> Path:
     return path
 
 
+def write_until(path: Path, encoding: str, stage: str) -> Path:
+    """What is on disk of a run that goes on after that stage."""
+    with ResultMcap(path.with_name("running.mcap"), encoding) as observe:
+        for event in made_events():
+            observe(event)
+            if isinstance(event, events.StageFinished) and event.stage == stage:
+                shutil.copy(path.with_name("running.partial.mcap"), path)
+    return path
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     directory = tmp_path_factory.mktemp("mcap")
-    return {
+    ended = {
         (encoding, outcome): write(directory / f"{encoding}-{outcome}.mcap", encoding, outcome)
         for encoding in ("foxglove", "ros2")
         for outcome in ("complete", "partial")
     }
+    running = {
+        (encoding, "running"): write_until(directory / f"{encoding}-running.mcap", encoding, "fine")
+        for encoding in ("foxglove", "ros2")
+    }
+    return ended | running
 
 
 def topics_of(path: Path) -> dict[str, str]:
@@ -149,6 +164,9 @@ def test_rosbags_reads_the_ros2_file(files):
     assert [field.name for field in cloud.fields] == ["x", "y", "z"]
     assert durability["/tf_static"] is QosDurability.TRANSIENT_LOCAL
     assert durability["/log"] is QosDurability.VOLATILE
+    with AnyReader([files["ros2", "running"]]) as reader:
+        lines = [reader.deserialize(raw, one.msgtype).msg for one, _, raw in reader.messages() if one.topic == "/log"]
+    assert lines[-1] == "stage fine finished"
     assert any("calibration complete" in line.msg for line in found["/log"])
     assert json.loads(found["/metrics"][0].data)["lidars"]["rear"]["fitness"] == 0.8
 
@@ -171,24 +189,29 @@ def test_what_is_not_placed_has_a_cloud_and_no_transform(files):
 
 @pytest.mark.parametrize("encoding", ["foxglove", "ros2"])
 def test_reruns_own_loader_sees_clouds_and_transforms(files, encoding):
-    chunks = list(McapReader(files[encoding, "complete"]).stream())
-    columns = {name for chunk in chunks for name in chunk.to_record_batch().schema.names}
-    assert {"Points3D:positions", "Transform3D:child_frame", "TextLog:text", "CoordinateFrame:frame"} <= columns
+    expected = {"Points3D:positions", "TextLog:text", "CoordinateFrame:frame"}
+    assert expected | {"Transform3D:child_frame"} <= columns_in_rerun(files[encoding, "complete"])
+    assert expected <= columns_in_rerun(files[encoding, "running"])
 
 
+def columns_in_rerun(path: Path) -> set[str]:
+    return {name for chunk in McapReader(path).stream() for name in chunk.to_record_batch().schema.names}
+
+
+@pytest.mark.parametrize(("outcome", "status"), [("complete", "complete"), ("running", "unfinished")])
 @pytest.mark.parametrize("encoding", ["foxglove", "ros2"])
 @pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")
 @pytest.mark.skipif(not NODE_MODULES.is_dir(), reason=f"run: {HOW_TO_INSTALL}")
-def test_the_reader_of_mcap_core_agrees(files, encoding):
-    command = ["node", str(Path(__file__).parent / "read_mcap.cjs"), str(files[encoding, "complete"])]
+def test_the_reader_of_mcap_core_agrees(files, encoding, outcome, status):
+    command = ["node", str(Path(__file__).parent / "read_mcap.cjs"), str(files[encoding, outcome])]
     environment = {**os.environ, "NODE_PATH": str(NODE_MODULES)}
     finished = subprocess.run(command, capture_output=True, text=True, check=True, env=environment, timeout=60)
     seen = json.loads(finished.stdout)
-    assert seen["topics"] == topics_of(files[encoding, "complete"])
+    assert seen["topics"] == topics_of(files[encoding, outcome])
     assert seen["counts"]["/lidar/top/points"] == 1
     assert seen["counts"]["/log"] > len(LIDARS)
     assert seen["attachments"] == ["config.toml", "result.json", "foxglove-layout.json"]
-    assert seen["metadata"]["multilica"]["status"] == "complete"
+    assert seen["metadata"]["multilica"]["status"] == status
 
 
 def test_names_that_ros_spells_alike_keep_topics_of_their_own():
