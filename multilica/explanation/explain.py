@@ -158,13 +158,11 @@ def _cause(document: Document, name: str, decisive: Comparison | None) -> Cause:
 def _sensor_fault(document: Document, name: str) -> Cause | None:
     health = document["lidars"][name].get("health") or {}
     codes = {reason["code"] for reason in health.get("reasons", ())}
-    if "dead" in codes or (not document.get("snapshots") and _has_no_points(document, name)):
+    given = document["input"]["lidars"].get(name, {}).get("points")
+    if "dead" in codes or (given == 0 and not document.get("snapshots")):
         return "dead_sensor"
     if "dirty" in codes:
         return "dirty_sensor"
     cleaned = document.get("stages", {}).get("preprocess", {}).get(name, {})
-    return "no_returns_in_range" if cleaned.get("points") == 0 else None
-
-
-def _has_no_points(document: Document, name: str) -> bool:
-    return bool(document["input"]["lidars"].get(name, {}).get("points") == 0)
+    # Of several snapshots, the one that is shown may lack the LiDAR.
+    return "no_returns_in_range" if cleaned.get("points") == 0 and given != 0 else None

@@ -223,7 +223,7 @@ def test_of_several_snapshots_an_accepted_pair_decides_nothing(partial, disputed
 def test_a_lidar_that_the_shown_snapshot_lacks_is_not_called_dead(partial):
     partial["pairs"] = []
     partial["input"]["lidars"]["rear"]["points"] = 0
-    partial["stages"]["preprocess"]["rear"]["points"] = 600
+    partial["stages"]["preprocess"]["rear"]["points"] = 0
     assert missing_of(jointly(partial)).cause == "unknown"
 
 
