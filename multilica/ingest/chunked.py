@@ -6,20 +6,20 @@ from __future__ import annotations
 import heapq
 from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import count
 
 from multilica.ingest.damage import damage_named
 from multilica.ingest.recording import Message, Messages, Span, Topic
-from multilica.ingest.unpacking import require_checksum, unpack
+from multilica.ingest.unpacking import UNCOMPRESSED, require_checksum, unpack
 from multilica.ingest.whole_reads import WholeReads
 
 __all__ = ["ChunkPlace", "ChunkedRecording", "PackedChunk"]
 
 _AHEAD = 1
-"""Chunks that are unpacked while the one before is decoded; more of them only crowd the processor's cache."""
+"""Compressed chunks that are unpacked ahead; see docs/decisions/0005-chunks-unpacked-ahead.md."""
 _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time are held back together up to this size; beyond, order gives way."""
 _END_OF_TIME = 2**64
@@ -55,6 +55,11 @@ class PackedChunk:
     size: int
     crc32: int = 0
     is_whole: bool = True
+
+    @property
+    def is_compressed(self) -> bool:
+        """There is more to do than to check it."""
+        return self.compression not in UNCOMPRESSED
 
     def unpack(self) -> memoryview:
         """Its records; of one that is not whole, those at its beginning, unchecked.
@@ -152,12 +157,13 @@ class ChunkedRecording:
         ]
 
     def _unpacked(self, chunks: Sequence[ChunkPlace]) -> Generator[memoryview, None, None]:
-        """The records of each chunk; the next ones are unpacked by another thread meanwhile."""
-        ahead: deque[Future[memoryview]] = deque()
+        """The records of each chunk; a compressed one is unpacked by another thread while the one before is used."""
+        ahead: deque[Callable[[], memoryview]] = deque()
         with ThreadPoolExecutor(max_workers=1) as aside:
             for chunk in chunks:
-                ahead.append(aside.submit(self._read_chunk(self._stream, chunk).unpack))
-                if len(ahead) > _AHEAD:
-                    yield ahead.popleft().result()
+                packed = self._read_chunk(self._stream, chunk)
+                ahead.append(aside.submit(packed.unpack).result if packed.is_compressed else packed.unpack)
+                while len(ahead) > (_AHEAD if packed.is_compressed else 0):
+                    yield ahead.popleft()()
             while ahead:
-                yield ahead.popleft().result()
+                yield ahead.popleft()()

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
+from isal.isal_zlib import crc32 as crc32_of
 from mcap.opcode import Opcode
 from mcap.records import Schema
 
@@ -62,13 +62,13 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
     head = stream.read(len(_MAGIC))
     if head != _MAGIC:
         raise ValueError("it does not begin as an MCAP file does")
-    crc32 = zlib.crc32(head)
+    crc32 = crc32_of(head)
     opcode = 0
     while opcode != Opcode.FOOTER:
         before = crc32
         head = stream.read(RECORD_HEAD.size)
         opcode, length = RECORD_HEAD.unpack(head)
-        crc32 = zlib.crc32(head, crc32)
+        crc32 = crc32_of(head, crc32)
         if opcode not in _READ:
             crc32 = _skip(stream, length, crc32)
             continue
@@ -77,7 +77,7 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
             yield opcode, memoryview(stream.read(stream.remaining))
             raise EndOfFileError
         record = stream.read(length)
-        crc32 = zlib.crc32(record, crc32)
+        crc32 = crc32_of(record, crc32)
         if opcode == Opcode.DATA_END and int.from_bytes(record, "little") not in (0, before):
             raise ValueError("a checksum does not match its data")
         yield opcode, memoryview(record)
@@ -86,7 +86,7 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
 
 def _skip(stream: WholeReads, length: int, crc32: int) -> int:
     for offset in range(0, length, _BLOCK_BYTES):
-        crc32 = zlib.crc32(stream.read(min(_BLOCK_BYTES, length - offset)), crc32)
+        crc32 = crc32_of(stream.read(min(_BLOCK_BYTES, length - offset)), crc32)
     return crc32
 
 

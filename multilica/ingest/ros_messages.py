@@ -13,12 +13,13 @@ from rosbags.typesys.store import Typestore
 from multilica.ingest.cloud import Cloud
 from multilica.ingest.damage import reason_of
 from multilica.ingest.recording import Message
-from multilica.ingest.unpacking import ZSTD_MAGIC, unpack_zstd_message
+from multilica.ingest.ros_wire import WireReader, message_bytes
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan
 
-__all__ = ["decode_cloud", "message_bytes", "unpacked"]
+__all__ = ["decode_cloud", "unpacked"]
 
+_MAX_FIELDS = 1024
 _OLD_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
@@ -28,21 +29,31 @@ def decode_cloud(message: Message) -> Cloud:
     Raises:
         ValueError: the message is broken; the text is a predicate.
     """
-    found = unpacked(message)
-    points_m, intensity = decode_points(
-        PointCloud2(
-            fields=tuple(PointField(field.name, field.offset, field.datatype, field.count) for field in found.fields),
-            width=found.width,
-            height=found.height,
-            point_step=found.point_step,
-            row_step=found.row_step,
-            data=found.data,
-            big_endian=found.is_bigendian,
-        )
-    )
-    stamp_ns = found.header.stamp.sec * 10**9 + found.header.stamp.nanosec
-    scan = Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity)
-    return Cloud(scan, found.header.frame_id.strip("/"))
+    # By hand, for an object of `rosbags` takes as long to make as a third of the points take to unpack.
+    reader = WireReader.of_message(message)
+    seconds, nanoseconds = reader.numbers("iI")
+    frame_id = reader.text()
+    height, width = reader.uint32(), reader.uint32()
+    fields = _fields(reader)
+    (is_big_endian,) = reader.numbers("B")
+    point_step, row_step = reader.uint32(), reader.uint32()
+    layout = PointCloud2(fields, width, height, point_step, row_step, reader.octets(), big_endian=bool(is_big_endian))
+    points_m, intensity = decode_points(layout)
+    stamp_ns = seconds * 10**9 + nanoseconds
+    return Cloud(Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity), frame_id.strip("/"))
+
+
+def _fields(reader: WireReader) -> tuple[PointField, ...]:
+    count = reader.uint32()
+    if count > _MAX_FIELDS:
+        raise ValueError(f"claims points of {count} fields; not more than {_MAX_FIELDS} are believed")
+    return tuple(_field(reader) for _ in range(count))
+
+
+def _field(reader: WireReader) -> PointField:
+    name, offset = reader.text(), reader.uint32()
+    (datatype,) = reader.numbers("B")
+    return PointField(name, offset, datatype, reader.uint32())
 
 
 def unpacked(message: Message) -> Any:  # noqa: ANN401 - the classes are made by rosbags at run time
@@ -59,21 +70,6 @@ def unpacked(message: Message) -> Any:  # noqa: ANN401 - the classes are made by
         return _ros2_types().deserialize_cdr(data, message_type)
     except SerdeError as error:
         raise ValueError(f"cannot be unpacked: {reason_of(error)}") from error
-
-
-def message_bytes(message: Message) -> memoryview:
-    """The serialised message, unpacked where the bag has message compression.
-
-    Raises:
-        ValueError: it cannot be unpacked; the text is a predicate.
-    """
-    # A bag with message compression says so in its metadata.yaml only; a serialised message never begins like this.
-    if message.data[:4] != ZSTD_MAGIC:
-        return memoryview(message.data)
-    try:
-        return unpack_zstd_message(message.data)
-    except ValueError as error:
-        raise ValueError(f"cannot be unpacked: {error}") from error
 
 
 @cache

@@ -4,18 +4,29 @@
 from __future__ import annotations
 
 import bz2
-import zlib
 
 import lz4.frame
 import zstandard
+from isal.isal_zlib import crc32 as crc32_of
 
-__all__ = ["MAX_RECORDS", "MAX_UNPACKED_BYTES", "ZSTD_MAGIC", "require_checksum", "unpack", "unpack_zstd_message"]
+__all__ = [
+    "MAX_RECORDS",
+    "MAX_UNPACKED_BYTES",
+    "UNCOMPRESSED",
+    "ZSTD_MAGIC",
+    "require_checksum",
+    "unpack",
+    "unpack_zstd_message",
+]
 
 MAX_UNPACKED_BYTES = 512 << 20
 """No chunk and no message of a sane recording is larger; what claims more is not unpacked."""
 
 MAX_RECORDS = 1 << 20
 """Records of a chunk; with more of them, they are too short to be any."""
+
+UNCOMPRESSED = ("", "none")
+"""What stands where a compression is named."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -59,12 +70,12 @@ def require_checksum(data: bytes | memoryview, crc32: int) -> None:
     Raises:
         ValueError: they differ; the text is a clause.
     """
-    if crc32 and zlib.crc32(data) != crc32:
+    if crc32 and crc32_of(data) != crc32:
         raise ValueError("a checksum does not match its data")
 
 
 def _unpacked(compression: str, packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
-    if compression in ("", "none"):
+    if compression in UNCOMPRESSED:
         return memoryview(packed)
     if size == 0:
         return memoryview(b"")

@@ -15,7 +15,7 @@ from rosbags.typesys.store import Typestore
 from multilica.ingest.cloud import Cloud
 from multilica.ingest.damage import reason_of
 from multilica.ingest.recording import Message
-from multilica.ingest.ros_messages import message_bytes
+from multilica.ingest.ros_wire import message_bytes
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Float32Array, Scan
 

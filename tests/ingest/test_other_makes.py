@@ -17,11 +17,14 @@ import pytest
 
 from multilica.errors import MultilicaError, UnfitSnapshotError, UnreadableSourceError
 from multilica.ingest import packets, read_snapshot
+from multilica.ingest.cloud import decode_cloud
+from multilica.ingest.recording import Message
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.format_writers import (
     LIVOX_DRIVERS,
     POINT_WRITERS,
     foxglove_cloud,
+    json_cloud,
     livox_messages,
     velodyne_messages,
     write_foxglove_json,
@@ -159,6 +162,36 @@ def test_a_pose_of_the_cloud_in_its_frame_is_told(tmp_path: Path, scene: Snapsho
     np.testing.assert_array_equal(snapshot.lidars[0].scans[0].points_m, scan.points_m)
     (note,) = snapshot.notes
     assert "'/a' gives its clouds a pose of their own in 'base_link'" in note
+
+
+def _as_it_is(text: str) -> str:
+    return text
+
+
+def _data_first(text: str) -> str:
+    table = json.loads(text)
+    return json.dumps({"data": table.pop("data"), **table})
+
+
+def _more_behind(text: str) -> str:
+    return json.dumps({**json.loads(text), "note": 'not "data": "here"', "more": {"data": ""}})
+
+
+def _spread(text: str) -> str:
+    return json.dumps(json.loads(text), indent=4) + "\n"
+
+
+def _escaped(text: str) -> str:
+    return text.replace("/", "\\/")
+
+
+@pytest.mark.parametrize("rewrite", [_as_it_is, _data_first, _more_behind, _spread, _escaped])
+def test_json_may_be_written_in_any_way(scene: Snapshot, rewrite: Callable[[str], str]) -> None:
+    scan = scene.lidars[0].scans[0]
+    text = rewrite(json.dumps(json_cloud(scan, "lidar")))
+    cloud = decode_cloud(Message("/a", "foxglove.PointCloud", "json", 0, memoryview(text.encode()), "A scan"))
+    np.testing.assert_array_equal(cloud.scan.points_m, scan.points_m)
+    assert cloud.frame_id == "lidar"
 
 
 @pytest.mark.parametrize(
