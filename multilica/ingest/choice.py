@@ -87,7 +87,7 @@ def packet_notes(recording: Recording) -> list[str]:
     return [
         f"'{topic.name}' holds {wanted}."
         for topic in recording.topics
-        if topic.count and (wanted := missing_decoder(topic.message_type))
+        if topic.count and (wanted := missing_decoder(topic.message_type, topic.encoding))
     ]
 
 

@@ -9,7 +9,7 @@ from importlib import import_module
 from typing import cast
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.packets import missing_decoder
+from multilica.ingest.packets import OUSTER_TURN, OUSTER_TYPES, missing_decoder
 from multilica.ingest.recording import Message, Topic
 from multilica.snapshot import Scan
 
@@ -26,6 +26,7 @@ _DECODERS = {
     ("livox_interfaces/msg/CustomMsg", "cdr"): "livox_messages",
     ("velodyne_msgs/msg/VelodyneScan", "cdr"): "velodyne_packets",
     ("velodyne_msgs/msg/VelodyneScan", "ros1"): "velodyne_packets",
+    **{(message_type, OUSTER_TURN): "ouster_packets" for message_type in OUSTER_TYPES},
     ("PCD", "pcd"): "pcd",
     ("PLY", "ply"): "ply",
     ("LAS", "las"): "las",
@@ -52,7 +53,7 @@ class Cloud:
 
 def is_cloud(of: Topic | Message) -> bool:
     """Whether this message, or those on this topic, can be unpacked to points."""
-    return (of.message_type, of.encoding) in _DECODERS and not missing_decoder(of.message_type)
+    return (of.message_type, of.encoding) in _DECODERS and not missing_decoder(of.message_type, of.encoding)
 
 
 def decode_cloud(message: Message) -> Cloud:

@@ -25,8 +25,7 @@ def decode_cloud(message: Message) -> Cloud:
         ValueError: the message is broken; the text is a predicate.
     """
     reader = WireReader.of_message(message)
-    seconds, nanoseconds = reader.numbers("II")
-    frame_id = reader.text()
+    stamp_ns, frame_id = reader.header()
     reader.align(8)
     (timebase_ns,) = reader.numbers("Q")
     reader.skip(8)  # point_num, lidar_id, three reserved bytes
@@ -39,5 +38,5 @@ def decode_cloud(message: Message) -> Cloud:
     dtype = point_dtype(_FIELDS, _POINT_BYTES, big_endian=reader.order == ">")
     points = np.ndarray((count,), dtype, reader.data, reader.place, (step,)) if count else np.empty(0, dtype)
     points_m, intensity = finite_records(points)
-    stamp_ns = seconds * 10**9 + nanoseconds or timebase_ns or message.log_time_ns
-    return Cloud(Scan(points_m, stamp_ns, intensity), frame_id.strip("/"))
+    known_ns = stamp_ns if stamp_ns > 0 else timebase_ns or message.log_time_ns
+    return Cloud(Scan(points_m, known_ns, intensity), frame_id)

@@ -15,6 +15,7 @@ from multilica.ingest.cloud_files import open_frames
 from multilica.ingest.detect import PACKED, TITLES, detect_format
 from multilica.ingest.downloaded import open_on_disk
 from multilica.ingest.joined_recording import JoinedRecording
+from multilica.ingest.ouster_recording import with_turns
 from multilica.ingest.packed_file import open_packed
 from multilica.ingest.recording import Recording
 from multilica.ingest.remote_file import SourceFile
@@ -43,9 +44,8 @@ def open_source(source: Source) -> Recording:
         return open_frames(source.frames)
     if source.recorders:
         return _open_recorders(source.recorders)
-    if len(source.recordings) == 1:
-        return _open_file(source.recordings[0])
-    return _open_parts(source.recordings)
+    files = source.recordings
+    return with_turns(_open_file(files[0]) if len(files) == 1 else _open_parts(files))
 
 
 def _open_file(file: SourceFile) -> Recording:

@@ -4,20 +4,31 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
-__all__ = ["PACKET_TYPES", "missing_decoder"]
+__all__ = ["OTHER_PACKETS", "OUSTER_TURN", "OUSTER_TYPES", "PACKET_TYPES", "has_ouster_decoder", "missing_decoder"]
 
-_OUSTER = "packets of Ouster, which its driver ouster_ros turns into point clouds; replay the log through it"
+OUSTER_TURN = "ouster"
+"""Encoding of messages that hold all packets of a turn with the sensor's metadata."""
+OTHER_PACKETS = "ouster, no returns"
+"""Encoding of packets that hold none of a LiDAR's returns."""
+
+_OUSTER = (
+    "packets of Ouster; `pip install --no-deps 'ouster-sdk>=1.0'`, or replay the log through the driver ouster_ros"
+)
+_OUSTER_ALONE = (
+    "packets of Ouster, yet beside them is no topic 'metadata' of its driver, which tells how they are to be read; "
+    "replay the log through the driver ouster_ros with the sensor's metadata file"
+)
 _HESAI = "packets of Hesai, which its driver HesaiLidar_ROS_2.0 turns into point clouds; replay the log through it"
 _ROBOSENSE = "packets of RoboSense, which its driver rslidar_sdk turns into point clouds; replay the log through it"
 _VELODYNE = "packets of Velodyne; install multilica[velodyne], or replay the log through the driver velodyne_pointcloud"
 
+OUSTER_TYPES = ("ouster_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
 PACKET_TYPES = {
     "velodyne_msgs/msg/VelodyneScan": _VELODYNE,
-    "ouster_msgs/msg/PacketMsg": _OUSTER,
-    "ouster_ros/msg/PacketMsg": _OUSTER,
-    "ouster_sensor_msgs/msg/PacketMsg": _OUSTER,
+    **dict.fromkeys(OUSTER_TYPES, _OUSTER),
     "hesai_lidar/msg/PandarScan": _HESAI,
     "hesai_ros_driver/msg/UdpFrame": _HESAI,
     "pandar_msgs/msg/PandarScan": _HESAI,
@@ -27,11 +38,24 @@ PACKET_TYPES = {
 """Message type -> what it is, and what to do about it."""
 
 
-def missing_decoder(message_type: str) -> str:
+def missing_decoder(message_type: str, encoding: str) -> str:
     """What to do about packets that cannot be read here; empty for every other type."""
+    if encoding in (OUSTER_TURN, OTHER_PACKETS):
+        return ""
     if message_type == "velodyne_msgs/msg/VelodyneScan" and _has_velodyne_decoder():
         return ""
+    if message_type in OUSTER_TYPES and has_ouster_decoder():
+        return _OUSTER_ALONE
     return PACKET_TYPES.get(message_type, "")
+
+
+@cache
+def has_ouster_decoder() -> bool:
+    """Whether an `ouster-sdk` is there that has what is used of it."""
+    try:
+        return int(version("ouster-sdk").partition(".")[0]) >= 1
+    except (PackageNotFoundError, ValueError):
+        return False
 
 
 @cache

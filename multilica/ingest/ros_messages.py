@@ -31,16 +31,14 @@ def decode_cloud(message: Message) -> Cloud:
     """
     # By hand, for an object of `rosbags` takes as long to make as a third of the points take to unpack.
     reader = WireReader.of_message(message)
-    seconds, nanoseconds = reader.numbers("iI")
-    frame_id = reader.text()
+    stamp_ns, frame_id = reader.header()
     height, width = reader.uint32(), reader.uint32()
     fields = _fields(reader)
     (is_big_endian,) = reader.numbers("B")
     point_step, row_step = reader.uint32(), reader.uint32()
     layout = PointCloud2(fields, width, height, point_step, row_step, reader.octets(), big_endian=bool(is_big_endian))
     points_m, intensity = decode_points(layout)
-    stamp_ns = seconds * 10**9 + nanoseconds
-    return Cloud(Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity), frame_id.strip("/"))
+    return Cloud(Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity), frame_id)
 
 
 def _fields(reader: WireReader) -> tuple[PointField, ...]:

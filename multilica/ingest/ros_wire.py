@@ -37,16 +37,16 @@ class WireReader:
 
     @classmethod
     def of_message(cls, message: Message) -> WireReader:
-        """At the stamp of the header that the message begins with.
+        """At the beginning.
 
         Raises:
             ValueError: the message is too short, or its compression broken; the text is a predicate.
         """
         data = message_bytes(message)
+        if message.encoding == "ros1":
+            return cls(data, "<", 1, 0, 0)
         if len(data) < _ENCAPSULATION_BYTES:
             raise ValueError(_CUT_OFF)
-        if message.encoding == "ros1":
-            return cls(data, "<", 1, 0, _SEQUENCE_BYTES)
         return cls(data, "<" if data[1] & 1 else ">", 4, _ENCAPSULATION_BYTES, _ENCAPSULATION_BYTES)
 
     @property
@@ -63,6 +63,14 @@ class WireReader:
         found = struct.unpack_from(layout, self.data, self.place)
         self.place += size
         return found
+
+    def header(self) -> tuple[int, str]:
+        """Stamp in nanoseconds and frame id of a ``std_msgs/Header``."""
+        is_ros1 = self.alignment == 1
+        if is_ros1:
+            self.skip(_SEQUENCE_BYTES)
+        seconds, nanoseconds = self.numbers("II" if is_ros1 else "iI")
+        return seconds * 10**9 + nanoseconds, self.text().strip("/")
 
     def uint32(self) -> int:
         """An aligned number of four bytes."""

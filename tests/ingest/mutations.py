@@ -15,6 +15,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from multilica.errors import MultilicaError
 from multilica.ingest import inspect_source, read_snapshot
+from multilica.ingest.packets import has_ouster_decoder
 from multilica.snapshot import Scan, Snapshot
 from tests.ingest.format_writers import (
     POINT_WRITERS,
@@ -60,6 +61,13 @@ def _ply(snapshot: Snapshot, path: Path) -> None:
     path.write_bytes(head.encode() + points_m.tobytes())
 
 
+def _ouster(_: Snapshot, path: Path) -> None:
+    from tests.ingest.ouster_writers import frame_of, ouster_messages, sensor
+
+    info = sensor(columns=512)
+    write_raw_mcap(ouster_messages(info, [frame_of(info, 0)]), path, "cdr")
+
+
 def _first_scan(write: Callable[[Scan, Path], None]) -> Callable[[Snapshot, Path], None]:
     return lambda snapshot, path: write(snapshot.lidars[0].scans[0], path)
 
@@ -85,6 +93,7 @@ SEEDS: dict[str, Callable[[Snapshot, Path], None]] = {
     "ascii.pcd": _ascii_pcd,
     "binary.pcd": _binary_pcd,
     "binary.ply": _ply,
+    **({"ouster.mcap": _ouster} if has_ouster_decoder() else {}),
     **{name: _first_scan(write) for name, write in POINT_WRITERS.items()},
 }
 """Name of the reader's file -> writer of one that is whole."""

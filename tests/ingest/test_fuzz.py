@@ -11,8 +11,8 @@ import pytest
 from tests.ingest.mutations import SEEDS, mutated, read_or_refuse, write_seed
 
 MUTATIONS = 200
-SLOW = {"a.laz": 10, "b.laz": 10, "packed.db3.zstd": 100}
-"""Readers that start a process or unpack a file to disk."""
+SLOW = {"a.laz": 10, "b.laz": 10, "packed.db3.zstd": 100, "ouster.mcap": 50}
+"""Readers that start a process or unpack a file to disk, and files that are large."""
 ONCE_FAILED = [
     ("messages.db3", 42),  # a compressed message that cannot be unpacked
     ("a.laz", 23),  # sizes for which the engine ends its process

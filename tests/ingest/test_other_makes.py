@@ -131,12 +131,13 @@ def test_velodyne_packets(tmp_path: Path, encoding: str) -> None:
 
 def test_packets_name_the_driver_to_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(packets, "_has_velodyne_decoder", lambda: False)
+    monkeypatch.setattr(packets, "has_ouster_decoder", lambda: False)
     write_raw_mcap(velodyne_messages("cdr"), tmp_path / "a.mcap", "cdr")
     with pytest.raises(UnfitSnapshotError, match=r"packets of Velodyne; install multilica\[velodyne\], or replay"):
         read_snapshot(tmp_path / "a.mcap")
     ouster = [("/ouster/lidar_packets", "ouster_sensor_msgs/msg/PacketMsg", START_NS, b"\0" * 40)]
     write_raw_mcap(iter(ouster), tmp_path / "b.mcap", "cdr")
-    with pytest.raises(UnfitSnapshotError, match=r"'/ouster/lidar_packets' holds packets of Ouster, .* ouster_ros"):
+    with pytest.raises(UnfitSnapshotError, match=r"'/ouster/lidar_packets' holds packets of Ouster; .* ouster_ros"):
         read_snapshot(tmp_path / "b.mcap")
     beside = [*ouster, *livox_messages(make_snapshot(), "livox_ros_driver2", "cdr")]
     write_raw_mcap(iter(beside), tmp_path / "c.mcap", "cdr")
