@@ -129,9 +129,7 @@ class RemoteFile:
     @cached_property
     def _handle(self) -> Any:  # noqa: ANN401 - fsspec has no types
         with remote_failures_named(str(self), self._scheme):
-            import fsspec
-
-            system, path = fsspec.url_to_fs(self._url, **_options(self._url), skip_instance_cache=True)
+            system, path = _opened_system(self._url)
             handle = system.open(path, "rb", block_size=BLOCK_BYTES, cache_type="none")
             is_folder = handle.details.get("type") == "directory"
         if is_folder:
@@ -161,19 +159,31 @@ SourceFile: TypeAlias = Path | RemoteFile
 """What the readers read."""
 
 
+def _opened_system(url: str) -> tuple[Any, str]:
+    """The file system behind an address, and the path in it."""
+    if scheme_of(url) == "gs":
+        # What `fsspec` would choose first asks for the kind of the bucket over gRPC, without end where nobody answers.
+        import gcsfs.core
+
+        system = gcsfs.core.GCSFileSystem(**_options(url), skip_instance_cache=True)
+        return system, system._strip_protocol(url)  # noqa: SLF001 - as fsspec does it
+    import fsspec
+
+    opened: tuple[Any, str] = fsspec.url_to_fs(url, **_options(url), skip_instance_cache=True)
+    return opened
+
+
 def _options(url: str) -> dict[str, Any]:
     """Above all time limits, without which a server that falls silent is waited for without end."""
     scheme = scheme_of(url)
     if scheme == "s3":
         return {"config_kwargs": {"connect_timeout": _CONNECT_S, "read_timeout": _READ_S}}
-    if scheme == "gs":
-        return {}
     from aiohttp import ClientTimeout
 
-    client = {
-        "timeout": ClientTimeout(sock_connect=_CONNECT_S, sock_read=_READ_S),
-        # Ranges of a file that is compressed on its way are ranges of something else.
-        "headers": {"Accept-Encoding": "identity"},
-    }
+    timeout = ClientTimeout(sock_connect=_CONNECT_S, sock_read=_READ_S)
+    if scheme == "gs":
+        return {"requests_timeout": timeout}
+    # Ranges of a file that is compressed on its way are ranges of something else.
+    client = {"timeout": timeout, "headers": {"Accept-Encoding": "identity"}}
     # A signed address is valid letter by letter.
     return {"client_kwargs": client, "encoded": "%" in url}

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from urllib.request import urlopen
+from urllib.request import Request, urlopen
 
 import pytest
 from mcap.reader import make_reader
@@ -85,6 +86,27 @@ def s3(s3_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
     return f"s3://{BUCKET}/june/long.mcap"
 
 
+@pytest.fixture(scope="module")
+def gcs_port(folder: Path) -> Iterator[int]:
+    with served("gcs_server.py") as port:
+        _post(f"http://127.0.0.1:{port}/storage/v1/b?project=fleet", json.dumps({"name": BUCKET}).encode(), "json")
+        upload = f"http://127.0.0.1:{port}/upload/storage/v1/b/{BUCKET}/o?uploadType=media&name="
+        _post(f"{upload}june%2Flong.mcap", (folder / "long.mcap").read_bytes(), "octet-stream")
+        yield port
+
+
+def _post(url: str, data: bytes, kind: str) -> None:
+    with urlopen(Request(url, data, {"Content-Type": f"application/{kind}"})) as answer:  # noqa: S310 - on loopback
+        answer.read()
+
+
+@pytest.fixture
+def gs(gcs_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("STORAGE_EMULATOR_HOST", f"http://127.0.0.1:{gcs_port}")
+    monkeypatch.setenv("FSSPEC_GS_TOKEN", "anon")
+    return f"gs://{BUCKET}/june/long.mcap"
+
+
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(remote_file, "_RETRY_AFTER_S", (0.01,))
@@ -135,6 +157,30 @@ def test_a_window_of_an_s3_object_costs_its_chunks(s3: str, folder: Path, monkey
     path = folder / "long.mcap"
     assert_equal_to_the_file(s3, path, WINDOW)
     assert 0 < sum(fetched) <= needed_bytes(path)
+
+
+def test_a_window_of_a_gcs_object_costs_its_chunks(gs: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from gcsfs.core import GCSFile
+
+    fetched: list[int] = []
+    fetch = GCSFile._fetch_range
+
+    def counted(self: GCSFile, start: int, end: int) -> bytes:
+        data = fetch(self, start, end)
+        fetched.append(len(data))
+        return data
+
+    monkeypatch.setattr(GCSFile, "_fetch_range", counted)
+    path = folder / "long.mcap"
+    assert_equal_to_the_file(gs, path, WINDOW)
+    assert 0 < sum(fetched) <= needed_bytes(path)
+
+
+def test_what_gcs_does_not_have_is_told(gs: str) -> None:
+    with pytest.raises(SourceNotFoundError, match=r"Nothing exists at gs://fleet-logs/june/other\.mcap\."):
+        read_snapshot(gs.replace("long", "other"))
+    with pytest.raises(SourceNotFoundError, match=r"Nothing exists at gs://no-bucket/a\.mcap\."):
+        read_snapshot("gs://no-bucket/a.mcap")
 
 
 def test_inspect_reads_it_too(s3: str) -> None:
