@@ -13,6 +13,7 @@ from multilica.config import StillnessConfig
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import FloatArray
 from multilica.ingest.cloud import decode_cloud, is_cloud
+from multilica.ingest.patience import PATIENCE_NS
 from multilica.ingest.recording import Recording, Span
 from multilica.ingest.ros_messages import unpacked
 from multilica.ingest.sampling import evenly, sampled
@@ -146,6 +147,7 @@ def _xyz(vector: Any) -> list[float]:  # noqa: ANN401 - see _odometry_row
 def _richest_topic(recording: Recording, span: Span) -> str:
     topics = [topic.name for topic in recording.topics if is_cloud(topic) and topic.count]
     sizes = dict.fromkeys(topics, 0)
-    for _, message in sampled(recording, topics, [span[0]], span[1] + 1):
+    # One that is silent at the beginning is not waited for.
+    for _, message in sampled(recording, topics, [span[0]], min(span[1], span[0] + PATIENCE_NS) + 1):
         sizes[message.topic] = len(message.data)
     return max(sorted(sizes), key=lambda topic: sizes[topic])

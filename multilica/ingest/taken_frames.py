@@ -30,6 +30,7 @@ class TakenFrames:
         clouds: in the order of the recording.
         broken: what is wrong with those that cannot be unpacked.
         offsets_s: log time minus stamp of each cloud that has both.
+        fell_silent: it was given up before it had what was wanted.
     """
 
     topic: str
@@ -39,6 +40,7 @@ class TakenFrames:
     offsets_s: list[float] = field(default_factory=list)
     repeated: int = 0
     backward: int = 0
+    fell_silent: bool = False
 
     @property
     def is_full(self) -> bool:

@@ -10,6 +10,7 @@ from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnreadableSourceError
 from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.damage import DamagedRecordingError
+from multilica.ingest.patience import PATIENCE_NS, until_full
 from multilica.ingest.recording import Message, Recording
 from multilica.ingest.sampling import evenly, sampled
 from multilica.ingest.taken_frames import TakenFrames, clock_notes
@@ -38,7 +39,8 @@ class Window:
 def collect_frames(recording: Recording, topics: Collection[str], config: IngestConfig, label: str) -> Window:
     """Take `config.frames` frames of each topic, from when the configuration says on.
 
-    Broken frames are passed over. Reading ends when there are enough frames, or where the recording is damaged.
+    Broken frames are passed over. Reading ends when there are enough frames, when the
+    LiDARs that lack some have fallen silent, or where the recording is damaged.
 
     Args:
         topics: names of point cloud topics.
@@ -92,7 +94,7 @@ def _wanted(recording: Recording, topic: str, config: IngestConfig) -> int:
 def _fill(streams: Mapping[str, TakenFrames], recording: Recording, times: TimeRange, frames: int) -> str:
     """Take frames until there are enough; why reading ended before, or what is known to be missing."""
     try:
-        for message in _candidates(recording, streams.keys(), times, frames):
+        for message in _candidates(recording, streams, times, frames):
             streams[message.topic].take(message)
             if all(stream.is_full for stream in streams.values()):
                 break
@@ -103,18 +105,23 @@ def _fill(streams: Mapping[str, TakenFrames], recording: Recording, times: TimeR
     return recording.damage
 
 
-def _candidates(recording: Recording, topics: Collection[str], times: TimeRange, frames: int) -> Iterator[Message]:
+def _candidates(
+    recording: Recording, streams: Mapping[str, TakenFrames], times: TimeRange, frames: int
+) -> Iterator[Message]:
     if times.end_ns is None:
-        yield from recording.messages(topics, times.start_ns)
+        yield from until_full(recording, streams, times.start_ns)
     else:
         spread_ns = evenly(times.start_ns, times.end_ns, frames)
-        yield from (message for _, message in sampled(recording, topics, spread_ns, times.end_ns))
+        yield from (message for _, message in sampled(recording, streams.keys(), spread_ns, times.end_ns))
 
 
 def _shortages(stream: TakenFrames, streams: list[TakenFrames], damage: str) -> list[str]:
     taken = len(stream.clouds)
     if damage and not stream.is_full:
         return [f"'{stream.topic}': {taken} of {stream.wanted} scans, then {damage}."]
+    if stream.fell_silent:
+        patience_s = PATIENCE_NS / 1e9
+        return [f"'{stream.topic}' fell silent: {taken} of {stream.wanted} scans, then none for {patience_s:.0f} s."]
     if taken < max(len(other.clouds) for other in streams):
         return [f"'{stream.topic}' has {taken} scans in the window, others have more."]
     return []

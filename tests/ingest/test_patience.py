@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A LiDAR that sends nothing is waited for, yet not to the end of the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from multilica.config import IngestConfig
+from multilica.ingest import read_snapshot
+from multilica.ingest.opening import open_source
+from multilica.ingest.patience import until_full
+from multilica.ingest.source import find_source
+from multilica.ingest.taken_frames import TakenFrames
+from multilica.snapshot import Snapshot
+from tests.ingest.recording_writers import PERIOD_NS, START_NS, make_snapshot, write_mcap, write_ros1_bag
+
+FIVE = IngestConfig(frames=5)
+
+
+@pytest.mark.parametrize(("name", "write"), [("a.mcap", write_mcap), ("a.bag", write_ros1_bag)])
+def test_one_that_falls_silent(tmp_path: Path, name: str, write: Callable[[Snapshot, Path], None]) -> None:
+    front, rear = make_snapshot(frames=600).lidars
+    write(Snapshot((front, replace(rear, scans=(*rear.scans[:3], *rear.scans[590:])))), tmp_path / name)
+    streams = {topic: TakenFrames(topic, 5) for topic in (front.topic, rear.topic)}
+    last_ns = 0
+    with closing(open_source(find_source(tmp_path / name))) as recording:
+        for message in until_full(recording, streams, 0):
+            streams[message.topic].take(message)
+            last_ns = message.log_time_ns
+    assert [stream.fell_silent for stream in streams.values()] == [False, True]
+    assert 10.0 < (last_ns - START_NS) / 1e9 < 10.5
+    snapshot = read_snapshot(tmp_path / name, config=FIVE)
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [5, 3]
+    assert snapshot.notes == (f"'{rear.topic}' fell silent: 3 of 5 scans, then none for 10 s.",)
+
+
+def test_one_that_comes_back_much_later_has_seen_something_else(tmp_path: Path) -> None:
+    front, rear = make_snapshot(frames=200).lidars
+    write_mcap(Snapshot((front, replace(rear, scans=rear.scans[150:]))), tmp_path / "a.mcap")
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=FIVE)
+    assert snapshot.names == (front.name,)
+    assert snapshot.notes == (f"'{rear.topic}' fell silent: 0 of 5 scans, then none for 10 s.",)
+
+
+def test_one_that_starts_later(tmp_path: Path) -> None:
+    front, rear = make_snapshot(frames=100).lidars
+    write_mcap(Snapshot((front, replace(rear, scans=rear.scans[90:]))), tmp_path / "a.mcap")
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=FIVE)
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [5, 5]
+    assert snapshot.notes == ()
+
+
+def test_one_that_is_slow(tmp_path: Path) -> None:
+    front, rear = make_snapshot(frames=400).lidars
+    write_mcap(Snapshot((front, replace(rear, scans=rear.scans[::80]))), tmp_path / "a.mcap")
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=FIVE)
+    assert [scan.stamp_ns - rear.scans[0].stamp_ns for scan in snapshot.lidars[1].scans] == [
+        number * 80 * PERIOD_NS for number in range(5)
+    ]
+    assert snapshot.notes == ()
