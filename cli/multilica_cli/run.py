@@ -60,7 +60,7 @@ def default_out_dir(sources: Sequence[str | Path], snapshots: int = 1) -> Path:
 
 
 def calibrate_sources(
-    sources: Sequence[str | Path],
+    sources: Sequence[PathLike],
     out_dir: Path,
     config: CalibrationConfig,
     *,

@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from multilica.errors import MultilicaError
 from multilica.ingest.recording import Messages, Recording, Span
@@ -15,11 +14,9 @@ from multilica.ingest.remote_file import RemoteFile, SourceFile
 
 __all__ = ["open_on_disk"]
 
-_PIECE_BYTES = 8 << 20
-
 
 def open_on_disk(file: SourceFile, what: str, open_file: Callable[[Path], Recording]) -> Recording:
-    """Open a file of the disk, or a copy of a remote one that goes when the recording is closed.
+    """Open a file of the disk, or a copy of a remote one, which is fetched once.
 
     Args:
         what: the format, for messages, for instance ``"a ROS 1 bag"``.
@@ -34,17 +31,10 @@ class Downloaded:
     """A copy of a remote recording, which bears the name of the original in all that it says."""
 
     def __init__(self, file: RemoteFile, what: str, open_file: Callable[[Path], Recording]) -> None:
-        file.require_size(what)
-        self._folder = TemporaryDirectory(prefix="multilica-")
         self._original = str(file)
-        self._copy = Path(self._folder.name) / (file.name or "download")
-        try:
-            _download(file, self._copy)
-            with self._original_named():
-                self._recording = open_file(self._copy)
-        except BaseException:
-            self._folder.cleanup()
-            raise
+        self._copy = file.copy(what)
+        with self._original_named():
+            self._recording = open_file(self._copy)
         self.format = self._recording.format
         self.topics = self._recording.topics
         self.damage = self._recording.damage
@@ -62,9 +52,8 @@ class Downloaded:
                 yield replace(message, origin=self._renamed(message.origin))
 
     def close(self) -> None:
-        """Close and remove the copy."""
+        """Close the copy, which stays for as long as somebody holds the remote file."""
         self._recording.close()
-        self._folder.cleanup()
 
     @contextmanager
     def _original_named(self) -> Iterator[None]:
@@ -76,9 +65,3 @@ class Downloaded:
 
     def _renamed(self, text: str) -> str:
         return text.replace(str(self._copy), self._original)
-
-
-def _download(file: RemoteFile, copy: Path) -> None:
-    with file.open() as source, copy.open("wb") as target:
-        while piece := source.read(_PIECE_BYTES):
-            target.write(piece)

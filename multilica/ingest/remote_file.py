@@ -6,8 +6,11 @@ from __future__ import annotations
 import os
 import stat
 import time
+import weakref
 from functools import cached_property
 from pathlib import Path, PurePosixPath
+from shutil import copyfileobj, rmtree
+from tempfile import mkdtemp
 from threading import Lock
 from typing import IO, Any, TypeAlias, cast
 from urllib.parse import urlsplit
@@ -22,6 +25,7 @@ __all__ = ["MAX_WHOLE_BYTES", "RemoteFile", "SourceFile"]
 MAX_WHOLE_BYTES = 2 << 30
 """Larger files are read by ranges or not at all."""
 
+_PIECE_BYTES = 8 << 20
 _CONNECT_S = 10
 _READ_S = 30
 _RETRY_AFTER_S = (0.5, 2.0)
@@ -39,6 +43,7 @@ class RemoteFile:
         self._scheme = scheme_of(url)
         self._path = PurePosixPath(urlsplit(url).path)
         self._lock = Lock()
+        self._copied: Path | None = None
 
     def __str__(self) -> str:
         return without_secrets(self._url)
@@ -106,6 +111,25 @@ class RemoteFile:
         """
         self.require_size("a file of this format")
         return self._fetch(0, self._cache.size)
+
+    def copy(self, what: str) -> Path:
+        """A copy on disk under the same name, fetched once; it goes when nobody holds this object any more.
+
+        Args:
+            what: what the file is, for the message.
+
+        Raises:
+            UnreadableSourceError: it is larger than `MAX_WHOLE_BYTES`.
+        """
+        if self._copied is None:
+            self.require_size(what)
+            folder = Path(mkdtemp(prefix="multilica-"))
+            weakref.finalize(self, rmtree, folder, ignore_errors=True)
+            path = folder / (self.name or "download")
+            with self.open() as source, path.open("wb") as target:
+                copyfileobj(source, target, _PIECE_BYTES)
+            self._copied = path
+        return self._copied
 
     def require_size(self, what: str) -> None:
         """Check that the file may be fetched whole.

@@ -52,19 +52,22 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig = DEFAUL
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise UsageError(f"{repeated[0]} is given more than once.")
-    if _are_recorders(paths, config):
+    whole = config.model_copy(update={"topics": {}, "only": ()})
+    lidars = [_lidars(path, whole) for path in paths]
+    if _no_name_twice(lidars):
         return (SnapshotSource(paths[0].stem, paths),)
+    if config != whole:
+        lidars = [_lidars(path, config) for path in paths]
     found = tuple(
-        SnapshotSource(name, (path,), _lidars(path, config)) for name, path in zip(_names(paths), paths, strict=True)
+        SnapshotSource(name, (path,), names) for name, path, names in zip(_names(paths), paths, lidars, strict=True)
     )
     _require_shared({str(source.paths[0]): source.lidars for source in found if source.lidars})
     return found
 
 
-def _are_recorders(paths: Sequence[SourceFile], config: IngestConfig) -> bool:
+def _no_name_twice(lidars: Sequence[tuple[str, ...]]) -> bool:
     """Whether no LiDAR is in two of the recordings, whichever of their topics are asked for."""
-    whole = config.model_copy(update={"topics": {}, "only": ()})
-    names = [name for path in paths for name in _lidars(path, whole)]
+    names = [name for each in lidars for name in each]
     return len(names) == len(set(names))
 
 

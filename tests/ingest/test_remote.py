@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-import json
+import gc
 import sys
 from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
-from urllib.request import Request, urlopen
+from urllib.request import urlopen
 
 import pytest
-from mcap.reader import make_reader
-from mcap.writer import CompressionType
 
 from multilica.config import IngestConfig
 from multilica.errors import (
@@ -22,35 +20,15 @@ from multilica.errors import (
     UnreadableSourceError,
     UsageError,
 )
-from multilica.ingest import inspect_source, read_snapshot, remote_file
-from multilica.ingest.block_cache import BLOCK_BYTES
+from multilica.ingest import find_snapshots, inspect_source, read_snapshot, remote_file
+from multilica.ingest.remote_file import RemoteFile
 from tests.ingest.processes import served
-from tests.ingest.recording_writers import (
-    assert_same_points,
-    assert_same_times,
-    make_snapshot,
-    write_mcap,
-    write_ros1_bag,
-)
-
-CHUNK_BYTES = 1 << 20
-WINDOW = IngestConfig(frames=3, start_s=9.0)
-BUCKET = "fleet-logs"
+from tests.ingest.served_files import BUCKET, WINDOW, assert_equal_to_the_file, needed_bytes, write_files
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("served")
-    write_mcap(
-        make_snapshot(frames=150, points=4000),
-        folder / "long.mcap",
-        compression=CompressionType.NONE,
-        chunk_size=CHUNK_BYTES,
-    )
-    write_mcap(make_snapshot(), folder / "unindexed.mcap", indexed=False)
-    write_ros1_bag(make_snapshot(), folder / "drive.bag")
-    (folder / "notes.txt").write_text("It rained.", encoding="utf-8")
-    return folder
+    return write_files(tmp_path_factory.mktemp("served"))
 
 
 @pytest.fixture(scope="module")
@@ -86,52 +64,9 @@ def s3(s3_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
     return f"s3://{BUCKET}/june/long.mcap"
 
 
-@pytest.fixture(scope="module")
-def gcs_port(folder: Path) -> Iterator[int]:
-    with served("gcs_server.py") as port:
-        _post(f"http://127.0.0.1:{port}/storage/v1/b?project=fleet", json.dumps({"name": BUCKET}).encode(), "json")
-        upload = f"http://127.0.0.1:{port}/upload/storage/v1/b/{BUCKET}/o?uploadType=media&name="
-        _post(f"{upload}june%2Flong.mcap", (folder / "long.mcap").read_bytes(), "octet-stream")
-        yield port
-
-
-def _post(url: str, data: bytes, kind: str) -> None:
-    with urlopen(Request(url, data, {"Content-Type": f"application/{kind}"})) as answer:  # noqa: S310 - on loopback
-        answer.read()
-
-
-@pytest.fixture
-def gs(gcs_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setenv("STORAGE_EMULATOR_HOST", f"http://127.0.0.1:{gcs_port}")
-    monkeypatch.setenv("FSSPEC_GS_TOKEN", "anon")
-    return f"gs://{BUCKET}/june/long.mcap"
-
-
 @pytest.fixture(autouse=True)
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(remote_file, "_RETRY_AFTER_S", (0.01,))
-
-
-def needed_bytes(path: Path) -> int:
-    """Index, hashed edges and the chunks of the window, each rounded up to blocks, with a few that are read ahead."""
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    begin_ns = summary.statistics.message_start_time + 9_000_000_000
-    chunks = [
-        index
-        for index in summary.chunk_indexes
-        if index.message_end_time >= begin_ns and index.message_start_time <= begin_ns + 200_000_000
-    ]
-    largest = max(index.chunk_length for index in summary.chunk_indexes) + 2 * BLOCK_BYTES
-    # The first and the last chunk tell when the recording begins and ends.
-    return (len(chunks) + 2 + 3) * largest + 2 * (CHUNK_BYTES + BLOCK_BYTES)
-
-
-def assert_equal_to_the_file(url: str, path: Path, config: IngestConfig) -> None:
-    found, expected = read_snapshot(url, config=config), read_snapshot(path, config=config)
-    assert_same_points(found, expected)
-    assert_same_times(found, expected)
-    assert [len(lidar.scans) for lidar in found.lidars] == [config.frames] * 2
 
 
 def test_a_window_of_a_web_file_costs_its_chunks(web: str, folder: Path) -> None:
@@ -159,30 +94,6 @@ def test_a_window_of_an_s3_object_costs_its_chunks(s3: str, folder: Path, monkey
     assert 0 < sum(fetched) <= needed_bytes(path)
 
 
-def test_a_window_of_a_gcs_object_costs_its_chunks(gs: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from gcsfs.core import GCSFile
-
-    fetched: list[int] = []
-    fetch = GCSFile._fetch_range
-
-    def counted(self: GCSFile, start: int, end: int) -> bytes:
-        data = fetch(self, start, end)
-        fetched.append(len(data))
-        return data
-
-    monkeypatch.setattr(GCSFile, "_fetch_range", counted)
-    path = folder / "long.mcap"
-    assert_equal_to_the_file(gs, path, WINDOW)
-    assert 0 < sum(fetched) <= needed_bytes(path)
-
-
-def test_what_gcs_does_not_have_is_told(gs: str) -> None:
-    with pytest.raises(SourceNotFoundError, match=r"Nothing exists at gs://fleet-logs/june/other\.mcap\."):
-        read_snapshot(gs.replace("long", "other"))
-    with pytest.raises(SourceNotFoundError, match=r"Nothing exists at gs://no-bucket/a\.mcap\."):
-        read_snapshot("gs://no-bucket/a.mcap")
-
-
 def test_inspect_reads_it_too(s3: str) -> None:
     summary = inspect_source(s3, config=WINDOW)
     assert summary.source == s3
@@ -205,6 +116,31 @@ def test_recorders_are_named_by_their_addresses(web: str) -> None:
     with pytest.raises(UsageError, match="both hold the LiDAR 'lidar_0'") as caught:
         read_snapshot(urls)
     assert str(caught.value).startswith(" and ".join(urls))
+
+
+@pytest.mark.parametrize("name", ["drive.bag", "unindexed.mcap"])
+def test_a_copy_is_made_once(name: str, web: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fetched: list[int] = []
+    fetch = RemoteFile._fetch_once
+
+    def counted(self: RemoteFile, start: int, end: int) -> bytes:
+        fetched.append(end - start)
+        return fetch(self, start, end)
+
+    monkeypatch.setattr(RemoteFile, "_fetch_once", counted)
+    for source in find_snapshots([f"{web}/files/{name}", f"{web}/files/{name}?again"]):
+        read_snapshot(source.paths)
+    assert sum(fetched) == 2 * (folder / name).stat().st_size
+
+
+def test_copies_go_with_what_they_are_copies_of(web: str) -> None:
+    file = RemoteFile(f"{web}/files/drive.bag")
+    copy = file.copy("a bag")
+    assert copy.is_file()
+    assert file.copy("a bag") == copy
+    del file
+    gc.collect()
+    assert not copy.parent.exists()
 
 
 def test_a_copy_is_not_made_of_a_large_file(web: str, monkeypatch: pytest.MonkeyPatch) -> None:

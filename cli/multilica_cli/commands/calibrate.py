@@ -95,7 +95,7 @@ def calibrate(
     if len(found) > 1:
         run = calibrate_snapshots(found, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)
     else:
-        run = calibrate_sources(sources, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)
+        run = calibrate_sources(found[0].paths, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)
     if as_json:
         print_document(run)
     else:

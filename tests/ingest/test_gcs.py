@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Objects of Google Cloud Storage, on a server that speaks its language."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.request import Request, urlopen
+
+import pytest
+
+from multilica.errors import SourceNotFoundError
+from multilica.ingest import read_snapshot
+from tests.ingest.processes import served
+from tests.ingest.served_files import BUCKET, WINDOW, assert_equal_to_the_file, needed_bytes, write_files
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_files(tmp_path_factory.mktemp("served"))
+
+
+@pytest.fixture(scope="module")
+def gcs_port(folder: Path) -> Iterator[int]:
+    with served("gcs_server.py") as port:
+        _post(f"http://127.0.0.1:{port}/storage/v1/b?project=fleet", json.dumps({"name": BUCKET}).encode(), "json")
+        upload = f"http://127.0.0.1:{port}/upload/storage/v1/b/{BUCKET}/o?uploadType=media&name="
+        _post(f"{upload}june%2Flong.mcap", (folder / "long.mcap").read_bytes(), "octet-stream")
+        yield port
+
+
+def _post(url: str, data: bytes, kind: str) -> None:
+    with urlopen(Request(url, data, {"Content-Type": f"application/{kind}"})) as answer:  # noqa: S310 - on loopback
+        answer.read()
+
+
+@pytest.fixture
+def gs(gcs_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.setenv("STORAGE_EMULATOR_HOST", f"http://127.0.0.1:{gcs_port}")
+    monkeypatch.setenv("FSSPEC_GS_TOKEN", "anon")
+    return f"gs://{BUCKET}/june/long.mcap"
+
+
+def test_a_window_of_a_gcs_object_costs_its_chunks(gs: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from gcsfs.core import GCSFile
+
+    fetched: list[int] = []
+    fetch = GCSFile._fetch_range
+
+    def counted(self: GCSFile, start: int, end: int) -> bytes:
+        data = fetch(self, start, end)
+        fetched.append(len(data))
+        return data
+
+    monkeypatch.setattr(GCSFile, "_fetch_range", counted)
+    path = folder / "long.mcap"
+    assert_equal_to_the_file(gs, path, WINDOW)
+    assert 0 < sum(fetched) <= needed_bytes(path)
+
+
+def test_what_gcs_does_not_have_is_told(gs: str) -> None:
+    with pytest.raises(SourceNotFoundError, match=r"Nothing exists at gs://fleet-logs/june/other\.mcap\."):
+        read_snapshot(gs.replace("long", "other"))
+    with pytest.raises(SourceNotFoundError, match=r"Nothing exists at gs://no-bucket/a\.mcap\."):
+        read_snapshot("gs://no-bucket/a.mcap")
