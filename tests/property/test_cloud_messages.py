@@ -9,7 +9,9 @@ import foxglove.messages as fox
 import numpy as np
 import pytest
 from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from multilica.errors import UnreadableSourceError
 from multilica.ingest.cloud import Cloud, decode_cloud
 from multilica.ingest.recording import Message
 from multilica.pointcloud2 import PointCloud2
@@ -36,7 +38,7 @@ def assert_found(found: Cloud, case: Case) -> None:
     assert (found.scan.stamp_ns, found.frame_id) == (STAMP_NS, "roof")
 
 
-def ros_message(cloud: PointCloud2, encoding: str) -> bytes:
+def ros_message(cloud: PointCloud2, encoding: str, *, little_endian: bool = True) -> bytes:
     store = STORES[encoding]
     field = store.types["sensor_msgs/msg/PointField"]
     message = store.types[CLOUD](
@@ -52,7 +54,9 @@ def ros_message(cloud: PointCloud2, encoding: str) -> bytes:
         data=np.frombuffer(cloud.data, np.uint8),
         is_dense=False,
     )
-    return bytes(store.serialize_cdr(message, CLOUD) if encoding == "cdr" else store.serialize_ros1(message, CLOUD))
+    if encoding == "ros1":
+        return bytes(store.serialize_ros1(message, CLOUD))
+    return bytes(store.serialize_cdr(message, CLOUD, little_endian=little_endian))
 
 
 @pytest.mark.parametrize("encoding", STORES)
@@ -60,6 +64,33 @@ def ros_message(cloud: PointCloud2, encoding: str) -> bytes:
 @given(case=clouds())
 def test_ros_messages(encoding: str, case: Case) -> None:
     assert_found(decoded(CLOUD, encoding, ros_message(case.cloud, encoding)), case)
+
+
+@settings(max_examples=60, deadline=None)
+@given(case=clouds())
+def test_messages_of_machines_of_the_other_byte_order(case: Case) -> None:
+    assert_found(decoded(CLOUD, "cdr", ros_message(case.cloud, "cdr", little_endian=False)), case)
+
+
+@pytest.mark.parametrize("encoding", STORES)
+@settings(max_examples=60, deadline=None)
+@given(case=clouds(), data=st.data())
+def test_messages_that_were_cut_off(encoding: str, case: Case, data: st.DataObject) -> None:
+    message = ros_message(case.cloud, encoding)
+    # The last byte says whether any point is invalid, which the points say themselves.
+    whole = message.rindex(bytes(case.cloud.data)) + len(case.cloud.data)
+    with pytest.raises(UnreadableSourceError, match="A scan cannot be unpacked: it ends too early"):
+        decoded(CLOUD, encoding, message[: data.draw(st.integers(0, whole - 1))])
+
+
+@pytest.mark.parametrize("encoding", STORES)
+def test_an_impossible_number_of_fields(encoding: str) -> None:
+    message = bytearray(ros_message(PointCloud2((), 0, 1, 1, 1, b"\7" * 65536), encoding))
+    place = {"cdr": 32, "ros1": 29}[encoding]
+    assert message[place : place + 4] == b"\0\0\0\0"
+    message[place : place + 4] = b"\xff" * 4
+    with pytest.raises(UnreadableSourceError, match="claims points of 4294967295 fields; not more than 1024"):
+        decoded(CLOUD, encoding, bytes(message))
 
 
 @settings(max_examples=100, deadline=None)
