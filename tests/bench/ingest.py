@@ -45,6 +45,7 @@ JUDGED = (
     "ros2 lz4.mcap",
     "ros2 zstd.mcap",
     "ros1 zstd.mcap",
+    "unindexed zstd.mcap",
     "foxglove protobuf.mcap",
     "foxglove json lz4.mcap",
     "livox cdr.mcap",
