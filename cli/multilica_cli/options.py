@@ -8,6 +8,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from multilica.errors import UsageError
+
 __all__ = [
     "ConfigFile",
     "Frames",
@@ -25,6 +27,7 @@ __all__ = [
     "Topics",
     "Window",
     "WindowSeconds",
+    "mcap_name",
 ]
 
 Sources = Annotated[
@@ -96,3 +99,14 @@ Record = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else there.")]
+
+
+def mcap_name(out: Path) -> Path:
+    """The name itself; a callback of options that name a recording.
+
+    Raises:
+        UsageError: it does not end in .mcap.
+    """
+    if out.suffix != ".mcap":
+        raise UsageError(f"Found --out {out}; expected a name that ends in .mcap.")
+    return out

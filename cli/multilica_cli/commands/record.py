@@ -12,7 +12,7 @@ import typer
 from multilica.errors import UsageError
 from multilica_cli.configuration import ingest_options, resolve_config
 from multilica_cli.failures import ExitCode
-from multilica_cli.options import Frames, Json, Quiet, Start, Strict, Topics, Window, WindowSeconds
+from multilica_cli.options import Frames, Json, Quiet, Start, Strict, Topics, Window, WindowSeconds, mcap_name
 from multilica_cli.terminal import stderr_console, stdout_console
 
 __all__ = ["record"]
@@ -28,7 +28,9 @@ def record(
         ),
     ],
     *,
-    out: Annotated[Path, typer.Option(metavar="FILE.mcap", help="The snapshot.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE.mcap", help="The snapshot.", show_default=False, callback=mcap_name)
+    ],
     vehicle: Annotated[str, typer.Option(metavar="NAME", help="Name of the vehicle, kept in the file.")] = "",
     topics: Topics = None,
     frames: Frames = None,
@@ -75,8 +77,6 @@ def record(
 
 
 def _require_out(out: Path, sources: list[str]) -> None:
-    if out.suffix != ".mcap":
-        raise UsageError(f"Found --out {out}; expected a name that ends in .mcap.")
     # An address, taken for a path, lies nowhere above a file that exists.
     if out.exists() and any(out.resolve().is_relative_to(Path(source).resolve()) for source in sources):
         raise UsageError(f"Found --out {out}, which belongs to the source itself; expected another place.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from multilica.errors import UsageError
+from multilica_cli.options import mcap_name
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
@@ -31,7 +31,10 @@ def simulate(
         ),
     ],
     out: Annotated[
-        Path, typer.Option(metavar="FILE.mcap", help="The recording; FILE.truth.toml is written beside it.")
+        Path,
+        typer.Option(
+            metavar="FILE.mcap", help="The recording; FILE.truth.toml is written beside it.", callback=mcap_name
+        ),
     ],
     seed: Annotated[int, typer.Option(help="Seed of scene, rig and noise.")] = 0,
     build_seed: Annotated[
@@ -55,8 +58,6 @@ def simulate(
     ] = 1,
 ) -> None:
     """Ray-cast a scene into a rig, and write the snapshot with its exact truth beside it."""
-    if out.suffix != ".mcap":
-        raise UsageError(f"Found --out {out}; expected a name that ends in .mcap.")
     import tomli_w
 
     from multilica.extrinsics import extrinsics_table
