@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import stat
 import time
@@ -189,6 +190,8 @@ def _opened_system(url: str) -> tuple[Any, str]:
         # What `fsspec` would choose first asks for the kind of the bucket over gRPC, without end where nobody answers.
         import gcsfs.core
 
+        # What it logs before it raises would stand on the terminal where nobody has set up logging.
+        logging.getLogger("gcsfs").addHandler(logging.NullHandler())
         system = gcsfs.core.GCSFileSystem(**_options(url), skip_instance_cache=True)
         return system, system._strip_protocol(url)  # noqa: SLF001 - as fsspec does it
     import fsspec

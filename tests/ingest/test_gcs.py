@@ -10,7 +10,7 @@ from urllib.request import Request, urlopen
 
 import pytest
 
-from multilica.errors import SourceNotFoundError
+from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.ingest import read_snapshot
 from tests.ingest.processes import served
 from tests.ingest.served_files import BUCKET, WINDOW, assert_equal_to_the_file, needed_bytes, write_files
@@ -64,3 +64,18 @@ def test_what_gcs_does_not_have_is_told(gs: str) -> None:
         read_snapshot(gs.replace("long", "other"))
     with pytest.raises(SourceNotFoundError, match=r"Nothing exists at gs://no-bucket/a\.mcap\."):
         read_snapshot("gs://no-bucket/a.mcap")
+
+
+def test_a_server_that_is_not_there_is_one_sentence(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("STORAGE_EMULATOR_HOST", "http://127.0.0.1:1")
+    monkeypatch.setenv("FSSPEC_GS_TOKEN", "anon")
+    monkeypatch.setattr("gcsfs.retry.asyncio.sleep", _briefly)
+    with pytest.raises(UnreadableSourceError, match=r"The connection to the server of gs://logs/a\.mcap failed"):
+        read_snapshot("gs://logs/a.mcap")
+    assert capfd.readouterr() == ("", "")
+
+
+async def _briefly(_: float) -> None:
+    """In place of the half minute for which the client tries again."""
