@@ -138,14 +138,15 @@ def _checked_row_step(cloud: PointCloud2) -> int:
 
 def finite_records(records: npt.NDArray[np.void]) -> tuple[Float32Array, Float32Array | None]:
     """As `finite_points`, of records of any shape and of a type as `point_dtype` gives it."""
-    columns = [records[name].reshape(-1) for name in records.dtype.names or ()]
+    names = records.dtype.names or ()
     place = _packed_place(records.dtype)
     if place is None:
-        return finite_points(*columns)
+        return finite_points(*(records[name].reshape(-1) for name in names))
     # A point at a time rather than a coordinate: memory is gone through once.
     points_m = np.empty((records.size, 3), "<f4")
     np.copyto(points_m.view(_PACKED).reshape(records.shape), records.getfield(_PACKED, place))
-    values = columns[3].astype(np.float32) if len(columns) > 3 else None
+    with np.errstate(over="ignore"):
+        values = records[_INTENSITY].astype(np.float32, order="C").reshape(-1) if _INTENSITY in names else None
     return _finite(points_m.astype(np.float32, copy=False), values)
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
 __all__ = ["OTHER_PACKETS", "OUSTER_TURN", "OUSTER_TYPES", "PACKET_TYPES", "has_ouster_decoder", "missing_decoder"]
@@ -51,11 +50,12 @@ def missing_decoder(message_type: str, encoding: str) -> str:
 
 @cache
 def has_ouster_decoder() -> bool:
-    """Whether an `ouster-sdk` is there that has what is used of it."""
+    """Whether an `ouster-sdk` can be imported that has what is used of it."""
     try:
-        return int(version("ouster-sdk").partition(".")[0]) >= 1
-    except (PackageNotFoundError, ValueError):
+        from ouster.sdk import core
+    except ImportError:
         return False
+    return hasattr(core, "LidarFrame")
 
 
 @cache
