@@ -13,10 +13,9 @@ from multilica.config import StillnessConfig
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import FloatArray
 from multilica.ingest.cloud import decode_cloud, is_cloud
-from multilica.ingest.patience import PATIENCE_NS
 from multilica.ingest.recording import Recording, Span
 from multilica.ingest.ros_messages import unpacked
-from multilica.ingest.sampling import evenly, sampled
+from multilica.ingest.sampling import PATIENCE_NS, evenly, sampled
 from multilica.snapshot import Scan
 
 __all__ = ["by_clouds", "by_imu", "by_odometry"]

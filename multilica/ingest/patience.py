@@ -7,12 +7,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing
 
 from multilica.ingest.recording import Message, Recording
+from multilica.ingest.sampling import PATIENCE_NS
 from multilica.ingest.taken_frames import TakenFrames
 
-__all__ = ["PATIENCE_NS", "until_full"]
-
-PATIENCE_NS = 10 * 10**9
-"""Drivers that start one after the other have started by then; later, the vehicle may be somewhere else."""
+__all__ = ["until_full"]
 
 
 def until_full(recording: Recording, streams: Mapping[str, TakenFrames], start_ns: int) -> Iterator[Message]:

@@ -10,7 +10,10 @@ from contextlib import closing
 
 from multilica.ingest.recording import Message, Recording
 
-__all__ = ["evenly", "sampled"]
+__all__ = ["PATIENCE_NS", "evenly", "sampled"]
+
+PATIENCE_NS = 10 * 10**9
+"""Drivers that start one after the other have started by then; later, the vehicle may be somewhere else."""
 
 _WORTH_A_JUMP_NS = 2 * 10**9
 """Nearer messages lie in the same chunks or the next ones, and are as soon read as looked up."""
@@ -26,6 +29,8 @@ def sampled(
 ) -> Iterator[tuple[int, Message]]:
     """For each time and each topic, the first messages that were logged from then on, before the next time.
 
+    Of an indexed recording, a topic that is silent is waited for over `PATIENCE_NS`, not to the next time.
+
     Args:
         times_ns: ascending.
         end_ns: what was logged then or later is left out.
@@ -37,7 +42,10 @@ def sampled(
     if recording.is_indexed and len(times_ns) > 1 and times_ns[1] - times_ns[0] > _WORTH_A_JUMP_NS:
         for index, until_ns in enumerate([*times_ns[1:], end_ns]):
             yield from (
-                (index, message) for _, message in sampled(recording, topics, [times_ns[index]], until_ns, most)
+                (index, message)
+                for _, message in sampled(
+                    recording, topics, [times_ns[index]], min(until_ns, times_ns[index] + PATIENCE_NS), most
+                )
             )
         return
     taken: Counter[tuple[int, str]] = Counter()

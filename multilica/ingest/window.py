@@ -10,9 +10,9 @@ from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnreadableSourceError
 from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.damage import DamagedRecordingError
-from multilica.ingest.patience import PATIENCE_NS, until_full
+from multilica.ingest.patience import until_full
 from multilica.ingest.recording import Message, Recording
-from multilica.ingest.sampling import evenly, sampled
+from multilica.ingest.sampling import PATIENCE_NS, evenly, sampled
 from multilica.ingest.taken_frames import TakenFrames, clock_notes
 from multilica.ingest.time_range import TimeRange, find_time_range
 

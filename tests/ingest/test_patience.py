@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +12,10 @@ import pytest
 
 from multilica.config import IngestConfig
 from multilica.ingest import read_snapshot
+from multilica.ingest.chunked import ChunkedRecording
 from multilica.ingest.opening import open_source
 from multilica.ingest.patience import until_full
+from multilica.ingest.recording import Messages
 from multilica.ingest.source import find_source
 from multilica.ingest.taken_frames import TakenFrames
 from multilica.snapshot import Snapshot
@@ -63,3 +65,20 @@ def test_one_that_is_slow(tmp_path: Path) -> None:
         number * 80 * PERIOD_NS for number in range(5)
     ]
     assert snapshot.notes == ()
+
+
+def test_one_that_is_silent_while_frames_are_spread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    front, rear = make_snapshot(frames=900).lidars
+    write_mcap(Snapshot((front, replace(rear, scans=rear.scans[:3]))), tmp_path / "a.mcap", chunk_size=4096)
+    read: list[str] = []
+    split = ChunkedRecording.messages
+
+    def counted(self: ChunkedRecording, topics: Collection[str], start_ns: int = 0) -> Messages:
+        for message in split(self, topics, start_ns):
+            read.append(message.topic)
+            yield message
+
+    monkeypatch.setattr(ChunkedRecording, "messages", counted)
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(frames=3, window_s=90.0))
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [3, 1]
+    assert 200 < len(read) < 330
