@@ -20,6 +20,8 @@ __all__ = ["ChunkPlace", "ChunkedRecording", "PackedChunk"]
 
 _AHEAD = 1
 """Compressed chunks that are unpacked ahead; see docs/decisions/0005-chunks-unpacked-ahead.md."""
+_MOST_PACKED = 0.9
+"""Share of its size below which a chunk takes long enough to unpack; base64, for one, is only copied."""
 _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time are held back together up to this size; beyond, order gives way."""
 _END_OF_TIME = 2**64
@@ -57,9 +59,9 @@ class PackedChunk:
     is_whole: bool = True
 
     @property
-    def is_compressed(self) -> bool:
-        """There is more to do than to check it."""
-        return self.compression not in UNCOMPRESSED
+    def is_worth_a_thread(self) -> bool:
+        """There is more to do than to copy and to check it."""
+        return self.compression not in UNCOMPRESSED and len(self.data) < _MOST_PACKED * self.size
 
     def unpack(self) -> memoryview:
         """Its records; of one that is not whole, those at its beginning, unchecked.
@@ -162,8 +164,8 @@ class ChunkedRecording:
         with ThreadPoolExecutor(max_workers=1) as aside:
             for chunk in chunks:
                 packed = self._read_chunk(self._stream, chunk)
-                ahead.append(aside.submit(packed.unpack).result if packed.is_compressed else packed.unpack)
-                while len(ahead) > (_AHEAD if packed.is_compressed else 0):
+                ahead.append(aside.submit(packed.unpack).result if packed.is_worth_a_thread else packed.unpack)
+                while len(ahead) > (_AHEAD if packed.is_worth_a_thread else 0):
                     yield ahead.popleft()()
             while ahead:
                 yield ahead.popleft()()
