@@ -68,7 +68,7 @@ CASES: dict[str, Callable[[Snapshot, Path], None]] = {
     "foxglove protobuf.mcap": write_foxglove_sdk,
     "foxglove json lz4.mcap": write_foxglove_json,
     "livox cdr.mcap": lambda snapshot, path: write_raw_mcap(
-        livox_messages(_head(snapshot), "livox_ros_driver2", "cdr"), path, "cdr"
+        livox_messages(snapshot, "livox_ros_driver2", "cdr"), path, "cdr"
     ),
     "none.bag": write_ros1_bag,
     "lz4.bag": lambda snapshot, path: write_ros1_bag(snapshot, path, Ros1Writer.CompressionFormat.LZ4),
