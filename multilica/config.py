@@ -171,7 +171,7 @@ class VerifyConfig(Section):
     settled_after: Count = Field(
         6, ge=2, description="distinct answers that are tried before the search may stop early"
     )
-    settled_after_firm: Count = Field(3, ge=2, description="the same where the best of them is firmly held")
+    settled_after_firm: Count = Field(2, ge=2, description="the same where the best of them is firmly held")
     settled_ratio: Share = Field(0.5, description="it stops if the runner-up has at most this share of the evidence")
     rivals: int = Field(6, ge=0, description="poses turned by right angles that are tried against the best")
     rival_reach_m: PositiveMetres = Field(15.0, description="no farther apart are two LiDARs of one vehicle")

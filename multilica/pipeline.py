@@ -39,7 +39,7 @@ from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features
 from multilica.stages.decide import decide, decide_by_fitness
 from multilica.stages.features import compute_features
-from multilica.stages.fine import Candidate, Side, register_best
+from multilica.stages.fine import Candidate, Side, hopeful, register_best
 from multilica.stages.ground import estimate_ground
 from multilica.stages.information import pose_information
 from multilica.stages.merge import Group, merge
@@ -330,10 +330,13 @@ class _Run:
             Candidate(_between_groups(group, other, assessment.T_target_source), -1)
             for pair, assessments in self.assessments.items()
             if len({*pair} & {*group.poses}) == 1 and len({*pair} & {*other.poses}) == 1
-            for assessment in assessments
+            for assessment in self._hopeful(assessments)
         ]
         near = [each for each in candidates if self._is_near(each.T_target_source)]
         return self._register(self._side(group), self._side(other), near) if near else None
+
+    def _hopeful(self, assessments: Sequence[Assessment]) -> list[Assessment]:
+        return [assessments[index] for index in hopeful([each.evidence for each in assessments], self.config.verify)]
 
     def _is_near(self, pose: RigidTransform) -> bool:
         return float(np.linalg.norm(pose.xyz_m)) <= self.config.coarse.max_baseline_m

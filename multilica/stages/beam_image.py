@@ -133,13 +133,16 @@ def _one_per_cell(returns_m: FloatArray) -> FloatArray:
         return returns_m
     directions = returns_m / range_m[:, None]
     cell_rad = _FINEST_CELL_RAD
-    while True:
-        cells = np.floor((directions + 1.0) / cell_rad).astype(np.int64) @ np.array([1 << 40, 1 << 20, 1])
-        order = np.lexsort((range_m, cells))
-        _, start, count = np.unique(cells[order], return_index=True, return_counts=True)
-        if len(start) <= _MAX_BEAMS:
-            return np.asarray(returns_m[order[start + count // 2]])
+    while len(np.unique(_cells(directions, cell_rad))) > _MAX_BEAMS:
         cell_rad *= _CELL_GROWTH
+    cells = _cells(directions, cell_rad)
+    order = np.lexsort((range_m, cells))
+    _, start, count = np.unique(cells[order], return_index=True, return_counts=True)
+    return np.asarray(returns_m[order[start + count // 2]])
+
+
+def _cells(directions: FloatArray, cell_rad: float) -> npt.NDArray[np.int64]:
+    return np.asarray(np.floor((directions + 1.0) / cell_rad).astype(np.int64) @ np.array([1 << 40, 1 << 20, 1]))
 
 
 def _rotation_to_pole(directions: FloatArray) -> FloatArray:

@@ -15,7 +15,7 @@ from multilica.stages.poses import is_distinct
 from multilica.stages.registration_cloud import RegistrationCloud
 from multilica.stages.witness import PlacedWitness, judge
 
-__all__ = ["Candidate", "Side", "register_best"]
+__all__ = ["Candidate", "Side", "hopeful", "register_best"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +79,16 @@ def register_best(
     )
 
 
+def hopeful(evidence: Sequence[float], verify: VerifyConfig) -> list[int]:
+    """Indices of the answers that may still turn out to be the best, which they are judged to be now first."""
+    ranked = sorted(range(len(evidence)), key=lambda index: -evidence[index])[: verify.finalists]
+    if not ranked:
+        return []
+    best = evidence[ranked[0]]
+    worst = best - max(abs(best), verify.hopeless_evidence)
+    return [index for index in ranked if index == ranked[0] or evidence[index] > worst]
+
+
 def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig) -> list[Candidate]:
     distinct: list[Candidate] = []
     for candidate in candidates:
@@ -87,10 +97,7 @@ def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], veri
     if len(distinct) == 1:
         return distinct
     evidence = [_evidence(target, source, candidate, verify) for candidate in distinct]
-    ranked = sorted(range(len(distinct)), key=lambda index: -evidence[index])[: verify.finalists]
-    best = evidence[ranked[0]]
-    worst = best - max(abs(best), verify.hopeless_evidence)
-    return [distinct[index] for index in ranked if index == ranked[0] or evidence[index] > worst]
+    return [distinct[index] for index in hopeful(evidence, verify)]
 
 
 def _evidence(target: Side, source: Side, candidate: Candidate, verify: VerifyConfig) -> float:

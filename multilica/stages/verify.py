@@ -17,8 +17,12 @@ from multilica.stages.poses import is_distinct
 from multilica.stages.registration_cloud import RegistrationCloud
 from multilica.stages.rivals import turned_rivals
 from multilica.stages.witness import Witness, judge
+from multilica.testimony import Testimony
 
 __all__ = ["assess_hypotheses", "short_gicp"]
+
+# Rivals come from plans with cells of half a metre, or are steps of one metre apart.
+_RIVAL_TOLERANCE_M = 0.6
 
 
 def short_gicp(config: VerifyConfig, fine: FineConfig) -> FineConfig:
@@ -76,7 +80,10 @@ def assess_hypotheses(
     for assessment in claimed:
         found = _joined(found, assessment)
     for index, hypothesis in _rivals(target[0], source[0], found, config):
-        if is_distinct(hypothesis.T_target_source, (other.T_target_source for other in found)):
+        pose = hypothesis.T_target_source
+        if is_distinct(pose, (other.T_target_source for other in found)) and _may_win(
+            _testimony(target[0], source[0], pose, _RIVAL_TOLERANCE_M, config.tolerance_deg), found, config
+        ):
             found = _joined(found, _assess(target, source, index, hypothesis, config, gicp, threads))
     return tuple(sorted(found, key=lambda assessment: -assessment.evidence))
 
@@ -128,9 +135,7 @@ def _assess(
     registration = register_narrower(target[1], source[1], start, gicp, threads)
     forth = registration.target == start.target
     pose = registration.T_target_source if forth else registration.T_target_source.inverse()
-    here = [(RigidTransform.identity(start.target, start.target), target[0])]
-    there = [(RigidTransform.identity(start.source, start.source), source[0])]
-    testimony = judge(here, there, pose, config.tolerance_m, config.tolerance_deg)
+    testimony = _testimony(target[0], source[0], pose, config.tolerance_m, config.tolerance_deg)
     return Assessment(
         hypothesis=index,
         T_target_source=pose,
@@ -142,6 +147,20 @@ def _assess(
         origin=hypothesis.origin,
         target_probes_m=target[0].probes_m,
     )
+
+
+def _testimony(
+    target: Witness, source: Witness, pose: RigidTransform, tolerance_m: float, tolerance_deg: float
+) -> Testimony:
+    here = [(RigidTransform.identity(pose.target, pose.target), target)]
+    there = [(RigidTransform.identity(pose.source, pose.source), source)]
+    return judge(here, there, pose, tolerance_m, tolerance_deg)
+
+
+def _may_win(roughly: Testimony, found: Sequence[Assessment], config: VerifyConfig) -> bool:
+    """Whether a pose that is off by no more than the tolerance it was judged with can come near the best."""
+    best = max(assessment.evidence for assessment in found)
+    return roughly.evidence > best - max(abs(best), config.hopeless_evidence)
 
 
 def _is_settled(found: Sequence[Assessment], config: VerifyConfig) -> bool:

@@ -118,4 +118,4 @@ def _squared_residuals(target_m: FloatArray, source_m: FloatArray, rotation: Flo
 
 def _weighted_rotation(target_m: FloatArray, source_m: FloatArray, weights: FloatArray) -> FloatArray:
     u, _, vt = np.linalg.svd((target_m * weights[:, None]).T @ source_m)
-    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+    return np.asarray((u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
