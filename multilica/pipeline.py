@@ -325,13 +325,27 @@ class _Run:
         return best, f"the LiDAR with the most overlap: fitness over its pairs adds up to {overlap[best]:.2f}"
 
     def _reregister(self, group: Group, other: Group, hints: Sequence[PairRegistration]) -> PairRegistration | None:
-        candidates = [Candidate(_between_groups(group, other, hint.T_target_source), -1) for hint in hints]
-        candidates += [
-            Candidate(_between_groups(group, other, assessment.T_target_source), -1)
+        """The groups as wholes, from all that is known; if that leaves doubt, from what pairs were accepted for.
+
+        Two wholes have more poses that fit by chance than two LiDARs. Those that no pair was accepted for need not
+        stand against one that was.
+        """
+        known = [hint.T_target_source for hint in hints]
+        known += [
+            assessment.T_target_source
             for pair, assessments in self.assessments.items()
             if len({*pair} & {*group.poses}) == 1 and len({*pair} & {*other.poses}) == 1
             for assessment in self._hopeful(assessments)
         ]
+        link = self._register_groups(group, other, known)
+        if link is None or link.verdict.accepted:
+            return link
+        accepted = [hint.T_target_source for hint in hints if hint.verdict.accepted]
+        again = self._register_groups(group, other, accepted) if self.config.verify.enabled else None
+        return again if again is not None and again.verdict.accepted else link
+
+    def _register_groups(self, group: Group, other: Group, known: Sequence[RigidTransform]) -> PairRegistration | None:
+        candidates = [Candidate(_between_groups(group, other, pose), -1) for pose in known]
         near = [each for each in candidates if self._is_near(each.T_target_source)]
         return self._register(self._side(group), self._side(other), near) if near else None
 

@@ -14,6 +14,9 @@ from multilica.testimony import Testimony
 
 __all__ = ["decide", "decide_by_fitness", "max_violation_share", "standing_rivals"]
 
+_SLID_RAD = float(np.deg2rad(5.0))
+_SLID_SHARE = 0.9
+
 
 def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
     """Judge the best of the distinct answers that were registered finely, the one with the most evidence first.
@@ -107,13 +110,21 @@ def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason 
         limit = config.max_equal if rival in standing else config.max_runner_up
         ratio = max(0.0, rival.evidence / best.evidence)
         if ratio > limit:
-            metres, radians = best.T_target_source.distance_to(rival.T_target_source)
-            text = (
-                f"another pose, {metres:.2f} m and {np.rad2deg(radians):.0f} deg away, has {ratio:.0%} of the "
-                f"evidence; at most {limit:.0%} leaves no doubt"
-            )
-            return Reason("ambiguous", ratio, limit, text)
+            return _undecided(best, rival, ratio, limit)
     return None
+
+
+def _undecided(best: Assessment, rival: Assessment, ratio: float, limit: float) -> Reason:
+    """That the rival explains too much: as far as the scene lets the best pose slide, or elsewhere."""
+    metres, radians = best.T_target_source.distance_to(rival.T_target_source)
+    shift_m = rival.T_target_source.xyz_m - best.T_target_source.xyz_m
+    along = float(np.abs(shift_m @ best.testimony.slide_direction))
+    share = f"{ratio:.0%} of the evidence; at most {limit:.0%} leaves no doubt"
+    if radians < _SLID_RAD and along > _SLID_SHARE * metres:
+        where = _in_words(np.concatenate([np.zeros(3), shift_m]), best.T_target_source.target)
+        return Reason("not_observable", ratio, limit, f"the pose can slide {where}: {metres:.2f} m away it has {share}")
+    text = f"another pose, {metres:.2f} m and {np.rad2deg(radians):.0f} deg away, has {share}"
+    return Reason("ambiguous", ratio, limit, text)
 
 
 def _stands_by_itself(rival: Assessment, best: Assessment, config: VerifyConfig) -> bool:

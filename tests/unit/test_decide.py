@@ -104,6 +104,16 @@ def test_a_pose_that_would_be_accepted_by_itself_is_a_rival_however_little_it_ha
         assert decide([best, _answer(_ELSEWHERE, **{**rival, **weakness})], _CONFIG).accepted
 
 
+def test_a_rival_along_the_weakest_direction_is_told_as_sliding():
+    weakest_x = np.diag([300.0, 300.0, 300.0, 50.0, 300.0, 400.0])
+    best = _answer()
+    best = replace(best, testimony=replace(best.testimony, information=weakest_x))
+    slid, beside = (RigidTransform.from_xyz_rpy("t", "s", xyz_m, (0, 0, 0)) for xyz_m in ((2, 0.1, 0), (0.1, 2, 0)))
+    along, across = (decide([best, _answer(pose, agree=990)], _CONFIG) for pose in (slid, beside))
+    assert (_codes(along), _codes(across)) == (["not_observable"], ["ambiguous"])
+    assert "slide along x of t: 2.00 m away" in along.reasons[0].text
+
+
 @pytest.mark.parametrize(
     ("weak", "value", "limit", "figures"),
     [
