@@ -78,7 +78,7 @@ def test_messages_of_machines_of_the_other_byte_order(case: Case) -> None:
 def test_messages_that_were_cut_off(encoding: str, case: Case, data: st.DataObject) -> None:
     message = ros_message(case.cloud, encoding)
     # The last byte says whether any point is invalid, which the points say themselves.
-    whole = message.rindex(bytes(case.cloud.data)) + len(case.cloud.data)
+    whole = len(message) - 1
     with pytest.raises(UnreadableSourceError, match="A scan cannot be unpacked: it ends too early"):
         decoded(CLOUD, encoding, message[: data.draw(st.integers(0, whole - 1))])
 
