@@ -66,7 +66,9 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
         _explanation(finalists[0].testimony, config),
         _distance(finalists[0], config),
     ]
-    reasons = tuple(reason for reason in (*against, *doubts) if reason is not None)
+    found = [reason for reason in (*against, *doubts) if reason is not None]
+    # Two doubts may tell of the same sliding.
+    reasons = tuple({reason.code: reason for reason in reversed(found)}.values())[::-1]
     if any(reason in reasons for reason in against):
         return Verdict("reject", reasons)
     return Verdict("undecided" if reasons else "accept", reasons)
@@ -172,14 +174,15 @@ def _explanation(best: Testimony, config: VerifyConfig) -> Reason | None:
 
 
 def _distance(best: Assessment, config: VerifyConfig) -> Reason | None:
-    limit_m = config.rival_reach_m if _is_firm(best.testimony, config) else config.loose_reach_m
+    firm = _is_firm(best.testimony, config)
+    name, limit_m = ("rival_reach_m", config.rival_reach_m) if firm else ("loose_reach_m", config.loose_reach_m)
     distance_m = float(np.linalg.norm(best.T_target_source.xyz_m))
     return _check(
         "too_far_apart",
         distance_m,
         limit_m,
         f"the LiDARs would be {distance_m:.1f} m apart; a pose that {best.testimony.held_by:.1f} points hold is "
-        f"believed up to {limit_m:g} m",
+        f"believed up to {limit_m:g} m (verify.{name})",
         failed=distance_m > limit_m,
     )
 

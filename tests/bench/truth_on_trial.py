@@ -26,7 +26,6 @@ Members = tuple[str, ...]
 _KINDS = {
     "too_little_overlap": "too little in common",
     "too_little_evidence": "too little in common",
-    "structure_unexplained": "too little in common",
     "not_observable": "other poses explain as much",
     "ambiguous": "other poses explain as much",
 }

@@ -112,6 +112,8 @@ def test_a_rival_along_the_weakest_direction_is_told_as_sliding():
     along, across = (decide([best, _answer(pose, agree=990)], _CONFIG) for pose in (slid, beside))
     assert (_codes(along), _codes(across)) == (["not_observable"], ["ambiguous"])
     assert "slide along x of t: 2.00 m away" in along.reasons[0].text
+    flat = replace(best, weakest_curvature=0.1)
+    assert _codes(decide([flat, _answer(slid, agree=990)], _CONFIG)) == ["not_observable"]
 
 
 @pytest.mark.parametrize(
@@ -158,7 +160,7 @@ def test_lidars_of_one_vehicle_are_not_farther_apart_than_it_is_long(held_by, li
     assert near.accepted
     assert far.outcome == "undecided"
     assert _codes(far) == ["too_far_apart"]
-    assert f"up to {limit_m:g} m" in far.reasons[0].text
+    assert f"up to {limit_m:g} m (verify." in far.reasons[0].text
 
 
 def test_parallax_is_allowed_to_hide_much_where_the_pose_is_firmly_held():

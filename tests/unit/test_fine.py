@@ -4,7 +4,7 @@ import pytest
 
 from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.stages.fine import Candidate, Side, register_best
+from multilica.stages.fine import Candidate, Side, hopeful, register_best
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.witness import prepare_witness
 from tests.unit.made_rooms import HALL, scan
@@ -79,6 +79,20 @@ def test_no_more_finalists_are_registered_than_asked_for(sides):
     result = register_best(*sides, candidates, _VERIFY.model_copy(update={"finalists": 2}), _FINE, 1)
     assert len(result.assessments) <= 2
     assert result.hypothesis == 0
+
+
+@pytest.mark.parametrize(
+    ("evidence", "kept"),
+    [
+        ([-900.0, 500.0, 10.0, -10.0], [1, 2]),
+        ([50.0, -240.0, -260.0], [0, 1]),
+        ([-400.0, -750.0, -90.0], [2]),
+        ([], []),
+    ],
+    ids=["far ahead", "within reach", "none believable", "none"],
+)
+def test_answers_that_are_hopelessly_behind_are_not_registered(evidence, kept):
+    assert hopeful(evidence, _VERIFY) == kept
 
 
 def test_without_witnesses_the_first_candidate_is_taken_as_the_paper_does(clouds):

@@ -7,6 +7,8 @@ import pytest
 from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import PRIOR, CoarseResult, Hypothesis
+from multilica.stages import verify
+from multilica.stages.gicp import register_narrower
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.verify import assess_hypotheses, short_gicp
 from multilica.stages.witness import prepare_witness
@@ -74,6 +76,25 @@ def test_the_search_goes_on_while_no_answer_is_right(sides):
     poses = [_near(_HALF_TURN), _near(_TRUTH, (0, 0, 0), 0.8), _near(_TRUTH)]
     found = _assessed(sides, *poses, config=_CONFIG.model_copy(update={"settled_after": 2, "settled_after_firm": 2}))
     assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
+
+
+def test_rivals_that_put_walls_into_empty_space_are_not_registered(sides, monkeypatch):
+    tried = []
+
+    def counted(*arguments):
+        tried.append(arguments)
+        return register_narrower(*arguments)
+
+    monkeypatch.setattr(verify, "register_narrower", counted)
+    loose = _CONFIG.model_copy(update={"firmly_held_by": 1e9})
+    counts, best = [], []
+    for hopeless in (1e9, 300.0):
+        tried.clear()
+        best.append(_assessed(sides, _near(_TRUTH), config=loose.model_copy(update={"hopeless_evidence": hopeless}))[0])
+        counts.append(len(tried))
+    assert counts[0] >= 1 + loose.slides
+    assert counts[1] < counts[0]
+    assert best[0].T_target_source.matrix.tobytes() == best[1].T_target_source.matrix.tobytes()
 
 
 def test_a_pose_that_slid_along_a_row_of_pillars_is_found_back():

@@ -79,6 +79,16 @@ def test_no_sensor_can_be_where_beams_pass_through_all_around(target, source, xy
     assert not seen_through or testimony.evidence <= 0.0
 
 
+def test_a_wall_near_a_dense_sensor_is_solid_however_noisy_its_ranges():
+    """Returns every 2 cm with as much noise: the nearest ones alone make a ball, not a plane."""
+    rng = np.random.default_rng(5)
+    y_m, z_m = (axis.ravel() for axis in np.meshgrid(np.arange(-2.0, 2.0, 0.02), np.arange(-1.0, 1.0, 0.02)))
+    wall_m = np.stack([rng.normal(8.0, 0.02, len(y_m)), y_m, z_m], axis=1)
+    witness = prepare_witness(PreprocessedCloud("t", wall_m, wall_m), _CONFIG)
+    assert np.mean(witness.solid) > 0.9
+    assert np.mean(np.abs(witness.normals[:, 0]) > 0.98) > 0.9
+
+
 _ACROSS = {"axis": 0, "at_m": 5.0, "lo_m": (0.0, -3.0, 0.0), "hi_m": (0.0, 2.0, 3.0)}
 
 
