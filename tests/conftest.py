@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 import signal
 
-# A shell without job control has what it starts in the background ignore Ctrl-C, and so would every process of a test.
+# A shell without job control has what it starts in the background ignore Ctrl-C, and nohup has it ignore a hang-up; the
+# processes of the tests would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
