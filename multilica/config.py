@@ -192,22 +192,41 @@ class VerifyConfig(Section):
     final_tolerance_deg: float = Field(0.2, gt=0.0, description="as tolerance_deg, for the finely registered")
     min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
     max_violation_share: Share = Field(
-        0.005, description="share of points in proven-empty space that can be chance: foliage, glass, what moved"
+        0.002, description="share of points in proven-empty space that can be chance: foliage, glass, what moved"
     )
-    max_violation_share_firm: Share = Field(0.01, description="the same where the pose is firmly held")
+    max_violation_share_firm: Share = Field(0.004, description="the same where the pose is firmly held")
     max_runner_up: Share = Field(0.7, description="share of the evidence that another distinct pose may have")
     max_equal: Share = Field(
         0.25, description="the same of a pose that would be accepted by itself: it may have less of the scene in view"
     )
     alike: Share = Field(0.8, description="such a pose explains at least this share of what the best explains")
     min_evidence: Metres = Field(
-        35.0, description="distinctive agreement that explains the view, less violations, that a pose needs"
+        30.0, description="distinctive agreement that explains the view, less violations, that a pose needs"
     )
     min_curvature: Metres = Field(0.2, description="smallest eigenvalue of the GICP Hessian per inlier, 10 m lever arm")
-    min_held_by: Metres = Field(0.12, description="points that hold the pose in its weakest direction, 10 m lever arm")
-    firmly_held_by: Metres = Field(8.0, description="with so many, parallax and clutter need no further explanation")
+    rival_held_by: Metres = Field(
+        0.12, description="points that hold another distinct pose in its weakest direction, if it is to count as equal"
+    )
+    firmly_held_by: Metres = Field(
+        8.0,
+        description="points that hold the pose in its weakest direction, 10 m lever arm: with so many, parallax and "
+        "clutter need no further explanation, and what holds it no examination",
+    )
+    push_m: PositiveMetres = Field(
+        0.3, description="a pose that is not firmly held is pushed so far along its weakest direction"
+    )
+    max_pushed_off_m: PositiveMetres = Field(
+        0.005, description="and comes back as near as this by itself, a turn counted 10 m away"
+    )
+    max_thinned_off_m: PositiveMetres = Field(
+        0.1, description="and moves by no more than this if registered with finalist_points only"
+    )
+    max_sigma_m: PositiveMetres = Field(
+        0.02, description="and its standard deviation is no larger: 2 cm and 0.1 deg are what an extrinsic is good for"
+    )
+    max_sigma_deg: float = Field(0.1, gt=0.0, description="as max_sigma_m, for turning")
     min_explained: Share = Field(
-        0.6,
+        0.5,
         description="share of the structure in view that must be on measured surfaces, not hidden or in empty space",
     )
     min_explained_firm: Share = Field(0.1, description="the same where the pose is firmly held")

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from multilica import events
-from multilica.config import STAGES, CalibrationConfig, Stage
+from multilica.config import STAGES, CalibrationConfig, Stage, VerifyConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
@@ -36,12 +36,12 @@ from multilica.results import (
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
+from multilica.stages.contradiction import doubt_by_contradiction
 from multilica.stages.correspond import match_features
 from multilica.stages.decide import decide, decide_by_fitness
 from multilica.stages.features import compute_features
 from multilica.stages.fine import Candidate, Side, hopeful, register_best
 from multilica.stages.ground import estimate_ground
-from multilica.stages.information import pose_information
 from multilica.stages.merge import Group, merge
 from multilica.stages.preprocess import preprocess
 from multilica.stages.prior import known_between, require_usable
@@ -51,10 +51,12 @@ from multilica.stages.sensor_health import examine_sensor
 from multilica.stages.stillness import detect_motion, explain_motion
 from multilica.stages.symmetry import doubt_by_symmetry
 from multilica.stages.verify import assess_hypotheses, short_gicp
-from multilica.stages.witness import Witness, judge, prepare_witness
+from multilica.stages.witness import Trial, Witness, judge, prepare_witness
 from multilica.testimony import Testimony
 
 __all__ = ["calibrate"]
+
+Doubting = Callable[[Sequence[PairRegistration], Trial, VerifyConfig], Sequence[PairRegistration]]
 
 
 def calibrate(
@@ -242,19 +244,20 @@ class _Run:
             candidates = self._candidates(pair)
             if candidates:
                 self.registrations[pair] = self._register(self.sides[pair[0]], self.sides[pair[1]], candidates)
-        self._doubt_by_symmetry()
+        self._doubt(doubt_by_symmetry)
+        self._doubt(doubt_by_contradiction)
 
-    def _doubt_by_symmetry(self) -> None:
+    def _doubt(self, doubting: Doubting) -> None:
         settled = list(self.registrations.items())
-        doubted = doubt_by_symmetry([pair for _, pair in settled], self._testify, self.config.verify)
+        doubted = doubting([pair for _, pair in settled], self._testify, self.config.verify)
         for (key, before), after in zip(settled, doubted, strict=True):
             if after is not before:
                 self.registrations[key] = after
                 self.observe(events.PairRegistered(after))
 
-    def _testify(self, pair: PairRegistration, pose: RigidTransform) -> Testimony:
+    def _testify(self, pose: RigidTransform) -> Testimony:
         here, there = (
-            [(RigidTransform.identity(name, name), self.witnesses[name])] for name in (pair.target, pair.source)
+            [(RigidTransform.identity(name, name), self.witnesses[name])] for name in (pose.target, pose.source)
         )
         limits = self.config.verify
         return judge(here, there, pose, limits.final_tolerance_m, limits.final_tolerance_deg)
@@ -278,20 +281,14 @@ class _Run:
         return Side(group.root, cloud, draft, witnesses)
 
     def _register(self, target: Side, source: Side, candidates: Sequence[Candidate]) -> PairRegistration:
-        registration = register_best(target, source, candidates, self.config.verify, self.config.fine, self._threads)
+        registration = register_best(
+            target, source, candidates, self.config.verify, self.config.fine, self.config.refine, self._threads
+        )
         if registration.assessments:
             verdict = decide(registration.assessments, self.config.verify)
         else:
             verdict = decide_by_fitness(registration, self.config.merge)
-        sides = {target.name: target.cloud, source.name: source.cloud}
-        information = pose_information(
-            sides[registration.target],
-            sides[registration.source],
-            registration.T_target_source,
-            self.config.refine,
-            self._threads,
-        )
-        registration = replace(registration, verdict=verdict, information=information)
+        registration = replace(registration, verdict=verdict)
         self.observe(events.PairRegistered(registration))
         return registration
 

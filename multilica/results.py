@@ -203,6 +203,7 @@ class Assessment:
             the pose can slide without the fit getting worse.
         probes_m: (N, 3) judged points of the source, in its own frame, to which `testimony.labels` belong.
         target_probes_m: (M, 3) judged points of the target, in its own frame, as `testimony.target_labels`.
+        hold: what holds the pose; None where that is beyond doubt, or does not matter any more.
     """
 
     hypothesis: int
@@ -214,6 +215,7 @@ class Assessment:
     probes_m: FloatArray
     origin: str = ""
     target_probes_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    hold: Hold | None = None
 
     @property
     def label(self) -> str:
@@ -224,6 +226,25 @@ class Assessment:
     def evidence(self) -> float:
         """See `Testimony.evidence`."""
         return self.testimony.evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """How firmly the points of both clouds hold a registered pose. Turns count as arcs 10 m away.
+
+    Args:
+        sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where the
+            engine gives no normals.
+        push_m: how far the pose was pushed along its weakest direction, either way.
+        pushed_off_m: how far from the pose the registration ends when it starts from there.
+        thinned_off_m: how far from the pose the registration of fewer points ends.
+    """
+
+    sigma_m: float | None
+    sigma_rad: float | None
+    push_m: float
+    pushed_off_m: float
+    thinned_off_m: float
 
 
 @dataclass(frozen=True, slots=True)

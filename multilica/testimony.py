@@ -27,8 +27,8 @@ STRAY_SHARE = 0.003
 STRAY_STRUCTURE_POINTS, STRAY_STRUCTURE_SHARE = 2, 0.001
 """The same of points off the commonest plane, of which there are fewer: a number, and a share of all that agree."""
 
-FEW_POINTS = 5
-"""Shares of structure begin at one and need some points to fall."""
+FEW_POINTS = 10
+"""Shares of structure begin at one and need some points to fall: a bush behind a trunk says little in a field."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

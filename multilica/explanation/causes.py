@@ -16,6 +16,7 @@ _BY_CODE: Sequence[tuple[str, Cause]] = (
     ("too_little_evidence", "no_overlap"),
     ("empty_space_violated", "contradiction"),
     ("place_proven_empty", "contradiction"),
+    ("cycle_contradicted", "ambiguous"),
     ("ambiguous", "ambiguous"),
     ("not_observable", "not_observable"),
     ("structure_unexplained", "unexplained"),

@@ -190,6 +190,8 @@ def _assessment(assessment: Assessment) -> dict[str, Any]:
         "fitness": assessment.fitness,
         "rmse_m": assessment.rmse_m,
         "weakest_curvature": assessment.weakest_curvature,
+        "held_by": beams.held_by,
+        "hold": None if assessment.hold is None else asdict(assessment.hold),
     }
 
 

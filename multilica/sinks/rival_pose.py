@@ -46,8 +46,8 @@ def _turned(story: RunStory, registration: PairRegistration) -> Assessment | Non
     witnesses = {name: prepare_witness(story.clouds[name], limits) for name in sides}
     trials: list[tuple[RigidTransform, Testimony]] = []
 
-    def testify(pair: PairRegistration, pose: RigidTransform) -> Testimony:
-        here, there = ([(RigidTransform.identity(name, name), witnesses[name])] for name in (pair.target, pair.source))
+    def testify(pose: RigidTransform) -> Testimony:
+        here, there = ([(RigidTransform.identity(name, name), witnesses[name])] for name in (pose.target, pose.source))
         testimony = judge(here, there, pose, limits.final_tolerance_m, limits.final_tolerance_deg)
         trials.append((pose, testimony))
         return testimony

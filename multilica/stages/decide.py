@@ -9,13 +9,14 @@ import numpy as np
 
 from multilica.config import MergeConfig, VerifyConfig
 from multilica.geometry import FloatArray
-from multilica.results import Assessment, PairRegistration, Reason, Verdict
+from multilica.results import Assessment, Hold, PairRegistration, Reason, Verdict
 from multilica.testimony import Testimony
 
 __all__ = ["decide", "decide_by_fitness", "max_violation_share", "standing_rivals"]
 
 _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
+_STRAY_POINTS = 2
 
 
 def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
@@ -84,7 +85,8 @@ def decide_by_fitness(registration: PairRegistration, config: MergeConfig) -> Ve
 
 def max_violation_share(testimony: Testimony, config: VerifyConfig) -> float:
     """The share of points in proven-empty space that can be chance; a loosely held pose finds fits by chance, too."""
-    return config.max_violation_share_firm if _is_firm(testimony, config) else config.max_violation_share
+    share = config.max_violation_share_firm if _is_firm(testimony, config) else config.max_violation_share
+    return max(share, _STRAY_POINTS / max(1, testimony.agree + testimony.violate))
 
 
 def standing_rivals(finalists: Sequence[Assessment], config: VerifyConfig) -> list[Assessment]:
@@ -135,29 +137,42 @@ def _stands_by_itself(rival: Assessment, best: Assessment, config: VerifyConfig)
         rival.testimony.agree >= config.min_agree
         and rival.testimony.violation_share <= max_violation_share(rival.testimony, config)
         and rival.testimony.explained_share >= config.alike * best.testimony.explained_share
-        and rival.testimony.held_by >= config.min_held_by
+        and rival.testimony.held_by >= config.rival_held_by
         and rival.weakest_curvature >= config.min_curvature
     )
 
 
 def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:
-    held_by = best.testimony.held_by
-    where = _in_words(best.testimony.weakest_direction, best.T_target_source.target)
-    if held_by < config.min_held_by:
-        text = (
-            f"the pose can slide {where}: {held_by:.2f} points hold it in that direction; "
-            f"expected {config.min_held_by:g}"
-        )
-        return Reason("not_observable", held_by, config.min_held_by, text)
+    """The first that fails: the fit is flat, the pose does not come back, depends on single points, or is not sure."""
     curvature = best.weakest_curvature
-    return _check(
-        "not_observable",
-        curvature,
-        config.min_curvature,
-        f"the pose can slide {where}: curvature {curvature:.2f} in its weakest direction; "
-        f"expected {config.min_curvature:g}",
-        failed=curvature < config.min_curvature,
-    )
+    flaw = _flaw_of(best.hold, config)
+    if curvature < config.min_curvature:
+        flaw = curvature, config.min_curvature, f"curvature {curvature:.2f}; expected {config.min_curvature:g}"
+    if flaw is None:
+        return None
+    value, limit, text = flaw
+    where = _in_words(best.testimony.weakest_direction, best.T_target_source.target)
+    return Reason("not_observable", value, limit, f"the pose can slide {where}: {text}")
+
+
+def _flaw_of(hold: Hold | None, config: VerifyConfig) -> tuple[float, float, str] | None:
+    """What shows that the points do not hold the pose: the figure, its limit, and both in words."""
+    if hold is None:
+        return None
+    if hold.pushed_off_m > config.max_pushed_off_m:
+        text = f"pushed by {hold.push_m:g} m, the registration ends {hold.pushed_off_m:.3f} m away"
+        return hold.pushed_off_m, config.max_pushed_off_m, f"{text}; expected {config.max_pushed_off_m:g} m"
+    if hold.thinned_off_m > config.max_thinned_off_m:
+        text = f"with fewer points, the registration ends {hold.thinned_off_m:.2f} m away"
+        return hold.thinned_off_m, config.max_thinned_off_m, f"{text}; expected {config.max_thinned_off_m:g} m"
+    if hold.sigma_m is not None and hold.sigma_m > config.max_sigma_m:
+        text = f"its standard deviation is {hold.sigma_m:.3f} m; expected {config.max_sigma_m:g} m"
+        return hold.sigma_m, config.max_sigma_m, text
+    sigma_deg = 0.0 if hold.sigma_rad is None else float(np.rad2deg(hold.sigma_rad))
+    if sigma_deg > config.max_sigma_deg:
+        text = f"its standard deviation is {sigma_deg:.2f} deg; expected {config.max_sigma_deg:g} deg"
+        return sigma_deg, config.max_sigma_deg, text
+    return None
 
 
 def _explanation(best: Testimony, config: VerifyConfig) -> Reason | None:

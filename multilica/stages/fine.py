@@ -6,12 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from multilica.config import FineConfig, VerifyConfig
+from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import Assessment, PairRegistration
 from multilica.stages.gicp import register, register_narrower
-from multilica.stages.observability import weakest_curvature
-from multilica.stages.poses import is_distinct
+from multilica.stages.information import pose_information
+from multilica.stages.observability import examine_hold, weakest_curvature
+from multilica.stages.poses import is_distinct, within_reach
 from multilica.stages.registration_cloud import RegistrationCloud
 from multilica.stages.witness import PlacedWitness, judge
 
@@ -46,7 +47,13 @@ class Candidate:
 
 
 def register_best(
-    target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig, fine: FineConfig, threads: int
+    target: Side,
+    source: Side,
+    candidates: Sequence[Candidate],
+    verify: VerifyConfig,
+    fine: FineConfig,
+    refine: RefineConfig,
+    threads: int,
 ) -> PairRegistration:
     """GICP on the finalists among the candidates; the one with the most evidence is registered on all points.
 
@@ -54,29 +61,36 @@ def register_best(
         candidates: at least one, the most believable first.
 
     Returns:
-        The narrower side is the source. `assessments` holds the distinct finalists, the best first.
+        The narrower side is the source. `assessments` holds the distinct finalists, the best first; what holds the
+        best is examined if it has enough evidence and not many points hold it in its weakest direction.
     """
     if not target.witnesses:
         first = candidates[0]
         registered = register_narrower(target.cloud, source.cloud, first.T_target_source, fine, threads)
+        registered = _informed(registered, target, source, refine, threads)
         return replace(registered, hypothesis=first.hypothesis)
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
         candidates = [replace(each, T_target_source=each.T_target_source.inverse()) for each in candidates]
-    finished: list[tuple[Assessment, PairRegistration]] = []
+    finished: list[Assessment] = []
+    drafts: list[PairRegistration] = []
     for candidate in _finalists(target, source, candidates, verify):
         drafted = register(target.draft, source.draft, candidate.T_target_source, fine, threads)
         assessment = _assess(target, source, drafted, candidate.hypothesis, candidate.origin, verify)
-        if is_distinct(assessment.T_target_source, (other.T_target_source for other, _ in finished)):
-            finished.append((assessment, drafted))
-    finished.sort(key=lambda pair: -pair[0].evidence)
-    best, registered = finished[0]
+        if is_distinct(assessment.T_target_source, (other.T_target_source for other in finished)):
+            finished.append(assessment)
+            drafts.append(drafted)
+    best, *others = sorted(within_reach(finished, verify.rival_reach_m), key=lambda each: -each.evidence)
+    registered = drafts[finished.index(best)]
     if best.evidence > 0.0:
         registered = register(target.cloud, source.cloud, best.T_target_source, fine, threads)
         best = _assess(target, source, registered, best.hypothesis, best.origin, verify)
-    return replace(
-        registered, hypothesis=best.hypothesis, assessments=(best, *(assessment for assessment, _ in finished[1:]))
-    )
+    registered = _informed(registered, target, source, refine, threads)
+    if best.evidence >= verify.min_evidence and best.testimony.held_by < verify.firmly_held_by:
+        clouds, thinned = (target.cloud, source.cloud), (target.draft, source.draft)
+        weakest = best.testimony.weakest_direction
+        best = replace(best, hold=examine_hold(clouds, thinned, registered, weakest, verify.push_m, fine, threads))
+    return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
 
 
 def hopeful(evidence: Sequence[float], verify: VerifyConfig) -> list[int]:
@@ -87,6 +101,15 @@ def hopeful(evidence: Sequence[float], verify: VerifyConfig) -> list[int]:
     best = evidence[ranked[0]]
     worst = best - max(abs(best), verify.hopeless_evidence)
     return [index for index in ranked if index == ranked[0] or evidence[index] > worst]
+
+
+def _informed(
+    registration: PairRegistration, first: Side, second: Side, refine: RefineConfig, threads: int
+) -> PairRegistration:
+    clouds = {side.name: side.cloud for side in (first, second)}
+    target, source = clouds[registration.target], clouds[registration.source]
+    information = pose_information(target, source, registration.T_target_source, refine, threads)
+    return replace(registration, information=information)
 
 
 def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig) -> list[Candidate]:

@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When two poses are the same answer."""
+"""When two poses are the same answer, and which can be one vehicle's."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from multilica.geometry import RigidTransform
+from multilica.results import Assessment
 
-__all__ = ["is_distinct"]
+__all__ = ["is_distinct", "within_reach"]
 
 _SAME_POSE_M = 0.3
 _SAME_POSE_RAD = float(np.deg2rad(3.0))
@@ -24,3 +25,9 @@ def is_distinct(
     """Whether none of the other poses is the same answer: as near in translation, and in rotation."""
     distances = (pose.distance_to(other) for other in others)
     return all(metres > same_m or radians > same_rad for metres, radians in distances)
+
+
+def within_reach(assessments: Sequence[Assessment], reach_m: float) -> list[Assessment]:
+    """Those that leave both LiDARs on one vehicle, all if none does: GICP may carry a chance fit far away."""
+    near = [each for each in assessments if float(np.linalg.norm(each.T_target_source.xyz_m)) <= reach_m]
+    return near or list(assessments)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,14 +12,14 @@ from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import PairRegistration, Reason, Verdict
 from multilica.stages.decide import standing_rivals
+from multilica.stages.witness import Trial
 from multilica.testimony import Testimony
 
 __all__ = ["doubt_by_symmetry"]
 
 _TURNED_RAD = np.deg2rad(45.0)
-
-Trial = Callable[[PairRegistration, RigidTransform], Testimony]
-"""What the beams of a pair's LiDARs say of another pose of it."""
+# The rival is not registered: it may be off by centimetres.
+_POSSIBLE_SHARE = 0.01
 
 
 def doubt_by_symmetry(
@@ -34,7 +34,7 @@ def doubt_by_symmetry(
 
     Args:
         pairs: registrations with verdicts and assessments.
-        testify: judges a rival pose of a pair.
+        testify: judges a pose between any two LiDARs.
 
     Returns:
         The pairs in their order, some with another verdict.
@@ -50,7 +50,7 @@ def _doubted(
         for lidar in {pair.target, pair.source} & {other.target, other.source}:
             for symmetry in _symmetries(other, lidar, config):
                 rival = symmetry @ pose if lidar == pair.target else pose @ symmetry
-                if np.linalg.norm(rival.xyz_m) <= config.rival_reach_m and _is_possible(testify(pair, rival), config):
+                if np.linalg.norm(rival.xyz_m) <= config.rival_reach_m and _is_possible(testify(rival)):
                     return replace(pair, verdict=Verdict("undecided", (_reason(pose, rival, other),)))
     return pair
 
@@ -66,8 +66,8 @@ def _symmetries(pair: PairRegistration, lidar: str, config: VerifyConfig) -> Ite
                 yield best.inverse() @ rival.T_target_source
 
 
-def _is_possible(testimony: Testimony, config: VerifyConfig) -> bool:
-    return testimony.violation_share <= config.max_violation_share_firm
+def _is_possible(testimony: Testimony) -> bool:
+    return testimony.violation_share <= _POSSIBLE_SHARE
 
 
 def _reason(pose: RigidTransform, rival: RigidTransform, witness: PairRegistration) -> Reason:

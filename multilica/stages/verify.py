@@ -13,7 +13,7 @@ from multilica.results import PRIOR, Assessment, CoarseResult, Hypothesis
 from multilica.stages.decide import max_violation_share
 from multilica.stages.gicp import register_narrower
 from multilica.stages.observability import weakest_curvature
-from multilica.stages.poses import is_distinct
+from multilica.stages.poses import is_distinct, within_reach
 from multilica.stages.registration_cloud import RegistrationCloud
 from multilica.stages.rivals import turned_rivals
 from multilica.stages.witness import Witness, judge
@@ -85,7 +85,7 @@ def assess_hypotheses(
             _testimony(target[0], source[0], pose, _RIVAL_TOLERANCE_M, config.tolerance_deg), found, config
         ):
             found = _joined(found, _assess(target, source, index, hypothesis, config, gicp, threads))
-    return tuple(sorted(found, key=lambda assessment: -assessment.evidence))
+    return tuple(sorted(within_reach(found, config.rival_reach_m), key=lambda assessment: -assessment.evidence))
 
 
 def _joined(found: Sequence[Assessment], further: Assessment) -> list[Assessment]:
@@ -100,7 +100,7 @@ def _rivals(
     target: Witness, source: Witness, found: Sequence[Assessment], config: VerifyConfig
 ) -> list[tuple[int, Hypothesis]]:
     """Poses that may look as good as the best one: turned in a scene of right angles, or slid along if held loosely."""
-    best = max(found, key=lambda assessment: assessment.evidence, default=None)
+    best = max(within_reach(found, config.rival_reach_m), key=lambda assessment: assessment.evidence, default=None)
     if best is None or best.testimony.agree < config.min_agree:
         return []
     up = best.testimony.commonest_normal
@@ -159,12 +159,13 @@ def _testimony(
 
 def _may_win(roughly: Testimony, found: Sequence[Assessment], config: VerifyConfig) -> bool:
     """Whether a pose that is off by no more than the tolerance it was judged with can come near the best."""
-    best = max(assessment.evidence for assessment in found)
+    best = max(assessment.evidence for assessment in within_reach(found, config.rival_reach_m))
     return roughly.evidence > best - max(abs(best), config.hopeless_evidence)
 
 
 def _is_settled(found: Sequence[Assessment], config: VerifyConfig) -> bool:
     """Whether one answer stands out so far that the hypotheses left, which have fewer matches, need no trial."""
+    found = within_reach(found, config.rival_reach_m)
     if len(found) < 2:
         return False
     best, second = sorted(found, key=lambda assessment: -assessment.evidence)[:2]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +16,9 @@ from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_
 from multilica.stages.voxel_grid import thin
 from multilica.testimony import LEVER_ARM_M, Testimony
 
-__all__ = ["PlacedWitness", "Witness", "judge", "prepare_witness"]
+__all__ = ["PlacedWitness", "Trial", "Witness", "judge", "prepare_witness"]
 
-_SURFACE_VOXEL_M = 0.1
+_RETURN_VOXEL_M = 0.1
 _SURFACE_NEIGHBOURS = 40
 _SOLID_FLATNESS = 0.02
 _PLANE_WIDTH = 0.05
@@ -38,6 +38,7 @@ class Witness:
         probes_m: (N, 3) points in its own frame that other sensors are to judge.
         solid: (N,) which of them lie on a closed surface, not in foliage, on a fence or on something thin.
         normals: (N, 3) unit normals of the surface; zero where the neighbours do not span one.
+        returns: its points, thinned: thin things that fall between the beams of the image are among them.
     """
 
     lidar: str
@@ -45,10 +46,14 @@ class Witness:
     probes_m: FloatArray
     solid: BoolArray
     normals: FloatArray
+    returns: cKDTree
 
 
 PlacedWitness = tuple[RigidTransform, Witness]
 """A witness with its pose in a group's root frame."""
+
+Trial = Callable[[RigidTransform], Testimony]
+"""What the beams of two LiDARs say of a pose between them."""
 
 
 def prepare_witness(cloud: PreprocessedCloud, config: VerifyConfig) -> Witness:
@@ -56,8 +61,9 @@ def prepare_witness(cloud: PreprocessedCloud, config: VerifyConfig) -> Witness:
     near_m = cloud.points_m[np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m]
     probes_m = thin(near_m, config.probe_voxel_size_m)
     image = build_beam_image(cloud.returns_m)
-    flat, normals = _surfaces(probes_m, near_m)
-    return Witness(cloud.lidar, image, probes_m, flat & _opaque(image, probes_m, config), normals)
+    returns = cKDTree(thin(near_m, _RETURN_VOXEL_M))
+    flat, normals = _surfaces(probes_m, returns)
+    return Witness(cloud.lidar, image, probes_m, flat & _opaque(image, probes_m, config), normals, returns)
 
 
 def judge(
@@ -155,7 +161,7 @@ def _labels(
     """What a sensor's beams say of the other's probes.
 
     What is not solid cannot violate, beams pass through it; nor can a surface seen at a grazing angle, beams pass
-    beside it.
+    beside it; nor what the sensor has a return from itself, a pole or an edge that the beams beside it missed.
     """
     if beams.image is None:
         return np.full(len(other.probes_m), BeamLabel.UNSEEN, dtype=np.uint8)
@@ -164,6 +170,9 @@ def _labels(
     facing = np.abs(np.einsum("ij,ij->i", T_beams_other.rotate(other.normals), points_m))
     grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & np.any(other.normals, axis=1)
     labels[(labels == BeamLabel.VIOLATE) & (grazing | ~other.solid)] = BeamLabel.OCCLUDED
+    empty = np.flatnonzero(labels == BeamLabel.VIOLATE)
+    reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * np.linalg.norm(points_m[empty], axis=1))
+    labels[empty[beams.returns.query(points_m[empty])[0] <= reach_m]] = BeamLabel.AGREE
     return labels
 
 
@@ -188,17 +197,16 @@ def _opaque(image: BeamImage | None, probes_m: FloatArray, config: VerifyConfig)
     return np.asarray(own == BeamLabel.AGREE)
 
 
-def _surfaces(probes_m: FloatArray, points_m: FloatArray) -> tuple[BoolArray, FloatArray]:
+def _surfaces(probes_m: FloatArray, returns: cKDTree) -> tuple[BoolArray, FloatArray]:
     """Which probes have flat surroundings, as surfaces have and foliage has not, with their normals.
 
-    The surroundings are thinned first: in a dense cloud the nearest points lie within the range noise of each other.
+    The surroundings are thinned: in a dense cloud the nearest points lie within the range noise of each other.
     Neighbours on one line, a single ring of a sparse sensor, are flat yet have no normal.
     """
     if len(probes_m) == 0:
         return np.zeros(0, dtype=bool), np.zeros((0, 3))
-    near_m = thin(points_m, _SURFACE_VOXEL_M)
-    _, index = cKDTree(near_m).query(probes_m, k=min(_SURFACE_NEIGHBOURS, len(near_m)))
-    around = near_m[index.reshape(len(probes_m), -1)]
+    _, index = returns.query(probes_m, k=min(_SURFACE_NEIGHBOURS, returns.n))
+    around = returns.data[index.reshape(len(probes_m), -1)]
     centred = around - around.mean(axis=1, keepdims=True)
     variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
     solid = np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))

@@ -122,7 +122,7 @@ def _try_pose(watch: Watch, first: Members, second: Members, truth: Extrinsics, 
             root_pose = truth.between(first[0], pose.target) @ pose @ truth.between(pose.source, second[0])
             candidates.append(Candidate(root_pose, -1))
     sides = (_side(watch, members, truth, config) for members in (first, second))
-    best = register_best(*sides, candidates, config.verify, config.fine, config.runtime.threads)
+    best = register_best(*sides, candidates, config.verify, config.fine, config.refine, config.runtime.threads)
     verdict = decide(best.assessments, config.verify)
     pose = best.T_target_source if best.target == first[0] else best.T_target_source.inverse()
     elsewhere = ("ambiguous",) if is_distinct(pose, [true_pose]) else ()

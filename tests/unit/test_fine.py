@@ -2,14 +2,14 @@
 import numpy as np
 import pytest
 
-from multilica.config import FineConfig, VerifyConfig
+from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.stages.fine import Candidate, Side, hopeful, register_best
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.witness import prepare_witness
 from tests.unit.made_rooms import HALL, scan
 
-_VERIFY, _FINE = VerifyConfig(), FineConfig()
+_VERIFY, _FINE, _REFINE = VerifyConfig(), FineConfig(), RefineConfig()
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
 _TRUTH = _TARGET.inverse() @ _SOURCE
@@ -47,7 +47,7 @@ def _assert_true(pose, truth=_TRUTH):
 
 def test_the_answer_with_the_most_evidence_is_registered_to_the_last_millimetre(sides):
     wrong, right = Candidate(_near(_HALF_TURN), 0), Candidate(_near(_TRUTH), 7)
-    result = register_best(*sides, [wrong, right], _VERIFY, _FINE, 1)
+    result = register_best(*sides, [wrong, right], _VERIFY, _FINE, _REFINE, 1)
     assert (result.target, result.source) == ("t", "s")
     _assert_true(result.T_target_source)
     assert result.hypothesis == 7
@@ -61,14 +61,14 @@ def test_the_answer_with_the_most_evidence_is_registered_to_the_last_millimetre(
 
 
 def test_the_narrower_side_is_the_source_whichever_comes_first(sides):
-    backwards = register_best(*reversed(sides), [Candidate(_near(_TRUTH).inverse(), 0)], _VERIFY, _FINE, 1)
+    backwards = register_best(*reversed(sides), [Candidate(_near(_TRUTH).inverse(), 0)], _VERIFY, _FINE, _REFINE, 1)
     assert (backwards.target, backwards.source) == ("t", "s")
     _assert_true(backwards.T_target_source)
 
 
 def test_candidates_that_are_the_same_answer_count_once(sides):
     candidates = [Candidate(_near(_TRUTH, (shift, 0.0, 0.0)), index) for index, shift in enumerate((0.0, 0.1, 0.4))]
-    result = register_best(*sides, candidates, _VERIFY, _FINE, 1)
+    result = register_best(*sides, candidates, _VERIFY, _FINE, _REFINE, 1)
     assert len(result.assessments) == 1
     _assert_true(result.T_target_source)
 
@@ -76,7 +76,7 @@ def test_candidates_that_are_the_same_answer_count_once(sides):
 def test_no_more_finalists_are_registered_than_asked_for(sides):
     poses = [_near(_TRUTH, (0.0, 0.0, 0.0), yaw) for yaw in (0.0, 0.8, 1.6, 2.4, 3.2)]
     candidates = [Candidate(pose, index) for index, pose in enumerate(poses)]
-    result = register_best(*sides, candidates, _VERIFY.model_copy(update={"finalists": 2}), _FINE, 1)
+    result = register_best(*sides, candidates, _VERIFY.model_copy(update={"finalists": 2}), _FINE, _REFINE, 1)
     assert len(result.assessments) <= 2
     assert result.hypothesis == 0
 
@@ -98,7 +98,9 @@ def test_answers_that_are_hopelessly_behind_are_not_registered(evidence, kept):
 def test_without_witnesses_the_first_candidate_is_taken_as_the_paper_does(clouds):
     sides = [_side(cloud, verified=False) for cloud in clouds]
     candidates = [Candidate(_near(_TRUTH), 3), Candidate(_near(_HALF_TURN), 0)]
-    right, wrong = (register_best(*sides, order, _VERIFY, _FINE, 1) for order in (candidates, candidates[::-1]))
+    right, wrong = (
+        register_best(*sides, order, _VERIFY, _FINE, _REFINE, 1) for order in (candidates, candidates[::-1])
+    )
     _assert_true(right.T_target_source)
     assert (right.hypothesis, wrong.hypothesis) == (3, 0)
     assert wrong.T_target_source.distance_to(_TRUTH)[1] > 1.0

@@ -50,7 +50,7 @@ def test_an_accepted_pair_is_doubted_if_its_turned_pose_is_possible(known_as, se
     pair = _pair(accepted if known_as == "target" else accepted.inverse())
     asked = []
 
-    def testify(_, rival):
+    def testify(rival):
         asked.append(rival)
         return _testimony(agree=0)
 

@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
@@ -108,6 +109,16 @@ def test_what_beams_pass_through_cannot_violate(target, porous):
     assert testimony.violation_share < _CONFIG.max_violation_share
 
 
+def test_a_post_between_the_beams_of_the_image_cannot_violate_where_the_sensor_has_a_return_from_it():
+    posts = [*HALL]
+    for x_m in (-9.0, -4.0, 2.0, 7.0, 9.0):
+        posts += box((x_m, -4.2, 0.0), (x_m + 0.1, -4.1, 4.0)) + box((x_m, 5.2, 0.0), (x_m + 0.1, 5.3, 4.0))
+    target, source = _witness(_TARGET, posts), _witness(_SOURCE, posts, seed=1)
+    assert _judge(target, source).violate == 0
+    nowhere = cKDTree(np.full((1, 3), 1e3))
+    assert _judge(replace(target, returns=nowhere), replace(source, returns=nowhere)).violate > 3
+
+
 @pytest.mark.parametrize(("seen_from", "violates"), [((-1.0, 0.0, 1.8), False), ((-1.0, -5.0, 1.8), True)])
 def test_a_surface_at_a_grazing_angle_cannot_violate(seen_from, violates):
     """One wall along x: the first sensor looks along it, the second one looks at it."""
@@ -137,7 +148,7 @@ def test_agreement_on_the_ground_alone_is_not_distinctive():
     testimony = _judge(_witness(_TARGET, ground), _witness(_SOURCE, ground, seed=1))
     assert testimony.agree > 500
     assert testimony.distinctive < 0.05 * testimony.agree
-    assert testimony.held_by < _CONFIG.min_held_by
+    assert testimony.held_by < _CONFIG.rival_held_by
 
 
 def test_of_the_structure_the_truth_explains_most_and_a_wrong_pose_little(target, source):
