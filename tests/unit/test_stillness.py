@@ -107,6 +107,14 @@ def test_the_refusal_tells_the_evidence() -> None:
     assert explain_motion({"blind": Motion()}) == ""
 
 
+def test_where_no_other_can_tell_one_lidar_has_to_be_surer() -> None:
+    unsure, sure = (Motion(0.16, 0.04, significance, can_tell=True, moving=True) for significance in (18.0, 40.0))
+    assert explain_motion({"livox": unsure, "top": Motion()}) == ""
+    assert "1 of the 1 LiDARs that can tell" in explain_motion({"livox": sure, "top": Motion()})
+    assert explain_motion({"livox": unsure, "top": unsure}) != ""
+    assert explain_motion({"alone": unsure}) != ""
+
+
 def _with_visitor(scan: Scan, azimuth_deg: float) -> tuple[Scan, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """Someone of 20 degrees width who stands 3 m before the LiDAR, and which returns are theirs."""
     azimuth = np.rad2deg(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]))
