@@ -122,6 +122,10 @@ class FeaturesConfig(Section):
     """FPFH descriptors."""
 
     voxel_size_m: PositiveMetres = Field(0.35, description="grid on which descriptors are computed")
+    further_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
+        (0.5, 0.25),
+        description="grids on which LiDARs that no accepted pair links are searched again, one after another",
+    )
     normal_radius_voxels: PositiveMetres = Field(2.0, description="neighbourhood of a normal, in voxels")
     feature_radius_voxels: PositiveMetres = Field(5.0, description="neighbourhood of a descriptor, in voxels")
     max_range_m: PositiveMetres = Field(40.0, description="returns beyond are left out of the coarse stage")

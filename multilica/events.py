@@ -17,6 +17,7 @@ from multilica.results import (
     FeatureCloud,
     GroundPlane,
     MergeDecision,
+    PairKey,
     PairRegistration,
     PreprocessedCloud,
     Refinement,
@@ -37,6 +38,7 @@ __all__ = [
     "Observer",
     "PairRegistered",
     "RigRefined",
+    "SearchWidened",
     "StageFinished",
     "StageStarted",
     "TargetChosen",
@@ -112,6 +114,14 @@ class HypothesesAssessed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SearchWidened:
+    """Pairs of LiDARs that nothing links yet are searched again; those that are then accepted are told anew."""
+
+    pairs: tuple[PairKey, ...]
+    voxel_size_m: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PairRegistered:
     """GICP finished on a pair, or during merging on two groups, and the verdict is known."""
 
@@ -174,6 +184,7 @@ Event = (
     | CorrespondencesMatched
     | HypothesesFound
     | HypothesesAssessed
+    | SearchWidened
     | PairRegistered
     | TargetChosen
     | MergeStepTaken

@@ -46,7 +46,7 @@ from multilica.stages.merge import Group, merge
 from multilica.stages.preprocess import preprocess
 from multilica.stages.prior import known_between, require_usable
 from multilica.stages.refine import linked, refine
-from multilica.stages.registration_cloud import prepare_registration_cloud
+from multilica.stages.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.stages.sensor_health import examine_sensor
 from multilica.stages.stillness import detect_motion, explain_motion
 from multilica.stages.symmetry import doubt_by_symmetry
@@ -128,8 +128,10 @@ class _Run:
     coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
     assessments: dict[PairKey, tuple[Assessment, ...]] = field(default_factory=dict)
     witnesses: dict[str, Witness] = field(default_factory=dict)
+    rough: dict[str, RegistrationCloud] = field(default_factory=dict)
     sides: dict[str, Side] = field(default_factory=dict)
     registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
+    doubted: set[PairKey] = field(default_factory=set)
     target: str = ""
     target_reason: str = ""
     decisions: list[MergeDecision] = field(default_factory=list)
@@ -226,16 +228,17 @@ class _Run:
         if not self.config.verify.enabled:
             return
         gicp = short_gicp(self.config.verify, self.config.fine)
-        rough = {
-            name: prepare_registration_cloud(name, cloud.points_m, gicp, self._threads)
-            for name, cloud in self.clouds.items()
-        }
         for name, cloud in self.clouds.items():
+            self.rough[name] = prepare_registration_cloud(name, cloud.points_m, gicp, self._threads)
             self.witnesses[name] = prepare_witness(cloud, self.config.verify)
         for pair, coarse in self.coarse.items():
-            target, source = ((self.witnesses[name], rough[name]) for name in pair)
-            self.assessments[pair] = assess_hypotheses(target, source, coarse, self.config.verify, gicp, self._threads)
+            self.assessments[pair] = self._assess(coarse)
             self.observe(events.HypothesesAssessed(*pair, self.assessments[pair]))
+
+    def _assess(self, coarse: CoarseResult) -> tuple[Assessment, ...]:
+        target, source = ((self.witnesses[name], self.rough[name]) for name in (coarse.target, coarse.source))
+        gicp = short_gicp(self.config.verify, self.config.fine)
+        return assess_hypotheses(target, source, coarse, self.config.verify, gicp, self._threads)
 
     def _fine(self) -> None:
         for name in self.clouds:
@@ -246,6 +249,38 @@ class _Run:
                 self.registrations[pair] = self._register(self.sides[pair[0]], self.sides[pair[1]], candidates)
         self._doubt(doubt_by_symmetry)
         self._doubt(doubt_by_contradiction)
+        if self.config.verify.enabled:
+            for voxel_size_m in self.config.features.further_voxel_sizes_m:
+                self._search_again(voxel_size_m)
+
+    def _search_again(self, voxel_size_m: float) -> None:
+        """Look for poses between LiDARs that nothing links, with descriptors of another size."""
+        accepted = [pair for pair in self.registrations.values() if pair.verdict.accepted]
+        apart = tuple(
+            pair for pair in self._pairs() if pair not in self.doubted and pair[1] not in linked(pair[0], accepted)
+        )
+        if not apart:
+            return
+        self.observe(events.SearchWidened(apart, voxel_size_m))
+        config = self.config.features.model_copy(update={"voxel_size_m": voxel_size_m})
+        names = sorted({name for pair in apart for name in pair})
+        features = {name: compute_features(self.clouds[name], config) for name in names}
+        for pair in apart:
+            matches = match_features(features[pair[0]], features[pair[1]], self.config.correspond)
+            coarse = find_hypotheses(matches, self.config.coarse, self.config.runtime.seed)
+            assessments = self._assess(coarse)
+            if assessments:
+                candidates = [_candidate(each) for each in assessments]
+                registration = self._registered(self.sides[pair[0]], self.sides[pair[1]], candidates)
+                if registration.verdict.accepted:
+                    self.matches[pair], self.coarse[pair], self.assessments[pair] = matches, coarse, assessments
+                    self.registrations[pair] = registration
+                    self.observe(events.CorrespondencesMatched(matches))
+                    self.observe(events.HypothesesFound(coarse, matches))
+                    self.observe(events.HypothesesAssessed(*pair, assessments))
+                    self.observe(events.PairRegistered(registration))
+        self._doubt(doubt_by_symmetry)
+        self._doubt(doubt_by_contradiction)
 
     def _doubt(self, doubting: Doubting) -> None:
         settled = list(self.registrations.items())
@@ -253,6 +288,7 @@ class _Run:
         for (key, before), after in zip(settled, doubted, strict=True):
             if after is not before:
                 self.registrations[key] = after
+                self.doubted.add(key)
                 self.observe(events.PairRegistered(after))
 
     def _testify(self, pose: RigidTransform) -> Testimony:
@@ -264,10 +300,7 @@ class _Run:
 
     def _candidates(self, pair: PairKey) -> list[Candidate]:
         if self.config.verify.enabled:
-            return [
-                Candidate(each.T_target_source, each.hypothesis, each.origin, each.evidence)
-                for each in self.assessments[pair]
-            ]
+            return [_candidate(each) for each in self.assessments[pair]]
         return [Candidate(each.T_target_source, index) for index, each in enumerate(self.coarse[pair].hypotheses)]
 
     def _side(self, group: Group) -> Side:
@@ -281,6 +314,11 @@ class _Run:
         return Side(group.root, cloud, draft, witnesses)
 
     def _register(self, target: Side, source: Side, candidates: Sequence[Candidate]) -> PairRegistration:
+        registration = self._registered(target, source, candidates)
+        self.observe(events.PairRegistered(registration))
+        return registration
+
+    def _registered(self, target: Side, source: Side, candidates: Sequence[Candidate]) -> PairRegistration:
         registration = register_best(
             target, source, candidates, self.config.verify, self.config.fine, self.config.refine, self._threads
         )
@@ -288,9 +326,7 @@ class _Run:
             verdict = decide(registration.assessments, self.config.verify)
         else:
             verdict = decide_by_fitness(registration, self.config.merge)
-        registration = replace(registration, verdict=verdict)
-        self.observe(events.PairRegistered(registration))
-        return registration
+        return replace(registration, verdict=verdict)
 
     def _merge(self) -> None:
         self.target, self.target_reason = self._choose_target()
@@ -457,6 +493,10 @@ class _Run:
         members = next((group for group in last.groups if name in group), (name,))
         reasons = [each.reason for each in last.candidates if {each.target, each.source} & {*members} and each.reason]
         return reasons[0] if reasons else f"{' and '.join(members)} could not be joined to {self.target}"
+
+
+def _candidate(assessment: Assessment) -> Candidate:
+    return Candidate(assessment.T_target_source, assessment.hypothesis, assessment.origin, assessment.evidence)
 
 
 def _between_groups(group: Group, other: Group, known: RigidTransform) -> RigidTransform:

@@ -132,6 +132,12 @@ def _(event: events.HypothesesAssessed) -> tuple[LogLine, ...]:
 
 
 @narrate.register
+def _(event: events.SearchWidened) -> tuple[LogLine, ...]:
+    labels = ", ".join(pair_label(*pair) for pair in event.pairs)
+    return _info(f"nothing links these yet, searched again with descriptors on {event.voxel_size_m:g} m: {labels}")
+
+
+@narrate.register
 def _(event: events.PairRegistered) -> tuple[LogLine, ...]:
     found = event.registration
     start = _start_of(found)

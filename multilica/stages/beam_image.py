@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from multilica.geometry import FloatArray
 
-__all__ = ["BeamImage", "BeamLabel", "build_beam_image", "label_points"]
+__all__ = ["BeamImage", "BeamLabel", "build_beam_image", "gaps_m", "label_points"]
 
 LabelArray = npt.NDArray[np.uint8]
 
@@ -46,6 +46,8 @@ class BeamImage:
         nearest_m, farthest_m: (T,) smallest and largest range of the three returns.
         usable: (T,) the three beams are neighbours.
         smooth: (T,) the three returns can lie on one surface.
+        gap_rad: (T,) longest edge where it is the sensor's own gap between two beams; 0 where beams between were left
+            out to bound the size.
     """
 
     to_pole: FloatArray
@@ -55,6 +57,7 @@ class BeamImage:
     farthest_m: FloatArray
     usable: npt.NDArray[np.bool_]
     smooth: npt.NDArray[np.bool_]
+    gap_rad: FloatArray
 
 
 _MAX_RETURNS = 200_000
@@ -62,6 +65,7 @@ _MAX_BEAMS = 12_000
 _FINEST_CELL_RAD = 0.004
 _CELL_GROWTH = 1.4
 _EDGE_FACTOR = 3.0
+_GAP_FACTOR = 2.5
 _MAX_EDGE_RAD = np.deg2rad(8.0)
 _MIN_INCIDENCE = 0.05
 _POLE_CANDIDATES = 400
@@ -77,7 +81,7 @@ def build_beam_image(returns_m: FloatArray) -> BeamImage | None:
         None if there are too few beams to span a triangle.
     """
     stride = max(1, len(returns_m) // _MAX_RETURNS)
-    beams_m = _one_per_cell(returns_m[::stride])
+    beams_m, cell_rad = _one_per_cell(returns_m[::stride])
     if len(beams_m) < 4:
         return None
     range_m = np.linalg.norm(beams_m, axis=1)
@@ -99,6 +103,7 @@ def build_beam_image(returns_m: FloatArray) -> BeamImage | None:
         farthest_m=range_m[corners].max(axis=1),
         usable=longest_rad <= min(_EDGE_FACTOR * spacing_rad, _MAX_EDGE_RAD),
         smooth=incidence >= _MIN_INCIDENCE,
+        gap_rad=np.where(longest_rad > _GAP_FACTOR * cell_rad, longest_rad, 0.0),
     )
 
 
@@ -110,7 +115,7 @@ def label_points(image: BeamImage, points_m: FloatArray, tolerance_m: float, tol
         tolerance_rad: by how much that grows with range: the error of the rotation.
     """
     range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-9)
-    triangle = image.triangulation.find_simplex(_stereographic((points_m / range_m[:, None]) @ image.to_pole.T))
+    triangle = _triangles(image, points_m, range_m)
     seen = (triangle >= 0) & image.usable[triangle]
     plane = image.planes[triangle]
     beyond_m = (np.einsum("ij,ij->i", plane, points_m) - 1.0) / np.linalg.norm(plane, axis=1)
@@ -125,12 +130,24 @@ def label_points(image: BeamImage, points_m: FloatArray, tolerance_m: float, tol
     return labels
 
 
-def _one_per_cell(returns_m: FloatArray) -> FloatArray:
-    """The return of median range in each cell of directions; cells grow until there are few enough."""
+def gaps_m(image: BeamImage, points_m: FloatArray) -> FloatArray:
+    """(N,) how wide a thing may be at most to stand unseen between the beams around each point (N, 3)."""
+    range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-9)
+    return np.asarray(image.gap_rad[_triangles(image, points_m, range_m)] * range_m)
+
+
+def _triangles(image: BeamImage, points_m: FloatArray, range_m: FloatArray) -> npt.NDArray[np.intp]:
+    """(N,) index of the triangle that each point is seen through, -1 for none."""
+    directions = points_m / range_m[:, None]
+    return np.asarray(image.triangulation.find_simplex(_stereographic(directions @ image.to_pole.T)))
+
+
+def _one_per_cell(returns_m: FloatArray) -> tuple[FloatArray, float]:
+    """The return of median range in each cell of directions; cells grow until there are few enough. And their size."""
     range_m = np.linalg.norm(returns_m, axis=1)
     returns_m, range_m = returns_m[range_m > 0.0], range_m[range_m > 0.0]
     if len(returns_m) == 0:
-        return returns_m
+        return returns_m, _FINEST_CELL_RAD
     directions = returns_m / range_m[:, None]
     cell_rad = _FINEST_CELL_RAD
     while len(np.unique(_cells(directions, cell_rad))) > _MAX_BEAMS:
@@ -138,7 +155,7 @@ def _one_per_cell(returns_m: FloatArray) -> FloatArray:
     cells = _cells(directions, cell_rad)
     order = np.lexsort((range_m, cells))
     _, start, count = np.unique(cells[order], return_index=True, return_counts=True)
-    return np.asarray(returns_m[order[start + count // 2]])
+    return np.asarray(returns_m[order[start + count // 2]]), cell_rad
 
 
 def _cells(directions: FloatArray, cell_rad: float) -> npt.NDArray[np.int64]:

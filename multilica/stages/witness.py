@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from multilica.config import VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import BoolArray, PreprocessedCloud
-from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_beam_image, label_points
+from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_beam_image, gaps_m, label_points
 from multilica.stages.voxel_grid import thin
 from multilica.testimony import LEVER_ARM_M, Testimony
 
@@ -25,6 +25,8 @@ _PLANE_WIDTH = 0.05
 _WIDER_THAN_THICK = 10.0
 _OWN_BODY_M = 3.0
 _CARRIED_M = 0.3
+_THIN_M = 0.1
+_PATCH_M = 0.5
 _STRUCTURE = float(np.cos(np.deg2rad(45.0)))
 _GRAZING = float(np.sin(np.deg2rad(15.0)))
 
@@ -161,7 +163,8 @@ def _labels(
     """What a sensor's beams say of the other's probes.
 
     What is not solid cannot violate, beams pass through it; nor can a surface seen at a grazing angle, beams pass
-    beside it; nor what the sensor has a return from itself, a pole or an edge that the beams beside it missed.
+    beside it; nor what the sensor has a return from itself, a pole or an edge that the beams beside it missed; nor what
+    is so narrow that it can stand between two beams.
     """
     if beams.image is None:
         return np.full(len(other.probes_m), BeamLabel.UNSEEN, dtype=np.uint8)
@@ -171,6 +174,10 @@ def _labels(
     grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & np.any(other.normals, axis=1)
     labels[(labels == BeamLabel.VIOLATE) & (grazing | ~other.solid)] = BeamLabel.OCCLUDED
     empty = np.flatnonzero(labels == BeamLabel.VIOLATE)
+    width_m = np.where(np.any(other.normals[empty], axis=1), _PATCH_M, _THIN_M)
+    slips = gaps_m(beams.image, points_m[empty]) > width_m
+    labels[empty[slips]] = BeamLabel.OCCLUDED
+    empty = empty[~slips]
     reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * np.linalg.norm(points_m[empty], axis=1))
     labels[empty[beams.returns.query(points_m[empty])[0] <= reach_m]] = BeamLabel.AGREE
     return labels

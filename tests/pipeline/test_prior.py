@@ -15,7 +15,7 @@ from multilica.results import PRIOR
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
-_NO_DESCRIPTORS = "features.voxel_size_m=3"
+_NO_DESCRIPTORS = ("features.voxel_size_m=3", "features.further_voxel_sizes_m=[]")
 _SAME_M, _SAME_RAD = 0.002, np.deg2rad(0.02)
 
 
@@ -67,9 +67,9 @@ def test_whatever_the_prior_says_the_result_is_that_without_it(claim, without):
 
 
 def test_a_right_prior_places_what_the_descriptors_do_not_find():
-    lost, _ = _calibrated(None, _NO_DESCRIPTORS)
+    lost, _ = _calibrated(None, *_NO_DESCRIPTORS)
     assert not lost["left"].placed
-    result, seen = _calibrated(_claim((0.05, 0.03, -0.02), (1, 2, 0)), _NO_DESCRIPTORS)
+    result, seen = _calibrated(_claim((0.05, 0.03, -0.02), (1, 2, 0)), *_NO_DESCRIPTORS)
     assert result["left"].placed
     _assert_same(result["left"].T_target_source, _rig("sides").truth.between("top", "left"), 0.02, np.deg2rad(0.1))
     (pair,) = result.pairs
@@ -80,13 +80,13 @@ def test_a_right_prior_places_what_the_descriptors_do_not_find():
 
 def test_from_a_prior_turned_around_the_true_pose_is_found():
     """The wrong pose is tried turned by right angles, and the true one is among them."""
-    result, _ = _calibrated(_claim(rpy_deg=(0, 0, 180)), _NO_DESCRIPTORS)
+    result, _ = _calibrated(_claim(rpy_deg=(0, 0, 180)), *_NO_DESCRIPTORS)
     metres, _ = result["left"].T_target_source.distance_to(_rig("sides").truth.between("top", "left"))
     assert metres < 0.02
 
 
 def test_a_wrong_prior_alone_places_nothing():
-    result, _ = _calibrated(_claim(rpy_deg=(0, 90, 0)), _NO_DESCRIPTORS)
+    result, _ = _calibrated(_claim(rpy_deg=(0, 90, 0)), *_NO_DESCRIPTORS)
     assert not result["left"].placed
     assert result["left"].T_target_source is None
     assert result["left"].T_target_source_prior is not None

@@ -69,6 +69,31 @@ def test_a_pair_that_the_search_missed_closes_its_loop_from_the_rig(monkeypatch)
     _assert_true(result, _sides().truth)
 
 
+@pytest.mark.parametrize("further", [False, True])
+def test_lidars_that_nothing_links_are_searched_again_with_descriptors_of_another_size(monkeypatch, further):
+    find = pipeline.find_hypotheses
+    calls = []
+
+    def blind_at_first(matches, *rest):
+        calls.append((matches.target, matches.source))
+        found = find(matches, *rest)
+        missed = "right" in calls[-1] and len(calls) <= 3
+        return replace(found, hypotheses=found.hypotheses[-1:]) if missed else found
+
+    monkeypatch.setattr(pipeline, "find_hypotheses", blind_at_first)
+    result, seen = _watched(_sides().snapshot, f"features.further_voxel_sizes_m={[0.3] if further else []}")
+    widened = _of(events.SearchWidened, seen)
+    if not further:
+        assert widened == []
+        assert not result["right"].placed
+        return
+    assert [(each.voxel_size_m, each.pairs) for each in widened] == [(0.3, (("left", "right"), ("right", "top")))]
+    assert calls[3:] == [("left", "right"), ("right", "top")]
+    _assert_true(result, _sides().truth)
+    told = [event.coarse for event in _of(events.HypothesesFound, seen)]
+    assert len(told[-1].hypotheses) > 1
+
+
 def test_in_a_garage_that_looks_the_same_turned_around_nothing_is_placed():
     """The sides look apart and fit on each other turned around; the top one sees that both poses are possible."""
     result = calibrate(simulate_snapshot("sides", "symmetric_garage", 3, frames=1).snapshot)

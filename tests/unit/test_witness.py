@@ -119,6 +119,18 @@ def test_a_post_between_the_beams_of_the_image_cannot_violate_where_the_sensor_h
     assert _judge(replace(target, returns=nowhere), replace(source, returns=nowhere)).violate > 3
 
 
+def test_what_is_narrower_than_the_gap_between_two_beams_cannot_violate():
+    """Sixteen rings, 4.7 degrees apart: a beam across the hall at 11 m can stand between two of them."""
+    beam = [*HALL, *box((10.0, -6.5, 2.55), (10.2, 6.5, 2.85))]
+    sparse = prepare_witness(scan("t", _TARGET, beam, rings=16), _CONFIG)
+    source = _witness(_SOURCE, beam, seed=1)
+    assert _judge(sparse, source).violate == 0
+    closed = replace(sparse, image=replace(sparse.image, gap_rad=np.zeros_like(sparse.image.gap_rad)))
+    assert _judge(closed, source).violate > 10
+    near = [*HALL, Face(axis=0, at_m=2.5, lo_m=(0.0, -2.0, 0.0), hi_m=(0.0, 1.0, 3.0))]
+    assert _judge(sparse, _witness(_SOURCE, near, seed=1)).violate > 10
+
+
 @pytest.mark.parametrize(("seen_from", "violates"), [((-1.0, 0.0, 1.8), False), ((-1.0, -5.0, 1.8), True)])
 def test_a_surface_at_a_grazing_angle_cannot_violate(seen_from, violates):
     """One wall along x: the first sensor looks along it, the second one looks at it."""
