@@ -17,6 +17,7 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.placements import Findings, placement_of
 from multilica.results import (
     Assessment,
     CalibrationResult,
@@ -25,7 +26,6 @@ from multilica.results import (
     FeatureCloud,
     GroundPlane,
     LidarPlacement,
-    MergeCandidate,
     MergeDecision,
     PairKey,
     PairRegistration,
@@ -430,10 +430,20 @@ class _Run:
     def result(self) -> CalibrationResult:
         """The outcome as far as the stages went."""
         target = self.target or self.config.target or self.snapshot.names[0]
+        findings = Findings(
+            target=target,
+            poses={} if self.group is None else self.group.poses,
+            covariances=self.covariances,
+            pairs=tuple(self.registrations.values()),
+            decisions=tuple(self.decisions),
+            seeing=frozenset(self.clouds),
+            until=self.config.until,
+            prior=self.prior,
+        )
         return CalibrationResult(
             target=target,
             target_reason=self.target_reason or "no pair was registered",
-            placements=tuple(self._placement(name, target) for name in self.snapshot.names),
+            placements=tuple(placement_of(name, findings) for name in self.snapshot.names),
             pairs=tuple(self.registrations.values()),
             decisions=tuple(self.decisions),
             refinement=self.refinement,
@@ -454,46 +464,6 @@ class _Run:
             refusal=refusal,
         )
 
-    def _placement(self, name: str, target: str) -> LidarPlacement:
-        if name == target:
-            pose, fitness, rmse_m, reason = RigidTransform.identity(name, name), 1.0, 0.0, "the target"
-        elif self.group is not None and name in self.group.poses:
-            link = _link_of(name, self.decisions)
-            pose, fitness, rmse_m, reason = self.group.poses[name], link.fitness, link.rmse_m, "placed"
-        else:
-            reason = self._why_not_placed(name)
-            return LidarPlacement(name, reason, T_target_source_prior=known_between(self.prior, target, name))
-        return LidarPlacement(
-            name,
-            reason,
-            placed=True,
-            T_target_source=pose,
-            fitness=fitness,
-            rmse_m=rmse_m,
-            covariance=self.covariances.get(name),
-            T_target_source_prior=known_between(self.prior, target, name),
-        )
-
-    def _why_not_placed(self, name: str) -> str:
-        if name not in self.clouds and self.clouds:
-            return "no returns are left of it"
-        if self.config.until in STAGES[: STAGES.index("merge")]:
-            return f"stopped after stage {self.config.until} as asked"
-        own = [pair for pair in self.registrations.values() if name in (pair.target, pair.source)]
-        if not own:
-            return "no pose was found against any other LiDAR"
-        best = max(own, key=lambda pair: pair.evidence)
-        other = best.target if best.source == name else best.source
-        why = "; ".join(reason.text for reason in best.verdict.reasons) or self._last_refusal(name)
-        return f"its best registration, with {other}: {why}"
-
-    def _last_refusal(self, name: str) -> str:
-        """Why the group of a LiDAR that has an accepted pair was not joined to the target's."""
-        last = self.decisions[-1]
-        members = next((group for group in last.groups if name in group), (name,))
-        reasons = [each.reason for each in last.candidates if {each.target, each.source} & {*members} and each.reason]
-        return reasons[0] if reasons else f"{' and '.join(members)} could not be joined to {self.target}"
-
 
 def _candidate(assessment: Assessment) -> Candidate:
     return Candidate(assessment.T_target_source, assessment.hypothesis, assessment.origin, assessment.evidence)
@@ -511,9 +481,3 @@ def _grown(decision: MergeDecision, groups: Sequence[Group]) -> Group:
     if decision.chosen is None:
         return groups[0]
     return next(group for group in groups if decision.chosen.target in group.poses)
-
-
-def _link_of(name: str, decisions: Sequence[MergeDecision]) -> MergeCandidate:
-    """The pair whose merge brought the LiDAR into the target's group."""
-    chosen = (decision.chosen for decision in decisions if name in decision.groups[0])
-    return next(candidate for candidate in chosen if candidate is not None)
