@@ -257,7 +257,7 @@ class _Run:
         """Look for poses between LiDARs that nothing links, with descriptors of another size."""
         accepted = [pair for pair in self.registrations.values() if pair.verdict.accepted]
         apart = tuple(
-            pair for pair in self._pairs() if pair not in self.doubted and pair[1] not in linked(pair[0], accepted)
+            pair for pair in self._pairs() if pair[1] not in linked(pair[0], accepted) and not self._is_left_open(pair)
         )
         if not apart:
             return
@@ -281,6 +281,12 @@ class _Run:
                     self.observe(events.PairRegistered(registration))
         self._doubt(doubt_by_symmetry)
         self._doubt(doubt_by_contradiction)
+
+    def _is_left_open(self, pair: PairKey) -> bool:
+        """Whether the scene, not the search, keeps the pair from being accepted."""
+        registration = self.registrations.get(pair)
+        codes = set() if registration is None else {reason.code for reason in registration.verdict.reasons}
+        return pair in self.doubted or {"not_observable"} <= codes <= {"ambiguous", "not_observable"}
 
     def _doubt(self, doubting: Doubting) -> None:
         settled = list(self.registrations.items())
