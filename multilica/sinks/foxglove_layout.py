@@ -13,6 +13,7 @@ from multilica.sinks.result_drawings import DRAWING_TOPICS
 __all__ = ["foxglove_layout"]
 
 _SCENE, _LOG, _METRICS = "3D!multilica", "RosOut!multilica", "RawMessages!multilica"
+_GRID = "#ffffff20"
 _AT_FIRST = {"/matches": False}
 """Hidden until asked for: hundreds of lines."""
 
@@ -49,6 +50,8 @@ def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
         topic: {
             "visible": True,
             "colorMode": "flat",
+            # Where none is named, the panel picks one and colours by it.
+            "colorField": "z",
             "flatColor": "#{:02x}{:02x}{:02x}".format(*colours[name]),
             "pointSize": 2,
         }
@@ -61,5 +64,5 @@ def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
         "scene": {"transforms": {"showLabel": True, "axisScale": 0.5}},
         "cameraState": {"perspective": True, "distance": 30, "phi": 55, "thetaOffset": 45, "targetOffset": [0, 0, 0]},
         "topics": {**clouds, **drawings},
-        "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 40, "divisions": 40}},
+        "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 40, "divisions": 40, "color": _GRID}},
     }

@@ -36,15 +36,27 @@ from multilica.snapshot import Float32Array
 __all__ = ["FoxgloveEncoding"]
 
 _LEVELS = {"DEBUG": LogLevel.Debug, "INFO": LogLevel.Info, "WARN": LogLevel.Warning, "ERROR": LogLevel.Error}
+
+_TEXT, _NUMBER, _FLAG = {"type": "string"}, {"type": "number"}, {"type": "boolean"}
+_NUMBERS = {"type": "array", "items": _NUMBER}
+_LIDAR_FIGURES = {
+    "name": _TEXT,
+    "placed": _FLAG,
+    "xyz_m": _NUMBERS,
+    "rpy_deg": _NUMBERS,
+    "fitness": _NUMBER,
+    "rmse_m": _NUMBER,
+}
+# Foxglove reads no object whose keys a schema leaves open: hence lists of named entries.
 _METRICS_SCHEMA = {
     "title": "multilica.Metrics",
     "type": "object",
     "properties": {
-        "status": {"type": "string"},
-        "target": {"type": "string"},
+        "status": _TEXT,
+        "target": _TEXT,
         "placed": {"type": "integer"},
-        "lidars": {"type": "object"},
-        "timing_s": {"type": "object"},
+        "lidars": {"type": "array", "items": {"type": "object", "properties": _LIDAR_FIGURES}},
+        "stages": {"type": "array", "items": {"type": "object", "properties": {"name": _TEXT, "duration_s": _NUMBER}}},
     },
 }
 

@@ -167,12 +167,16 @@ def _metadata(document: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _metrics(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The figures of each LiDAR that has them, without those that it lacks."""
     keys = ("placed", "xyz_m", "rpy_deg", "fitness", "rmse_m")
-    lidars = {name: {key: entry[key] for key in keys} for name, entry in document["lidars"].items()}
+    lidars = [
+        {"name": name, **{key: entry[key] for key in keys if entry[key] is not None}}
+        for name, entry in document["lidars"].items()
+    ]
     return {
         "status": document["status"],
         "target": document["target"],
-        "placed": sum(entry["placed"] for entry in lidars.values()),
+        "placed": sum(entry["placed"] for entry in lidars),
         "lidars": lidars,
-        "timing_s": document["timing_s"],
+        "stages": [{"name": name, "duration_s": duration_s} for name, duration_s in document["timing_s"].items()],
     }

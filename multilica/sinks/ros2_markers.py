@@ -17,7 +17,7 @@ __all__ = ["MARKER_ARRAY", "marker_array"]
 MARKER_ARRAY = "visualization_msgs/msg/MarkerArray"
 
 _SPHERE, _LINE_LIST, _TEXT = 2, 5, 9
-_LINE_WIDTH_M = 0.015
+_LINE_WIDTH_M = 0.03
 _TEXT_HEIGHT_M = 0.15
 _OPACITY = 0.6
 

@@ -27,7 +27,7 @@ class Server:
         app.router.add_get("/busy/{name}", self.busy)
         app.router.add_get("/lost/{name}", self.lost)
         app.router.add_get("/shaky/{name}", self.shaky)
-        app.router.add_static("/files", self.folder)
+        app.router.add_static("/files", self.folder, follow_symlinks=True)
         app.on_response_prepare.append(self.count)
         return app
 

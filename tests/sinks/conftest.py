@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Made-up runs, recorded once."""
+"""Made-up runs, recorded once, and one browser."""
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, sync_playwright
 
 from multilica.sinks.rerun_recording import RerunRecording
 from tests.sinks.made_events import made_events
+
+BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+# A root user's browser has no sandbox, a machine without a graphics card draws in software.
+ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
 def record(path: Path, *args, **kwargs) -> Path:
@@ -40,3 +47,14 @@ def rerun_rrd():
         return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60, env=environment)
 
     return run
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    found = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if found is None:
+        pytest.skip("no browser: apt-get install chromium-headless-shell")
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=found, args=[*ARGUMENTS])
+        yield browser
+        browser.close()

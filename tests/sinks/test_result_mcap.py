@@ -166,7 +166,8 @@ def test_rosbags_reads_the_ros2_file(files):
         lines = [reader.deserialize(raw, one.msgtype).msg for one, _, raw in reader.messages() if one.topic == "/log"]
     assert lines[-1] == "stage fine finished"
     assert any("calibration complete" in line.msg for line in found["/log"])
-    assert json.loads(found["/metrics"][0].data)["lidars"]["rear"]["fitness"] == 0.8
+    metrics = {one["name"]: one for one in json.loads(found["/metrics"][0].data)["lidars"]}
+    assert metrics["rear"]["fitness"] == 0.8
 
 
 @pytest.mark.parametrize("encoding", ["foxglove", "ros2"])

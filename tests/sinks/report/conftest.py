@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reports of made-up runs, written once, and one browser to read them with."""
+"""Reports of made-up runs, written once."""
 
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, sync_playwright
+from playwright.sync_api import Browser, Page
 
 from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.page import report_html
@@ -19,9 +18,6 @@ from tests.sinks.made_events import made_events
 
 HOSTILE = "</script><script>window.harmed = 1</script><img src=x onerror='window.harmed = 2'>"
 STOPPED = "Stopped by SIGTERM."
-BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-# A root user's browser has no sandbox, a machine without a graphics card draws in software.
-ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
 def made_contents(outcome: str, **settings) -> ReportContents:
@@ -59,17 +55,6 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         ended_early(folder)
     (folder / "report.html").rename(folder / "ended early.html")
     return {path.stem: path for path in folder.iterdir()}
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip("no browser: apt-get install chromium-headless-shell")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=[*ARGUMENTS])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture
