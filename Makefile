@@ -4,12 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.installed
 NODE_READY := tests/node/node_modules/.installed
+ROS2_READY := tests/ros2/.venv/.installed
 SAMPLE := recordings/samples/edgar-street.mcap
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo test lint pytest node bench sample docs format constraints clean
+.PHONY: help libraries pictures demo test lint pytest node ros2 bench sample docs format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -25,7 +26,7 @@ lint: $(READY)
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 
-pytest: $(READY) pictures node
+pytest: $(READY) pictures node ros2
 	$(BIN)/python -m pytest -n 2 --dist loadgroup
 
 bench: $(READY) ## Measure what must be seen to hold; an hour or more.
@@ -48,7 +49,7 @@ constraints: ## Write constraints.txt from a fresh environment with the newest v
 	&& "$$fresh/bin/python" -m pip freeze --exclude-editable > constraints.txt
 
 clean: ## Remove the environment and what tools cached.
-	rm -rf $(VENV) tests/node/node_modules .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) tests/node/node_modules tests/ros2/.venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 
 libraries:
 	@$(PYTHON) .ci/system_libraries.py
@@ -70,3 +71,9 @@ node: $(NODE_READY)
 $(NODE_READY): tests/node/package.json
 	@if command -v npm >/dev/null && npm install --prefix tests/node --no-package-lock --no-audit --no-fund --silent; \
 	then touch $@; else echo "tests that read with npm packages are skipped: npm is missing or failed"; fi
+
+ros2: $(ROS2_READY)
+
+$(ROS2_READY): tests/ros2/requirements.txt
+	@if $(PYTHON) -m venv tests/ros2/.venv && tests/ros2/.venv/bin/pip install --quiet --prefer-binary -r $<; \
+	then touch $@; else rm -rf tests/ros2/.venv; echo "a test that reads with ROS 2 is skipped: no wheels for this machine"; fi
