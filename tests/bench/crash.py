@@ -90,13 +90,14 @@ def _run(out: Path, number: signal.Signals | None, moment_s: float) -> tuple[Rem
         length_s = time.monotonic() - start_s
     words = [line.split()[0] for line in spoken.splitlines() if line.strip()]
     told = [word for word in words if word in STAGES]
-    return _remains(out, told[-1] if told else ""), length_s
+    return _remains(out, told[-1] if told else "", killed=number == signal.SIGKILL), length_s
 
 
-def _remains(out: Path, told: str) -> Remains:
+def _remains(out: Path, told: str, *, killed: bool) -> Remains:
+    """What is there; a killed process cannot remove the hidden file that it was writing, the next run does."""
     if not out.exists() or not list(out.iterdir()):
         return Remains(told, "", "", "nothing was written", "a finished stage is lost" if told else "")
-    faults = [f"{path.name} is half written" for path in out.iterdir() if path.suffix == ".tmp"]
+    faults = [f"{path.name} is half written" for path in out.iterdir() if path.suffix == ".tmp" and not killed]
     try:
         headline = explain_run(out).headline
     except MultilicaError as error:
