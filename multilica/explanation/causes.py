@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 from multilica.explanation.explanation import Cause
 
-__all__ = ["ADVICE", "WORDS", "cause_of_codes"]
+__all__ = ["ADVICE", "REASON_WORDS", "WORDS", "by_weight", "cause_of_codes"]
 
 _BY_CODE: Sequence[tuple[str, Cause]] = (
     ("against_prior", "against_prior"),
@@ -16,7 +16,7 @@ _BY_CODE: Sequence[tuple[str, Cause]] = (
     ("too_little_evidence", "no_overlap"),
     ("empty_space_violated", "contradiction"),
     ("place_proven_empty", "contradiction"),
-    ("cycle_contradicted", "ambiguous"),
+    ("cycle_contradicted", "two_places"),
     ("ambiguous", "ambiguous"),
     ("not_observable", "not_observable"),
     ("structure_unexplained", "unexplained"),
@@ -24,6 +24,23 @@ _BY_CODE: Sequence[tuple[str, Cause]] = (
     ("low_fitness", "low_fitness"),
 )
 """The first code that a verdict has decides."""
+
+REASON_WORDS: Mapping[str, str] = MappingProxyType(
+    {
+        "against_prior": "contradicts the prior",
+        "too_little_overlap": "too little overlap",
+        "too_little_evidence": "too little evidence",
+        "empty_space_violated": "points in empty space",
+        "place_proven_empty": "stands in empty space",
+        "cycle_contradicted": "another accepted pair contradicts it",
+        "ambiguous": "another pose is as good",
+        "not_observable": "free to slide",
+        "structure_unexplained": "walls and objects unexplained",
+        "too_far_apart": "LiDARs too far apart",
+        "low_fitness": "low fitness",
+    }
+)
+"""A reason by its code, short enough for a label."""
 
 WORDS: Mapping[Cause, str] = MappingProxyType(
     {
@@ -39,6 +56,8 @@ WORDS: Mapping[Cause, str] = MappingProxyType(
         "unexplained": "the best pose leaves too much of what is in view unexplained (a chance agreement)",
         "low_fitness": "too few of its points lie near those of the others",
         "against_prior": "it sits otherwise than its prior claims, as if mounted the other way round",
+        "two_places": "two other LiDARs put it at different places, and nothing tells which is true",
+        "not_in_rig": "it fits another LiDAR by itself, but not the rig that was merged",
         "not_joined": "it fits another LiDAR that is itself not placed",
         "disputed": "the snapshots contradict each other, and no majority settles it",
         "stopped_early": "the run was to stop before LiDARs are placed",
@@ -70,6 +89,8 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
         "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, _PRIOR),
         "low_fitness": (_MORE_OVERLAP, "preset default, which judges by more than fitness"),
         "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),
+        "two_places": (_OTHER_PLACE, _MORE_OVERLAP, _PRIOR),
+        "not_in_rig": (_MORE_OVERLAP, _OTHER_PLACE, _PRIOR),
         "not_joined": (_MORE_OVERLAP, "another target (--target) among the LiDARs that it fits"),
         "disputed": (
             "one more snapshot, from another place, for a majority",
@@ -85,3 +106,9 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
 def cause_of_codes(codes: Sequence[str]) -> Cause:
     """The cause that a verdict's reasons stand for."""
     return next((cause for code, cause in _BY_CODE if code in codes), "unknown")
+
+
+def by_weight(codes: Iterable[str]) -> list[str]:
+    """The codes of a verdict's reasons, the one that its cause is named after first."""
+    order = {code: place for place, (code, _) in enumerate(_BY_CODE)}
+    return sorted(codes, key=lambda code: order.get(code, len(order)))

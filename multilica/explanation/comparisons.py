@@ -6,9 +6,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from multilica.explanation.causes import REASON_WORDS, by_weight
 from multilica.explanation.explanation import Comparison
 
-__all__ = ["Document", "comparisons_of", "decisive_comparison", "group_of", "next_best_sentence"]
+__all__ = [
+    "Document",
+    "comparisons_of",
+    "decisive_comparison",
+    "group_of",
+    "next_best_sentence",
+    "weighed_in_merge",
+]
 
 Document = Mapping[str, Any]
 _RANK = {"accept": 0, "undecided": 1, "reject": 2}
@@ -37,12 +45,29 @@ def _evidence(pair: Document) -> float:
 
 
 def decisive_comparison(pair: Document) -> Comparison:
-    """That pair with what spoke against it."""
+    """That pair with what spoke against it: the reason that names the cause in full, the others by name."""
     target, source = str(pair["target"]), str(pair["source"])
-    reasons = pair["verdict"]["reasons"]
-    found = "; ".join(reason["text"].replace("; ", ", ") for reason in reasons) or "it was accepted by itself"
-    sentence = f"{source} against {target} (fitness {pair['fitness']:.2f}): {found}."
-    return Comparison(target, source, tuple(reason["code"] for reason in reasons), sentence)
+    texts = {str(reason["code"]): _in_one_clause(reason["text"]) for reason in pair["verdict"]["reasons"]}
+    first, *others = by_weight(texts) or ("",)
+    found = texts.get(first, "it was accepted by itself")
+    besides = f"; besides: {', '.join(REASON_WORDS.get(code, code) for code in others)}" if others else ""
+    sentence = f"{source} against {target} (fitness {pair['fitness']:.2f}): {found}{besides}."
+    return Comparison(target, source, tuple(texts), sentence)
+
+
+def weighed_in_merge(document: Document, lidar: str) -> str:
+    """What the last merge step said of the LiDAR's group against another one; empty where there was no such step."""
+    if not document["decisions"]:
+        return ""
+    members = set(group_of(document, lidar))
+    candidates = document["decisions"][-1]["candidates"]
+    own = (one for one in candidates if len({one["target"], one["source"]} & members) == 1 and one["reason"])
+    best = next(own, None)
+    return "" if best is None else f"against the rig as merged by then: {_in_one_clause(best['reason'])}"
+
+
+def _in_one_clause(text: str) -> str:
+    return text.replace("; ", ", ")
 
 
 def next_best_sentence(pairs: Sequence[Document]) -> str:

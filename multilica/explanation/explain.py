@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 from multilica.explanation.causes import ADVICE, WORDS, cause_of_codes
 from multilica.explanation.comparisons import (
@@ -12,10 +13,12 @@ from multilica.explanation.comparisons import (
     decisive_comparison,
     group_of,
     next_best_sentence,
+    weighed_in_merge,
 )
 from multilica.explanation.doubts import warnings_of
 from multilica.explanation.explanation import Cause, Comparison, Explanation, Missing, Placed
 from multilica.explanation.progress import known_so_far, progress_sentence
+from multilica.explanation.two_places import two_places
 
 __all__ = ["explain"]
 
@@ -118,15 +121,46 @@ def _missing(document: Document, name: str) -> Missing:
     decisive = decisive_comparison(pairs[0]) if pairs else None
     if document.get("snapshots"):
         return _missing_jointly(document, name, pairs, decisive)
-    cause = _cause(document, name, decisive)
-    return Missing(name, cause, _not_placed(name, cause), decisive, next_best_sentence(pairs), advice=ADVICE[cause])
+    if decisive is not None and not decisive.codes:
+        return _missing_from_rig(document, name, pairs, decisive)
+    if decisive is not None and name not in (decisive.target, decisive.source):
+        return _missing_with_another(document, name, pairs, decisive)
+    return _told(name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
+
+
+def _missing_with_another(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison) -> Missing:
+    """Merged with a LiDAR of its group, of which the decisive comparison is."""
+    other = decisive.source if decisive.source in group_of(document, name) else decisive.target
+    sentence = f"{name} fits {other}, which is not placed; {decisive.sentence}"
+    cause = _sensor_fault(document, name) or "not_joined"
+    return _told(name, cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
+
+
+def _told(name: str, cause: Cause, decisive: Comparison | None, next_best: str) -> Missing:
+    return Missing(name, cause, _not_placed(name, cause), decisive, next_best=next_best, advice=ADVICE[cause])
+
+
+def _missing_from_rig(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison) -> Missing:
+    """Accepted by a pair of its own; what the merge made of it decides."""
+    weighed = weighed_in_merge(document, name)
+    fault, places = _sensor_fault(document, name), two_places(document, name, pairs)
+    if places is not None:
+        believed, other = decisive_comparison(places.believed), decisive_comparison(places.other)
+        told = _told(name, fault or "two_places", replace(believed, sentence=places.sentence), _sentence(weighed))
+        return replace(told, elsewhere=other)
+    cause: Cause = "not_joined" if len(group_of(document, name)) > 1 else "not_in_rig" if weighed else "unknown"
+    sentence = f"{decisive.sentence.rstrip('.')}; {weighed}." if weighed else decisive.sentence
+    return _told(name, fault or cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause}." if clause else ""
 
 
 def _missing_jointly(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison | None) -> Missing:
     """Of several snapshots; the pairs are those of one, so one that was accepted decides nothing."""
     if decisive is not None and decisive.codes:
-        cause = _cause(document, name, decisive)
-        return Missing(name, cause, _not_placed(name, cause), decisive, next_best_sentence(pairs), advice=ADVICE[cause])
+        return _told(name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
     cause = _sensor_fault(document, name) or _joint_cause(document, fits=decisive is not None)
     by_snapshot = f"{document['lidars'][name]['reason'].rstrip('.')}."
     return Missing(name, cause, _not_placed(name, cause), by_snapshot=by_snapshot, advice=ADVICE[cause])
@@ -148,11 +182,7 @@ def _cause(document: Document, name: str, decisive: Comparison | None) -> Cause:
     fault = _sensor_fault(document, name)
     if fault is not None:
         return fault
-    if decisive is not None and decisive.codes:
-        return cause_of_codes(decisive.codes)
-    if decisive is None:
-        return "no_overlap"
-    return "not_joined" if len(group_of(document, name)) > 1 else "unknown"
+    return "no_overlap" if decisive is None else cause_of_codes(decisive.codes)
 
 
 def _sensor_fault(document: Document, name: str) -> Cause | None:

@@ -22,6 +22,8 @@ Cause = Literal[
     "unexplained",
     "low_fitness",
     "against_prior",
+    "two_places",
+    "not_in_rig",
     "not_joined",
     "disputed",
     "stopped_early",
@@ -38,7 +40,7 @@ class Comparison:
     Args:
         target, source: names, as the pair was registered.
         codes: of the reasons against it, see `multilica.results.Reason`; none for an accepted pair.
-        sentence: what spoke against it, or for it, with its figures.
+        sentence: what spoke against it, or for it; the weightiest reason with its figures.
     """
 
     target: str
@@ -68,6 +70,7 @@ class Missing:
     Args:
         headline: the LiDAR with its cause, in one sentence.
         decisive: the comparison that came closest to placing it; None where there was none.
+        elsewhere: the one that puts it at another place, where both were accepted; else None.
         next_best: the best pose besides the decisive one, of the same pair or another; empty where there was none.
         by_snapshot: what each of several snapshots says of it, where no one comparison decides; else empty.
         advice: what would help, the most promising first.
@@ -77,6 +80,7 @@ class Missing:
     cause: Cause
     headline: str
     decisive: Comparison | None = None
+    elsewhere: Comparison | None = None
     next_best: str = ""
     by_snapshot: str = ""
     advice: tuple[str, ...] = ()

@@ -21,11 +21,13 @@ class Failure:
     Args:
         stage: the last stage that it passed only in part, or not at all.
         pair: the comparison that came closest to placing it, as it was matched; None if there was none.
+        elsewhere: the one that puts it at another place, where both were accepted; else None.
     """
 
     lidar: str
     stage: Stage
     pair: PairKey | None
+    elsewhere: PairKey | None = None
 
 
 def failures(story: RunStory) -> tuple[Failure, ...]:
@@ -47,7 +49,8 @@ def _failure(story: RunStory, missing: Missing) -> Failure:
         return Failure(missing.lidar, "preprocess", None)
     if missing.decisive is not None:
         stage: Stage = "fine" if missing.decisive.codes else "merge"
-        return Failure(missing.lidar, stage, _as_matched(story, missing.decisive))
+        elsewhere = None if missing.elsewhere is None else _as_matched(story, missing.elsewhere)
+        return Failure(missing.lidar, stage, _as_matched(story, missing.decisive), elsewhere)
     if not story.matches:
         return Failure(missing.lidar, "merge", None)
     own = [pair for pair in story.pairs if missing.lidar in pair]

@@ -8,16 +8,17 @@ import rerun as rr
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Assessment, Hypothesis, PairKey, PairRegistration, hypothesis_label
+from multilica.sinks.failures import failures
 from multilica.sinks.pair_scores import pair_scores_markdown
 from multilica.sinks.rerun_curves import log_curves
 from multilica.sinks.rerun_judged import log_judged
 from multilica.sinks.rerun_matches import log_verdict_on_matches
 from multilica.sinks.rerun_scene import Scene, rigid
 from multilica.sinks.rerun_tree import before_frame, hypothesis_frame, lidar_frame, pair_path
-from multilica.sinks.rerun_verdict import log_verdict
+from multilica.sinks.rerun_verdict import log_contested_place, log_verdict
 from multilica.sinks.run_story import as_matched
 
-__all__ = ["log_assessments", "log_hypotheses", "log_registration", "show_best_poses"]
+__all__ = ["log_assessments", "log_contested_places", "log_hypotheses", "log_registration", "show_best_poses"]
 
 _AXIS_LENGTH_M = 0.5
 
@@ -62,6 +63,14 @@ def log_registration(scene: Scene, event: events.PairRegistered) -> None:
         _log_before(scene, pair, registration)
         log_verdict(scene, pair, start, registration)
         _log_scores(scene, pair, registration.assessments[0] if registration.assessments else None)
+
+
+def log_contested_places(scene: Scene) -> None:
+    """At the end: of each LiDAR that two accepted pairs put at different places, both."""
+    for failure in failures(scene.story):
+        if failure.pair is not None and failure.elsewhere is not None:
+            found = scene.story.registrations[failure.pair]
+            log_contested_place(scene, failure, failure.pair, _start(scene, found), found)
 
 
 def show_best_poses(scene: Scene) -> None:

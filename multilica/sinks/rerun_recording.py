@@ -20,7 +20,13 @@ from multilica.sinks.rerun_judged import log_beam_labels
 from multilica.sinks.rerun_matches import log_matches
 from multilica.sinks.rerun_merge import log_merge_step
 from multilica.sinks.rerun_outcome import log_ground, log_outcome
-from multilica.sinks.rerun_pairs import log_assessments, log_hypotheses, log_registration, show_best_poses
+from multilica.sinks.rerun_pairs import (
+    log_assessments,
+    log_contested_places,
+    log_hypotheses,
+    log_registration,
+    show_best_poses,
+)
 from multilica.sinks.rerun_scene import Scene
 from multilica.sinks.rerun_tables import log_pair_tables, log_summary
 from multilica.sinks.run_story import RunStory
@@ -130,6 +136,7 @@ def _finish_stage(scene: Scene, event: events.StageFinished) -> None:
 
 def _finish(scene: Scene, event: events.CalibrationFinished) -> None:
     log_outcome(scene, event)
+    log_contested_places(scene)
     log_summary(scene)
     _send_properties(scene, event.result.status)
     blueprint = final_blueprint if event.result.refusal is None else stage_blueprint

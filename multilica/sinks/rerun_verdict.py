@@ -6,7 +6,9 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 
+from multilica.explanation.causes import REASON_WORDS, by_weight
 from multilica.results import Assessment, PairKey, PairRegistration
+from multilica.sinks.failures import Failure
 from multilica.sinks.narration import pair_label
 from multilica.sinks.palette import UNDECIDED, VERDICT_COLOURS
 from multilica.sinks.rerun_scene import Scene, rigid
@@ -14,31 +16,49 @@ from multilica.sinks.rerun_tree import hypothesis_frame, lidar_frame, pair_path
 from multilica.sinks.rival_pose import rival_of
 from multilica.sinks.run_story import as_matched
 
-__all__ = ["log_verdict", "verdict_words"]
+__all__ = ["log_contested_place", "log_verdict", "verdict_words"]
 
 _ARROW_M = 4.0
 
 
 def verdict_words(registration: PairRegistration) -> str:
-    """The verdict with the names of its reasons, short enough for a label."""
-    codes = ", ".join(reason.code.replace("_", " ") for reason in registration.verdict.reasons)
-    return f"{registration.verdict.outcome}: {codes}" if codes else registration.verdict.outcome
+    """The verdict with its weightiest reason, short enough for a label."""
+    verdict = registration.verdict
+    first, *others = by_weight(reason.code for reason in verdict.reasons) or ("",)
+    more = f" and {len(others)} more" if others else ""
+    return f"{verdict.outcome}: {REASON_WORDS.get(first, first)}{more}" if first else verdict.outcome
 
 
 def log_verdict(scene: Scene, pair: PairKey, start: str, registration: PairRegistration) -> None:
     """The verdict at the source's origin; the rival pose with its cloud; arrows along which the pose can slide."""
-    colour = VERDICT_COLOURS[registration.verdict.outcome]
     label = f"{pair_label(*pair)} {verdict_words(registration)}"
-    point = rr.Points3D([(0.0, 0.0, 0.0)], colors=[colour], labels=[label], radii=rr.Radius.ui_points(7.0))
-    scene.log(pair_path(*pair, "verdict"), rr.CoordinateFrame(hypothesis_frame(*pair, start)), point)
-    _log_rival(scene, pair, rival_of(scene.story, registration))
+    _log_label(scene, pair_path(*pair, "verdict"), hypothesis_frame(*pair, start), label, registration.verdict.outcome)
+    _log_rival(scene, pair, rival_of(scene.story, registration), "the other pose")
     if any(reason.code == "not_observable" for reason in registration.verdict.reasons):
         own = registration.target == pair[0]
         frame = lidar_frame(pair[0]) if own else hypothesis_frame(*pair, start)
         _log_slide(scene, pair, registration, frame)
 
 
-def _log_rival(scene: Scene, pair: PairKey, rival: Assessment | None) -> None:
+def log_contested_place(
+    scene: Scene, failure: Failure, pair: PairKey, start: str, registration: PairRegistration
+) -> None:
+    """Of an accepted pair, where another accepted pair puts the LiDAR that was left out for it."""
+    other = next(name for name in failure.elsewhere or () if name != failure.lidar)
+    label = f"{pair_label(*pair)} accept, but {other} puts {failure.lidar} elsewhere"
+    _log_label(scene, pair_path(*pair, "verdict"), hypothesis_frame(*pair, start), label, "undecided")
+    _log_rival(scene, pair, rival_of(scene.story, registration), f"where {other} puts {failure.lidar}")
+
+
+def _log_label(scene: Scene, path: str, frame: str, label: str, outcome: str) -> None:
+    """Words at the origin of a frame."""
+    point = rr.Points3D(
+        [(0.0, 0.0, 0.0)], colors=[VERDICT_COLOURS[outcome]], labels=[label], radii=rr.Radius.ui_points(7.0)
+    )
+    scene.log(path, rr.CoordinateFrame(frame), point)
+
+
+def _log_rival(scene: Scene, pair: PairKey, rival: Assessment | None, words: str) -> None:
     cloud = scene.story.clouds.get(pair[1])
     if rival is None or cloud is None:
         return
@@ -48,9 +68,8 @@ def _log_rival(scene: Scene, pair: PairKey, rival: Assessment | None) -> None:
     path, limit = pair_path(*pair, "rival"), scene.limits.pair_points // 3
     scene.log_points(path, frame, cloud.points_m, scene.colour(pair[1]), limit)
     beams = rival.testimony
-    label = f"{pair[1]}, the other pose: {beams.agree:,} points agree, {beams.violate:,} stand in empty space"
-    point = rr.Points3D([(0.0, 0.0, 0.0)], colors=[UNDECIDED], labels=[label], radii=rr.Radius.ui_points(7.0))
-    scene.log(pair_path(*pair, "rival", "label"), rr.CoordinateFrame(frame), point)
+    label = f"{pair[1]}, {words}: {beams.agree:,} points agree, {beams.violate:,} stand in empty space"
+    _log_label(scene, pair_path(*pair, "rival", "label"), frame, label, "undecided")
 
 
 def _log_slide(scene: Scene, pair: PairKey, registration: PairRegistration, frame: str) -> None:

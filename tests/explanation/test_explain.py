@@ -103,6 +103,9 @@ def test_pairs_within_the_missing_group_decide_nothing():
     document["pairs"].append(inside)
     for missing in explain(document).missing:
         assert {missing.decisive.target, missing.decisive.source} == {"front left/1", "top"}
+    told = {missing.lidar: missing for missing in explain(document).missing}
+    assert (told["front left/1"].cause, told["rear"].cause) == ("no_overlap", "not_joined")
+    assert told["rear"].decisive.sentence.startswith("rear fits front left/1, which is not placed; ")
 
 
 def test_an_accepted_pair_of_a_group_that_was_not_joined(partial):

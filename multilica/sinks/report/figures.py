@@ -95,10 +95,17 @@ def _rig_layers(
 def pair_figures(
     contents: ReportContents, pair: PairKey, level: RigidTransform, colours: Mapping[str, Rgb]
 ) -> list[Figure]:
-    """A pair that was refused, from above: the pose that was found, and the other one where two are as good."""
+    """A pair from above: the pose that was found, and the other one where two are as good."""
     words = ("at the best pose that was found", "at another pose that is about as good")
+    if _accepted(contents, pair):
+        words = ("where this pair puts it", "where another accepted pair puts it")
     shown = zip(contents.judged.get(pair, ()), words, strict=False)
     return [_pair_figure(contents, one, level, colours, how) for one, how in shown]
+
+
+def _accepted(contents: ReportContents, pair: PairKey) -> bool:
+    known = {(one["target"], one["source"]): one["verdict"]["outcome"] for one in contents.document["pairs"]}
+    return known.get(pair) == "accept"
 
 
 def _pair_figure(

@@ -28,10 +28,12 @@ class Failure:
     pair: PairKey | None
 
     @property
-    def against(self) -> str:
-        """The other LiDAR of the decisive comparison; "" where there was none."""
-        others = [name for name in self.pair or () if name != self.missing.lidar]
-        return others[0] if others else ""
+    def against(self) -> tuple[str, ...]:
+        """The other LiDAR of the decisive comparison, and the one that puts it elsewhere; none where there was none."""
+        elsewhere = self.missing.elsewhere
+        names = (*(self.pair or ()), *((elsewhere.target, elsewhere.source) if elsewhere else ()))
+        others = tuple(name for name in names if name != self.missing.lidar)
+        return others if elsewhere else others[:1]
 
 
 @dataclass(frozen=True, slots=True)

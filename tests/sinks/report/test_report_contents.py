@@ -40,7 +40,7 @@ def test_a_failure_names_lidar_step_partner_and_reason(partial):
     (failure,) = outcome_of(partial).failures
     assert failure.missing.lidar == UNPLACED
     assert failure.step.startswith("fine")
-    assert failure.against in {"top", "front left/1"}
+    assert failure.against in {("top",), ("front left/1",)}
     assert "only 12 points lie on surfaces" in failure.missing.decisive.sentence
 
 
