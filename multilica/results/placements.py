@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where each LiDAR ended."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from multilica.geometry import FloatArray, RigidTransform
+
+__all__ = ["GroundPlane", "LidarPlacement", "SigmaOrigin", "Spread"]
+
+SigmaOrigin = Literal["residuals", "snapshots"]
+"""What a covariance rests on: the residuals of the registrations, or those widened to the spread over snapshots."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroundPlane:
+    """The ground seen from the target LiDAR.
+
+    Args:
+        normal: (3,) unit, upwards, in the target frame.
+        offset_m: ``normal @ p + offset_m == 0`` on the plane, so the target LiDAR's height above ground.
+        T_base_target: roll, pitch and z of the target LiDAR in an ISO 8855 base frame on the ground below it; x, y and
+            yaw are zero.
+        inlier_share: share of the merged cloud that lies on the plane.
+    """
+
+    normal: FloatArray
+    offset_m: float
+    T_base_target: RigidTransform
+    inlier_share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spread:
+    """How far the snapshots of one rig scatter in where they place a LiDAR.
+
+    Args:
+        snapshots: how many place it.
+        xyz_m, rotation_deg: (3,) sample standard deviations along and about the target's axes; None below two.
+    """
+
+    snapshots: int
+    xyz_m: FloatArray | None = None
+    rotation_deg: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarPlacement:
+    """Where one LiDAR ended, or why it did not.
+
+    Args:
+        covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
+        T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
+        sigma_from: what the covariance rests on.
+        spread: over the snapshots of a joint result; None where there is only one snapshot.
+    """
+
+    lidar: str
+    reason: str
+    placed: bool = False
+    T_target_source: RigidTransform | None = None
+    fitness: float = 0.0
+    rmse_m: float = float("inf")
+    covariance: FloatArray | None = None
+    T_target_source_prior: RigidTransform | None = None
+    sigma_from: SigmaOrigin = "residuals"
+    spread: Spread | None = None
+
+    @property
+    def prior_deviation(self) -> tuple[float, float] | None:
+        """Distance in metres, angle in radians from the pose of the prior; None where one of the two is not known."""
+        if self.T_target_source is None or self.T_target_source_prior is None:
+            return None
+        return self.T_target_source_prior.distance_to(self.T_target_source)
+
+    @property
+    def sigma_xyz_m(self) -> FloatArray | None:
+        """(3,) standard deviation of the position along the target's axes; None where it is not known."""
+        return None if self.covariance is None else np.sqrt(np.diag(self.covariance)[3:])
+
+    @property
+    def sigma_rotation_deg(self) -> FloatArray | None:
+        """(3,) standard deviation of the rotation about the target's axes; None where it is not known."""
+        return None if self.covariance is None else np.rad2deg(np.sqrt(np.diag(self.covariance)[:3]))
