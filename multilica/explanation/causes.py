@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from multilica.explanation.explanation import Cause
 
-__all__ = ["ADVICE", "REASON_WORDS", "WORDS", "by_weight", "cause_of_codes"]
+__all__ = ["ADVICE", "PRIOR_ADVICE", "REASON_WORDS", "WORDS", "by_weight", "cause_of_codes"]
 
 _BY_CODE: Sequence[tuple[str, Cause]] = (
     ("against_prior", "against_prior"),
@@ -68,7 +68,9 @@ WORDS: Mapping[Cause, str] = MappingProxyType(
 
 _MORE_OVERLAP = "a place with structure in the common field of view, or a LiDAR that sees part of both sides"
 _OTHER_PLACE = "another place, with walls, poles or parked cars at uneven distances around the vehicle"
-_PRIOR = "a rough pose from the vehicle's drawing as a prior"
+_TOGETHER = "a second snapshot, taken elsewhere, calibrated together with this one"
+PRIOR_ADVICE = "the pose from a drawing or an earlier calibration as one more candidate (--prior)"
+"""It can show a pose that the descriptors miss; of two that the scene does not tell apart it prefers none."""
 _MORE_FRAMES = "more frames (--frames), so that sparse surfaces are seen"
 
 ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
@@ -78,19 +80,19 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
         "dirty_sensor": ("clean the window, take off covers, and record again",),
         "moving_vehicle": ("record while the vehicle stands still, or choose another window with --start",),
         "unfit_input": ("a recording with at least two LiDARs that have returns; see `multilica inspect`",),
-        "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, _PRIOR),
+        "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, PRIOR_ADVICE),
         "contradiction": (
             "a scene where nothing moves, and a look at the red points of the pair in the recording",
             _MORE_OVERLAP,
-            _PRIOR,
+            PRIOR_ADVICE,
         ),
-        "ambiguous": (_OTHER_PLACE, _PRIOR),
+        "ambiguous": (_OTHER_PLACE, _TOGETHER),
         "not_observable": (_OTHER_PLACE, _MORE_OVERLAP, _MORE_FRAMES),
-        "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, _PRIOR),
+        "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, PRIOR_ADVICE),
         "low_fitness": (_MORE_OVERLAP, "preset default, which judges by more than fitness"),
         "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),
-        "two_places": (_OTHER_PLACE, _MORE_OVERLAP, _PRIOR),
-        "not_in_rig": (_MORE_OVERLAP, _OTHER_PLACE, _PRIOR),
+        "two_places": (_OTHER_PLACE, _TOGETHER, _MORE_OVERLAP),
+        "not_in_rig": (_MORE_OVERLAP, _OTHER_PLACE, _TOGETHER),
         "not_joined": (_MORE_OVERLAP, "another target (--target) among the LiDARs that it fits"),
         "disputed": (
             "one more snapshot, from another place, for a majority",

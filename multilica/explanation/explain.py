@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from multilica.explanation.causes import ADVICE, WORDS, cause_of_codes
+from multilica.explanation.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
 from multilica.explanation.comparisons import (
     Document,
     comparisons_of,
@@ -125,7 +125,7 @@ def _missing(document: Document, name: str) -> Missing:
         return _missing_from_rig(document, name, pairs, decisive)
     if decisive is not None and name not in (decisive.target, decisive.source):
         return _missing_with_another(document, name, pairs, decisive)
-    return _told(name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
+    return _told(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
 
 
 def _missing_with_another(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison) -> Missing:
@@ -133,11 +133,13 @@ def _missing_with_another(document: Document, name: str, pairs: Sequence[Documen
     other = decisive.source if decisive.source in group_of(document, name) else decisive.target
     sentence = f"{name} fits {other}, which is not placed; {decisive.sentence}"
     cause = _sensor_fault(document, name) or "not_joined"
-    return _told(name, cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
+    return _told(document, name, cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
 
 
-def _told(name: str, cause: Cause, decisive: Comparison | None, next_best: str) -> Missing:
-    return Missing(name, cause, _not_placed(name, cause), decisive, next_best=next_best, advice=ADVICE[cause])
+def _told(document: Document, name: str, cause: Cause, decisive: Comparison | None, next_best: str) -> Missing:
+    had_prior = document["lidars"][name].get("prior") is not None
+    advice = tuple(one for one in ADVICE[cause] if not (had_prior and one == PRIOR_ADVICE))
+    return Missing(name, cause, _not_placed(name, cause), decisive, next_best=next_best, advice=advice)
 
 
 def _missing_from_rig(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison) -> Missing:
@@ -146,11 +148,13 @@ def _missing_from_rig(document: Document, name: str, pairs: Sequence[Document], 
     fault, places = _sensor_fault(document, name), two_places(document, name, pairs)
     if places is not None:
         believed, other = decisive_comparison(places.believed), decisive_comparison(places.other)
-        told = _told(name, fault or "two_places", replace(believed, sentence=places.sentence), _sentence(weighed))
+        told = _told(
+            document, name, fault or "two_places", replace(believed, sentence=places.sentence), _sentence(weighed)
+        )
         return replace(told, elsewhere=other)
     cause: Cause = "not_joined" if len(group_of(document, name)) > 1 else "not_in_rig" if weighed else "unknown"
     sentence = f"{decisive.sentence.rstrip('.')}; {weighed}." if weighed else decisive.sentence
-    return _told(name, fault or cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
+    return _told(document, name, fault or cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
 
 
 def _sentence(clause: str) -> str:
@@ -160,7 +164,7 @@ def _sentence(clause: str) -> str:
 def _missing_jointly(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison | None) -> Missing:
     """Of several snapshots; the pairs are those of one, so one that was accepted decides nothing."""
     if decisive is not None and decisive.codes:
-        return _told(name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
+        return _told(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
     cause = _sensor_fault(document, name) or _joint_cause(document, fits=decisive is not None)
     by_snapshot = f"{document['lidars'][name]['reason'].rstrip('.')}."
     return Missing(name, cause, _not_placed(name, cause), by_snapshot=by_snapshot, advice=ADVICE[cause])

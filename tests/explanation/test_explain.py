@@ -12,7 +12,7 @@ import pytest
 from multilica.config import STAGES
 from multilica.events import StageFinished
 from multilica.explanation import Cause, explain
-from multilica.explanation.causes import ADVICE, WORDS, cause_of_codes
+from multilica.explanation.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
 from tests.sinks.made_documents import made_document
 from tests.sinks.made_events import UNPLACED, made_events
 
@@ -243,3 +243,15 @@ def test_every_cause_has_words_advice_and_documentation():
         assert WORDS[cause]
         assert ADVICE[cause]
         assert f"`{cause}`" in page
+
+
+def test_a_prior_is_no_advice_to_who_gave_one(partial):
+    set_reasons(partial, "reject", "too_little_evidence")
+    assert PRIOR_ADVICE in missing_of(partial).advice
+    partial["lidars"][UNPLACED]["prior"] = {"surprise": None}
+    assert missing_of(partial).advice == tuple(one for one in ADVICE["no_overlap"] if one != PRIOR_ADVICE)
+
+
+@pytest.mark.parametrize("cause", ["ambiguous", "two_places", "not_in_rig"])
+def test_a_prior_is_no_advice_where_the_scene_does_not_decide(cause):
+    assert PRIOR_ADVICE not in ADVICE[cause]
