@@ -33,7 +33,7 @@ REASON_WORDS: Mapping[str, str] = MappingProxyType(
         "empty_space_violated": "points in empty space",
         "place_proven_empty": "stands in empty space",
         "cycle_contradicted": "another accepted pair contradicts it",
-        "ambiguous": "another pose is as good",
+        "ambiguous": "another pose not ruled out",
         "not_observable": "free to slide",
         "structure_unexplained": "walls and objects unexplained",
         "too_far_apart": "LiDARs too far apart",

@@ -75,6 +75,8 @@ def _log_rival(scene: Scene, pair: PairKey, rival: Assessment | None, words: str
 def _log_slide(scene: Scene, pair: PairKey, registration: PairRegistration, frame: str) -> None:
     """Both ways along the direction of the weakest motion, or along the axis about which it turns.
 
+    In words only if it is what the verdict rests on: they would cover the label of another reason.
+
     Args:
         frame: that of the registration's target, wherever the pair puts it.
     """
@@ -82,11 +84,12 @@ def _log_slide(scene: Scene, pair: PairKey, registration: PairRegistration, fram
     axis, word = (shift, "slides") if np.abs(shift).max() >= np.abs(turn).max() else (turn, "turns about this")
     axis = axis / np.linalg.norm(axis)
     origin_m = registration.T_target_source.xyz_m
+    weightiest = by_weight(reason.code for reason in registration.verdict.reasons)[0] == "not_observable"
     arrows = rr.Arrows3D(
         origins=[origin_m, origin_m],
         vectors=[_ARROW_M * axis, -_ARROW_M * axis],
         colors=[UNDECIDED],
-        labels=[f"{word}: nothing holds it", ""],
+        labels=[f"{word}: nothing holds it", ""] if weightiest else None,
         radii=0.06,
     )
     scene.log(pair_path(*pair, "slide"), rr.CoordinateFrame(frame), arrows)

@@ -44,9 +44,11 @@ def _is_by_symmetry(doubt: Reason) -> bool:
 
 def _elsewhere(story: RunStory, registration: PairRegistration) -> Assessment | None:
     pair = story.pair_of(registration)
+    if story.result is None or all(place.placed for place in story.result.placements if place.lidar in pair):
+        return None
     other = next((one.elsewhere for one in failures(story) if one.pair == pair and one.elsewhere is not None), None)
     bench = _Bench.of(story, registration)
-    if story.result is None or other is None or bench is None:
+    if other is None or bench is None:
         return None
     poses = {place.lidar: place.T_target_source for place in story.result.placements if place.T_target_source}
     fixed, witness = (next(name for name in one if name in poses) for one in (pair, other))

@@ -95,7 +95,7 @@ def test_a_verdict_that_is_told_anew_repeats_no_progress_and_draws_no_rival_wher
                 case events.PairRegistered(PairRegistration(target="rear", source="top") as found):
                     observe(events.PairRegistered(replace(found, verdict=doubt)))
     recording = Recording(path)
-    assert recording.last(f"{PAIR}/verdict", "Points3D:labels") == ["rear <- top undecided: another pose is as good"]
+    assert recording.last(f"{PAIR}/verdict", "Points3D:labels") == ["rear <- top undecided: another pose not ruled out"]
     assert f"{PAIR}/rival" not in recording.entity_paths
     assert len(recording.cells(f"{PAIR}/judged/source", "Points3D:class_ids")) == 4
     assert len(recording.cells("/gicp/inliers/rear/top/0", "Scalars:scalars")) == 4
