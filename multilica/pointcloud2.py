@@ -145,8 +145,10 @@ def finite_records(records: npt.NDArray[np.void]) -> tuple[Float32Array, Float32
     # A point at a time rather than a coordinate: memory is gone through once.
     points_m = np.empty((records.size, 3), "<f4")
     np.copyto(points_m.view(_PACKED).reshape(records.shape), records.getfield(_PACKED, place))
-    with np.errstate(over="ignore"):
-        values = records[_INTENSITY].astype(np.float32, order="C").reshape(-1) if _INTENSITY in names else None
+    values = np.empty(records.size, np.float32) if _INTENSITY in names else None
+    if values is not None:
+        with np.errstate(over="ignore"):
+            np.copyto(values.reshape(records.shape), records[_INTENSITY], casting="unsafe")
     return _finite(points_m.astype(np.float32, copy=False), values)
 
 

@@ -75,6 +75,12 @@ class BlockStream(io.RawIOBase):
         self._position += len(data)
         return data
 
+    def readinto(self, buffer: memoryview, /) -> int:  # type: ignore[override]  # all that is ever given
+        """As of any stream: fewer bytes only at the end."""
+        data = self.read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)
+
     def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
         """As of any stream."""
         base = {io.SEEK_SET: 0, io.SEEK_CUR: self._position, io.SEEK_END: self._cache.size}[whence]

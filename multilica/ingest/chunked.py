@@ -9,10 +9,12 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from itertools import count
 
 from multilica.ingest.damage import damage_named
 from multilica.ingest.recording import Message, Messages, Span, Topic
+from multilica.ingest.reused_memory import ReusedMemory
 from multilica.ingest.unpacking import UNCOMPRESSED, require_checksum, unpack
 from multilica.ingest.whole_reads import WholeReads
 
@@ -63,13 +65,13 @@ class PackedChunk:
         """There is more to do than to copy and to check it."""
         return self.compression not in UNCOMPRESSED and len(self.data) < _MOST_PACKED * self.size
 
-    def unpack(self) -> memoryview:
+    def unpack(self, memory: ReusedMemory) -> memoryview:
         """Its records; of one that is not whole, those at its beginning, unchecked.
 
         Raises:
             ValueError: the data are broken; the text is a clause.
         """
-        data = unpack(self.compression, self.data, self.size, partial=not self.is_whole)
+        data = unpack(self.compression, self.data, self.size, memory, partial=not self.is_whole)
         if self.is_whole:
             require_checksum(data, self.crc32)
         return data
@@ -106,6 +108,7 @@ class ChunkedRecording:
         self._chunks = sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
         self._read_chunk = read_chunk
         self._split = split
+        self._memory = ReusedMemory()
 
     def span_ns(self, topics: Collection[str]) -> Span | None:
         """Read from the first and the last chunks that hold one of the topics."""
@@ -118,7 +121,7 @@ class ChunkedRecording:
             for chunk in sorted(self._chunks_with(topics, 0), key=lambda chunk: -chunk.end_ns):
                 if chunk.end_ns <= last_ns:
                     break
-                for message in self._split(self._read_chunk(self._stream, chunk).unpack(), topics):
+                for message in self._split(self._read_chunk(self._stream, chunk).unpack(self._memory), topics):
                     last_ns = max(last_ns, message.log_time_ns)
         return first.log_time_ns, last_ns
 
@@ -164,7 +167,8 @@ class ChunkedRecording:
         with ThreadPoolExecutor(max_workers=1) as aside:
             for chunk in chunks:
                 packed = self._read_chunk(self._stream, chunk)
-                ahead.append(aside.submit(packed.unpack).result if packed.is_worth_a_thread else packed.unpack)
+                unpack = partial(packed.unpack, self._memory)
+                ahead.append(aside.submit(unpack).result if packed.is_worth_a_thread else unpack)
                 while len(ahead) > (_AHEAD if packed.is_worth_a_thread else 0):
                     yield ahead.popleft()()
             while ahead:

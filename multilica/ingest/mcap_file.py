@@ -108,7 +108,7 @@ def _read_chunk(stream: WholeReads, place: ChunkPlace) -> PackedChunk:
     opcode, length = record_length(stream.read(RECORD_HEAD.size))
     if opcode != Opcode.CHUNK:
         raise ValueError("its index points to something that is no chunk")
-    return chunk_of(memoryview(stream.read(length)))
+    return chunk_of(stream.view(length))
 
 
 def _split(streams: Mapping[int, Stream], data: memoryview, topics: Collection[str]) -> Iterator[Message]:

@@ -24,6 +24,7 @@ from multilica.ingest.mcap_records import (
     stream_of,
 )
 from multilica.ingest.recording import Message
+from multilica.ingest.reused_memory import ReusedMemory
 from multilica.ingest.unindexed import UnindexedRecording
 from multilica.ingest.whole_reads import EndOfFileError, WholeReads
 
@@ -76,11 +77,11 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
         if opcode == Opcode.CHUNK and length > stream.remaining:
             yield opcode, memoryview(stream.read(stream.remaining))
             raise EndOfFileError
-        record = stream.read(length)
+        record = stream.view(length) if opcode == Opcode.CHUNK else memoryview(stream.read(length))
         crc32 = crc32_of(record, crc32)
         if opcode == Opcode.DATA_END and int.from_bytes(record, "little") not in (0, before):
             raise ValueError("a checksum does not match its data")
-        yield opcode, memoryview(record)
+        yield opcode, record
     stream.read(len(_MAGIC))
 
 
@@ -95,13 +96,14 @@ class _Known:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._memory = ReusedMemory()
         self._schemas: dict[int, Schema] = {}
         self._streams: dict[int, Stream] = {}
 
     def messages_of(self, opcode: int, record: memoryview) -> Iterator[Message]:
         """The messages of a record, be it one or a chunk of many."""
         if opcode == Opcode.CHUNK:
-            for inner_opcode, inner in records_of(chunk_of(record).unpack()):
+            for inner_opcode, inner in records_of(chunk_of(record).unpack(self._memory)):
                 yield from self._messages_of(inner_opcode, inner)
         else:
             yield from self._messages_of(opcode, record)

@@ -93,7 +93,7 @@ def _read_chunk(stream: WholeReads, place: ChunkPlace) -> PackedChunk:
     header = read_header(stream)
     if header[b"op"][0] != CHUNK:
         raise ValueError("its index points to something that is no chunk")
-    return packed_chunk(header, stream.read(read_length(stream)))
+    return packed_chunk(header, stream.view(read_length(stream)))
 
 
 def _split(connections: Mapping[bytes, Connection], data: memoryview, topics: Collection[str]) -> Iterator[Message]:

@@ -81,7 +81,7 @@ def read_header(stream: WholeReads) -> Header:
     return _fields(memoryview(stream.read(read_length(stream))))
 
 
-def packed_chunk(header: Header, data: bytes, *, is_whole: bool = True) -> PackedChunk:
+def packed_chunk(header: Header, data: bytes | memoryview, *, is_whole: bool = True) -> PackedChunk:
     """The chunk that a record holds."""
     (size,) = _LENGTH.unpack(header[b"size"])
     return PackedChunk(header[b"compression"].decode(), data, size, is_whole=is_whole)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from multilica.ingest.damage import damage_named
 from multilica.ingest.recording import Message
+from multilica.ingest.reused_memory import ReusedMemory
 from multilica.ingest.ros1_records import (
     CHUNK,
     CHUNK_INFO,
@@ -51,7 +52,7 @@ def _messages(path: Path) -> Iterator[Message]:
 
 def _all_records(path: Path) -> Iterator[tuple[Header, memoryview]]:
     closed = False
-    stream = WholeReads.of_file(path)
+    stream, memory = WholeReads.of_file(path), ReusedMemory()
     try:
         stream.seek(MAGIC_BYTES)
         while stream.remaining:
@@ -60,7 +61,7 @@ def _all_records(path: Path) -> Iterator[tuple[Header, memoryview]]:
             data = stream.read(min(size, stream.remaining))
             closed = closed or header[b"op"][0] == CHUNK_INFO
             if header[b"op"][0] == CHUNK:
-                yield from records_of(packed_chunk(header, data, is_whole=len(data) == size).unpack())
+                yield from records_of(packed_chunk(header, data, is_whole=len(data) == size).unpack(memory))
             else:
                 yield header, memoryview(data)
             if len(data) < size:

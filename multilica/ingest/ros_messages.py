@@ -32,10 +32,12 @@ def decode_cloud(message: Message) -> Cloud:
     # By hand, for an object of `rosbags` takes as long to make as a third of the points take to unpack.
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
-    height, width = reader.uint32(), reader.uint32()
+    reader.align(4)
+    height, width = reader.numbers("II")
     fields = _fields(reader)
     (is_big_endian,) = reader.numbers("B")
-    point_step, row_step = reader.uint32(), reader.uint32()
+    reader.align(4)
+    point_step, row_step = reader.numbers("II")
     layout = PointCloud2(fields, width, height, point_step, row_step, reader.octets(), big_endian=bool(is_big_endian))
     points_m, intensity = decode_points(layout)
     return Cloud(Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity), frame_id)
@@ -49,8 +51,9 @@ def _fields(reader: WireReader) -> tuple[PointField, ...]:
 
 
 def _field(reader: WireReader) -> PointField:
-    name, offset = reader.text(), reader.uint32()
-    (datatype,) = reader.numbers("B")
+    name = reader.text()
+    reader.align(4)
+    offset, datatype = reader.numbers("IB")
     return PointField(name, offset, datatype, reader.uint32())
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cache
 
 from multilica.ingest.recording import Message
 from multilica.ingest.unpacking import ZSTD_MAGIC, unpack_zstd_message
 
 __all__ = ["WireReader", "message_bytes"]
 
+_layout = cache(struct.Struct)
 _CUT_OFF = "cannot be unpacked: it ends too early"
 _ENCAPSULATION_BYTES = 4
 _SEQUENCE_BYTES = 4
@@ -55,13 +57,13 @@ class WireReader:
         return len(self.data) - self.place
 
     def numbers(self, codes: str) -> tuple[int, ...]:
-        """Numbers of the same size, by their codes of `struct`."""
-        layout = self.order + codes
-        size = struct.calcsize(layout)
-        if size > self.remaining:
-            raise ValueError(_CUT_OFF)
-        found = struct.unpack_from(layout, self.data, self.place)
-        self.place += size
+        """Numbers that follow each other without gaps, by their codes of `struct`."""
+        layout = _layout(self.order + codes)
+        try:
+            found = layout.unpack_from(self.data, self.place)
+        except struct.error as error:
+            raise ValueError(_CUT_OFF) from error
+        self.place += layout.size
         return found
 
     def header(self) -> tuple[int, str]:

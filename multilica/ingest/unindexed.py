@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sized
 from typing import cast
 
 from multilica.ingest.damage import DamagedRecordingError
@@ -84,5 +84,5 @@ class UnindexedRecording:
         return tuple(Topic(*key[:3], total, key[3]) for key, total in sorted(counts.items()))
 
 
-def _chunk_of(message: Message) -> bytes:
-    return cast(bytes, message.data.obj) if isinstance(message.data, memoryview) else message.data
+def _chunk_of(message: Message) -> Sized:
+    return cast(Sized, message.data.obj) if isinstance(message.data, memoryview) else message.data

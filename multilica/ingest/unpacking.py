@@ -9,6 +9,8 @@ import lz4.frame
 import zstandard
 from isal.isal_zlib import crc32 as crc32_of
 
+from multilica.ingest.reused_memory import ReusedMemory
+
 __all__ = [
     "MAX_RECORDS",
     "MAX_UNPACKED_BYTES",
@@ -31,11 +33,19 @@ UNCOMPRESSED = ("", "none")
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
-def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: bool = False) -> memoryview:
+def unpack(
+    compression: str,
+    packed: bytes | memoryview,
+    size: int,
+    memory: ReusedMemory | None = None,
+    *,
+    partial: bool = False,
+) -> memoryview:
     """The `size` bytes that were compressed to `packed`; never more, whatever the data say.
 
     Args:
         compression: ``zstd``, ``lz4``, ``bz2``; empty or ``none`` where nothing is compressed.
+        memory: to unpack to, as far as the library allows it; fresh memory if None.
         partial: take what can be had of data that end too early.
 
     Raises:
@@ -44,7 +54,7 @@ def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: 
     if size > MAX_UNPACKED_BYTES:
         raise ValueError(f"a record claims to unpack to {size} bytes; not more than {MAX_UNPACKED_BYTES} are believed")
     try:
-        unpacked = _unpacked(compression, packed, size, partial=partial)
+        unpacked = _unpacked(compression, packed, size, memory or ReusedMemory(), partial=partial)
     except (zstandard.ZstdError, RuntimeError, OSError, EOFError) as error:
         raise ValueError("compressed data cannot be unpacked") from error
     if len(unpacked) != size and not partial:
@@ -74,27 +84,34 @@ def require_checksum(data: bytes | memoryview, crc32: int) -> None:
         raise ValueError("a checksum does not match its data")
 
 
-def _unpacked(compression: str, packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
+def _unpacked(
+    compression: str, packed: bytes | memoryview, size: int, memory: ReusedMemory, *, partial: bool
+) -> memoryview:
     if compression in UNCOMPRESSED:
         return memoryview(packed)
     if size == 0:
         return memoryview(b"")
     if compression == "zstd":
-        return _unpacked_zstd(packed, size, partial=partial)
+        return _unpacked_zstd(packed, size, memory, partial=partial)
     if compression == "lz4":
-        return memoryview(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
+        # The class around this function makes `packed` anew.
+        context = lz4.frame.create_decompression_context()
+        return memoryview(lz4.frame.decompress_chunk(context, packed, max_length=size)[0])
     if compression == "bz2":
         return memoryview(bz2.BZ2Decompressor().decompress(packed, max_length=size))
     raise ValueError(f"a record is compressed with '{compression[:16]}'; expected zstd, lz4 or bz2")
 
 
-def _unpacked_zstd(packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
-    if partial:
-        return memoryview(zstandard.ZstdDecompressor().stream_reader(packed).read(size))
-    # The library sets aside what the frame states, whatever bound it is given.
-    if _stated_size(packed) > size:
-        raise ValueError(f"a record unpacks to {_stated_size(packed)} bytes, yet claims {size}")
-    return memoryview(zstandard.ZstdDecompressor().decompress(packed, max_output_size=size))
+def _unpacked_zstd(packed: bytes | memoryview, size: int, memory: ReusedMemory, *, partial: bool) -> memoryview:
+    stated_size = _stated_size(packed)
+    if stated_size not in (-1, size) and not partial:
+        raise ValueError(f"a record unpacks to {stated_size} bytes, yet claims {size}")
+    unpacked = memory.of_size(size)
+    stream = zstandard.ZstdDecompressor().stream_reader(packed)
+    held = stream.readinto(unpacked)
+    if not partial and stream.read(1):
+        raise ValueError(f"a record unpacks to more than the {size} bytes that it claims")
+    return unpacked[:held]
 
 
 def _stated_size(packed: bytes | memoryview) -> int:

@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from io import SEEK_SET, BytesIO
-from typing import IO, Self
+from io import SEEK_SET, BufferedReader, BytesIO
+from typing import IO, Self, cast
 
 from multilica.ingest.remote_file import SourceFile
+from multilica.ingest.reused_memory import ReusedMemory
 
 __all__ = ["EndOfFileError", "WholeReads"]
 
@@ -28,6 +29,7 @@ class WholeReads:
     def __init__(self, stream: IO[bytes], size: int) -> None:
         self._stream = stream
         self._size = size
+        self._memory = ReusedMemory()
 
     @classmethod
     def of_file(cls, path: SourceFile) -> Self:
@@ -53,6 +55,20 @@ class WholeReads:
         if size > self.remaining:
             raise EndOfFileError
         return self._stream.read(size)
+
+    def view(self, size: int) -> memoryview:
+        """As `read`, into memory that is used again once no view of it is held.
+
+        Raises:
+            EndOfFileError: there are fewer.
+        """
+        if size > self.remaining:
+            raise EndOfFileError
+        data = self._memory.of_size(size)
+        # `IO` leaves out what every binary stream has.
+        if cast(BufferedReader, self._stream).readinto(data) != size:
+            raise EndOfFileError
+        return data
 
     def seek(self, offset: int, whence: int = SEEK_SET) -> int:
         """As of any stream."""

@@ -18,7 +18,9 @@ def test_a_read_gives_everything_or_nothing(tmp_path: Path) -> None:
         for size in (7, 2**62):
             with pytest.raises(EndOfFileError):
                 stream.read(size)
-        assert stream.read(6) == b"456789"
+        with pytest.raises(EndOfFileError):
+            stream.view(7)
+        assert stream.view(6) == b"456789"
         assert stream.remaining == 0
         assert stream.seek(8) == stream.tell() == 8
         assert stream.read(2) == b"89"
