@@ -8,31 +8,33 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import Path
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from multilica.ingest.chunked import PackedChunk
-from multilica.ingest.recording import Message, Topic, normal_type
+from multilica.ingest.recording import Message, Span, Topic, normal_type
+from multilica.ingest.reused_memory import ReusedMemory
 from multilica.ingest.unpacking import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.whole_reads import EndOfFileError
 from multilica.pointcloud2 import LIDAR_NAME_KEY
 
 __all__ = [
+    "MAGIC",
     "MESSAGE_HEAD",
     "RECORD_HEAD",
+    "KnownChannels",
     "Stream",
-    "channel_of",
+    "chunk_claims",
     "chunk_of",
     "record_length",
     "records_of",
-    "schema_of",
     "stream_of",
     "topics_of",
 ]
 
+MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode and length of what follows."""
 MESSAGE_HEAD = struct.Struct("<HIQQ")
@@ -51,6 +53,11 @@ class Stream:
     encoding: str
     lidar: str
     origin: str
+
+    @property
+    def topic_alone(self) -> Topic:
+        """The topic, no messages counted."""
+        return Topic(self.topic, self.message_type, self.encoding, 0, self.lidar)
 
     def message(self, record: memoryview, log_time_ns: int) -> Message:
         """The message in a record, its bytes untouched."""
@@ -112,19 +119,52 @@ def chunk_of(record: memoryview) -> PackedChunk:
     return PackedChunk(compression, data, size, crc32, is_whole=length == len(data))
 
 
-def channel_of(record: memoryview) -> Channel:
-    """The channel in a record."""
-    channel: Channel = Channel.read(ReadDataStream(BytesIO(record)))
-    return channel
+def chunk_claims(record: bytes) -> tuple[Span, int]:
+    """Log times of the first and the last message of a chunk, and its unpacked size, as the head of its record says.
+
+    Raises:
+        EndOfFileError: the record ends within its head.
+    """
+    if len(record) < _CHUNK_HEAD.size:
+        raise EndOfFileError
+    first_ns, last_ns, size, _, _ = _CHUNK_HEAD.unpack_from(record)
+    return (first_ns, last_ns), size
 
 
-def schema_of(record: memoryview) -> Schema:
-    """The schema in a record."""
-    schema: Schema = Schema.read(ReadDataStream(BytesIO(record)))
-    return schema
+class KnownChannels:
+    """The schemas and channels that were met so far on the way through a file.
+
+    Args:
+        where: the file, for messages.
+    """
+
+    def __init__(self, where: str) -> None:
+        self.streams: dict[int, Stream] = {}
+        self.where = where
+        self._schemas: dict[int, Schema] = {}
+        self._memory = ReusedMemory()
+
+    def messages_of(self, opcode: int, record: memoryview) -> Iterator[Message]:
+        """The messages of a record, be it one or a chunk of many; what else it holds is learned."""
+        records = records_of(chunk_of(record).unpack(self._memory)) if opcode == Opcode.CHUNK else [(opcode, record)]
+        for inner_opcode, inner in records:
+            if inner_opcode == Opcode.MESSAGE:
+                channel, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(inner)
+                yield self.streams[channel].message(inner, log_time_ns)
+            else:
+                self.learn(inner_opcode, inner)
+
+    def learn(self, opcode: int, record: memoryview) -> None:
+        """Remember a schema or a channel."""
+        if opcode == Opcode.CHANNEL:
+            channel = Channel.read(ReadDataStream(BytesIO(record)))
+            self.streams[channel.id] = stream_of(channel, self._schemas, self.where)
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(ReadDataStream(BytesIO(record)))
+            self._schemas[schema.id] = schema
 
 
-def stream_of(channel: Channel, schemas: Mapping[int, Schema], path: Path | str) -> Stream:
+def stream_of(channel: Channel, schemas: Mapping[int, Schema], where: str) -> Stream:
     """What the messages of a channel have in common."""
     schema = schemas.get(channel.schema_id)
     return Stream(
@@ -132,7 +172,7 @@ def stream_of(channel: Channel, schemas: Mapping[int, Schema], path: Path | str)
         "without schema" if schema is None else normal_type(schema.name),
         channel.message_encoding,
         channel.metadata.get(LIDAR_NAME_KEY, ""),
-        f"In {path}, a scan of '{channel.topic}'",
+        f"In {where}, a scan of '{channel.topic}'",
     )
 
 

@@ -9,28 +9,21 @@ from pathlib import Path
 
 from isal.isal_zlib import crc32 as crc32_of
 from mcap.opcode import Opcode
-from mcap.records import Schema
 
 from multilica.ingest.damage import damage_named
 from multilica.ingest.mcap_records import (
-    MESSAGE_HEAD,
+    MAGIC,
     RECORD_HEAD,
-    Stream,
-    channel_of,
-    chunk_of,
+    KnownChannels,
     record_length,
-    records_of,
-    schema_of,
-    stream_of,
 )
+from multilica.ingest.mcap_survey import survey
 from multilica.ingest.recording import Message
-from multilica.ingest.reused_memory import ReusedMemory
 from multilica.ingest.unindexed import UnindexedRecording
 from multilica.ingest.whole_reads import EndOfFileError, WholeReads
 
 __all__ = ["open_unindexed"]
 
-_MAGIC = b"\x89MCAP0\r\n"
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
 _BLOCK_BYTES = 1 << 20
 
@@ -41,12 +34,12 @@ def open_unindexed(path: Path) -> UnindexedRecording:
     Raises:
         DamagedRecordingError: not a single message can be read.
     """
-    return UnindexedRecording("MCAP without index", partial(_messages, path))
+    return UnindexedRecording("MCAP without index", partial(_messages, path), partial(survey, path))
 
 
 def _messages(path: Path) -> Iterator[Message]:
     stream = WholeReads.of_file(path)
-    known = _Known(path)
+    known = KnownChannels(str(path))
     try:
         with damage_named(str(path)):
             for opcode, record in _records(stream):
@@ -60,8 +53,8 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
 
     Of a chunk that was cut off, what is there.
     """
-    head = stream.read(len(_MAGIC))
-    if head != _MAGIC:
+    head = stream.read(len(MAGIC))
+    if head != MAGIC:
         raise ValueError("it does not begin as an MCAP file does")
     crc32 = crc32_of(head)
     opcode = 0
@@ -82,39 +75,10 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
         if opcode == Opcode.DATA_END and int.from_bytes(record, "little") not in (0, before):
             raise ValueError("a checksum does not match its data")
         yield opcode, record
-    stream.read(len(_MAGIC))
+    stream.read(len(MAGIC))
 
 
 def _skip(stream: WholeReads, length: int, crc32: int) -> int:
     for offset in range(0, length, _BLOCK_BYTES):
         crc32 = crc32_of(stream.read(min(_BLOCK_BYTES, length - offset)), crc32)
     return crc32
-
-
-class _Known:
-    """The schemas and channels that were met so far."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._memory = ReusedMemory()
-        self._schemas: dict[int, Schema] = {}
-        self._streams: dict[int, Stream] = {}
-
-    def messages_of(self, opcode: int, record: memoryview) -> Iterator[Message]:
-        """The messages of a record, be it one or a chunk of many."""
-        if opcode == Opcode.CHUNK:
-            for inner_opcode, inner in records_of(chunk_of(record).unpack(self._memory)):
-                yield from self._messages_of(inner_opcode, inner)
-        else:
-            yield from self._messages_of(opcode, record)
-
-    def _messages_of(self, opcode: int, record: memoryview) -> Iterator[Message]:
-        if opcode == Opcode.MESSAGE:
-            channel, _, log_time_ns, _ = MESSAGE_HEAD.unpack_from(record)
-            yield self._streams[channel].message(record, log_time_ns)
-        elif opcode == Opcode.CHANNEL:
-            channel_found = channel_of(record)
-            self._streams[channel_found.id] = stream_of(channel_found, self._schemas, self._path)
-        elif opcode == Opcode.SCHEMA:
-            schema = schema_of(record)
-            self._schemas[schema.id] = schema

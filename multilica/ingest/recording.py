@@ -52,6 +52,11 @@ class Message:
     origin: str
     lidar: str = ""
 
+    @property
+    def topic_alone(self) -> Topic:
+        """The topic, no messages counted."""
+        return Topic(self.topic, self.message_type, self.encoding, 0, self.lidar)
+
 
 Messages: TypeAlias = Generator[Message, None, None]
 """An iterator that lets go of its file when it is closed."""

@@ -5,17 +5,48 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sized
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import Message, Messages, Span, Topic, joint_span
 
-__all__ = ["UnindexedRecording"]
+__all__ = ["Survey", "UnindexedRecording"]
 
 _MAX_KEPT_BYTES = 128 << 20
 """Recordings up to this size are unpacked once; to know what is in one takes as long as to read it."""
 _MESSAGE_BYTES = 256
 """What a message takes beside its data."""
+
+
+@dataclass(slots=True)
+class Survey:
+    """What is in a recording.
+
+    Args:
+        counts: messages by topic, each topic with a count of zero.
+        spans: log times by name of the topic.
+        unpacked_bytes: size of the messages.
+        damage: as of `Recording`.
+    """
+
+    counts: Counter[Topic] = field(default_factory=Counter)
+    spans: dict[str, Span] = field(default_factory=dict)
+    unpacked_bytes: int = 0
+    damage: str = ""
+
+    def add(self, topic: Topic, count: int, span: Span, unpacked_bytes: int = 0) -> None:
+        """Add so many messages of a topic, whose own count is zero."""
+        self.counts[topic] += count
+        first, last = self.spans.get(topic.name, span)
+        self.spans[topic.name] = min(first, span[0]), max(last, span[1])
+        self.unpacked_bytes += unpacked_bytes
+
+    @property
+    def topics(self) -> tuple[Topic, ...]:
+        """By name."""
+        found = (replace(topic, count=count) for topic, count in self.counts.items())
+        return tuple(sorted(found, key=lambda topic: (topic.name, topic.message_type, topic.encoding, topic.lidar)))
 
 
 class UnindexedRecording:
@@ -24,6 +55,7 @@ class UnindexedRecording:
     Args:
         title: as `Recording.format`.
         scan: every message in the order of writing; raises DamagedRecordingError where it cannot go on.
+        survey: what can be told without that; None where nothing can.
 
     Raises:
         DamagedRecordingError: not a single message can be read.
@@ -31,18 +63,21 @@ class UnindexedRecording:
 
     is_indexed = False
 
-    def __init__(self, title: str, scan: Callable[[], Iterator[Message]]) -> None:
+    def __init__(
+        self, title: str, scan: Callable[[], Iterator[Message]], survey: Callable[[], Survey | None] = lambda: None
+    ) -> None:
         self.format = title
-        self.damage = ""
         self._scan = scan
-        self._spans: dict[str, Span] = {}
-        self._kept: list[Message] | None = []
+        self._kept: list[Message] | None = None
         self._error: DamagedRecordingError | None = None
-        self.topics = self._survey()
+        told = survey()
+        self._survey = self._read() if told is None or told.unpacked_bytes <= _MAX_KEPT_BYTES else told
+        self.topics = self._survey.topics
+        self.damage = self._survey.damage
 
     def span_ns(self, topics: Collection[str]) -> Span | None:
         """Known since the file was opened."""
-        return joint_span(self._spans, topics)
+        return joint_span(self._survey.spans, topics)
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """In the order of writing."""
@@ -62,9 +97,10 @@ class UnindexedRecording:
         if self._error is not None:
             raise self._error
 
-    def _survey(self) -> tuple[Topic, ...]:
-        counts: Counter[tuple[str, str, str, str]] = Counter()
-        kept_bytes, chunk = 0, None
+    def _read(self) -> Survey:
+        found, kept_bytes = Survey(), 0
+        chunk: Sized | None = None
+        self._kept = []
         try:
             for message in self._scan():
                 # A message keeps all of the chunk that it lies in.
@@ -74,14 +110,12 @@ class UnindexedRecording:
                     self._kept = None
                 if self._kept is not None:
                     self._kept.append(message)
-                counts[message.topic, message.message_type, message.encoding, message.lidar] += 1
-                first, last = self._spans.get(message.topic, (message.log_time_ns, message.log_time_ns))
-                self._spans[message.topic] = min(first, message.log_time_ns), max(last, message.log_time_ns)
+                found.add(message.topic_alone, 1, (message.log_time_ns, message.log_time_ns))
         except DamagedRecordingError as error:
-            if not counts:
+            if not found.counts:
                 raise
-            self.damage, self._error = error.reason, error
-        return tuple(Topic(*key[:3], total, key[3]) for key, total in sorted(counts.items()))
+            found.damage, self._error = error.reason, error
+        return found
 
 
 def _chunk_of(message: Message) -> Sized:
