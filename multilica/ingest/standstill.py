@@ -34,7 +34,7 @@ class Standstill:
 
 
 def find_standstill(recording: Recording, span: Span) -> Standstill | None:
-    """The longest stretch of at least a second in which every sample stands still; None if there is none.
+    """The longest stretch of at least a second in which every sample stands still, or all there is; None if there is none.
 
     Only samples are read, a few hundred whatever the length of the recording: what moves between two of them is left
     to the check of the frames themselves.
@@ -45,6 +45,9 @@ def find_standstill(recording: Recording, span: Span) -> Standstill | None:
             name, samples = found
             runs = [[time_ns for time_ns, _ in run] for still, run in groupby(samples, key=lambda s: s[1]) if still]
             longest = max(runs, key=lambda run: run[-1] - run[0], default=[0])
+            if samples and all(still for _, still in samples):
+                # What is too short to tell more about it is taken whole.
+                return Standstill(*span, name)
             if longest[-1] - longest[0] < _MIN_NS:
                 return None
             return Standstill(longest[0], longest[-1], name)

@@ -15,6 +15,7 @@ from multilica.geometry import RigidTransform
 from multilica.ingest.choice import choose_topics, packet_notes
 from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.opening import open_source
+from multilica.ingest.packets import OUSTER_TURN
 from multilica.ingest.reading import DEFAULT_CONFIG, assemble_snapshot
 from multilica.ingest.recording import Recording, Topic
 from multilica.ingest.requirement import require_calibratable
@@ -154,7 +155,7 @@ def _cloud_summary(recording: Recording, topic: Topic, window: Window, snapshot:
         lidar=lidar,
         frames=topic.count,
         frames_taken=len(frames) if lidar else 0,
-        rate_hz=_rate_hz(topic.count, first_ns, last_ns),
+        rate_hz=_rate_hz(topic, first_ns, last_ns),
         points_min=min(counts),
         points_median=int(np.median(counts)),
         points_max=max(counts),
@@ -171,10 +172,12 @@ def _ranges_m(frames: Sequence[Cloud]) -> tuple[float | None, float | None]:
     return (float(np.median(joined_m)), float(joined_m.max())) if joined_m.size else (None, None)
 
 
-def _rate_hz(count: int, first_ns: int | None, last_ns: int | None) -> float | None:
-    if count < 2 or first_ns is None or last_ns is None or last_ns <= first_ns:
+def _rate_hz(topic: Topic, first_ns: int | None, last_ns: int | None) -> float | None:
+    if topic.count < 2 or first_ns is None or last_ns is None or last_ns <= first_ns:
         return None
-    return (count - 1) * _NS_PER_S / (last_ns - first_ns)
+    # Between the first and the last packet lie all turns; between the first and the last scan, one less.
+    periods = topic.count if topic.encoding == OUSTER_TURN else topic.count - 1
+    return periods * _NS_PER_S / (last_ns - first_ns)
 
 
 def _other_summary(topic: Topic) -> OtherTopicSummary:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType
 
@@ -50,6 +51,21 @@ def needed_bytes(path: Path) -> int:
     largest = max(index.chunk_length for index in summary.chunk_indexes) + 2 * BLOCK_BYTES
     # The first and the last chunk tell when the recording begins and ends.
     return (len(chunks) + 2 + 3) * largest + 2 * (CHUNK_BYTES + BLOCK_BYTES)
+
+
+def assert_a_window_costs_its_chunks(kind: type, url: str, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`kind`: the class of an open file, in whose `_fetch_range` the bytes arrive."""
+    fetched: list[int] = []
+    fetch = kind._fetch_range
+
+    def counted(self: object, start: int, end: int) -> bytes:
+        data = fetch(self, start, end)
+        fetched.append(len(data))
+        return data
+
+    monkeypatch.setattr(kind, "_fetch_range", counted)
+    assert_equal_to_the_file(url, path, WINDOW)
+    assert 0 < sum(fetched) <= needed_bytes(path)
 
 
 def assert_equal_to_the_file(url: str, path: Path, config: IngestConfig) -> None:

@@ -13,7 +13,7 @@ import pytest
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.ingest import read_snapshot
 from tests.ingest.processes import served
-from tests.ingest.served_files import BUCKET, WINDOW, assert_equal_to_the_file, needed_bytes, write_files
+from tests.ingest.served_files import BUCKET, assert_a_window_costs_its_chunks, write_files
 
 
 @pytest.fixture(scope="module")
@@ -45,18 +45,7 @@ def gs(gcs_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
 def test_a_window_of_a_gcs_object_costs_its_chunks(gs: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from gcsfs.core import GCSFile
 
-    fetched: list[int] = []
-    fetch = GCSFile._fetch_range
-
-    def counted(self: GCSFile, start: int, end: int) -> bytes:
-        data = fetch(self, start, end)
-        fetched.append(len(data))
-        return data
-
-    monkeypatch.setattr(GCSFile, "_fetch_range", counted)
-    path = folder / "long.mcap"
-    assert_equal_to_the_file(gs, path, WINDOW)
-    assert 0 < sum(fetched) <= needed_bytes(path)
+    assert_a_window_costs_its_chunks(GCSFile, gs, folder / "long.mcap", monkeypatch)
 
 
 def test_what_gcs_does_not_have_is_told(gs: str) -> None:

@@ -33,6 +33,8 @@ def test_turns_have_the_points_of_the_library(tmp_path: Path, profile: str, enco
     info = sensor(profile)
     frames = [frame_of(info, number) for number in range(3)]
     write_raw_mcap(ouster_messages(info, frames, encoding), tmp_path / "a.mcap", encoding)
+    (cloud,) = inspect_source(tmp_path / "a.mcap").clouds
+    assert cloud.rate_hz == pytest.approx(10.0, rel=0.02)
     (lidar,) = read_snapshot(tmp_path / "a.mcap").lidars
     assert (lidar.name, lidar.topic, len(lidar.scans)) == ("os_lidar", "/ouster/lidar_packets", 3)
     for number, (scan, frame) in enumerate(zip(lidar.scans, frames, strict=True)):

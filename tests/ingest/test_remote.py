@@ -23,7 +23,14 @@ from multilica.errors import (
 from multilica.ingest import find_snapshots, inspect_source, read_snapshot, remote_file
 from multilica.ingest.remote_file import RemoteFile
 from tests.ingest.processes import served
-from tests.ingest.served_files import BUCKET, WINDOW, assert_equal_to_the_file, needed_bytes, write_files
+from tests.ingest.served_files import (
+    BUCKET,
+    WINDOW,
+    assert_a_window_costs_its_chunks,
+    assert_equal_to_the_file,
+    needed_bytes,
+    write_files,
+)
 
 
 @pytest.fixture(scope="module")
@@ -80,18 +87,7 @@ def test_a_window_of_a_web_file_costs_its_chunks(web: str, folder: Path) -> None
 def test_a_window_of_an_s3_object_costs_its_chunks(s3: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from s3fs.core import S3File
 
-    fetched: list[int] = []
-    fetch = S3File._fetch_range
-
-    def counted(self: S3File, start: int, end: int) -> bytes:
-        data = fetch(self, start, end)
-        fetched.append(len(data))
-        return data
-
-    monkeypatch.setattr(S3File, "_fetch_range", counted)
-    path = folder / "long.mcap"
-    assert_equal_to_the_file(s3, path, WINDOW)
-    assert 0 < sum(fetched) <= needed_bytes(path)
+    assert_a_window_costs_its_chunks(S3File, s3, folder / "long.mcap", monkeypatch)
 
 
 def test_inspect_reads_it_too(s3: str) -> None:

@@ -163,6 +163,19 @@ def test_a_vehicle_that_always_stands_gives_the_whole_recording(tmp_path: Path) 
         read_snapshot(tmp_path / "short.mcap", config=IngestConfig(window="auto"))
 
 
+def test_a_recording_of_less_than_a_second_is_taken_whole(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = [*clouds(store, store.serialize_cdr, real=True), *odometry(store, store.serialize_cdr)]
+    first_ns = stamp_ns(STILL_S[1][0])
+    for name, kept in (("odometry", messages), ("clouds", [raw for raw in messages if raw[0] != "/odom"])):
+        short = sorted((raw for raw in kept if first_ns <= raw[2] < first_ns + 700_000_000), key=lambda raw: raw[2])
+        write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=short)
+        snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=3))
+        (note,) = snapshot.notes
+        assert note.startswith(f"The vehicle stands still from 0.0 to 0.6 s by {'the ' * (name == 'clouds')}{name}")
+        assert len(snapshot["roof"].scans) == 3
+
+
 def test_odd_messages_are_no_witnesses(tmp_path: Path) -> None:
     store = ros2_types()
     messages = [*clouds(store, store.serialize_cdr, real=False), *odometry(store, store.serialize_cdr)]
