@@ -34,7 +34,7 @@ class Standstill:
 
 
 def find_standstill(recording: Recording, span: Span) -> Standstill | None:
-    """The longest stretch of at least a second in which every sample stands still, or all there is; None if there is none.
+    """The longest stretch of at least a second, or all there is, in which every sample stands still; None without one.
 
     Only samples are read, a few hundred whatever the length of the recording: what moves between two of them is left
     to the check of the frames themselves.
