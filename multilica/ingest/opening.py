@@ -45,7 +45,8 @@ def open_source(source: Source) -> Recording:
     if source.recorders:
         return _open_recorders(source.recorders)
     files = source.recordings
-    return with_turns(_open_file(files[0]) if len(files) == 1 else _open_parts(files))
+    is_whole_file = len(files) == 1 and not source.missing
+    return with_turns(_open_file(files[0]) if is_whole_file else _open_parts(files, source.missing))
 
 
 def _open_file(file: SourceFile) -> Recording:
@@ -75,7 +76,7 @@ def _open_recorders(sources: tuple[Source, ...]) -> Recording:
     return joined
 
 
-def _open_parts(files: tuple[SourceFile, ...]) -> Recording:
+def _open_parts(files: tuple[SourceFile, ...], missing: tuple[str, ...]) -> Recording:
     parts: list[Recording] = []
     errors: list[UnreadableSourceError] = []
     for file in files:
@@ -85,4 +86,7 @@ def _open_parts(files: tuple[SourceFile, ...]) -> Recording:
             errors.append(error)
     if not parts:
         raise errors[0]
-    return SplitRecording(parts, damage=str(errors[0]).rstrip(".") if errors else "")
+    damage = str(errors[0]).rstrip(".") if errors else ""
+    if missing:
+        damage = f"the bag lacks {missing[0]}, which its metadata.yaml names"
+    return SplitRecording(parts, damage)

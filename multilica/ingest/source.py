@@ -11,6 +11,7 @@ from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
 from multilica.ingest.address import require_readable, scheme_of
+from multilica.ingest.bag_folder import are_one_bag, missing_parts
 from multilica.ingest.cloud_files import FrameFiles
 from multilica.ingest.detect import CLOUD_SUFFIXES, PACKED, PACKED_SUFFIXES, RECORDING_SUFFIXES, detect_format
 from multilica.ingest.remote_file import RemoteFile, SourceFile
@@ -31,12 +32,14 @@ class Source:
         recordings: the files of one bag, oldest first.
         frames: the point files of each LiDAR.
         recorders: bags that were recorded at the same time, with different LiDARs each.
+        missing: files that belong to the bag and are not there.
     """
 
     label: str
     recordings: tuple[SourceFile, ...] = ()
     frames: tuple[FrameFiles, ...] = ()
     recorders: tuple[Source, ...] = ()
+    missing: tuple[str, ...] = ()
 
     @property
     def files(self) -> tuple[SourceFile, ...]:
@@ -131,12 +134,12 @@ def _folder(folder: Path) -> Source:
             f"{folder} holds no point clouds; expected point files, folders of them, or a bag, "
             f"found {_names(entries) or 'nothing'}."
         )
-    if len(recordings) > 1 and not _are_one_bag(folder, recordings):
+    if len(recordings) > 1 and not are_one_bag(folder, recordings):
         raise UsageError(
             f"{folder} holds {len(recordings)} recordings ({_names(recordings)}); give one of them by its name, "
             "or several of them if each holds another LiDAR."
         )
-    return Source(str(folder), tuple(recordings), tuple(frames))
+    return Source(str(folder), tuple(recordings), tuple(frames), missing=missing_parts(folder, recordings))
 
 
 def _frames(entries: list[Path]) -> list[FrameFiles]:
@@ -153,14 +156,6 @@ def _frames(entries: list[Path]) -> list[FrameFiles]:
 
 def _is_cloud_file(path: Path) -> bool:
     return path.suffix.lower() in CLOUD_SUFFIXES and not path.name.startswith(".") and path.is_file()
-
-
-def _are_one_bag(folder: Path, recordings: list[Path]) -> bool:
-    if any(path.suffix.lower() == ".bag" for path in recordings):
-        return False
-    # `ros2 bag record` names the parts of a split bag NAME_0, NAME_1, ...; if it dies, there is no metadata.yaml.
-    stems = {re.sub(r"_\d+$", "", path.stem) for path in recordings}
-    return (folder / "metadata.yaml").is_file() or len(stems) == 1
 
 
 def _natural(path: Path) -> tuple[list[int | str], str]:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Sequence
 
+from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import Messages, Recording, Span, Topic
 
 __all__ = ["SplitRecording"]
@@ -20,7 +21,8 @@ class SplitRecording:
     """
 
     def __init__(self, parts: Sequence[Recording], damage: str = "") -> None:
-        self.format = f"{parts[0].format}, {len(parts)} files"
+        files = "1 file" if len(parts) == 1 else f"{len(parts)} files"
+        self.format = f"{parts[0].format}, {files}"
         self.damage = damage or next((part.damage for part in parts if part.damage), "")
         self.is_indexed = all(part.is_indexed for part in parts)
         self.topics = _joint_topics(parts)
@@ -32,9 +34,14 @@ class SplitRecording:
         return (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """Part after part."""
+        """Part after part; what lies behind the damage in one is lost, not what the next ones hold."""
         for part in self._parts:
-            yield from part.messages(topics, start_ns)
+            try:
+                yield from part.messages(topics, start_ns)
+            except DamagedRecordingError as error:
+                self.damage = self.damage or error.reason
+                if part is self._parts[-1]:
+                    raise
 
     def close(self) -> None:
         """Close every part."""

@@ -19,7 +19,12 @@ from multilica.config import IngestConfig
 from multilica.errors import MultilicaError, UnreadableSourceError
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.snapshot import Snapshot
-from tests.ingest.recording_writers import make_snapshot, write_mcap, write_ros1_bag, write_ros2_bag
+from tests.ingest.recording_writers import (
+    make_snapshot,
+    write_mcap,
+    write_ros1_bag,
+    write_ros2_bag,
+)
 
 FRAMES = 6
 
@@ -149,16 +154,6 @@ def test_nothing_to_recover_is_an_error(recording: Path) -> None:
     recording.write_bytes(recording.read_bytes()[:100])
     with pytest.raises(UnreadableSourceError, match=r"is damaged: .*\.$"):
         read_snapshot(recording)
-
-
-def test_a_damaged_part_of_a_split_bag(tmp_path: Path) -> None:
-    whole = make_snapshot(frames=4)
-    (tmp_path / "bag").mkdir()
-    write_mcap(whole, tmp_path / "bag" / "log_0.mcap")
-    (tmp_path / "bag" / "log_1.mcap").write_bytes(b"\x89MCAP0\r\n" + b"\0" * 20)
-    snapshot = read_snapshot(tmp_path / "bag")
-    assert [len(lidar.scans) for lidar in snapshot.lidars] == [4, 4]
-    assert any("log_1.mcap is damaged" in note for note in snapshot.notes)
 
 
 def test_a_bag_packed_as_a_whole_and_cut_off(tmp_path: Path) -> None:
