@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 __all__ = ["ingest_options", "resolve_config", "topic_names"]
 
+_LONGEST_LOG_S = 1e8
+"""Three years; more seconds are those since the epoch."""
+
 
 def resolve_config(
     preset_name: str | None,
@@ -75,9 +78,10 @@ def ingest_options(
 
 def _seconds(start: str | None) -> float | None:
     try:
-        return None if start is None else float(start)
+        seconds = None if start is None else float(start)
     except ValueError:
         return None
+    return None if seconds is None or seconds >= _LONGEST_LOG_S else seconds
 
 
 def topic_names(texts: Sequence[str]) -> dict[str, str] | None:

@@ -52,7 +52,9 @@ Frames = Annotated[int | None, typer.Option("--frames", metavar="N", help="Frame
 Start = Annotated[
     str | None,
     typer.Option(
-        "--start", metavar="S|TIME", help="Begin so many seconds after the first frame, or at an ISO 8601 time."
+        "--start",
+        metavar="S|TIME",
+        help="Begin so many seconds after the first frame, or at a time: ISO 8601 or seconds since the epoch.",
     ),
 ]
 Window = Annotated[

@@ -51,9 +51,9 @@ def find_time_range(recording: Recording, config: IngestConfig, label: str) -> T
         return TimeRange(notes=(f"Point files have no time: ingest.{_asked(config)} has no effect.",))
     start_ns = _start_ns(span, config, label)
     if config.window == "auto":
-        return _still_range(recording, config, (start_ns, span[1]), label)
+        return _still_range(recording, config, start_ns, span, label)
     if config.window_s:
-        return TimeRange(start_ns, start_ns + round(config.window_s * _NS_PER_S))
+        return _spread(config, start_ns, span[1])
     return TimeRange(start_ns)
 
 
@@ -96,8 +96,17 @@ def _start_ns(span: Span, config: IngestConfig, label: str) -> int:
     return span[0] + round(config.start_s * _NS_PER_S)
 
 
-def _still_range(recording: Recording, config: IngestConfig, span: Span, label: str) -> TimeRange:
-    found = find_standstill(recording, span)
+def _spread(config: IngestConfig, start_ns: int, last_ns: int) -> TimeRange:
+    wanted_ns = start_ns + round(config.window_s * _NS_PER_S)
+    if wanted_ns <= last_ns:
+        return TimeRange(start_ns, wanted_ns)
+    left_s = (last_ns - start_ns) / _NS_PER_S
+    note = f"The recording ends {left_s:.1f} s after the window begins; frames are spread over that."
+    return TimeRange(start_ns, last_ns + 1, (note,))
+
+
+def _still_range(recording: Recording, config: IngestConfig, start_ns: int, span: Span, label: str) -> TimeRange:
+    found = find_standstill(recording, (start_ns, span[1]))
     if found is None:
         raise UnfitSnapshotError(
             f"In {label} the vehicle never stands still, by what its odometry, IMU or clouds show; "

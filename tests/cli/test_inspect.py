@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from multilica.ingest import read_snapshot
 from multilica_cli.failures import ExitCode
 from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence, write_pcd
@@ -45,3 +46,13 @@ def test_what_calibrate_would_refuse_is_shown_then_told(invoke: Invoke, tmp_path
     assert_one_sentence(outcome, ExitCode.INPUT)
     assert "at least two" in outcome.err
     assert "front.pcd" in outcome.out
+
+
+def test_a_time_may_be_seconds_since_the_epoch(invoke: Invoke) -> None:
+    begin_ns = min(scan.stamp_ns for lidar in read_snapshot(find_sample().recording).lidars for scan in lidar.scans)
+    outcome = invoke("inspect", find_sample().recording, "--start", f"{begin_ns / 1e9 + 0.05:.3f}", "--json")
+    taken = {cloud["frames_taken"] for cloud in json.loads(outcome.out)["clouds"]}
+    assert taken == {1}
+    beyond = invoke("inspect", find_sample().recording, "--start", f"{begin_ns / 1e9 + 1000.0:.0f}")
+    assert_one_sentence(beyond, ExitCode.INPUT)
+    assert "has no point cloud at" in beyond.err

@@ -105,7 +105,10 @@ def test_frames_are_spread_over_a_window(tmp_path: Path, name: str, scale: int) 
         expected = [START_NS + scale * (frame * PERIOD_NS + 1000 * index) for frame in (4, 7, 10, 13)]
         assert [scan.stamp_ns for scan in lidar.scans] == expected
     shortened = read_snapshot(tmp_path / name, config=config.model_copy(update={"start_s": 1.75 * scale}))
-    assert [len(lidar.scans) for lidar in shortened.lidars] == [1, 1]
+    assert [len(lidar.scans) for lidar in shortened.lidars] == [2, 2]
+    (note,) = shortened.notes
+    assert note.startswith("The recording ends ")
+    assert note.endswith(" s after the window begins; frames are spread over that.")
 
 
 def slowed(scan: Scan, scale: int) -> Scan:
