@@ -21,6 +21,7 @@ __all__ = ["PathLike", "Source", "find_source", "locate"]
 PathLike = str | SourceFile
 
 _LISTED = 5
+_NUSCENES = ".pcd.bin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +98,7 @@ def _file(path: SourceFile) -> Source:
         raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
     if detect_format(path) in (*RECORDING_SUFFIXES.values(), PACKED):
         return Source(str(path), recordings=(path,))
-    return Source(str(path), frames=(FrameFiles(path.name, path.stem, (path,)),))
+    return Source(str(path), frames=(FrameFiles(path.name, _stem(path), (path,)),))
 
 
 def _several(paths: list[SourceFile]) -> Source:
@@ -108,13 +109,13 @@ def _several(paths: list[SourceFile]) -> Source:
     sources = [_look_at(path) for path in paths]
     if all(source.recordings for source in sources):
         return Source(label, recorders=tuple(sources))
-    names, stems = Counter(path.name for path in paths), Counter(path.stem for path in paths)
+    names, stems = Counter(path.name for path in paths), Counter(map(_stem, paths))
     lidars: list[FrameFiles] = []
     for path, source in zip(paths, sources, strict=True):
         if source.recordings:
             raise UsageError(f"{path} is a recording among point files; give recordings alone, or point files alone.")
         topic = path.name if names[path.name] == 1 else str(path)
-        lidar = path.stem if stems[path.stem] == 1 else f"{path.parent.name}_{path.stem}"
+        lidar = _stem(path) if stems[_stem(path)] == 1 else f"{path.parent.name}_{_stem(path)}"
         lidars.append(FrameFiles(topic, path.name if path.is_dir() else lidar, source.files))
     return Source(label, frames=tuple(lidars))
 
@@ -144,14 +145,19 @@ def _folder(folder: Path) -> Source:
 
 def _frames(entries: list[Path]) -> list[FrameFiles]:
     clouds = [entry for entry in entries if _is_cloud_file(entry)]
-    stems = Counter(path.stem for path in clouds)
-    single = [FrameFiles(path.name, path.stem if stems[path.stem] == 1 else path.name, (path,)) for path in clouds]
+    stems = Counter(map(_stem, clouds))
+    single = [FrameFiles(path.name, _stem(path) if stems[_stem(path)] == 1 else path.name, (path,)) for path in clouds]
     folders = [
         FrameFiles(entry.name, entry.name, files)
         for entry in entries
         if entry.is_dir() and (files := tuple(sorted(filter(_is_cloud_file, entry.iterdir()), key=_natural)))
     ]
     return single + folders
+
+
+def _stem(path: SourceFile) -> str:
+    """The name without what tells the format, of which nuScenes has two parts."""
+    return path.name.removesuffix(_NUSCENES) if path.name.endswith(_NUSCENES) else path.stem
 
 
 def _is_cloud_file(path: Path) -> bool:

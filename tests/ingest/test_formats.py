@@ -17,6 +17,7 @@ from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
 from multilica.sinks.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Snapshot
+from tests.ingest.format_writers import POINT_WRITERS
 from tests.ingest.recording_writers import (
     assert_same_points,
     assert_same_times,
@@ -132,3 +133,10 @@ def test_snapshot_file_keeps_names_frames_and_transforms(tmp_path: Path) -> None
     assert_same_points(found, snapshot)
     assert_same_times(found, snapshot)
     np.testing.assert_allclose(found.static_transforms[0].matrix, pose.matrix, atol=1e-12)
+
+
+def test_files_of_nuscenes_have_a_suffix_of_two_parts(tmp_path: Path) -> None:
+    scan = make_snapshot(lidars=1, frames=1).lidars[0].scans[0]
+    for name in ("rear", "top"):
+        POINT_WRITERS["a.pcd.bin"](scan, tmp_path / f"{name}.pcd.bin")
+    assert read_snapshot(tmp_path).names == read_snapshot(sorted(tmp_path.iterdir())).names == ("rear", "top")
