@@ -7,7 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from multilica.ingest.detect import PACKED_SUFFIXES
+from multilica.ingest.detect import PACKED_SUFFIXES, named_format
 
 __all__ = ["are_one_bag", "missing_parts"]
 
@@ -17,7 +17,7 @@ _PART = re.compile(r"\s*-\s+[\"']?(.+?)[\"']?\s*")
 
 def are_one_bag(folder: Path, recordings: Sequence[Path]) -> bool:
     """Whether files of a folder are parts of one bag, rather than recordings of their own."""
-    if any(path.suffix.lower() == ".bag" for path in recordings):
+    if any(named_format(path) == "ros1" for path in recordings):
         return False
     # The parts of a split bag are NAME_0.db3, NAME_1.db3, ...; if the recorder dies, there is no metadata.yaml, and of
     # parts that it compresses, NAME_0.db3.zstd, the last is not compressed yet.

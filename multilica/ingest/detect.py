@@ -23,6 +23,9 @@ RECORDING_SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3", ".bag": "ros1"}
 CLOUD_SUFFIXES = {".pcd": "pcd", ".ply": "ply", ".las": "las", ".laz": "las", ".bin": "kitti", ".npy": "npy"}
 FILE_SUFFIXES = RECORDING_SUFFIXES | CLOUD_SUFFIXES
 
+_DOUBLE_SUFFIXES = ((".pcd.bin", "nuscenes"), (".bag.active", "ros1"))
+"""A file of nuScenes, which holds no PCD; what a recorder of ROS 1 leaves that was killed."""
+
 PACKED = "zstd"
 """The format of a recording that is compressed as a whole."""
 PACKED_SUFFIXES = (".zst", ".zstd")
@@ -61,8 +64,9 @@ _FOREIGN = (
 
 def named_format(path: SourceFile) -> str | None:
     """The format that a file's name promises; None if it promises none."""
-    # nuScenes names its files so, which hold no PCD.
-    return "nuscenes" if path.name.lower().endswith(".pcd.bin") else FILE_SUFFIXES.get(path.suffix.lower())
+    name = path.name.lower()
+    of_two_parts = (found for ends, found in _DOUBLE_SUFFIXES if name.endswith(ends))
+    return next(of_two_parts, FILE_SUFFIXES.get(path.suffix.lower()))
 
 
 def detect_format(path: SourceFile) -> str:

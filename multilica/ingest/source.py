@@ -13,7 +13,14 @@ from multilica.errors import SourceNotFoundError, UnfitSnapshotError, Unreadable
 from multilica.ingest.address import require_readable, scheme_of
 from multilica.ingest.bag_folder import are_one_bag, missing_parts
 from multilica.ingest.cloud_files import FrameFiles
-from multilica.ingest.detect import CLOUD_SUFFIXES, PACKED, PACKED_SUFFIXES, RECORDING_SUFFIXES, detect_format
+from multilica.ingest.detect import (
+    CLOUD_SUFFIXES,
+    PACKED,
+    PACKED_SUFFIXES,
+    RECORDING_SUFFIXES,
+    detect_format,
+    named_format,
+)
 from multilica.ingest.remote_file import RemoteFile, SourceFile
 
 __all__ = ["PathLike", "Source", "find_source", "locate"]
@@ -123,7 +130,7 @@ def _several(paths: list[SourceFile]) -> Source:
 def _folder(folder: Path) -> Source:
     entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
     files = [entry for entry in entries if entry.is_file()]
-    recordings = [path for path in files if path.suffix.lower() in (*RECORDING_SUFFIXES, *PACKED_SUFFIXES)]
+    recordings = [path for path in files if _is_recording(path)]
     frames = _frames(entries)
     if recordings and frames:
         raise UsageError(
@@ -158,6 +165,10 @@ def _frames(entries: list[Path]) -> list[FrameFiles]:
 def _stem(path: SourceFile) -> str:
     """The name without what tells the format, of which nuScenes has two parts."""
     return path.name.removesuffix(_NUSCENES) if path.name.endswith(_NUSCENES) else path.stem
+
+
+def _is_recording(path: Path) -> bool:
+    return named_format(path) in RECORDING_SUFFIXES.values() or path.suffix.lower() in PACKED_SUFFIXES
 
 
 def _is_cloud_file(path: Path) -> bool:

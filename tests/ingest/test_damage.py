@@ -150,6 +150,19 @@ def test_a_flipped_bit_is_found_by_its_checksum(tmp_path: Path) -> None:
     assert "of 4 scans, then a checksum does not match its data" in note
 
 
+def test_what_a_killed_recorder_of_ros1_leaves(tmp_path: Path) -> None:
+    whole = make_snapshot(frames=FRAMES)
+    write_ros1_bag(whole, tmp_path / "drive.bag")
+    content = (tmp_path / "drive.bag").read_bytes()
+    (tmp_path / "drive.bag").unlink()
+    left = tmp_path / "drive.bag.active"
+    left.write_bytes(content[: len(content) * 3 // 4])
+    for source in (left, tmp_path):
+        found = read_snapshot(source)
+        assert_prefix(found, whole)
+        assert all("scans, then the file ends too early" in note for note in found.notes)
+
+
 def test_nothing_to_recover_is_an_error(recording: Path) -> None:
     recording.write_bytes(recording.read_bytes()[:100])
     with pytest.raises(UnreadableSourceError, match=r"is damaged: .*\.$"):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from multilica.ingest import unindexed
 from tests.ingest.mutations import SEEDS, mutated, read_or_refuse, write_seed
 
 MUTATIONS = 200
@@ -37,6 +38,18 @@ def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.C
         read += read_or_refuse(path, inspect=seed % 8 == 0) is not None
     assert read < SLOW.get(name, MUTATIONS)
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("name", ["zstd.mcap", "plain.mcap", "unchunked.mcap"])
+def test_damaged_files_too_large_to_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", 0)
+    path = write_seed(name, tmp_path)
+    content = path.read_bytes()
+    read = 0
+    for seed in range(MUTATIONS):
+        path.write_bytes(mutated(content, np.random.default_rng(seed)))
+        read += read_or_refuse(path) is not None
+    assert 0 < read < MUTATIONS
 
 
 @pytest.mark.parametrize(("name", "seed"), ONCE_FAILED)
