@@ -9,10 +9,9 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from itertools import count
 
-from multilica.ingest.damage import damage_named
+from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.recording import Message, Messages, Span, Topic
 from multilica.ingest.reused_memory import ReusedMemory
 from multilica.ingest.unpacking import UNCOMPRESSED, require_checksum, unpack
@@ -27,6 +26,7 @@ _MOST_PACKED = 0.9
 _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time are held back together up to this size; beyond, order gives way."""
 _END_OF_TIME = 2**64
+_NOTHING = memoryview(b"")
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,37 +117,30 @@ class ChunkedRecording:
         if first is None:
             return None
         last_ns = first.log_time_ns
-        with damage_named(self._where):
-            for chunk in sorted(self._chunks_with(topics, 0), key=lambda chunk: -chunk.end_ns):
-                if chunk.end_ns <= last_ns:
-                    break
-                for message in self._split(self._read_chunk(self._stream, chunk).unpack(self._memory), topics):
-                    last_ns = max(last_ns, message.log_time_ns)
+        for chunk in sorted(self._chunks_with(topics, 0), key=lambda chunk: -chunk.end_ns):
+            if chunk.end_ns <= last_ns:
+                break
+            for message in self._messages_of(self._begun(chunk)(), topics):
+                last_ns = max(last_ns, message.log_time_ns)
         return first.log_time_ns, last_ns
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """In the order of log times."""
+        """In the order of log times; in place of those in a chunk that is damaged, one with a fault on each topic."""
         chunks = self._chunks_with(topics, start_ns)
         starts = [*(chunk.start_ns for chunk in chunks[1:]), _END_OF_TIME]
         waiting: list[tuple[int, int, Message]] = []
         waiting_bytes = 0
         number = count()
-        with damage_named(self._where), closing(self._unpacked(chunks)) as unpacked:
-            try:
-                for records, next_start_ns in zip(unpacked, starts, strict=False):
-                    waiting_bytes += len(records)
-                    for message in self._split(records, topics):
-                        if message.log_time_ns >= start_ns:
-                            heapq.heappush(waiting, (message.log_time_ns, next(number), message))
-                    crowded = waiting_bytes > _MAX_WAITING_BYTES
-                    while waiting and (crowded or waiting[0][0] <= next_start_ns):
-                        yield heapq.heappop(waiting)[2]
-                    waiting_bytes *= bool(waiting)
-            except Exception:
-                # What came before the damage is good.
-                while waiting:
+        with closing(self._unpacked(chunks)) as unpacked:
+            for part, next_start_ns in zip(unpacked, starts, strict=False):
+                waiting_bytes += len(part.records)
+                for message in self._messages_of(part, topics):
+                    if message.log_time_ns >= start_ns:
+                        heapq.heappush(waiting, (message.log_time_ns, next(number), message))
+                crowded = waiting_bytes > _MAX_WAITING_BYTES
+                while waiting and (crowded or waiting[0][0] <= next_start_ns):
                     yield heapq.heappop(waiting)[2]
-                raise
+                waiting_bytes *= bool(waiting)
 
     def close(self) -> None:
         """Close the file."""
@@ -161,15 +154,82 @@ class ChunkedRecording:
             if chunk.end_ns >= start_ns and (chunk.topics is None or chunk.topics & wanted)
         ]
 
-    def _unpacked(self, chunks: Sequence[ChunkPlace]) -> Generator[memoryview, None, None]:
+    def _unpacked(self, chunks: Sequence[ChunkPlace]) -> Generator[_Part, None, None]:
         """The records of each chunk; a compressed one is unpacked by another thread while the one before is used."""
-        ahead: deque[Callable[[], memoryview]] = deque()
+        ahead: deque[Callable[[], _Part]] = deque()
         with ThreadPoolExecutor(max_workers=1) as aside:
             for chunk in chunks:
-                packed = self._read_chunk(self._stream, chunk)
-                unpack = partial(packed.unpack, self._memory)
-                ahead.append(aside.submit(unpack).result if packed.is_worth_a_thread else unpack)
-                while len(ahead) > (_AHEAD if packed.is_worth_a_thread else 0):
+                unpack = self._begun(chunk)
+                if unpack.is_worth_a_thread:
+                    ahead.append(aside.submit(unpack).result)
+                else:
+                    ahead.append(unpack)
+                while len(ahead) > (_AHEAD if unpack.is_worth_a_thread else 0):
                     yield ahead.popleft()()
             while ahead:
                 yield ahead.popleft()()
+
+    def _begun(self, chunk: ChunkPlace) -> _Unpacking:
+        try:
+            with damage_named(self._where):
+                return _Unpacking(chunk, self._where, self._memory, self._read_chunk(self._stream, chunk))
+        except DamagedRecordingError as error:
+            return _Unpacking(chunk, self._where, self._memory, None, error.reason)
+
+    def _messages_of(self, part: _Part, topics: Collection[str]) -> Iterator[Message]:
+        """Those of a chunk that can be read, then one with a fault on each topic that may have lost some."""
+        fault = part.fault
+        try:
+            with damage_named(self._where):
+                yield from self._split(part.records, topics)
+        except DamagedRecordingError as error:
+            fault = error.reason
+        if fault:
+            yield from self._lost(part.chunk, fault, topics)
+
+    def _lost(self, chunk: ChunkPlace, fault: str, topics: Collection[str]) -> Iterator[Message]:
+        for topic in self.topics:
+            if topic.name in topics and (chunk.topics is None or topic.name in chunk.topics):
+                yield Message(
+                    topic.name,
+                    topic.message_type,
+                    topic.encoding,
+                    chunk.start_ns,
+                    b"",
+                    f"In {self._where}, a scan of '{topic.name}'",
+                    topic.lidar,
+                    f"lies where the file is damaged: {fault}",
+                )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """The records of a chunk, or why there are none."""
+
+    chunk: ChunkPlace
+    records: memoryview
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Unpacking:
+    """What is left to do with a chunk that was read, or could not be: `packed` is None, and `fault` says why."""
+
+    chunk: ChunkPlace
+    where: str
+    memory: ReusedMemory
+    packed: PackedChunk | None
+    fault: str = ""
+
+    @property
+    def is_worth_a_thread(self) -> bool:
+        return self.packed is not None and self.packed.is_worth_a_thread
+
+    def __call__(self) -> _Part:
+        if self.packed is None:
+            return _Part(self.chunk, _NOTHING, self.fault)
+        try:
+            with damage_named(self.where):
+                return _Part(self.chunk, self.packed.unpack(self.memory))
+        except DamagedRecordingError as error:
+            return _Part(self.chunk, _NOTHING, error.reason)

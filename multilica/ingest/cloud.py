@@ -62,6 +62,8 @@ def decode_cloud(message: Message) -> Cloud:
     Raises:
         UnreadableSourceError: the message is broken.
     """
+    if message.fault:
+        raise UnreadableSourceError(f"{message.origin} {message.fault}.")
     module = import_module(f"multilica.ingest.{_DECODERS[message.message_type, message.encoding]}")
     decode = cast(Callable[[Message], Cloud], module.decode_cloud)
     try:

@@ -93,6 +93,9 @@ class _Turn:
 
     def add(self, message: Message) -> Iterator[Message]:
         """Take a packet; gives the turn that it completes, or that it shows to have ended."""
+        if message.fault:
+            yield replace(message, encoding=OUSTER_TURN)
+            return
         packet = _packet(message)[: self._sensor.packet_bytes]
         if len(packet) < self._sensor.packet_bytes:
             return

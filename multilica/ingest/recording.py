@@ -42,6 +42,7 @@ class Message:
         log_time_ns: when it was recorded; 0 where the format has no time.
         origin: what a sentence about this very message begins with, for instance its file.
         lidar: as of `Topic`.
+        fault: why its data could not even be read, as a predicate; empty if they could.
     """
 
     topic: str
@@ -51,6 +52,7 @@ class Message:
     data: bytes | memoryview
     origin: str
     lidar: str = ""
+    fault: str = ""
 
     @property
     def topic_alone(self) -> Topic:

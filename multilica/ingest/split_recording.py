@@ -35,13 +35,14 @@ class SplitRecording:
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Part after part; what lies behind the damage in one is lost, not what the next ones hold."""
+        damage: DamagedRecordingError | None = None
         for part in self._parts:
             try:
                 yield from part.messages(topics, start_ns)
             except DamagedRecordingError as error:
-                self.damage = self.damage or error.reason
-                if part is self._parts[-1]:
-                    raise
+                damage = damage or error
+        if damage is not None:
+            raise damage
 
     def close(self) -> None:
         """Close every part."""

@@ -139,15 +139,29 @@ def test_the_beginning_of_a_chunk_that_was_cut_off_is_used(tmp_path: Path, compr
     assert any("of 100 scans, then the file ends too early" in note for note in found.notes)
 
 
-def test_a_flipped_bit_is_found_by_its_checksum(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    write_mcap(make_snapshot(lidars=1, frames=4, points=500), path, compression=CompressionType.NONE, chunk_size=1)
+@pytest.mark.parametrize(
+    ("name", "points"), [("plain.mcap", 500), ("zstd.mcap", 500), ("lz4.mcap", 500), ("bz2.bag", 42_000)]
+)
+def test_a_damaged_chunk_costs_what_lies_in_it(tmp_path: Path, name: str, points: int) -> None:
+    """Each scan is a chunk of its own: `rosbags` ends one after a megabyte."""
+    whole = make_snapshot(lidars=1, frames=8, points=points)
+    path = tmp_path / name
+    WRITERS[name](whole, path)
     content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
+    content[len(content) * 7 // 16] ^= 1
     path.write_bytes(content)
-    snapshot = read_snapshot(path)
+    snapshot = read_snapshot(path, config=IngestConfig(frames=8))
+    stamps = [scan.stamp_ns for scan in snapshot.lidars[0].scans]
+    assert len(stamps) == 7
+    assert {stamps[0], stamps[-1]} == {whole.lidars[0].scans[0].stamp_ns, whole.lidars[0].scans[-1].stamp_ns}
+    for scan in snapshot.lidars[0].scans:
+        (expected,) = (each for each in whole.lidars[0].scans if each.stamp_ns == scan.stamp_ns)
+        np.testing.assert_array_equal(scan.points_m, expected.points_m)
     (note,) = snapshot.notes
-    assert "of 4 scans, then a checksum does not match its data" in note
+    assert note.startswith("1 of 8 scans of '/lidar_0/points' are broken and left out: ")
+    assert " lies where the file is damaged: " in note
+    with pytest.raises(UnreadableSourceError, match=r"is refused, for ingest\.strict is set: 1 of 8 scans"):
+        read_snapshot(path, config=IngestConfig(frames=8, strict=True))
 
 
 def test_what_a_killed_recorder_of_ros1_leaves(tmp_path: Path) -> None:
