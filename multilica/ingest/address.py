@@ -9,10 +9,20 @@ from urllib.parse import urlsplit
 
 from multilica.errors import UsageError
 
-__all__ = ["LIVE_SCHEMES", "REMOTE_SCHEMES", "is_live", "require_readable", "scheme_of", "stem_of", "without_secrets"]
+__all__ = [
+    "LIVE_SCHEMES",
+    "REMOTE_SCHEMES",
+    "is_live",
+    "require_readable",
+    "require_valid",
+    "scheme_of",
+    "stem_of",
+    "without_secrets",
+]
 
 REMOTE_SCHEMES = ("s3", "gs", "https", "http")
 """Files elsewhere, read by ranges."""
+_BUCKETS = ("s3", "gs")
 LIVE_SCHEMES = ("ws", "wss")
 """Running bridges of the Foxglove WebSocket protocol."""
 
@@ -32,7 +42,7 @@ def is_live(source: str | Path) -> bool:
 
 
 def require_readable(source: str | Path) -> None:
-    """Check that a source is a path, or an address that can be read like a file.
+    """Check that a source is a path, or a valid address that can be read like a file.
 
     Raises:
         UsageError: it is neither.
@@ -40,6 +50,8 @@ def require_readable(source: str | Path) -> None:
     scheme = scheme_of(source)
     if isinstance(source, Path) and _FLATTENED.match(str(source)):
         raise UsageError(f"The path {source} was an address, of which a Path drops a slash; give it as a text.")
+    if scheme:
+        require_valid(str(source))
     if scheme in LIVE_SCHEMES:
         raise UsageError(
             f"{without_secrets(str(source))} is a running system, not a recording; "
@@ -50,6 +62,25 @@ def require_readable(source: str | Path) -> None:
             f"{without_secrets(str(source))} is an address of a kind that is not read here; "
             "expected a path, s3://, gs://, https:// or http://."
         )
+
+
+def require_valid(url: str) -> None:
+    """Check that an address names a host or a bucket, and no impossible port.
+
+    Raises:
+        UsageError: it does not.
+    """
+    scheme = scheme_of(url)
+    try:
+        parts = urlsplit(url)
+        # Names of buckets may hold colons.
+        is_valid = bool(parts.netloc if scheme in _BUCKETS else parts.hostname and parts.port != 0)
+    except ValueError:
+        is_valid = False
+    if not is_valid:
+        # Where its parts cannot be told apart, any of it may be a password.
+        wanted = f"{scheme}://BUCKET/NAME" if scheme in _BUCKETS else f"{scheme}://HOST or {scheme}://HOST:PORT"
+        raise UsageError(f"An address that begins with {scheme}:// is not valid; expected {wanted}.")
 
 
 def stem_of(source: str | Path) -> str:

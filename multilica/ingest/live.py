@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.ingest.address import without_secrets
+from multilica.ingest.address import require_valid, without_secrets
 from multilica.ingest.choice import choose_topics
 from multilica.ingest.live_recording import LiveRecording
 from multilica.ingest.reading import DEFAULT_CONFIG, assemble_snapshot
@@ -46,8 +46,9 @@ def listen(url: str, *, config: IngestConfig = DEFAULT_CONFIG, observe: MessageO
         UnreadableSourceError: no such server answers.
         UnfitSnapshotError: no point clouds are offered, or no LiDAR sends any; any is at fault where `config.strict`.
         UnknownNameError: a topic is not offered before time is up.
-        UsageError: the window is to be chosen.
+        UsageError: the window is to be chosen, or the address is not valid.
     """
+    require_valid(url)
     label = without_secrets(url)
     if config.start_s or config.start_at or config.window_s or config.window == "auto":
         raise UsageError(

@@ -156,6 +156,12 @@ def test_a_live_window_begins_now(window: dict[str, object]) -> None:
         listen("ws://127.0.0.1:9", config=IngestConfig(**window))
 
 
+@pytest.mark.parametrize("url", ["ws://", "ws://:8765", "ws://h:99999", "wss://h:x", "ws://[::1"])
+def test_addresses_that_are_not_valid_are_refused(url: str) -> None:
+    with pytest.raises(UsageError, match=r"is not valid; expected wss?://HOST or wss?://HOST:PORT"):
+        listen(url)
+
+
 def test_patterns_choose_topics(running: str) -> None:
     live = listen(running, config=IngestConfig(frames=1, only=("/lidar_*/points",)))
     assert live.snapshot.names == ("lidar_0", "lidar_1")

@@ -227,6 +227,14 @@ def test_a_missing_package_is_named(url: str, module: str, command: str, monkeyp
     assert command in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    "url", ["https://[::1/a.mcap", "https:///a.mcap", "http://h:99999/a.mcap", "s3://", "gs:///a.mcap", "ws://h:0"]
+)
+def test_addresses_that_are_not_valid_are_refused(url: str) -> None:
+    with pytest.raises(UsageError, match=rf"^An address that begins with {url.partition(':')[0]}:// is not valid"):
+        read_snapshot(url)
+
+
 def test_an_address_made_into_a_path_is_told() -> None:
     with pytest.raises(UsageError, match=r"s3:/logs/a\.mcap was an address"):
         read_snapshot(Path("s3://logs/a.mcap"))
