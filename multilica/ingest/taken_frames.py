@@ -29,6 +29,7 @@ class TakenFrames:
         wanted: frames that are asked for; broken ones do not count.
         clouds: in the order of the recording.
         broken: what is wrong with those that cannot be unpacked.
+        lost: where the recording is damaged, so that nobody knows how many there were.
         offsets_s: log time minus stamp of each cloud that has both.
         fell_silent: it was given up before it had what was wanted.
     """
@@ -37,6 +38,7 @@ class TakenFrames:
     wanted: int
     clouds: list[Cloud] = field(default_factory=list)
     broken: list[str] = field(default_factory=list)
+    lost: list[str] = field(default_factory=list)
     offsets_s: list[float] = field(default_factory=list)
     repeated: int = 0
     backward: int = 0
@@ -50,6 +52,9 @@ class TakenFrames:
     def take(self, message: Message) -> None:
         """Unpack one more, unless there are enough."""
         if self.is_full or not is_cloud(message):
+            return
+        if message.fault:
+            self.lost.append(f"{message.origin} {message.fault}.")
             return
         try:
             cloud = decode_cloud(message)
@@ -74,6 +79,9 @@ class TakenFrames:
         if self.broken:
             scans = f"{len(self.broken)} of {len(self.broken) + taken} scans of '{self.topic}'"
             yield f"{scans} are broken and left out: {self.broken[0]}"
+        if self.lost:
+            places = "1 place" if len(self.lost) == 1 else f"{len(self.lost)} places"
+            yield f"'{self.topic}' has lost scans in {places}: {self.lost[0]}"
         if self.repeated:
             yield f"'{self.topic}' holds {self.repeated} scans twice; each was taken once."
         if self.backward:

@@ -58,9 +58,11 @@ def collect_frames(recording: Recording, topics: Collection[str], config: Ingest
     if damage and all(stream.is_full for stream in streams):
         shortages.append(f"{label} is damaged: {damage}; the scans that were asked for lie before that.")
     remarks = [*times.notes, *(remark for stream in streams for remark in stream.remarks()), *clock_notes(streams)]
+    clouds = {stream.topic: stream.by_time() for stream in streams if stream.clouds}
+    unread = {stream.topic: [*stream.broken, *([] if clouds else stream.lost)] for stream in streams}
     return Window(
-        {stream.topic: stream.by_time() for stream in streams if stream.clouds},
-        {stream.topic: stream.broken[0] for stream in streams if stream.broken and not stream.clouds},
+        clouds,
+        {topic: sentences[0] for topic, sentences in unread.items() if sentences and topic not in clouds},
         (*faults, *shortages, *remarks),
         (*(shortages if damage else ()), *faults),
     )

@@ -20,7 +20,9 @@ from multilica.errors import MultilicaError, UnreadableSourceError
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.snapshot import Snapshot
 from tests.ingest.recording_writers import (
+    cloud_message,
     make_snapshot,
+    ros2_types,
     write_mcap,
     write_ros1_bag,
     write_ros2_bag,
@@ -158,10 +160,28 @@ def test_a_damaged_chunk_costs_what_lies_in_it(tmp_path: Path, name: str, points
         (expected,) = (each for each in whole.lidars[0].scans if each.stamp_ns == scan.stamp_ns)
         np.testing.assert_array_equal(scan.points_m, expected.points_m)
     (note,) = snapshot.notes
-    assert note.startswith("1 of 8 scans of '/lidar_0/points' are broken and left out: ")
+    assert note.startswith("'/lidar_0/points' has lost scans in 1 place: ")
     assert " lies where the file is damaged: " in note
-    with pytest.raises(UnreadableSourceError, match=r"is refused, for ingest\.strict is set: 1 of 8 scans"):
+    with pytest.raises(UnreadableSourceError, match=r"refused, for ingest\.strict is set: '/lidar_0/points' has lost"):
         read_snapshot(path, config=IngestConfig(frames=8, strict=True))
+
+
+def test_a_lidar_whose_scans_are_all_lost_does_not_cost_the_others(tmp_path: Path) -> None:
+    whole = make_snapshot(frames=1)
+    path = tmp_path / "a.mcap"
+    write_mcap(whole, path, compression=CompressionType.NONE)
+    content = bytearray(path.read_bytes())
+    for lidar, left in ((1, ("lidar_0",)), (0, ())):
+        points = cloud_message(ros2_types(), whole.lidars[lidar].scans[0], "").data.tobytes()
+        content[content.index(points[100:200])] ^= 1
+        path.write_bytes(content)
+        if left:
+            snapshot = read_snapshot(path)
+            assert snapshot.names == left
+            assert any("'/lidar_1/points' has lost scans in 1 place: " in note for note in snapshot.notes)
+        else:
+            with pytest.raises(UnreadableSourceError, match="where the file is damaged: a checksum does not match"):
+                read_snapshot(path)
 
 
 def test_what_a_killed_recorder_of_ros1_leaves(tmp_path: Path) -> None:

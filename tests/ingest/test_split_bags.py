@@ -84,4 +84,4 @@ def test_what_lies_behind_a_damaged_part_is_used(tmp_path: Path) -> None:
     assert [scan.stamp_ns for scan in snapshot.lidars[0].scans] == [
         scan.stamp_ns for scan in (whole.lidars[0].scans[number] for number in (0, 2, 3))
     ]
-    assert snapshot.notes[0].startswith("1 of 4 scans of '/lidar_0/points' are broken and left out: ")
+    assert snapshot.notes[0].startswith("'/lidar_0/points' has lost scans in 1 place: ")
