@@ -40,8 +40,8 @@ def log_summary(scene: Scene, ended_by: str = "") -> None:
 
     The document comes without the times that stages took, so that equal runs make equal recordings.
     """
-    scene.log_document(SUMMARY, summary_markdown(scene.story, ended_by))
     document = run_document(scene.story)
+    scene.log_document(SUMMARY, summary_markdown(scene.story, document, ended_by))
     if document is not None:
         text = json.dumps({**document, "timing_s": {}}, ensure_ascii=False, allow_nan=False)
         scene.log(RESULT, rr.TextDocument(text, media_type=rr.MediaType.TEXT))

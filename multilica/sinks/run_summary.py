@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from multilica.explanation import explain
 from multilica.results import (
@@ -17,7 +18,6 @@ from multilica.results import (
 from multilica.sinks.explanation_markdown import explanation_markdown
 from multilica.sinks.markdown import escaped, markdown_table
 from multilica.sinks.narration import pair_label
-from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.uncertainty import SHOWN_ELLIPSOID_SCALE, SIGMAS
 from multilica.testimony import Testimony
@@ -27,15 +27,24 @@ __all__ = ["decisions_markdown", "hypotheses_markdown", "summary_markdown"]
 _SHOWN_HYPOTHESES = 3
 
 
-def summary_markdown(story: RunStory, ended_by: str = "") -> str:
-    """The outcome in one page; while the run goes on, how far it is; or what ended it early."""
+def summary_markdown(story: RunStory, document: Mapping[str, Any] | None, ended_by: str = "") -> str:
+    """The outcome in one page; while the run goes on, how far it is; or what ended it early.
+
+    Args:
+        document: of that story, see `run_document`.
+    """
     ending = f"The run ended early: **{escaped(ended_by)}**" if ended_by else ""
-    parts = [_explanation_part(story), ending, *_result_parts(story.result), _input_part(story), _version_part(story)]
+    parts = [
+        _explanation_part(document),
+        ending,
+        *_result_parts(story.result),
+        _input_part(story),
+        _version_part(story),
+    ]
     return "\n\n".join(part for part in parts if part)
 
 
-def _explanation_part(story: RunStory) -> str:
-    document = run_document(story)
+def _explanation_part(document: Mapping[str, Any] | None) -> str:
     return "" if document is None else explanation_markdown(explain(document))
 
 

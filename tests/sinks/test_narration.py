@@ -8,6 +8,7 @@ import pytest
 from multilica import events
 from multilica.results import CoarseResult
 from multilica.sinks.narration import narrate
+from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.run_summary import decisions_markdown, hypotheses_markdown, summary_markdown
 from tests.sinks.made_events import LIDARS, UNPLACED, made_events
@@ -57,11 +58,13 @@ def test_no_hypothesis_is_a_warning():
 
 
 def test_the_summary_of_an_unfinished_run_says_how_far_it_came():
-    assert "cut off after stage ingest" in summary_markdown(story_of(stop_after=4))
+    story = story_of(stop_after=4)
+    assert "cut off after stage ingest" in summary_markdown(story, run_document(story))
 
 
 def test_the_summary_names_what_is_missing_first():
-    text = summary_markdown(story_of("partial"))
+    story = story_of("partial")
+    text = summary_markdown(story, run_document(story))
     assert text.startswith("# 1 of 3 LiDARs is not placed. rear: it shares too few surfaces with the others")
     assert "- **rear is not placed: it shares too few surfaces" in text.split("Target:")[0]
     for name in LIDARS:

@@ -18,6 +18,7 @@ from multilica.sinks.narration import narrate
 from multilica.sinks.prior_words import surprises
 from multilica.sinks.provenance import provenance_of
 from multilica.sinks.result_document import result_document
+from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.run_summary import hypotheses_markdown, summary_markdown
 from tests.sinks.conftest import record
@@ -106,7 +107,8 @@ def test_the_summary_names_the_prior_and_the_surprise():
     story = RunStory()
     for event in told():
         story(event)
-    assert "- **Warning**: front left/1 is turned by 180 deg about its z against its prior" in summary_markdown(story)
+    summary = summary_markdown(story, run_document(story))
+    assert "- **Warning**: front left/1 is turned by 180 deg about its z against its prior" in summary
     rows = [line for line in hypotheses_markdown(story).splitlines() if line.startswith("| rear <- top |")]
     assert [row.split(" | ")[1] for row in rows] == ["#0", "#1", "prior"]
     assert "accept" in rows[2]

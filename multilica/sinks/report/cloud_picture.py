@@ -129,16 +129,17 @@ def png_bytes(image: Image.Image) -> bytes:
 def _blend(view: View, layers: Sequence[Layer]) -> npt.NDArray[np.uint8]:
     """(H, W, 3): each pixel the mean colour of its points, the more opaque the more they are."""
     width, height = view.size_px
-    total = np.zeros(width * height)
-    colours = np.zeros((width * height, 3))
-    for layer in layers:
-        counts = _counts(view, layer)
-        total += counts
-        colours += counts[:, None] * layer.strength * np.array(layer.colour)
-    opacity = 1.0 - (1.0 - _OPACITY_OF_A_POINT) ** total
-    mean = colours / np.maximum(total, 1.0)[:, None]
-    pixels = np.array(GROUND_COLOUR) + opacity[:, None] * (mean - GROUND_COLOUR)
-    return np.asarray(np.rint(pixels).astype(np.uint8).reshape(height, width, 3))
+    counts = [_counts(view, layer) for layer in layers]
+    total = np.sum(counts, axis=0) if counts else np.zeros(width * height)
+    pixels = np.tile(np.array(GROUND_COLOUR, dtype=np.uint8), (width * height, 1))
+    hit = np.flatnonzero(total)
+    colours = np.zeros((len(hit), 3))
+    for layer, count in zip(layers, counts, strict=True):
+        colours += count[hit, None] * layer.strength * np.array(layer.colour)
+    opacity = 1.0 - (1.0 - _OPACITY_OF_A_POINT) ** total[hit]
+    mean = colours / total[hit, None]
+    pixels[hit] = np.rint(np.array(GROUND_COLOUR) + opacity[:, None] * (mean - GROUND_COLOUR))
+    return pixels.reshape(height, width, 3)
 
 
 def _counts(view: View, layer: Layer) -> FloatArray:
