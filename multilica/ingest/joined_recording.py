@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
+from itertools import islice
 
 from multilica.errors import UnreadableSourceError, UsageError
 from multilica.ingest.cloud import decode_cloud, is_cloud
@@ -16,6 +17,9 @@ from multilica.ingest.recording import Message, Messages, Recording, Span, Topic
 from multilica.ingest.remote_file import SourceFile
 
 __all__ = ["JoinedRecording"]
+
+_LOOKED_AT = 4
+"""Scans of which one tells its frame; the others may be broken."""
 
 
 class JoinedRecording:
@@ -108,7 +112,8 @@ def _identity(recording: Recording, topic: Topic) -> tuple[str, str]:
     """Where a LiDAR is found, and what it is called there."""
     if topic.lidar:
         return "", topic.lidar
-    with suppress(UnreadableSourceError), closing(recording.messages([topic.name])) as messages:
-        for message in messages:
-            return topic.name, decode_cloud(message).frame_id
+    with suppress(DamagedRecordingError), closing(recording.messages([topic.name])) as messages:
+        for message in islice(messages, _LOOKED_AT):
+            with suppress(UnreadableSourceError):
+                return topic.name, decode_cloud(message).frame_id
     return topic.name, ""

@@ -105,8 +105,10 @@ def message_bytes(message: Message) -> memoryview:
     """The serialised message, unpacked where the bag has message compression.
 
     Raises:
-        ValueError: it cannot be unpacked; the text is a predicate.
+        ValueError: it is lost, or cannot be unpacked; the text is a predicate.
     """
+    if message.fault:
+        raise ValueError(message.fault)
     # A bag with message compression says so in its metadata.yaml only; a serialised message never begins like this.
     if message.data[:4] != ZSTD_MAGIC:
         return memoryview(message.data)

@@ -17,9 +17,11 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from multilica.config import IngestConfig
 from multilica.errors import MultilicaError, UnreadableSourceError
+from multilica.geometry import RigidTransform
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.snapshot import Snapshot
 from tests.ingest.recording_writers import (
+    assert_same_points,
     cloud_message,
     make_snapshot,
     ros2_types,
@@ -164,6 +166,21 @@ def test_a_damaged_chunk_costs_what_lies_in_it(tmp_path: Path, name: str, points
     assert " lies where the file is damaged: " in note
     with pytest.raises(UnreadableSourceError, match=r"refused, for ingest\.strict is set: '/lidar_0/points' has lost"):
         read_snapshot(path, config=IngestConfig(frames=8, strict=True))
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+def test_static_transforms_in_a_damaged_chunk_are_told_as_lost(tmp_path: Path, encoding: str) -> None:
+    pose = RigidTransform.from_xyz_rpy("base", "lidar_1", [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+    path = tmp_path / "a.mcap"
+    whole = Snapshot(make_snapshot().lidars, static_transforms=(pose,))
+    write_mcap(whole, path, encoding=encoding, compression=CompressionType.NONE, chunk_size=1)
+    content = bytearray(path.read_bytes())
+    content[content.index(b"base")] ^= 1
+    path.write_bytes(content)
+    snapshot = read_snapshot(path)
+    assert_same_points(snapshot, whole)
+    (note,) = snapshot.notes
+    assert note.startswith("A message on '/tf_static' was left out: it lies where the file is damaged: a checksum")
 
 
 def test_a_lidar_whose_scans_are_all_lost_does_not_cost_the_others(tmp_path: Path) -> None:
