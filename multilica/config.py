@@ -223,12 +223,14 @@ class VerifyConfig(Section):
         0.005, description="and comes back as near as this by itself, a turn counted 10 m away"
     )
     max_thinned_off_m: PositiveMetres = Field(
-        0.1, description="and moves by no more than this if registered with finalist_points only"
+        0.3,
+        description="and is the same answer if registered with finalist_points only; of a large group few of them are "
+        "in the common view",
     )
     max_sigma_m: PositiveMetres = Field(
-        0.02, description="and its standard deviation is no larger: 2 cm and 0.1 deg are what an extrinsic is good for"
+        0.02, description="and its standard deviation is no larger: what a narrow view holds worse is of little use"
     )
-    max_sigma_deg: float = Field(0.1, gt=0.0, description="as max_sigma_m, for turning")
+    max_sigma_deg: float = Field(0.2, gt=0.0, description="as max_sigma_m, for turning: 3.5 cm at a distance of 10 m")
     min_explained: Share = Field(
         0.5,
         description="share of the structure in view that must be on measured surfaces, not hidden or in empty space",
