@@ -130,7 +130,7 @@ def test_a_rival_along_the_weakest_direction_is_told_as_sliding():
         ({"pushed_off_m": 0.26}, 0.26, _CONFIG.max_pushed_off_m, "pushed by 0.3 m, the registration ends 0.260 m away"),
         ({"thinned_off_m": 0.75}, 0.75, _CONFIG.max_thinned_off_m, "with fewer points, the registration ends 0.75 m"),
         ({"sigma_m": 0.03}, 0.03, _CONFIG.max_sigma_m, "standard deviation is 0.030 m; expected 0.02 m"),
-        ({"sigma_rad": 0.01}, np.rad2deg(0.01), _CONFIG.max_sigma_deg, "standard deviation is 0.57 deg; expected 0.1"),
+        ({"sigma_rad": 0.01}, np.rad2deg(0.01), _CONFIG.max_sigma_deg, "standard deviation is 0.57 deg; expected 0.2"),
         ({"curvature": 0.1, "pushed_off_m": 0.26}, 0.1, _CONFIG.min_curvature, "curvature 0.10"),
     ],
 )
