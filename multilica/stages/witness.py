@@ -179,7 +179,8 @@ def _labels(
     labels[empty[slips]] = BeamLabel.OCCLUDED
     empty = empty[~slips]
     reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * np.linalg.norm(points_m[empty], axis=1))
-    labels[empty[beams.returns.query(points_m[empty])[0] <= reach_m]] = BeamLabel.AGREE
+    nearest_m, _ = beams.returns.query(points_m[empty], distance_upper_bound=reach_m.max(initial=0.0) + 1e-9)
+    labels[empty[nearest_m <= reach_m]] = BeamLabel.AGREE
     return labels
 
 
