@@ -171,6 +171,7 @@ class _Run:
             pair = (source, target) if swap else (target, source)
             self.registrations[pair] = self._registration(*pair, hypothesis=0 if self.prior is None else 2)
             yield events.PairRegistered(self.registrations[pair])
+        yield events.SearchWidened(tuple(self.pairs()[-1:]), 0.5)
 
     def _registration(self, target: str, source: str, hypothesis: int) -> PairRegistration:
         refused = bool(self.refused & {target, source})

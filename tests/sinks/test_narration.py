@@ -82,3 +82,9 @@ def test_the_table_of_hypotheses_has_the_best_of_every_pair():
     table = hypotheses_markdown(story_of("failed"))
     assert "| rear <- top | none | 0 of 80 |" in table
     assert "| front left/1 <- top | #0 | 20 | 90 | 1 | 67 | 0.100 | 0.060 | reject |" in table
+
+
+def test_what_is_searched_again_is_told_with_the_size_of_its_descriptors():
+    (line,) = narrate(events.SearchWidened((("left", "top"), ("rear", "top")), 0.25))
+    assert line.level == "INFO"
+    assert line.text.endswith("on 0.25 m: left <- top, rear <- top")
