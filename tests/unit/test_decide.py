@@ -67,7 +67,7 @@ def test_a_loosely_held_pose_may_violate_less():
 
 
 def test_two_points_in_empty_space_are_chance_however_few_agree():
-    few, more = (decide([_answer(agree=600, plane=100.0, violate=violate)], _CONFIG) for violate in (2, 3))
+    few, more = (decide([_answer(agree=300, plane=50.0, violate=violate)], _CONFIG) for violate in (2, 3))
     assert few.accepted
     assert _codes(more) == ["empty_space_violated"]
 
