@@ -189,7 +189,8 @@ class VerifyConfig(Section):
     slides: int = Field(6, ge=0, description="number of such steps to either side: repeating facades look alike there")
     finalists: Count = Field(8, description="distinct answers that are registered more finely")
     hopeless_evidence: PositiveMetres = Field(
-        300.0, description="one that is so much behind the best, and by more than the best has, is not registered"
+        300.0,
+        description="one that is so much behind the best and has less than max_equal of its evidence is hopeless",
     )
     finalist_points: Count = Field(10_000, description="points per LiDAR of that registration")
     final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
@@ -220,7 +221,7 @@ class VerifyConfig(Section):
         0.3, description="a pose that is not firmly held is pushed so far along its weakest direction"
     )
     max_pushed_off_m: PositiveMetres = Field(
-        0.005, description="and comes back as near as this by itself, a turn counted 10 m away"
+        0.02, description="and comes back as near as this by itself, a turn counted 10 m away"
     )
     max_thinned_off_m: PositiveMetres = Field(
         0.3,

@@ -40,7 +40,7 @@ from multilica.stages.contradiction import doubt_by_contradiction
 from multilica.stages.correspond import match_features
 from multilica.stages.decide import decide, decide_by_fitness
 from multilica.stages.features import compute_features
-from multilica.stages.fine import Candidate, Side, hopeful, register_best
+from multilica.stages.fine import Candidate, Side, hopeful, prepare_side, register_best
 from multilica.stages.ground import estimate_ground
 from multilica.stages.merge import Group, merge
 from multilica.stages.preprocess import preprocess
@@ -312,12 +312,9 @@ class _Run:
     def _side(self, group: Group) -> Side:
         if len(group.poses) == 1 and group.root in self.sides:
             return self.sides[group.root]
+        witnesses = [(pose, self.witnesses[name]) for name, pose in sorted(group.poses.items()) if self.witnesses]
         points_m = self._merged_points(group)
-        cloud = prepare_registration_cloud(group.root, points_m, self.config.fine, self._threads)
-        drafting = self.config.fine.model_copy(update={"max_points": self.config.verify.finalist_points})
-        draft = prepare_registration_cloud(group.root, cloud.points_m, drafting, self._threads)
-        witnesses = tuple((pose, self.witnesses[name]) for name, pose in sorted(group.poses.items()) if self.witnesses)
-        return Side(group.root, cloud, draft, witnesses)
+        return prepare_side(group.root, points_m, witnesses, self.config.verify, self.config.fine, self._threads)
 
     def _register(self, target: Side, source: Side, candidates: Sequence[Candidate]) -> PairRegistration:
         registration = self._registered(target, source, candidates)

@@ -13,7 +13,7 @@ from scipy.spatial import Delaunay, cKDTree
 
 from multilica.geometry import FloatArray
 
-__all__ = ["BeamImage", "BeamLabel", "build_beam_image", "gaps_m", "label_points"]
+__all__ = ["BeamImage", "BeamLabel", "build_beam_image", "label_points"]
 
 LabelArray = npt.NDArray[np.uint8]
 
@@ -107,12 +107,16 @@ def build_beam_image(returns_m: FloatArray) -> BeamImage | None:
     )
 
 
-def label_points(image: BeamImage, points_m: FloatArray, tolerance_m: float, tolerance_rad: float) -> LabelArray:
+def label_points(
+    image: BeamImage, points_m: FloatArray, tolerance_m: float, tolerance_rad: float, widths_m: FloatArray | None = None
+) -> LabelArray:
     """Judge points (N, 3), given in the image's sensor frame.
 
     Args:
         tolerance_m: how far from a plane a point still lies on it, at range 0.
         tolerance_rad: by how much that grows with range: the error of the rotation.
+        widths_m: (N,) how wide the things are that the points lie on; what is narrower than the gap between beams may
+            stand there unseen. None: nothing is.
     """
     range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-9)
     triangle = _triangles(image, points_m, range_m)
@@ -123,17 +127,13 @@ def label_points(image: BeamImage, points_m: FloatArray, tolerance_m: float, tol
     agree = image.smooth[triangle] & (np.abs(beyond_m) <= tolerance)
     before = range_m < image.nearest_m[triangle] - 2.0 * tolerance
     violate = before & ((beyond_m < -2.0 * tolerance) | ~image.smooth[triangle])
+    if widths_m is not None:
+        violate &= image.gap_rad[triangle] * range_m <= widths_m
     labels = np.full(len(points_m), BeamLabel.OCCLUDED, dtype=np.uint8)
     labels[violate] = BeamLabel.VIOLATE
     labels[agree] = BeamLabel.AGREE
     labels[~seen] = BeamLabel.UNSEEN
     return labels
-
-
-def gaps_m(image: BeamImage, points_m: FloatArray) -> FloatArray:
-    """(N,) how wide a thing may be at most to stand unseen between the beams around each point (N, 3)."""
-    range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-9)
-    return np.asarray(image.gap_rad[_triangles(image, points_m, range_m)] * range_m)
 
 
 def _triangles(image: BeamImage, points_m: FloatArray, range_m: FloatArray) -> npt.NDArray[np.intp]:

@@ -12,7 +12,7 @@ from multilica.geometry import FloatArray
 from multilica.results import Assessment, Hold, PairRegistration, Reason, Verdict
 from multilica.testimony import Testimony
 
-__all__ = ["decide", "decide_by_fitness", "max_violation_share", "standing_rivals"]
+__all__ = ["decide", "decide_by_fitness", "hopeless_below", "max_violation_share", "standing_rivals"]
 
 _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
@@ -87,6 +87,11 @@ def max_violation_share(testimony: Testimony, config: VerifyConfig) -> float:
     """The share of points in proven-empty space that can be chance; a loosely held pose finds fits by chance, too."""
     share = config.max_violation_share_firm if _is_firm(testimony, config) else config.max_violation_share
     return max(share, _STRAY_POINTS / max(1, testimony.agree + testimony.violate))
+
+
+def hopeless_below(best_evidence: float, config: VerifyConfig) -> float:
+    """The evidence below which a roughly registered answer will not rival the best: far behind, and a small share."""
+    return min(best_evidence - config.hopeless_evidence, config.max_equal * best_evidence)
 
 
 def standing_rivals(finalists: Sequence[Assessment], config: VerifyConfig) -> list[Assessment]:

@@ -5,35 +5,45 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from multilica.config import FineConfig, RefineConfig, VerifyConfig
-from multilica.geometry import RigidTransform
-from multilica.results import Assessment, PairRegistration
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import Assessment, Hold, PairRegistration
+from multilica.stages.decide import hopeless_below
 from multilica.stages.gicp import register, register_narrower
 from multilica.stages.information import pose_information
 from multilica.stages.observability import examine_hold, weakest_curvature
-from multilica.stages.poses import is_distinct, within_reach
-from multilica.stages.registration_cloud import RegistrationCloud
+from multilica.stages.poses import is_distinct, slid, within_reach
+from multilica.stages.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.stages.witness import PlacedWitness, judge
 
-__all__ = ["Candidate", "Side", "hopeful", "register_best"]
+__all__ = ["Candidate", "Side", "hopeful", "prepare_side", "register_best"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Side:
     """One side of a registration: a LiDAR, or a group whose poses are known.
 
     Args:
         name: the LiDAR, or the group's root.
         cloud: the points of all members in the frame of that name.
-        draft: the same, fewer: enough to tell the finalists apart.
         witnesses: the members with their poses; empty where verification is off.
+        drafting: how `draft` is prepared.
     """
 
     name: str
     cloud: RegistrationCloud
-    draft: RegistrationCloud
     witnesses: tuple[PlacedWitness, ...]
+    drafting: FineConfig
+    threads: int
+
+    @cached_property
+    def draft(self) -> RegistrationCloud:
+        """The cloud with fewer points: enough to tell finalists apart."""
+        if len(self.cloud.points_m) <= self.drafting.max_points:
+            return self.cloud
+        return prepare_registration_cloud(self.name, self.cloud.points_m, self.drafting, self.threads)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +56,20 @@ class Candidate:
     evidence: float | None = None
 
 
+def prepare_side(
+    name: str,
+    points_m: FloatArray,
+    witnesses: Sequence[PlacedWitness],
+    verify: VerifyConfig,
+    fine: FineConfig,
+    threads: int,
+) -> Side:
+    """Thin the points (N, 3) of a LiDAR or of a group, given in the frame of that name, for GICP."""
+    cloud = prepare_registration_cloud(name, points_m, fine, threads)
+    drafting = fine.model_copy(update={"max_points": verify.finalist_points})
+    return Side(name, cloud, tuple(witnesses), drafting, threads)
+
+
 def register_best(
     target: Side,
     source: Side,
@@ -56,6 +80,9 @@ def register_best(
     threads: int,
 ) -> PairRegistration:
     """GICP on the finalists among the candidates; the one with the most evidence is registered on all points.
+
+    A pose that slides may have slid from one that the scene holds: GICP falls into a notch from one side only, so it
+    is started all along the slide, and what it finds is taken if it has more evidence.
 
     Args:
         candidates: at least one, the most believable first.
@@ -72,25 +99,17 @@ def register_best(
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
         candidates = [replace(each, T_target_source=each.T_target_source.inverse()) for each in candidates]
-    finished: list[Assessment] = []
-    drafts: list[PairRegistration] = []
-    for candidate in _finalists(target, source, candidates, verify):
-        drafted = register(target.draft, source.draft, candidate.T_target_source, fine, threads)
-        assessment = _assess(target, source, drafted, candidate.hypothesis, candidate.origin, verify)
-        if is_distinct(assessment.T_target_source, (other.T_target_source for other in finished)):
-            finished.append(assessment)
-            drafts.append(drafted)
-    best, *others = sorted(within_reach(finished, verify.rival_reach_m), key=lambda each: -each.evidence)
-    registered = drafts[finished.index(best)]
-    if best.evidence > 0.0:
-        registered = register(target.cloud, source.cloud, best.T_target_source, fine, threads)
-        best = _assess(target, source, registered, best.hypothesis, best.origin, verify)
-    registered = _informed(registered, target, source, refine, threads)
-    if best.evidence >= verify.min_evidence and best.testimony.held_by < verify.firmly_held_by:
-        clouds, thinned = (target.cloud, source.cloud), (target.draft, source.draft)
-        weakest = best.testimony.weakest_direction
-        best = replace(best, hold=examine_hold(clouds, thinned, registered, weakest, verify.push_m, fine, threads))
-    return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
+    final = _Final(target, source, verify, fine, refine, threads)
+    finalists = _finalists(target, source, candidates, verify)
+    tried = [final.registered(finalists[0])] if len(finalists) == 1 else final.drafted(finalists)
+    best = final.examined(tried)
+    if _slides(best.assessments[0], verify):
+        hypothesis, origin = best.hypothesis, best.assessments[0].origin
+        starts = [Candidate(pose, hypothesis, origin) for pose in slid(best.assessments[0], verify)]
+        beside = final.drafted(starts, beside=tried)
+        if any(each.evidence > best.evidence for each in beside):
+            return final.examined([*tried, *beside])
+    return best
 
 
 def hopeful(evidence: Sequence[float], verify: VerifyConfig) -> list[int]:
@@ -98,9 +117,62 @@ def hopeful(evidence: Sequence[float], verify: VerifyConfig) -> list[int]:
     ranked = sorted(range(len(evidence)), key=lambda index: -evidence[index])[: verify.finalists]
     if not ranked:
         return []
-    best = evidence[ranked[0]]
-    worst = best - max(abs(best), verify.hopeless_evidence)
-    return [index for index in ranked if index == ranked[0] or evidence[index] > worst]
+    needed = hopeless_below(evidence[ranked[0]], verify)
+    return [index for index in ranked if index == ranked[0] or evidence[index] > needed]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Final:
+    """What the registrations of one pair, or of two groups, have in common."""
+
+    target: Side
+    source: Side
+    verify: VerifyConfig
+    fine: FineConfig
+    refine: RefineConfig
+    threads: int
+
+    def drafted(
+        self, candidates: Sequence[Candidate], beside: Sequence[PairRegistration] = ()
+    ) -> list[PairRegistration]:
+        """Where GICP of fewer points takes the candidates: what is distinct from each other, and from others beside."""
+        drafts: list[PairRegistration] = []
+        for candidate in candidates:
+            drafted = self._judged(self.target.draft, self.source.draft, candidate)
+            if is_distinct(drafted.T_target_source, [other.T_target_source for other in (*beside, *drafts)]):
+                drafts.append(drafted)
+        return drafts
+
+    def registered(self, candidate: Candidate) -> PairRegistration:
+        """Where GICP of all points takes it."""
+        return self._judged(self.target.cloud, self.source.cloud, candidate)
+
+    def examined(self, tried: Sequence[PairRegistration]) -> PairRegistration:
+        """The one with the most evidence, registered on all points, with what holds it; the others behind it."""
+        reach_m = self.verify.rival_reach_m
+        ranked = sorted(within_reach([each.assessments[0] for each in tried], reach_m), key=lambda each: -each.evidence)
+        best, *others = ranked
+        registered = next(each for each in tried if each.assessments[0] is best)
+        if best.evidence > 0.0 and len(tried) > 1:
+            registered = self.registered(Candidate(best.T_target_source, best.hypothesis, best.origin))
+            best = registered.assessments[0]
+        registered = _informed(registered, self.target, self.source, self.refine, self.threads)
+        if best.evidence >= self.verify.min_evidence and best.testimony.held_by < self.verify.firmly_held_by:
+            best = replace(best, hold=self._hold(registered, best.testimony.weakest_direction))
+        return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
+
+    def _judged(self, target: RegistrationCloud, source: RegistrationCloud, candidate: Candidate) -> PairRegistration:
+        registered = register(target, source, candidate.T_target_source, self.fine, self.threads)
+        assessment = _assess(self.target, self.source, registered, candidate.hypothesis, candidate.origin, self.verify)
+        return replace(registered, hypothesis=candidate.hypothesis, assessments=(assessment,))
+
+    def _hold(self, registered: PairRegistration, weakest_direction: FloatArray) -> Hold:
+        clouds, thinned = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)
+        return examine_hold(clouds, thinned, registered, weakest_direction, self.verify.push_m, self.fine, self.threads)
+
+
+def _slides(best: Assessment, verify: VerifyConfig) -> bool:
+    return best.hold is not None and best.hold.pushed_off_m > verify.max_pushed_off_m
 
 
 def _informed(

@@ -10,10 +10,10 @@ import numpy as np
 from multilica.config import FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import PRIOR, Assessment, CoarseResult, Hypothesis
-from multilica.stages.decide import max_violation_share
+from multilica.stages.decide import hopeless_below, max_violation_share
 from multilica.stages.gicp import register_narrower
 from multilica.stages.observability import weakest_curvature
-from multilica.stages.poses import is_distinct, within_reach
+from multilica.stages.poses import is_distinct, slid, within_reach
 from multilica.stages.registration_cloud import RegistrationCloud
 from multilica.stages.rivals import turned_rivals
 from multilica.stages.witness import Witness, judge
@@ -106,20 +106,9 @@ def _rivals(
     up = best.testimony.commonest_normal
     poses = turned_rivals(target, source, best.T_target_source, up, config.rival_reach_m, config.rivals)
     if best.testimony.held_by < config.firmly_held_by:
-        poses += _slid(best, config)
+        poses += slid(best, config)
     nothing = np.zeros(0, dtype=bool)
     return [(best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin)) for pose in poses]
-
-
-def _slid(best: Assessment, config: VerifyConfig) -> list[RigidTransform]:
-    """The pose shifted along its weakest direction: where facades or pillars repeat, the true one may be steps away."""
-    pose, shift_m = best.T_target_source, config.slide_step_m * best.testimony.slide_direction
-    positions_m = [pose.xyz_m + side * step * shift_m for step in range(1, config.slides + 1) for side in (-1.0, 1.0)]
-    return [
-        RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
-        for xyz_m in positions_m
-        if np.linalg.norm(xyz_m) <= config.rival_reach_m
-    ]
 
 
 def _assess(
@@ -160,7 +149,7 @@ def _testimony(
 def _may_win(roughly: Testimony, found: Sequence[Assessment], config: VerifyConfig) -> bool:
     """Whether a pose that is off by no more than the tolerance it was judged with can come near the best."""
     best = max(assessment.evidence for assessment in within_reach(found, config.rival_reach_m))
-    return roughly.evidence > best - max(abs(best), config.hopeless_evidence)
+    return roughly.evidence >= max(config.min_evidence, hopeless_below(best, config))
 
 
 def _is_settled(found: Sequence[Assessment], config: VerifyConfig) -> bool:

@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from multilica.config import VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import BoolArray, PreprocessedCloud
-from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_beam_image, gaps_m, label_points
+from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_beam_image, label_points
 from multilica.stages.voxel_grid import thin
 from multilica.testimony import LEVER_ARM_M, Testimony
 
@@ -169,15 +169,13 @@ def _labels(
     if beams.image is None:
         return np.full(len(other.probes_m), BeamLabel.UNSEEN, dtype=np.uint8)
     points_m = T_beams_other.apply(other.probes_m)
-    labels = label_points(beams.image, points_m, tolerance_m, float(np.deg2rad(tolerance_deg)))
+    spanned = np.any(other.normals, axis=1)
+    widths_m = np.where(spanned, _PATCH_M, _THIN_M)
+    labels = label_points(beams.image, points_m, tolerance_m, float(np.deg2rad(tolerance_deg)), widths_m)
     facing = np.abs(np.einsum("ij,ij->i", T_beams_other.rotate(other.normals), points_m))
-    grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & np.any(other.normals, axis=1)
+    grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & spanned
     labels[(labels == BeamLabel.VIOLATE) & (grazing | ~other.solid)] = BeamLabel.OCCLUDED
     empty = np.flatnonzero(labels == BeamLabel.VIOLATE)
-    width_m = np.where(np.any(other.normals[empty], axis=1), _PATCH_M, _THIN_M)
-    slips = gaps_m(beams.image, points_m[empty]) > width_m
-    labels[empty[slips]] = BeamLabel.OCCLUDED
-    empty = empty[~slips]
     reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * np.linalg.norm(points_m[empty], axis=1))
     nearest_m, _ = beams.returns.query(points_m[empty], distance_upper_bound=reach_m.max(initial=0.0) + 1e-9)
     labels[empty[nearest_m <= reach_m]] = BeamLabel.AGREE

@@ -14,9 +14,8 @@ from multilica.events import CloudPreprocessed, Event, PairRegistered
 from multilica.extrinsics import Extrinsics
 from multilica.results import PairRegistration, PreprocessedCloud
 from multilica.stages.decide import decide
-from multilica.stages.fine import Candidate, Side, register_best
+from multilica.stages.fine import Candidate, Side, prepare_side, register_best
 from multilica.stages.poses import is_distinct
-from multilica.stages.registration_cloud import prepare_registration_cloud
 from multilica.stages.witness import prepare_witness
 
 __all__ = ["Members", "Trial", "Watch", "is_borne_out", "try_truth"]
@@ -131,11 +130,8 @@ def _try_pose(watch: Watch, first: Members, second: Members, truth: Extrinsics, 
 
 
 def _side(watch: Watch, members: Members, truth: Extrinsics, config: CalibrationConfig) -> Side:
-    root, threads = members[0], config.runtime.threads
+    root = members[0]
     poses = {name: truth.between(root, name) for name in members}
     points_m = np.concatenate([pose.apply(watch.clouds[name].points_m) for name, pose in poses.items()])
-    cloud = prepare_registration_cloud(root, points_m, config.fine, threads)
-    drafting = config.fine.model_copy(update={"max_points": config.verify.finalist_points})
-    draft = prepare_registration_cloud(root, cloud.points_m, drafting, threads)
-    witnesses = tuple((pose, prepare_witness(watch.clouds[name], config.verify)) for name, pose in poses.items())
-    return Side(root, cloud, draft, witnesses)
+    witnesses = [(pose, prepare_witness(watch.clouds[name], config.verify)) for name, pose in poses.items()]
+    return prepare_side(root, points_m, witnesses, config.verify, config.fine, config.runtime.threads)

@@ -4,14 +4,14 @@ import pytest
 
 from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.stages.fine import Candidate, Side, hopeful, register_best
-from multilica.stages.registration_cloud import prepare_registration_cloud
+from multilica.stages.fine import Candidate, hopeful, prepare_side, register_best
 from multilica.stages.witness import prepare_witness
-from tests.unit.made_rooms import HALL, scan
+from tests.unit.made_rooms import HALL, box, scan
 
 _VERIFY, _FINE, _REFINE = VerifyConfig(), FineConfig(), RefineConfig()
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
+_PLACES = (("t", _TARGET), ("s", _SOURCE))
 _TRUTH = _TARGET.inverse() @ _SOURCE
 _HALF_TURN = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [0, 0, 0], [0, 0, np.pi]) @ _SOURCE
 
@@ -21,12 +21,8 @@ def _near(pose, xyz_m=(0.1, -0.1, 0.05), yaw_rad=0.02):
 
 
 def _side(cloud, *, verified=True):
-    name = cloud.lidar
-    ready = prepare_registration_cloud(name, cloud.points_m, _FINE, 1)
-    draft_config = _FINE.model_copy(update={"max_points": _VERIFY.finalist_points})
-    draft = prepare_registration_cloud(name, ready.points_m, draft_config, 1)
-    witness = (RigidTransform.identity(name, name), prepare_witness(cloud, _VERIFY))
-    return Side(name, ready, draft, (witness,) if verified else ())
+    witness = (RigidTransform.identity(cloud.lidar, cloud.lidar), prepare_witness(cloud, _VERIFY))
+    return prepare_side(cloud.lidar, cloud.points_m, [witness] if verified else [], _VERIFY, _FINE, 1)
 
 
 @pytest.fixture(scope="module")
@@ -84,15 +80,37 @@ def test_no_more_finalists_are_registered_than_asked_for(sides):
 @pytest.mark.parametrize(
     ("evidence", "kept"),
     [
-        ([-900.0, 500.0, 10.0, -10.0], [1, 2]),
+        ([-900.0, 500.0, 130.0, 120.0], [1, 2]),
+        ([310.0, 20.0, 5.0], [0, 1]),
         ([50.0, -240.0, -260.0], [0, 1]),
         ([-400.0, -750.0, -90.0], [2]),
         ([], []),
     ],
-    ids=["far ahead", "within reach", "none believable", "none"],
+    ids=["a small share", "far ahead", "within reach", "none believable", "none"],
 )
 def test_answers_that_are_hopelessly_behind_are_not_registered(evidence, kept):
     assert hopeful(evidence, _VERIFY) == kept
+
+
+@pytest.fixture(scope="module")
+def corridor():
+    """Two sensors in a long corridor, where one locker is all that holds a pose along it."""
+    objects = [*box((-60.0, -2.0, 0.0), (60.0, 2.0, 3.0)), *box((3.0, 1.2, 0.0), (4.5, 2.0, 3.0))]
+    return tuple(_side(scan(name, pose, objects, seed=seed)) for seed, (name, pose) in enumerate(_PLACES))
+
+
+@pytest.mark.parametrize("along_m", [-3.0, -2.3])
+def test_a_pose_that_slides_is_looked_for_along_the_slide(corridor, along_m):
+    start = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [along_m, 0, 0], [0, 0, 0]) @ _SOURCE
+    best, *others = register_best(*corridor, [Candidate(start, 4, "cliques")], _VERIFY, _FINE, _REFINE, 1).assessments
+    _assert_true(best.T_target_source)
+    assert best.hold.pushed_off_m < _VERIFY.max_pushed_off_m
+    assert best.hypothesis == 4
+    assert all(other.evidence < best.evidence for other in others)
+    nowhere_else = _VERIFY.model_copy(update={"slides": 0})
+    (stuck,) = register_best(*corridor, [Candidate(start, 4)], nowhere_else, _FINE, _REFINE, 1).assessments
+    assert stuck.T_target_source.distance_to(_TRUTH)[0] > 1.0
+    assert stuck.hold.pushed_off_m > _VERIFY.max_pushed_off_m
 
 
 def test_without_witnesses_the_first_candidate_is_taken_as_the_paper_does(clouds):

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multilica.stages.solvers.robust_pose import align_points, gnc_tls_rotation, robust_pose, tls_translation
+from multilica.stages.solvers.robust_pose import align_points, gnc_tls_rotations, robust_poses, tls_translation
 
 
 def _matches(seed, count, wrong_share, noise_m=0.05):
@@ -31,9 +31,10 @@ def test_align_points_is_exact_without_noise():
 @pytest.mark.parametrize("count", [12, 120])
 def test_robust_pose_survives_a_third_of_wrong_matches(seed, count):
     target, source, rotation, translation, wrong = _matches(seed, count, 0.3)
-    found_rotation, found_translation, inliers = robust_pose(target, source, 0.1)
+    ((found_rotation, found_translation),) = robust_poses([(target, source)], 0.1)
     assert _angle_rad(found_rotation, rotation) < np.deg2rad(0.5)
     assert np.linalg.norm(found_translation - translation) < 0.1
+    inliers = np.linalg.norm(target - source @ found_rotation.T - found_translation, axis=1) <= 0.1
     assert not np.any(inliers & wrong)
     assert inliers.sum() >= 0.9 * (~wrong).sum()
 
@@ -44,7 +45,17 @@ def test_gnc_rotation_beats_least_squares_on_outliers():
     source = rng.normal(size=(200, 3)) * 10
     target = source @ rotation.T
     target[:60] = rng.normal(size=(60, 3)) * 10
-    assert _angle_rad(gnc_tls_rotation(target, source, 0.1), rotation) < 1e-3
+    assert _angle_rad(gnc_tls_rotations([(target, source)], 0.1)[0], rotation) < 1e-3
+
+
+def test_sets_of_matches_do_not_disturb_each_other():
+    sets = [_matches(seed, count, share)[:2] for seed, (count, share) in enumerate([(12, 0.3), (60, 0.3), (4, 0.0)])]
+    together = robust_poses(sets, 0.1)
+    for each, (rotation, translation) in zip(sets, together, strict=True):
+        ((alone_rotation, alone_translation),) = robust_poses([each], 0.1)
+        assert np.allclose(rotation, alone_rotation, atol=1e-9)
+        assert np.allclose(translation, alone_translation, atol=1e-9)
+    assert robust_poses([], 0.1) == []
 
 
 def test_tls_translation_takes_what_most_agree_on():

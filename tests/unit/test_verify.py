@@ -87,13 +87,11 @@ def test_rivals_that_put_walls_into_empty_space_are_not_registered(sides, monkey
 
     monkeypatch.setattr(verify, "register_narrower", counted)
     loose = _CONFIG.model_copy(update={"firmly_held_by": 1e9})
-    counts, best = [], []
-    for hopeless in (1e9, 300.0):
-        tried.clear()
-        best.append(_assessed(sides, _near(_TRUTH), config=loose.model_copy(update={"hopeless_evidence": hopeless}))[0])
-        counts.append(len(tried))
-    assert counts[0] >= 1 + loose.slides
-    assert counts[1] < counts[0]
+    best = [_assessed(sides, _near(_TRUTH), config=loose)[0]]
+    few = len(tried)
+    monkeypatch.setattr(verify, "_may_win", lambda *_: True)
+    best.append(_assessed(sides, _near(_TRUTH), config=loose)[0])
+    assert len(tried) - few >= 1 + loose.slides > few
     assert best[0].T_target_source.matrix.tobytes() == best[1].T_target_source.matrix.tobytes()
 
 

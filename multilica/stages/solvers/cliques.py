@@ -7,10 +7,10 @@ import numpy as np
 
 from multilica.config import CoarseConfig
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import Correspondences, IndexArray
+from multilica.results import Correspondences
 from multilica.stages.solvers.candidates import PoseCandidates
 from multilica.stages.solvers.consistency_graph import build_consistency_graph, grow_cliques
-from multilica.stages.solvers.robust_pose import align_points, robust_pose
+from multilica.stages.solvers.robust_pose import align_points, robust_poses
 
 __all__ = ["solve_by_cliques"]
 
@@ -31,13 +31,16 @@ def solve_by_cliques(matches: Correspondences, config: CoarseConfig, seed: int) 
     cliques = grow_cliques(graph, seeds)
     smallest = max(3.0, _SMALLEST_SHARE * max(map(len, cliques), default=0))
     cliques = [clique for clique in cliques if len(clique) >= smallest]
-    poses = tuple(_pose_of(matches, clique, config.noise_bound_m) for clique in cliques)
+    members_m = [(matches.target_points_m[clique], matches.source_points_m[clique]) for clique in cliques]
+    starts = robust_poses(members_m, config.noise_bound_m)
+    poses = tuple(_refitted(matches, *start, config.noise_bound_m) for start in starts)
     return PoseCandidates(poses, graph_nodes=len(matches), graph_edges=graph.edges)
 
 
-def _pose_of(matches: Correspondences, clique: IndexArray, noise_bound_m: float) -> FloatArray:
+def _refitted(
+    matches: Correspondences, rotation: FloatArray, translation: FloatArray, noise_bound_m: float
+) -> FloatArray:
     target_m, source_m = matches.target_points_m, matches.source_points_m
-    rotation, translation, _ = robust_pose(target_m[clique], source_m[clique], noise_bound_m)
     for _ in range(_REFITS):
         residual_m = np.linalg.norm(target_m - source_m @ rotation.T - translation, axis=1)
         agree = residual_m <= noise_bound_m

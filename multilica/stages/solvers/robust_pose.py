@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from multilica.geometry import FloatArray
-from multilica.results import BoolArray, IndexArray
+from multilica.results import IndexArray
 
-__all__ = ["align_points", "gnc_tls_rotation", "robust_pose", "tls_translation"]
+__all__ = ["align_points", "gnc_tls_rotations", "robust_poses", "tls_translation"]
 
 _GNC_FACTOR = 1.4
 _GNC_MAX_ITERATIONS = 100
@@ -23,31 +25,35 @@ def align_points(target_m: FloatArray, source_m: FloatArray) -> tuple[FloatArray
         target_m, source_m: (N, 3), N >= 3.
     """
     target_mean, source_mean = target_m.mean(axis=0), source_m.mean(axis=0)
-    rotation = _weighted_rotation(target_m - target_mean, source_m - source_mean, np.ones(len(target_m)))
+    centred = (target_m - target_mean)[None], (source_m - source_mean)[None]
+    rotation = _weighted_rotations(*centred, np.ones((1, len(target_m))))[0]
     return rotation, target_mean - rotation @ source_mean
 
 
-def robust_pose(
-    target_m: FloatArray, source_m: FloatArray, noise_bound_m: float
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Pose of matches of which a minority is wrong, after TEASER++ (Yang et al., T-RO 2020, sections VI and VII).
+def robust_poses(
+    matches_m: Sequence[tuple[FloatArray, FloatArray]], noise_bound_m: float
+) -> list[tuple[FloatArray, FloatArray]]:
+    """Pose of each set of matches of which a minority is wrong, after TEASER++ (Yang et al., T-RO 2020, VI and VII).
 
-    Differences of matched points do not depend on the translation, so the rotation is found on them first.
+    Differences of matched points do not depend on the translation, so the rotations are found on them first.
 
     Args:
-        target_m, source_m: (N, 3), N >= 3.
+        matches_m: per set target and source points, (N, 3) each, N >= 3.
         noise_bound_m: largest error of a correct match.
 
     Returns:
-        Rotation (3, 3), translation (3,), and which matches lie within the noise bound, (N,).
+        Rotation (3, 3) and translation (3,) of each set.
     """
+    rotations = gnc_tls_rotations([_differences(*each) for each in matches_m], 2.0 * noise_bound_m)
+    return [
+        (rotation, tls_translation(target_m - source_m @ rotation.T, noise_bound_m))
+        for rotation, (target_m, source_m) in zip(rotations, matches_m, strict=True)
+    ]
+
+
+def _differences(target_m: FloatArray, source_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     first, second = _spread_pairs(len(target_m))
-    rotation = gnc_tls_rotation(
-        target_m[first] - target_m[second], source_m[first] - source_m[second], 2.0 * noise_bound_m
-    )
-    translation = tls_translation(target_m - source_m @ rotation.T, noise_bound_m)
-    residual_m = np.linalg.norm(target_m - source_m @ rotation.T - translation, axis=1)
-    return rotation, translation, residual_m <= noise_bound_m
+    return target_m[first] - target_m[second], source_m[first] - source_m[second]
 
 
 def _spread_pairs(count: int) -> tuple[IndexArray, IndexArray]:
@@ -60,37 +66,56 @@ def _spread_pairs(count: int) -> tuple[IndexArray, IndexArray]:
     return first, (first + np.tile(strides, count)) % count
 
 
-def gnc_tls_rotation(target_m: FloatArray, source_m: FloatArray, noise_bound_m: float) -> FloatArray:
-    """Rotation (3, 3) of vectors with outliers, by graduated non-convexity on a truncated least-squares cost.
+def gnc_tls_rotations(vectors_m: Sequence[tuple[FloatArray, FloatArray]], noise_bound_m: float) -> FloatArray:
+    """Rotation of each set of vectors with outliers, by graduated non-convexity on a truncated least-squares cost.
 
-    Yang et al., "Graduated Non-Convexity for Robust Spatial Perception", RA-L 2020, section IV-B.
+    Yang et al., "Graduated Non-Convexity for Robust Spatial Perception", RA-L 2020, section IV-B. All sets take each
+    step together until the last is done.
 
     Args:
-        target_m, source_m: (N, 3) vectors with ``target ~ R @ source``.
+        vectors_m: per set target and source vectors, (N, 3) each, with ``target ~ R @ source``.
         noise_bound_m: residuals beyond it are outliers.
+
+    Returns:
+        (S, 3, 3) rotations.
     """
+    target, source, counted = _padded(vectors_m)
     bound_squared = noise_bound_m**2
-    weights = np.ones(len(target_m))
-    rotation = _weighted_rotation(target_m, source_m, weights)
-    squared = _squared_residuals(target_m, source_m, rotation)
-    mu = 1.0 / max(2.0 * squared.max() / bound_squared - 1.0, 1e-12)
-    if mu <= 0.0 or squared.max() <= bound_squared:
-        return rotation
-    previous_cost = np.inf
+    rotations = _weighted_rotations(target, source, counted)
+    squared = _squared_residuals(target, source, rotations)
+    worst = squared.max(axis=1, initial=0.0)
+    mu = 1.0 / np.maximum(2.0 * worst / bound_squared - 1.0, 1e-12)
+    previous_cost = np.full(len(rotations), np.inf)
+    going = np.flatnonzero(worst > bound_squared)
     for _ in range(_GNC_MAX_ITERATIONS):
-        upper, lower = (mu + 1.0) / mu * bound_squared, mu / (mu + 1.0) * bound_squared
-        middle = np.sqrt(bound_squared * mu * (mu + 1.0) / np.maximum(squared, 1e-12)) - mu
-        weights = np.where(squared >= upper, 0.0, np.where(squared <= lower, 1.0, middle))
-        if np.count_nonzero(weights) < 2:
+        step = mu[going, None]
+        upper, lower = (step + 1.0) / step * bound_squared, step / (step + 1.0) * bound_squared
+        middle = np.sqrt(bound_squared * step * (step + 1.0) / np.maximum(squared[going], 1e-12)) - step
+        weights = np.where(squared[going] >= upper, 0.0, np.where(squared[going] <= lower, 1.0, middle))
+        weights *= counted[going]
+        enough = np.count_nonzero(weights, axis=1) >= 2
+        going, weights = going[enough], weights[enough]
+        if len(going) == 0:
             break
-        rotation = _weighted_rotation(target_m, source_m, weights)
-        squared = _squared_residuals(target_m, source_m, rotation)
-        cost = float(weights @ squared)
-        if abs(cost - previous_cost) < _GNC_COST_TOLERANCE:
-            break
-        previous_cost = cost
-        mu *= _GNC_FACTOR
-    return rotation
+        rotations[going] = _weighted_rotations(target[going], source[going], weights)
+        squared[going] = _squared_residuals(target[going], source[going], rotations[going])
+        cost = np.sum(weights * squared[going], axis=1)
+        changed = np.abs(cost - previous_cost[going]) >= _GNC_COST_TOLERANCE
+        previous_cost[going] = cost
+        mu[going] *= _GNC_FACTOR
+        going = going[changed]
+    return rotations
+
+
+def _padded(vectors_m: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The sets as two (S, N, 3) arrays, and which vectors are not padding, (S, N) as 0 or 1."""
+    most = max((len(target_m) for target_m, _ in vectors_m), default=0)
+    target, source = np.zeros((2, len(vectors_m), most, 3))
+    counted = np.zeros((len(vectors_m), most))
+    for index, (target_m, source_m) in enumerate(vectors_m):
+        target[index, : len(target_m)], source[index, : len(source_m)] = target_m, source_m
+        counted[index, : len(target_m)] = 1.0
+    return target, source, counted
 
 
 def tls_translation(offsets_m: FloatArray, noise_bound_m: float) -> FloatArray:
@@ -112,10 +137,11 @@ def _tls_scalar(values: FloatArray, bound: float) -> float:
     return float(means[np.argmin(cost)])
 
 
-def _squared_residuals(target_m: FloatArray, source_m: FloatArray, rotation: FloatArray) -> FloatArray:
-    return np.asarray(np.sum((target_m - source_m @ rotation.T) ** 2, axis=1))
+def _squared_residuals(target_m: FloatArray, source_m: FloatArray, rotations: FloatArray) -> FloatArray:
+    return np.asarray(np.sum((target_m - source_m @ rotations.swapaxes(1, 2)) ** 2, axis=2))
 
 
-def _weighted_rotation(target_m: FloatArray, source_m: FloatArray, weights: FloatArray) -> FloatArray:
-    u, _, vt = np.linalg.svd((target_m * weights[:, None]).T @ source_m)
-    return np.asarray((u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+def _weighted_rotations(target_m: FloatArray, source_m: FloatArray, weights: FloatArray) -> FloatArray:
+    u, _, vt = np.linalg.svd((target_m * weights[..., None]).swapaxes(1, 2) @ source_m)
+    u[..., -1] *= np.linalg.det(u @ vt)[..., None]
+    return np.asarray(u @ vt)
