@@ -10,7 +10,7 @@ from functools import cached_property
 from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import Assessment, Hold, PairRegistration
-from multilica.stages.decide import hopeless_below
+from multilica.stages.decide import hopeless_below, standing_rivals
 from multilica.stages.gicp import register, register_narrower
 from multilica.stages.information import pose_information
 from multilica.stages.observability import examine_hold, weakest_curvature
@@ -88,8 +88,8 @@ def register_best(
         candidates: at least one, the most believable first.
 
     Returns:
-        The narrower side is the source. `assessments` holds the distinct finalists, the best first; what holds the
-        best is examined if it has enough evidence and not many points hold it in its weakest direction.
+        The narrower side is the source. `assessments` holds the distinct finalists, the best first; what holds the best
+        is examined if it has enough evidence, and few points hold it in its weakest direction or a rival stands.
     """
     if not target.witnesses:
         first = candidates[0]
@@ -157,7 +157,7 @@ class _Final:
             registered = self.registered(Candidate(best.T_target_source, best.hypothesis, best.origin))
             best = registered.assessments[0]
         registered = _informed(registered, self.target, self.source, self.refine, self.threads)
-        if best.evidence >= self.verify.min_evidence and best.testimony.held_by < self.verify.firmly_held_by:
+        if best.evidence >= self.verify.min_evidence and self._is_in_doubt(best, others):
             best = replace(best, hold=self._hold(registered, best.testimony.weakest_direction))
         return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
 
@@ -165,6 +165,11 @@ class _Final:
         registered = register(target, source, candidate.T_target_source, self.fine, self.threads)
         assessment = _assess(self.target, self.source, registered, candidate.hypothesis, candidate.origin, self.verify)
         return replace(registered, hypothesis=candidate.hypothesis, assessments=(assessment,))
+
+    def _is_in_doubt(self, best: Assessment, others: Sequence[Assessment]) -> bool:
+        """Whether it may slide: along a tunnel a rival may be no answer of its own, but the end of a slide."""
+        loose = best.testimony.held_by < self.verify.firmly_held_by
+        return loose or bool(standing_rivals([best, *others], self.verify))
 
     def _hold(self, registered: PairRegistration, weakest_direction: FloatArray) -> Hold:
         clouds, thinned = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)

@@ -92,6 +92,18 @@ def test_answers_that_are_hopelessly_behind_are_not_registered(evidence, kept):
     assert hopeful(evidence, _VERIFY) == kept
 
 
+def test_what_holds_a_pose_is_examined_where_it_is_in_doubt(sides):
+    alone = register_best(*sides, [Candidate(_near(_TRUTH), 0)], _VERIFY, _FINE, _REFINE, 1)
+    assert alone.assessments[0].testimony.held_by > _VERIFY.firmly_held_by
+    assert alone.assessments[0].hold is None
+    alike = [*HALL[:6], *box((4.0, 3.0, 0.0), (5.0, 4.0, 4.0)), *box((-5.0, -4.0, 0.0), (-4.0, -3.0, 4.0))]
+    both = [_side(scan(name, pose, alike, seed=seed)) for seed, (name, pose) in enumerate(_PLACES)]
+    candidates = [Candidate(_near(pose), index) for index, pose in enumerate((_TRUTH, _HALF_TURN))]
+    best = register_best(*both, candidates, _VERIFY, _FINE, _REFINE, 1).assessments[0]
+    assert best.testimony.held_by > _VERIFY.firmly_held_by
+    assert best.hold.pushed_off_m < 1e-3
+
+
 @pytest.fixture(scope="module")
 def corridor():
     """Two sensors in a long corridor, where one locker is all that holds a pose along it."""

@@ -87,7 +87,10 @@ def test_what_harder_scenes_let_expect():
     other = _lidar("false_refuse", "ambiguous")
     assert [each.is_met(_JUST) for each in (sliding, placed, either)] == [True, False, True]
     assert [each.is_met(_GOOD) for each in (sliding, placed, either)] == [False, True, True]
-    assert not any(each.is_met(lidar) for each in (sliding, placed, either) for lidar in (_WRONG, other))
+    assert not any(each.is_met(lidar) for each in (sliding, placed, either) for lidar in (_WRONG, _MISSED, other))
+    shared_too_little = Trial(accepted=False, codes=("too_little_overlap",))
+    contradicted = _lidar("false_refuse", "empty_space_violated", trial=shared_too_little)
+    assert [each.is_met(contradicted) for each in (sliding, placed, either)] == [False, False, True]
 
 
 def test_a_snapshot_that_is_refused_speaks_against_the_verdict(monkeypatch):
