@@ -12,6 +12,7 @@ from multilica import events, pipeline
 from multilica.config import STAGES, CalibrationConfig, preset, with_overrides
 from multilica.errors import UnfitSnapshotError, UnknownNameError
 from multilica.pipeline import calibrate
+from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.provenance import provenance_of
 from multilica.sinks.result_files import result_document
@@ -92,6 +93,34 @@ def test_lidars_that_nothing_links_are_searched_again_with_descriptors_of_anothe
     _assert_true(result, _sides().truth)
     told = [event.coarse for event in _of(events.HypothesesFound, seen)]
     assert len(told[-1].hypotheses) > 1
+
+
+@pytest.mark.parametrize(
+    ("codes", "searched"),
+    [
+        (("not_observable",), False),
+        (("ambiguous", "not_observable"), False),
+        (("ambiguous",), True),
+        (("empty_space_violated", "not_observable"), True),
+    ],
+)
+def test_a_pair_that_the_scene_leaves_open_is_not_searched_again(monkeypatch, codes, searched):
+    verdict = Verdict("undecided", tuple(Reason(code, 0.0, 1.0, "made") for code in codes))
+    monkeypatch.setattr(pipeline, "decide", lambda *_: verdict)
+    _, seen = _watched(_only(_sides().snapshot, "left", "top", every=5), "until=fine")
+    assert bool(_of(events.SearchWidened, seen)) == searched
+
+
+def test_a_pair_that_is_in_doubt_is_not_searched_again(monkeypatch):
+    doubtful = Verdict("undecided", (Reason("ambiguous", 0.0, 1.0, "made"),))
+
+    def doubt(pairs, *_):
+        return [replace(pair, verdict=doubtful) if pair.verdict.accepted else pair for pair in pairs]
+
+    monkeypatch.setattr(pipeline, "doubt_by_symmetry", doubt)
+    result, seen = _watched(_only(_sides().snapshot, "left", "top", every=2), "until=fine")
+    assert [pair.verdict for pair in result.pairs] == [doubtful]
+    assert _of(events.SearchWidened, seen) == []
 
 
 def test_in_a_garage_that_looks_the_same_turned_around_nothing_is_placed():
