@@ -195,7 +195,7 @@ class VerifyConfig(Section):
     finalist_points: Count = Field(10_000, description="points per LiDAR of that registration")
     final_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, for the finely registered")
     final_tolerance_deg: float = Field(0.2, gt=0.0, description="as tolerance_deg, for the finely registered")
-    min_agree: Count = Field(150, description="points on common surfaces that a pose needs")
+    min_agree: Count = Field(100, description="points on common surfaces that a pose needs")
     max_violation_share: Share = Field(
         0.002, description="share of points in proven-empty space that can be chance: foliage, glass, what moved"
     )
@@ -221,7 +221,7 @@ class VerifyConfig(Section):
         0.3, description="a pose that is not firmly held is pushed so far along its weakest direction"
     )
     max_pushed_off_m: PositiveMetres = Field(
-        0.02, description="and comes back as near as this by itself, a turn counted 10 m away"
+        0.01, description="and comes back as near as this by itself, a turn counted 10 m away"
     )
     max_thinned_off_m: PositiveMetres = Field(
         0.3,
@@ -243,7 +243,10 @@ class FineConfig(Section):
     """GICP."""
 
     engine: Literal["small_gicp", "open3d"] = Field("small_gicp", description="implementation of GICP")
-    voxel_size_m: PositiveMetres = Field(0.1, description="grid on which GICP runs")
+    voxel_size_m: PositiveMetres = Field(
+        0.15,
+        description="grid on which GICP runs; on a finer one the noise of the ranges bends normals, and so the pose",
+    )
     max_points: Count = Field(50_000, description="a cloud with more points is thinned on a coarser grid")
     max_correspondence_distances_m: tuple[PositiveMetres, ...] = Field(
         (0.5, 0.25), min_length=1, description="one GICP run each, from coarse to fine"
@@ -276,7 +279,7 @@ class RefineConfig(Section):
     enabled: bool = Field(default=True, description="off: poses stay as the merge left them")
     distance_m: PositiveMetres = Field(0.2, description="points nearer to the other cloud than this hold the pose")
     min_sigma_m: PositiveMetres = Field(0.005, description="residuals are not believed to be smaller than this")
-    correlated_points: PositiveMetres = Field(4.0, description="neighbouring points that err together and count as one")
+    correlated_points: PositiveMetres = Field(3.0, description="neighbouring points that err together and count as one")
     outlier_sigma: PositiveMetres = Field(3.0, description="a pair off by this many sigma keeps half its weight")
     max_iterations: Count = Field(20, description="Gauss-Newton steps")
     epsilon: PositiveMetres = Field(1e-9, description="converged when no pose moves by more (rad, m)")

@@ -74,7 +74,7 @@ def assess_hypotheses(
             continue
         if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in tried)):
             continue
-        assessment = _assess(target, source, index, hypothesis, config, gicp, threads)
+        assessment = _tried(target, source, index, hypothesis, config, gicp, threads)
         if is_distinct(assessment.T_target_source, (other.T_target_source for other in tried)):
             tried.append(assessment)
     for assessment in claimed:
@@ -109,6 +109,27 @@ def _rivals(
         poses += slid(best, config)
     nothing = np.zeros(0, dtype=bool)
     return [(best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin)) for pose in poses]
+
+
+def _tried(
+    target: tuple[Witness, RegistrationCloud],
+    source: tuple[Witness, RegistrationCloud],
+    index: int,
+    hypothesis: Hypothesis,
+    config: VerifyConfig,
+    gicp: FineConfig,
+    threads: int,
+) -> Assessment:
+    """The hypothesis after GICP; one that GICP carried off has a second try among near points only.
+
+    Narrow views share few points: of those within 2 m most may be no matches, and draw even the true pose away.
+    """
+    far = _assess(target, source, index, hypothesis, config, gicp, threads)
+    if not is_distinct(far.T_target_source, [hypothesis.T_target_source]):
+        return far
+    nearest_only = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[-1:]})
+    near = _assess(target, source, index, hypothesis, config, nearest_only, threads)
+    return max(far, near, key=lambda assessment: assessment.evidence)
 
 
 def _assess(

@@ -39,13 +39,13 @@ def test_a_clear_answer_is_accepted_without_reasons():
 
 
 def test_too_little_overlap_is_rejected():
-    verdict = decide([_answer(agree=149, plane=20.0)], _CONFIG)
+    verdict = decide([_answer(agree=99, plane=20.0)], _CONFIG)
     assert verdict.outcome == "reject"
     assert _codes(verdict) == ["too_little_overlap"]
     reason = verdict.reasons[0]
-    assert (reason.value, reason.limit) == (149, 150)
-    assert "only 149 points" in reason.text
-    assert "expected 150" in reason.text
+    assert (reason.value, reason.limit) == (99, 100)
+    assert "only 99 points" in reason.text
+    assert "expected 100" in reason.text
 
 
 def test_points_in_proven_empty_space_are_rejected_however_much_agrees():
@@ -180,7 +180,7 @@ def test_parallax_is_allowed_to_hide_much_where_the_pose_is_firmly_held():
 
 
 def test_what_is_wrong_outweighs_what_is_doubtful_and_all_is_said():
-    verdict = decide([_answer(agree=100, plane=75.0, curvature=0.1), _answer(_ELSEWHERE, agree=425)], _CONFIG)
+    verdict = decide([_answer(agree=99, plane=75.0, curvature=0.1), _answer(_ELSEWHERE, agree=425)], _CONFIG)
     assert verdict.outcome == "reject"
     assert _codes(verdict) == ["too_little_overlap", "too_little_evidence", "ambiguous", "not_observable"]
 

@@ -28,7 +28,7 @@ def _sigma_m(roughness_m):
 
 
 def test_a_direction_that_only_rough_surfaces_hold_is_known_less_well():
-    smooth, rough = _sigma_m([0.01, 0.01, 0.01]), _sigma_m([0.05, 0.01, 0.01])
+    smooth, rough = _sigma_m([0.01, 0.01, 0.01]), _sigma_m([0.08, 0.01, 0.01])
     assert rough[0] > 2.0 * smooth[0]
     assert rough[0] > 1.5 * rough[1:].max()
 

@@ -95,6 +95,23 @@ def test_rivals_that_put_walls_into_empty_space_are_not_registered(sides, monkey
     assert best[0].T_target_source.matrix.tobytes() == best[1].T_target_source.matrix.tobytes()
 
 
+def test_a_hypothesis_that_gicp_carries_off_has_a_second_try_among_near_points(sides, monkeypatch):
+    reaches_m = []
+
+    def carried_off_by_far_points(target, source, start, gicp, threads):
+        reaches_m.append(gicp.max_correspondence_distances_m[0])
+        if reaches_m[-1] > 1.0:
+            start = RigidTransform.from_rotation_translation(
+                start.target, start.source, start.rotation, np.add(start.xyz_m, [3.0, 0.0, 0.0])
+            )
+        return register_narrower(target, source, start, gicp, threads)
+
+    monkeypatch.setattr(verify, "register_narrower", carried_off_by_far_points)
+    best, *_ = _assessed(sides, _near(_TRUTH), config=_CONFIG.model_copy(update={"rivals": 0, "slides": 0}))
+    assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
+    assert reaches_m == [2.0, 0.5]
+
+
 def test_a_pose_that_slid_along_a_row_of_pillars_is_found_back():
     """Pillars repeat every 3 m; only a box beside one of them tells which is which."""
     aisle = [*box((-40.0, -3.0, 0.0), (40.0, 3.0, 3.0)), *box((3.0, 1.5, 0.0), (4.5, 2.2, 1.5))]
