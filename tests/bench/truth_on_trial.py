@@ -30,7 +30,8 @@ _KINDS = {
 }
 # The true pose puts nothing into empty space, and no LiDAR beside the vehicle: a refusal of it for such a reason is the
 # stages' own fault.
-_NEVER_TRUE = ("empty_space_violated", "place_proven_empty", "too_far_apart")
+_CONTRADICTED = ("empty_space_violated", "place_proven_empty")
+_NEVER_TRUE = (*_CONTRADICTED, "too_far_apart")
 
 
 @dataclass(slots=True)
@@ -74,8 +75,13 @@ class Trial:
 
 
 def is_borne_out(refused_for: Iterable[str], trial: Trial) -> bool:
-    """Whether the true pose is refused for the same kind of reason, or for any where no pose of the run fitted."""
-    kinds, true_kinds = _kinds(refused_for), _kinds(trial.codes)
+    """Whether the true pose is refused for the same kind of reason, or for any where no pose of the run fitted.
+
+    Where beams contradict the best pose that was found, none fitted: that it has little evidence then follows.
+    """
+    codes = {*refused_for}
+    kinds = set() if codes & {*_CONTRADICTED} else _kinds(codes)
+    true_kinds = _kinds(trial.codes)
     return not trial.accepted and bool(kinds & true_kinds if kinds else true_kinds)
 
 
