@@ -33,6 +33,7 @@ from multilica.results import (
     Refinement,
     Refusal,
     SensorHealth,
+    Verdict,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
@@ -42,7 +43,8 @@ from multilica.stages.decide import decide, decide_by_fitness
 from multilica.stages.features import compute_features
 from multilica.stages.fine import Candidate, Side, hopeful, prepare_side, register_best
 from multilica.stages.ground import estimate_ground
-from multilica.stages.merge import Group, merge
+from multilica.stages.merge import Group, merge, pose_between
+from multilica.stages.poses import is_distinct
 from multilica.stages.preprocess import preprocess
 from multilica.stages.prior import known_between, require_usable
 from multilica.stages.refine import linked, refine
@@ -347,7 +349,7 @@ class _Run:
             if step.chosen is not None:
                 self.merges.append(step.chosen)
             self.group = step.groups[0]
-            self.observe(events.MergeStepTaken(step.decision, tuple(_grown(step.decision, step.groups).poses.values())))
+            self.observe(events.MergeStepTaken(step.decision, tuple(step.grown.poses.values())))
 
     def _choose_target(self) -> tuple[str, str]:
         if self.config.target:
@@ -378,10 +380,22 @@ class _Run:
             return link
         accepted = [hint.T_target_source for hint in hints if hint.verdict.accepted]
         again = self._register_groups(group, other, accepted) if self.config.verify.enabled else None
+        if again is not None and not again.verdict.accepted:
+            again = self._upheld(again, [pose_between(group, other, pose) for pose in accepted])
         return again if again is not None and again.verdict.accepted else link
 
+    def _upheld(self, link: PairRegistration, accepted: Sequence[RigidTransform]) -> PairRegistration:
+        """More points cannot loosen what an accepted pair holds by itself, but those of a group are thinned more."""
+        pose = link.T_target_source if link.target == accepted[0].target else link.T_target_source.inverse()
+        only_loose = [reason.code for reason in link.verdict.reasons] == ["not_observable"]
+        if not only_loose or len(link.assessments) > 1 or is_distinct(pose, accepted):
+            return link
+        upheld = replace(link, verdict=Verdict("accept"))
+        self.observe(events.PairRegistered(upheld))
+        return upheld
+
     def _register_groups(self, group: Group, other: Group, known: Sequence[RigidTransform]) -> PairRegistration | None:
-        candidates = [Candidate(_between_groups(group, other, pose), -1) for pose in known]
+        candidates = [Candidate(pose_between(group, other, pose), -1) for pose in known]
         near = [each for each in candidates if self._is_near(each.T_target_source)]
         return self._register(self._side(group), self._side(other), near) if near else None
 
@@ -470,17 +484,3 @@ class _Run:
 
 def _candidate(assessment: Assessment) -> Candidate:
     return Candidate(assessment.T_target_source, assessment.hypothesis, assessment.origin, assessment.evidence)
-
-
-def _between_groups(group: Group, other: Group, known: RigidTransform) -> RigidTransform:
-    """Where a known pose between two of their members puts the other group's root in this one's."""
-    if known.target in other.poses:
-        known = known.inverse()
-    return group.poses[known.target] @ known @ other.poses[known.source].inverse()
-
-
-def _grown(decision: MergeDecision, groups: Sequence[Group]) -> Group:
-    """The group that the decision made larger; the target's if it made none."""
-    if decision.chosen is None:
-        return groups[0]
-    return next(group for group in groups if decision.chosen.target in group.poses)

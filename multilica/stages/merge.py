@@ -10,7 +10,7 @@ from multilica.config import MergeConfig
 from multilica.geometry import RigidTransform
 from multilica.results import MergeCandidate, MergeDecision, PairRegistration
 
-__all__ = ["Group", "MergeStep", "merge"]
+__all__ = ["Group", "MergeStep", "merge", "pose_between"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,6 +48,19 @@ class MergeStep:
     decision: MergeDecision
     chosen: PairRegistration | None
     groups: tuple[Group, ...]
+
+    @property
+    def grown(self) -> Group:
+        """The group that the decision made larger; the target's if it made none."""
+        chosen = self.decision.chosen
+        return self.groups[0] if chosen is None else next(each for each in self.groups if chosen.target in each.poses)
+
+
+def pose_between(group: Group, other: Group, known: RigidTransform) -> RigidTransform:
+    """Where a known pose between two of their members, either way, puts the other group's root in this one's."""
+    if known.target in other.poses:
+        known = known.inverse()
+    return group.poses[known.target] @ known @ other.poses[known.source].inverse()
 
 
 Reregister = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration | None]

@@ -123,6 +123,21 @@ def test_a_pair_that_is_in_doubt_is_not_searched_again(monkeypatch):
     assert _of(events.SearchWidened, seen) == []
 
 
+@pytest.mark.parametrize(("code", "placed"), [("not_observable", True), ("ambiguous", False)])
+def test_what_an_accepted_pair_holds_is_not_lost_among_the_points_of_a_group(monkeypatch, code, placed):
+    judge = pipeline.decide
+    doubt = Verdict("undecided", (Reason(code, 0.0, 1.0, "made"),))
+
+    def doubtful_in_groups(answers, config):
+        return doubt if answers[0].hypothesis == -1 else judge(answers, config)
+
+    monkeypatch.setattr(pipeline, "decide", doubtful_in_groups)
+    result, _ = _watched(_sides().snapshot)
+    assert (result.status == "complete") is placed
+    if placed:
+        _assert_true(result, _sides().truth)
+
+
 def test_in_a_garage_that_looks_the_same_turned_around_nothing_is_placed():
     """The sides look apart and fit on each other turned around; the top one sees that both poses are possible."""
     result = calibrate(simulate_snapshot("sides", "symmetric_garage", 3, frames=1).snapshot)
