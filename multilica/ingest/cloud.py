@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from typing import cast
 
@@ -64,9 +65,13 @@ def decode_cloud(message: Message) -> Cloud:
     """
     if message.fault:
         raise UnreadableSourceError(f"{message.origin} {message.fault}.")
-    module = import_module(f"multilica.ingest.{_DECODERS[message.message_type, message.encoding]}")
-    decode = cast(Callable[[Message], Cloud], module.decode_cloud)
     try:
-        return decode(message)
+        return _decoder(message.message_type, message.encoding)(message)
     except ValueError as error:
         raise UnreadableSourceError(f"{message.origin} {error}.") from error
+
+
+@cache
+def _decoder(message_type: str, encoding: str) -> Callable[[Message], Cloud]:
+    module = import_module(f"multilica.ingest.{_DECODERS[message_type, encoding]}")
+    return cast(Callable[[Message], Cloud], module.decode_cloud)

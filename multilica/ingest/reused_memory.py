@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import mmap
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from threading import Lock
 
 import numpy as np
@@ -15,6 +17,7 @@ __all__ = ["ReusedMemory"]
 _MOST_KEPT = 3
 """One that is read, one that is unpacked ahead, one that is used."""
 _MOST_KEPT_BYTES = 32 << 20
+_HUGE_PAGE_BYTES = 2 << 20
 
 
 class ReusedMemory:
@@ -31,10 +34,22 @@ class ReusedMemory:
                 # A small chunk in a large buffer, held for long, would hold all of it.
                 if size <= length <= 2 * size and _references(self._kept, index) == _REFERENCES_IF_UNUSED:
                     return self._kept[index].data[:size]
-            fresh = np.empty(size, np.uint8)
-            if size <= _MOST_KEPT_BYTES:
-                self._kept = [*self._kept[1 - _MOST_KEPT :], fresh]
-            return fresh.data
+            if size > _MOST_KEPT_BYTES:
+                return np.empty(size, np.uint8).data
+            fresh = _fresh(size)
+            self._kept = [*self._kept[1 - _MOST_KEPT :], fresh]
+            return fresh.data[:size]
+
+
+def _fresh(size: int) -> npt.NDArray[np.uint8]:
+    """So many bytes, or somewhat more: in huge pages where there are any, for the system takes its time by the page."""
+    if size >= _HUGE_PAGE_BYTES and hasattr(mmap, "MADV_HUGEPAGE"):
+        whole_pages = -(-size // _HUGE_PAGE_BYTES) * _HUGE_PAGE_BYTES
+        with suppress(OSError):  # a kernel without them
+            pages = mmap.mmap(-1, whole_pages, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+            pages.madvise(mmap.MADV_HUGEPAGE)
+            return np.frombuffer(pages, np.uint8)
+    return np.empty(size, np.uint8)
 
 
 def _references(arrays: Sequence[object], index: int) -> int:

@@ -53,8 +53,7 @@ def _fields(reader: WireReader) -> tuple[PointField, ...]:
 def _field(reader: WireReader) -> PointField:
     name = reader.text()
     reader.align(4)
-    offset, datatype = reader.numbers("IB")
-    return PointField(name, offset, datatype, reader.uint32())
+    return PointField(name, *reader.numbers("IBI" if reader.alignment == 1 else "IB3xI"))
 
 
 def unpacked(message: Message) -> Any:  # noqa: ANN401 - the classes are made by rosbags at run time

@@ -86,10 +86,10 @@ class WireReader:
     def octets(self) -> memoryview:
         """A sequence of bytes."""
         length = self.uint32()
-        if length > self.remaining:
+        begin, self.place = self.place, self.place + length
+        if self.place > len(self.data):
             raise ValueError(_CUT_OFF)
-        self.place += length
-        return self.data[self.place - length : self.place]
+        return self.data[begin : self.place]
 
     def align(self, size: int) -> None:
         """Pass over what fills up to a number of so many bytes."""

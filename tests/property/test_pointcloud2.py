@@ -32,16 +32,17 @@ def clouds(draw: st.DrawFn) -> Case:
     offset = 0
     # Nearly every driver puts x, y, z side by side as float32, which chance would hardly ever do.
     is_usual = draw(st.booleans())
-    for name in names if is_usual else draw(st.permutations(names)):
+    side_by_side = draw(st.permutations("xyz"))
+    for name in [*side_by_side, *names[3:]] if is_usual else draw(st.permutations(names)):
         is_packed = is_usual and name in "xyz"
-        offset += draw(st.integers(0, 5)) if name == "x" or not is_packed else 0
+        offset += draw(st.integers(0, 5)) if name == side_by_side[0] or not is_packed else 0
         datatype = 7 if is_packed else draw(st.sampled_from(sorted(DATATYPES)))
         count = draw(st.integers(1, 3)) if name not in "xyz" else draw(st.integers(0, 1))
         fields.append(PointField(name, offset, datatype, count))
         offset += SIZES[datatype] * max(count, 1)
     point_step = offset + draw(st.integers(0, 6))
     width, height = draw(st.integers(0, 5)), draw(st.integers(0, 4))
-    row_step = width * point_step + draw(st.integers(0, 9))
+    row_step = width * point_step + draw(st.sampled_from([0, 0, 0, 1, 4, 9]))
     big_endian = draw(st.booleans())
     data = bytearray(draw(st.binary(min_size=height * row_step, max_size=height * row_step)))
     rows: list[dict[str, float]] = []
@@ -107,6 +108,21 @@ def test_encoding_and_decoding_is_exact(rows: list[tuple[float, ...]], with_inte
         np.testing.assert_array_equal(intensity, table[:, 3])
     else:
         assert intensity is None
+
+
+@pytest.mark.parametrize(
+    ("offsets", "point_step"),
+    [((0, 4, 8), 12), ((8, 4, 0), 12), ((0, 4, 8), 26), ((14, 10, 18), 22), ((1, 5, 9), 13), ((0, 8, 4), 16)],
+)
+def test_large_clouds_are_as_small_ones(offsets: tuple[int, ...], point_step: int) -> None:
+    points = np.random.default_rng(0).normal(size=(40_000, 3)).astype(np.float32)
+    points[[0, 20_000, 39_999], [0, 1, 2]] = np.nan
+    data = np.full((len(points), point_step), 0xFF, np.uint8)
+    for axis, offset in enumerate(offsets):
+        data[:, offset : offset + 4] = points[:, axis : axis + 1].copy().view(np.uint8)
+    fields = tuple(PointField(name, offset, 7) for name, offset in zip("xyz", offsets, strict=True))
+    found, _ = decode_points(PointCloud2(fields, 8_000, 5, point_step, 0, data.reshape(-1)))
+    np.testing.assert_array_equal(found, points[np.isfinite(points).all(axis=1)])
 
 
 XYZ = tuple(PointField(name, 4 * index, 7) for index, name in enumerate("xyz"))
