@@ -19,7 +19,7 @@ from multilica.ingest.mcap_records import (
 )
 from multilica.ingest.mcap_survey import survey
 from multilica.ingest.recording import Message
-from multilica.ingest.unindexed import UnindexedRecording
+from multilica.ingest.unindexed import Part, UnindexedRecording
 from multilica.ingest.whole_reads import EndOfFileError, WholeReads
 
 __all__ = ["open_unindexed"]
@@ -34,28 +34,43 @@ def open_unindexed(path: Path) -> UnindexedRecording:
     Raises:
         DamagedRecordingError: not a single message can be read.
     """
-    return UnindexedRecording("MCAP without index", partial(_messages, path), partial(survey, path))
+    return UnindexedRecording("MCAP without index", _Scan(path), partial(survey, path))
 
 
-def _messages(path: Path) -> Iterator[Message]:
-    stream = WholeReads.of_file(path)
-    known = KnownChannels(str(path))
-    try:
-        with damage_named(str(path)):
-            for opcode, record in _records(stream):
-                yield from known.messages_of(opcode, record)
-    finally:
-        stream.close()
+class _Scan:
+    """Reads a file from a place on; what the channels are is known from the last time that it was read so far."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._known = KnownChannels(str(path))
+
+    def __call__(self, place: int) -> Iterator[Part]:
+        if place == 0:
+            self._known = KnownChannels(str(self._path))
+        known = self._known
+        stream = WholeReads.of_file(self._path)
+        try:
+            with damage_named(known.where):
+                for opcode, record in _records(stream, place):
+                    yield stream.tell(), _messages(known, opcode, record)
+        finally:
+            stream.close()
 
 
-def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
+def _messages(known: KnownChannels, opcode: int, record: memoryview) -> Iterator[Message]:
+    with damage_named(known.where):
+        yield from known.messages_of(opcode, record)
+
+
+def _records(stream: WholeReads, place: int) -> Iterator[tuple[int, memoryview]]:
     """What bears on messages; attachments and the like are passed over, whatever their size.
 
-    Of a chunk that was cut off, what is there.
+    Of a chunk that was cut off, what is there. The checksum over all is only looked at from the beginning of the file.
     """
     head = stream.read(len(MAGIC))
     if head != MAGIC:
         raise ValueError("it does not begin as an MCAP file does")
+    stream.seek(max(place, len(MAGIC)))
     crc32 = crc32_of(head)
     opcode = 0
     while opcode != Opcode.FOOTER:
@@ -72,7 +87,7 @@ def _records(stream: WholeReads) -> Iterator[tuple[int, memoryview]]:
             raise EndOfFileError
         record = stream.view(length) if opcode == Opcode.CHUNK else memoryview(stream.read(length))
         crc32 = crc32_of(record, crc32)
-        if opcode == Opcode.DATA_END and int.from_bytes(record, "little") not in (0, before):
+        if opcode == Opcode.DATA_END and place == 0 and int.from_bytes(record, "little") not in (0, before):
             raise ValueError("a checksum does not match its data")
         yield opcode, record
     stream.read(len(MAGIC))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -24,7 +24,7 @@ from multilica.ingest.ros1_records import (
     read_length,
     records_of,
 )
-from multilica.ingest.unindexed import UnindexedRecording
+from multilica.ingest.unindexed import Part, UnindexedRecording
 from multilica.ingest.whole_reads import EndOfFileError, WholeReads
 
 __all__ = ["open_unindexed"]
@@ -36,37 +36,40 @@ def open_unindexed(path: Path) -> UnindexedRecording:
     Raises:
         DamagedRecordingError: not a single message can be read.
     """
-    return UnindexedRecording("ROS 1 bag without index", partial(_messages, path))
+    return UnindexedRecording("ROS 1 bag without index", partial(_parts, path, {}))
 
 
-def _messages(path: Path) -> Iterator[Message]:
-    connections: dict[bytes, Connection] = {}
-    with damage_named(str(path)):
-        for header, data in _all_records(path):
-            operation = header[b"op"][0]
-            if operation == CONNECTION:
-                connections[header[b"conn"]] = connection_of(header, data, path)
-            elif operation == MESSAGE:
-                yield connections[header[b"conn"]].message(header, data)
-
-
-def _all_records(path: Path) -> Iterator[tuple[Header, memoryview]]:
+def _parts(path: Path, connections: dict[bytes, Connection], place: int) -> Iterator[Part]:
+    """From a place on; `connections` are those that were met so far."""
     closed = False
     stream, memory = WholeReads.of_file(path), ReusedMemory()
     try:
-        stream.seek(MAGIC_BYTES)
-        while stream.remaining:
-            header = read_header(stream)
-            size = read_length(stream)
-            data = stream.read(min(size, stream.remaining))
-            closed = closed or header[b"op"][0] == CHUNK_INFO
-            if header[b"op"][0] == CHUNK:
-                yield from records_of(packed_chunk(header, data, is_whole=len(data) == size).unpack(memory))
-            else:
-                yield header, memoryview(data)
-            if len(data) < size:
+        with damage_named(str(path)):
+            stream.seek(max(place, MAGIC_BYTES))
+            while stream.remaining:
+                header = read_header(stream)
+                size = read_length(stream)
+                data = stream.read(min(size, stream.remaining))
+                closed = closed or header[b"op"][0] == CHUNK_INFO
+                yield stream.tell(), _messages(path, connections, header, data, size, memory)
+                if len(data) < size:
+                    raise EndOfFileError
+            if not closed:
                 raise EndOfFileError
     finally:
         stream.close()
-    if not closed:
-        raise EndOfFileError
+
+
+def _messages(
+    path: Path, connections: dict[bytes, Connection], header: Header, data: bytes, size: int, memory: ReusedMemory
+) -> Iterator[Message]:
+    with damage_named(str(path)):
+        records: Iterable[tuple[Header, memoryview]] = [(header, memoryview(data))]
+        if header[b"op"][0] == CHUNK:
+            records = records_of(packed_chunk(header, data, is_whole=len(data) == size).unpack(memory))
+        for inner, content in records:
+            operation = inner[b"op"][0]
+            if operation == CONNECTION:
+                connections[inner[b"conn"]] = connection_of(inner, content, path)
+            elif operation == MESSAGE:
+                yield connections[inner[b"conn"]].message(inner, content)

@@ -11,10 +11,13 @@ from typing import cast
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import Message, Messages, Span, Topic, joint_span
 
-__all__ = ["Survey", "UnindexedRecording"]
+__all__ = ["Part", "Survey", "UnindexedRecording"]
+
+Part = tuple[int, Iterator[Message]]
+"""The messages of one record of a file, be it a chunk of many, with the place behind it."""
 
 _MAX_KEPT_BYTES = 128 << 20
-"""Recordings up to this size are unpacked once; to know what is in one takes as long as to read it."""
+"""So much of a recording is unpacked once; to know what is in one takes as long as to read it."""
 _MESSAGE_BYTES = 256
 """What a message takes beside its data."""
 
@@ -54,7 +57,8 @@ class UnindexedRecording:
 
     Args:
         title: as `Recording.format`.
-        scan: every message in the order of writing; raises DamagedRecordingError where it cannot go on.
+        scan: the parts of the file from a place on, 0 for its beginning, in the order of writing; raises
+            DamagedRecordingError where it cannot go on. It begins elsewhere only where it has been before.
         survey: what can be told without that; None where nothing can.
 
     Raises:
@@ -64,11 +68,12 @@ class UnindexedRecording:
     is_indexed = False
 
     def __init__(
-        self, title: str, scan: Callable[[], Iterator[Message]], survey: Callable[[], Survey | None] = lambda: None
+        self, title: str, scan: Callable[[int], Iterator[Part]], survey: Callable[[], Survey | None] = lambda: None
     ) -> None:
         self.format = title
         self._scan = scan
-        self._kept: list[Message] | None = None
+        self._kept: list[Message] = []
+        self._kept_until: int | None = 0
         self._error: DamagedRecordingError | None = None
         told = survey()
         self._survey = self._read() if told is None or told.unpacked_bytes <= _MAX_KEPT_BYTES else told
@@ -87,34 +92,38 @@ class UnindexedRecording:
 
     def close(self) -> None:
         """Let go of what was kept; nothing stays open."""
-        self._kept = None
+        self._kept = []
 
     def _once_more(self) -> Iterator[Message]:
-        if self._kept is None:
-            yield from self._scan()
-            return
         yield from self._kept
+        if self._kept_until is not None:
+            for _, messages in self._scan(self._kept_until):
+                yield from messages
         if self._error is not None:
             raise self._error
 
     def _read(self) -> Survey:
-        found, kept_bytes = Survey(), 0
-        chunk: Sized | None = None
-        self._kept = []
+        found, kept_bytes, whole_parts = Survey(), 0, 0
         try:
-            for message in self._scan():
-                # A message keeps all of the chunk that it lies in.
-                before, chunk = chunk, _chunk_of(message)
-                kept_bytes += _MESSAGE_BYTES + (0 if chunk is before else len(chunk))
-                if kept_bytes > _MAX_KEPT_BYTES:
-                    self._kept = None
-                if self._kept is not None:
-                    self._kept.append(message)
-                found.add(message.topic_alone, 1, (message.log_time_ns, message.log_time_ns))
+            for behind, messages in self._scan(0):
+                chunk: Sized | None = None
+                for message in messages:
+                    found.add(message.topic_alone, 1, (message.log_time_ns, message.log_time_ns))
+                    # A message keeps all of the chunk that it lies in.
+                    before, chunk = chunk, _chunk_of(message)
+                    kept_bytes += _MESSAGE_BYTES + (0 if chunk is before else len(chunk))
+                    if kept_bytes <= _MAX_KEPT_BYTES:
+                        self._kept.append(message)
+                if kept_bytes <= _MAX_KEPT_BYTES:
+                    self._kept_until, whole_parts = behind, len(self._kept)
         except DamagedRecordingError as error:
             if not found.counts:
                 raise
             found.damage, self._error = error.reason, error
+        if kept_bytes <= _MAX_KEPT_BYTES:
+            self._kept_until = None
+        else:
+            del self._kept[whole_parts:]
         return found
 
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -10,42 +11,75 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType
 
-from multilica.ingest import unindexed
+from multilica.ingest import mcap_scan, ros1_scan, unindexed
 from multilica.ingest.chunked import PackedChunk
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.mcap_scan import open_unindexed
 from multilica.ingest.recording import Message
-from multilica.ingest.unindexed import UnindexedRecording
-from tests.ingest.recording_writers import make_snapshot, write_mcap
+from multilica.ingest.unindexed import Part, UnindexedRecording
+from tests.ingest.recording_writers import make_snapshot, write_mcap, write_ros1_bag
 
 CHUNK_BYTES = 10_000
 
 
 class Scan:
-    """Ten chunks that hold a message of three bytes each, then damage; counts how often it was run."""
+    """Ten chunks that hold two messages of three bytes each, then half a one; counts the chunks that it unpacks."""
 
     def __init__(self) -> None:
-        self.runs = 0
+        self.unpacked = 0
 
-    def __call__(self) -> Iterator[Message]:
-        self.runs += 1
-        for time_ns in range(10):
-            yield Message("/a", "type", "cdr", time_ns, memoryview(bytes(CHUNK_BYTES))[:3], "A scan")
-        raise DamagedRecordingError("a.mcap", "the file ends too early")
+    def __call__(self, place: int) -> Iterator[Part]:
+        for number in range(place, 11):
+            yield number + 1, self._messages(number)
+
+    def _messages(self, number: int) -> Iterator[Message]:
+        self.unpacked += 1
+        chunk = memoryview(bytes(CHUNK_BYTES))
+        for half in range(2):
+            if (number, half) == (10, 1):
+                raise DamagedRecordingError("a.mcap", "the file ends too early")
+            yield Message("/a", "type", "cdr", 2 * number + half, chunk[:3], "A scan")
 
 
-@pytest.mark.parametrize(("limit_bytes", "runs"), [(11 * CHUNK_BYTES, 1), (9 * CHUNK_BYTES, 3)])
-def test_only_small_recordings_are_kept_in_memory(monkeypatch: pytest.MonkeyPatch, limit_bytes: int, runs: int) -> None:
+@pytest.mark.parametrize(
+    ("limit_bytes", "unpacked"),
+    [(12 * CHUNK_BYTES, 11), (11 * CHUNK_BYTES, 11 + 2), (4 * CHUNK_BYTES, 11 + 2 * 8), (0, 33)],
+)
+def test_what_is_kept_is_not_unpacked_again(monkeypatch: pytest.MonkeyPatch, limit_bytes: int, unpacked: int) -> None:
     monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", limit_bytes)
     scan = Scan()
     recording = UnindexedRecording("MCAP without index", scan)
     assert recording.damage == "the file ends too early"
-    for start_ns in (0, 4):
+    for start_ns in (0, 7):
         found: list[int] = []
         with pytest.raises(DamagedRecordingError, match="ends too early"):
             found.extend(message.log_time_ns for message in recording.messages({"/a"}, start_ns))
-        assert found == list(range(start_ns, 10))
-    assert scan.runs == runs
+        assert found == list(range(start_ns, 21))
+    assert scan.unpacked == unpacked
+
+
+@pytest.mark.parametrize("make", ["mcap", "unchunked mcap", "bag"])
+@pytest.mark.parametrize("cut", [1.0, 0.9])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7])
+def test_a_recording_kept_in_part_is_read_like_one_kept_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: str, cut: float, share: float
+) -> None:
+    path = tmp_path / "a"
+    snapshot = make_snapshot(frames=40, points=200)
+    if make == "bag":
+        write_ros1_bag(snapshot, path)
+    else:
+        write_mcap(snapshot, path, indexed=False, chunked=make == "mcap", chunk_size=20_000)
+    os.truncate(path, int(cut * path.stat().st_size))
+    open_file = ros1_scan.open_unindexed if make == "bag" else mcap_scan.open_unindexed
+    whole = open_file(path)
+    names = {topic.name for topic in whole.topics}
+    expected = all_of(whole.messages(names))
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", int(share * sum(len(data) + 256 for *_, data in expected)))
+    part = open_file(path)
+    assert (part.topics, part.damage) == (whole.topics, whole.damage)
+    assert all_of(part.messages(names)) == expected
+    assert all_of(part.messages(names)) == expected
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
