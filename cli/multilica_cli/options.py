@@ -54,7 +54,7 @@ Start = Annotated[
     typer.Option(
         "--start",
         metavar="S|TIME",
-        help="Begin so many seconds after the first frame, or at a time: ISO 8601 or seconds since the epoch.",
+        help="Begin so many seconds after the first frame, or at a time: ISO 8601, seconds or nanoseconds since 1970.",
     ),
 ]
 Window = Annotated[

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError
-from multilica.ingest.cloud import is_cloud
-from multilica.ingest.packets import PACKET_TYPES, missing_decoder
+from multilica.ingest.cloud import is_cloud, obstacle
+from multilica.ingest.packets import PACKET_TYPES
 from multilica.ingest.recording import Recording, Topic, normal_type
 
-__all__ = ["choose_topics", "packet_notes"]
+__all__ = ["choose_topics", "unread_notes"]
 
 
 def choose_topics(
@@ -28,7 +28,7 @@ def choose_topics(
             messages is taken.
 
     Raises:
-        UnfitSnapshotError: the recording has no point clouds.
+        UnfitSnapshotError: the recording has no point clouds, or a topic that is named cannot be read.
         UnknownNameError: no such point cloud topic.
         ConfigError: a topic with two names, a name with two topics, or a name that is empty.
     """
@@ -37,6 +37,9 @@ def choose_topics(
         raise UnfitSnapshotError(_no_clouds(recording, label))
     if not asked_for and not only:
         return {name: topic.lidar for name, topic in clouds.items() if topic.count and not _is_twin(topic, clouds)}
+    for topic in recording.topics:
+        if topic.name in (*only, *asked_for.values()) and topic.name not in clouds and (held := obstacle(topic)):
+            raise UnfitSnapshotError(f"In {label}, '{topic.name}' holds {held}.")
     chosen: dict[str, str] = {}
     for pattern in only:
         chosen |= {name: clouds[name].lidar for name in _matching(pattern, clouds, label)}
@@ -82,12 +85,13 @@ def _is_twin(topic: Topic, clouds: Mapping[str, Topic]) -> bool:
     return any(other.count and other.message_type not in PACKET_TYPES for other in siblings)
 
 
-def packet_notes(recording: Recording) -> list[str]:
-    """Topics of packets that cannot be read here, with what to do about them."""
+def unread_notes(recording: Recording) -> list[str]:
+    """Topics of points that cannot be read here, with what to do about them."""
+    clouds = {topic.name: topic for topic in recording.topics if is_cloud(topic)}
     return [
-        f"'{topic.name}' holds {wanted}."
+        f"'{topic.name}' holds {held}."
         for topic in recording.topics
-        if topic.count and (wanted := missing_decoder(topic.message_type, topic.encoding))
+        if topic.count and not _is_twin(topic, clouds) and (held := obstacle(topic))
     ]
 
 
@@ -95,8 +99,8 @@ def _no_clouds(recording: Recording, label: str) -> str:
     silent = sorted(topic.name for topic in recording.topics if is_cloud(topic))
     if silent:
         return f"{label} holds no point clouds: its topics {', '.join(silent)} have no messages."
-    packets = packet_notes(recording)
-    if packets:
-        return f"{label} holds no point clouds: {packets[0]}"
+    unread = unread_notes(recording)
+    if unread:
+        return f"{label} holds no point clouds that can be read: {unread[0]}"
     types = ", ".join(sorted({topic.message_type for topic in recording.topics})) or "no messages"
     return f"{label} holds no point clouds; expected sensor_msgs/msg/PointCloud2, found {types}."

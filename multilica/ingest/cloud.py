@@ -10,11 +10,11 @@ from importlib import import_module
 from typing import cast
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.packets import OUSTER_TURN, OUSTER_TYPES, missing_decoder
+from multilica.ingest.packets import OUSTER_TURN, OUSTER_TYPES, PACKET_TYPES, missing_decoder
 from multilica.ingest.recording import Message, Topic
 from multilica.snapshot import Scan
 
-__all__ = ["Cloud", "decode_cloud", "is_cloud"]
+__all__ = ["Cloud", "decode_cloud", "is_cloud", "obstacle"]
 
 _DECODERS = {
     ("sensor_msgs/msg/PointCloud2", "cdr"): "ros_messages",
@@ -36,6 +36,7 @@ _DECODERS = {
     ("NUSCENES", "nuscenes"): "raw_arrays",
 }
 """(message type, encoding) -> module beside this one whose `decode_cloud` unpacks it."""
+_SHOWN = 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +56,15 @@ class Cloud:
 def is_cloud(of: Topic | Message) -> bool:
     """Whether this message, or those on this topic, can be unpacked to points."""
     return (of.message_type, of.encoding) in _DECODERS and not missing_decoder(of.message_type, of.encoding)
+
+
+def obstacle(topic: Topic) -> str:
+    """What a topic of points holds that cannot be read here, and what to do about it; empty for every other topic."""
+    encodings = [encoding for message_type, encoding in _DECODERS if message_type == topic.message_type]
+    if encodings and topic.encoding not in encodings and topic.message_type not in PACKET_TYPES:
+        expected = " or ".join(encodings)
+        return f"{topic.message_type} in the encoding {topic.encoding[:_SHOWN]!r}; expected {expected}"
+    return missing_decoder(topic.message_type, topic.encoding)
 
 
 def decode_cloud(message: Message) -> Cloud:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.ingest.address import require_valid, without_secrets
-from multilica.ingest.choice import choose_topics
+from multilica.ingest.choice import choose_topics, unread_notes
 from multilica.ingest.live_recording import LiveRecording
 from multilica.ingest.reading import DEFAULT_CONFIG, assemble_snapshot
 from multilica.ingest.recording import MessageObserver
@@ -65,8 +65,9 @@ def listen(url: str, *, config: IngestConfig = DEFAULT_CONFIG, observe: MessageO
         if config.strict and window.faults:
             raise UnfitSnapshotError(f"{label} is refused, for ingest.strict is set: {window.faults[0]}")
         static = read_static_transforms(recording)
+        unread = unread_notes(recording)
     silent = tuple(sorted(given.keys() - window.clouds.keys()))
-    return LiveSnapshot(assemble_snapshot(label, given, window, static), silent)
+    return LiveSnapshot(assemble_snapshot(label, given, window, static, notes=unread), silent)
 
 
 def _is_offered(recording: LiveRecording, config: IngestConfig) -> bool:

@@ -22,6 +22,9 @@ _OUSTER_ALONE = (
 )
 _HESAI = "packets of Hesai, which its driver HesaiLidar_ROS_2.0 turns into point clouds; replay the log through it"
 _ROBOSENSE = "packets of RoboSense, which its driver rslidar_sdk turns into point clouds; replay the log through it"
+_NEBULA = (
+    "packets as Autoware's Nebula records them, which nebula_ros turns into point clouds; replay the log through it"
+)
 _VELODYNE = "packets of Velodyne; install multilica[velodyne], or replay the log through the driver velodyne_pointcloud"
 
 OUSTER_TYPES = ("ouster_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
@@ -30,6 +33,7 @@ PACKET_TYPES = {
     **dict.fromkeys(OUSTER_TYPES, _OUSTER),
     "hesai_lidar/msg/PandarScan": _HESAI,
     "hesai_ros_driver/msg/UdpFrame": _HESAI,
+    "nebula_msgs/msg/NebulaPackets": _NEBULA,
     "pandar_msgs/msg/PandarScan": _HESAI,
     "rslidar_msg/msg/RslidarPacket": _ROBOSENSE,
     "rslidar_msgs/msg/rslidarScan": _ROBOSENSE,

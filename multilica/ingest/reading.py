@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 
 from multilica.config import IngestConfig
-from multilica.ingest.choice import choose_topics, packet_notes
+from multilica.ingest.choice import choose_topics, unread_notes
 from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.naming import lidar_names, shared_frames
 from multilica.ingest.opening import open_source
@@ -49,8 +49,8 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         window = collect_frames(recording, given.keys(), config, found.label)
         require_frames(window, given.keys(), config, found.label)
         static = read_static_transforms(recording)
-        packets = packet_notes(recording)
-    return assemble_snapshot(found.label, given, window, static, sha256.result(), packets)
+        unread = unread_notes(recording)
+    return assemble_snapshot(found.label, given, window, static, sha256.result(), unread)
 
 
 def assemble_snapshot(

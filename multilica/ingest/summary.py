@@ -12,7 +12,7 @@ import numpy as np
 from multilica.config import IngestConfig
 from multilica.errors import InputError, UnfitSnapshotError
 from multilica.geometry import RigidTransform
-from multilica.ingest.choice import choose_topics, packet_notes
+from multilica.ingest.choice import choose_topics, unread_notes
 from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.opening import open_source
 from multilica.ingest.packets import OUSTER_TURN
@@ -106,7 +106,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     with closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _look(recording, config, found.label)
-        snapshot = assemble_snapshot(found.label, given, window, static, notes=packet_notes(recording))
+        snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
         return SourceSummary(
             source=found.label,
             format=recording.format,

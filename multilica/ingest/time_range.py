@@ -16,6 +16,8 @@ __all__ = ["TimeRange", "find_time_range", "parse_time_ns"]
 
 _NS_PER_S = 1_000_000_000
 _LONGEST_SPREAD_S = 30.0
+_LEAST_NS = 10**17
+"""As seconds, three billion years; as nanoseconds, in 1973."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,11 +60,13 @@ def find_time_range(recording: Recording, config: IngestConfig, label: str) -> T
 
 
 def parse_time_ns(text: str) -> int:
-    """Nanoseconds since the epoch, of ISO 8601 or of seconds since the epoch.
+    """Nanoseconds since the epoch, of ISO 8601, of seconds since the epoch or of nanoseconds since then.
 
     Raises:
-        ConfigError: it is neither.
+        ConfigError: it is none of them.
     """
+    if text.isdecimal() and int(text) >= _LEAST_NS:
+        return int(text)
     try:
         return round(float(text) * _NS_PER_S)
     except (ValueError, OverflowError):
@@ -72,7 +76,7 @@ def parse_time_ns(text: str) -> int:
     except ValueError as error:
         raise ConfigError(
             f"Cannot read the time '{text}' in ingest.start_at; expected ISO 8601, as in 2026-05-04T12:30:00Z, "
-            "or seconds since the epoch."
+            "or seconds or nanoseconds since the epoch."
         ) from error
     since_epoch = (time if time.tzinfo else time.replace(tzinfo=UTC)) - datetime.fromtimestamp(0, UTC)
     return (since_epoch.days * 86400 + since_epoch.seconds) * _NS_PER_S + since_epoch.microseconds * 1000
@@ -84,14 +88,14 @@ def _start_ns(span: Span, config: IngestConfig, label: str) -> int:
         if not span[0] - _NS_PER_S <= start_ns <= span[1]:
             raise UnfitSnapshotError(
                 f"{label} has no point cloud at {config.start_at}: they span {_utc(span[0])} to {_utc(span[1])}; "
-                "set ingest.start_at to a time between."
+                "set ingest.start_at (--start) to a time between."
             )
         return start_ns
     duration_s = (span[1] - span[0]) / _NS_PER_S
     if config.start_s > duration_s:
         raise UnfitSnapshotError(
             f"{label} has no point cloud {config.start_s:g} s after its first one: they span {duration_s:.3f} s; "
-            "set ingest.start_s to less."
+            "set ingest.start_s (--start) to less."
         )
     return span[0] + round(config.start_s * _NS_PER_S)
 

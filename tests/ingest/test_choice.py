@@ -69,7 +69,9 @@ def test_a_pattern_can_give_a_name_if_it_is_one_topic(mixed: Path) -> None:
         read_snapshot(mixed, config=IngestConfig(only=("/radar*",)))
 
 
-@pytest.mark.parametrize("start_at", ["2023-11-14T22:13:20.250+00:00", "1700000000.25", "2023-11-14T22:13:20.25"])
+@pytest.mark.parametrize(
+    "start_at", ["2023-11-14T22:13:20.250+00:00", "1700000000.25", "1700000000250000000", "2023-11-14T22:13:20.25"]
+)
 def test_an_absolute_time(tmp_path: Path, start_at: str) -> None:
     write_mcap(make_snapshot(frames=8), tmp_path / "a.mcap")
     config = IngestConfig(frames=2, start_at=start_at)

@@ -149,9 +149,12 @@ def test_packets_beside_the_clouds_made_of_them_are_left_out(tmp_path: Path) -> 
     snapshot = make_snapshot(lidars=1)
     lidar = snapshot.lidars[0]
     cloud = Snapshot((LidarScans("velodyne", lidar.scans, topic="/velodyne_points"),))
-    messages = [*velodyne_messages("cdr"), *livox_messages(cloud, "livox_ros_driver2", "cdr")]
+    hesai = [("/pandar_packets", "hesai_ros_driver/msg/UdpFrame", START_NS, b"\0" * 40)]
+    messages = [*velodyne_messages("cdr"), *hesai, *livox_messages(cloud, "livox_ros_driver2", "cdr")]
     write_raw_mcap(iter(messages), tmp_path / "a.mcap", "cdr")
-    assert [lidar.topic for lidar in read_snapshot(tmp_path / "a.mcap").lidars] == ["/velodyne_points"]
+    found = read_snapshot(tmp_path / "a.mcap")
+    assert [lidar.topic for lidar in found.lidars] == ["/velodyne_points"]
+    assert found.notes == ()
 
 
 def test_a_pose_of_the_cloud_in_its_frame_is_told(tmp_path: Path, scene: Snapshot) -> None:

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of points that nobody here reads are named, with what to do about them."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from multilica.config import IngestConfig
+from multilica.errors import UnfitSnapshotError
+from multilica.ingest import read_snapshot
+from multilica.ingest.live import listen
+from tests.ingest.format_writers import livox_messages, write_raw_mcap
+from tests.ingest.processes import served
+from tests.ingest.recording_writers import START_NS, make_snapshot
+
+
+@pytest.mark.parametrize(
+    ("message_type", "driver"),
+    [
+        ("hesai_ros_driver/msg/UdpFrame", "HesaiLidar_ROS_2.0"),
+        ("nebula_msgs/msg/NebulaPackets", "nebula_ros"),
+        ("rslidar_msg/msg/RslidarPacket", "rslidar_sdk"),
+    ],
+)
+def test_packets_name_the_driver_to_run(tmp_path: Path, message_type: str, driver: str) -> None:
+    write_raw_mcap(iter([("/packets", message_type, START_NS, b"\0" * 40)]), tmp_path / "a.mcap", "cdr")
+    with pytest.raises(UnfitSnapshotError, match=f"'/packets' holds packets .*{driver}.*; replay the log through it"):
+        read_snapshot(tmp_path / "a.mcap")
+
+
+def test_point_clouds_in_an_encoding_of_nobody_here_are_told(tmp_path: Path) -> None:
+    path, held = tmp_path / "a.mcap", r"'/flat' holds foxglove.PointCloud in the encoding 'flatbuffer'; expected "
+    known = [("/lidar_0/points", "livox_ros_driver2/msg/CustomMsg", "cdr", data) for _, _, _, data in _livox()]
+    _write_mixed(path, [("/flat", "foxglove.PointCloud", "flatbuffer", b"\0" * 40)])
+    with pytest.raises(UnfitSnapshotError, match=f"holds no point clouds that can be read: {held}protobuf or json"):
+        read_snapshot(path)
+    _write_mixed(path, [("/flat", "foxglove.PointCloud", "flatbuffer", b"\0" * 40), *known])
+    (note,) = read_snapshot(path).notes
+    assert re.match(held, note)
+    with pytest.raises(UnfitSnapshotError, match=f"In {re.escape(str(path))}, {held}"):
+        read_snapshot(path, config=IngestConfig(topics={"flat": "/flat"}))
+
+
+def test_a_running_vehicle_is_told_the_same() -> None:
+    with served("bridge_server.py", "flatbuffer", 0, "none") as port:
+        config = IngestConfig(frames=1, timeout_s=1.0)
+        with pytest.raises(UnfitSnapshotError, match=r"in the encoding 'flatbuffer'; expected protobuf or json"):
+            listen(f"ws://127.0.0.1:{port}", config=config)
+
+
+def _livox() -> list[tuple[str, str, int, bytes]]:
+    return list(livox_messages(make_snapshot(lidars=1), "livox_ros_driver2", "cdr"))
+
+
+def _write_mixed(path: Path, messages: list[tuple[str, str, str, bytes]]) -> None:
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("", "test")
+        for number, (topic, message_type, encoding, data) in enumerate(messages):
+            schema = writer.register_schema(message_type, "", b"")
+            channel = writer.register_channel(topic, encoding, schema)
+            writer.add_message(channel, START_NS + number, data, START_NS + number)
+        writer.finish()
