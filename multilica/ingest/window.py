@@ -72,17 +72,19 @@ def require_frames(window: Window, topics: Collection[str], config: IngestConfig
     """Check that there is a frame at all, and one of every topic that was asked for by name.
 
     Raises:
-        UnreadableSourceError: all frames of a topic are broken, or anything is at fault where `config.strict`.
+        UnreadableSourceError: all frames are broken, of all topics or of one that was asked for by name, or anything is
+            at fault where `config.strict`.
         UnfitSnapshotError: no frame lies in the window.
     """
     if config.strict and window.faults:
         raise UnreadableSourceError(f"{label} is refused, for ingest.strict is set: {window.faults[0]}")
+    has_frames = bool(window.clouds.keys() & set(topics))
     for topic in sorted(topics):
-        if topic in window.broken:
+        if topic in window.broken and (topic in (*config.topics.values(), *config.only) or not has_frames):
             raise UnreadableSourceError(window.broken[topic])
         if topic not in window.clouds and topic in config.topics.values():
             raise UnfitSnapshotError(f"{label} has no scan of '{topic}' from {config.start_s:g} s on.")
-    if not window.clouds.keys() & set(topics):
+    if not has_frames:
         raise UnfitSnapshotError(f"{label} has no scan that can be read from {config.start_s:g} s on.")
 
 

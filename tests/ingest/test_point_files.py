@@ -217,3 +217,17 @@ def test_broken_files_give_one_sentence(
     assert str(caught.value).endswith(".")
     assert "\n" not in str(caught.value)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_broken_file_does_not_cost_the_others(tmp_path: Path) -> None:
+    np.save(tmp_path / "front.npy", np.ones((5, 3)))
+    (tmp_path / "rear.bin").write_bytes(b"\0" * 1001)
+    found = read_snapshot(tmp_path)
+    assert found.names == ("front",)
+    assert found.notes[0].startswith("1 of 1 scans of 'rear.bin' are broken and left out: ")
+    for config in (IngestConfig(strict=True), IngestConfig(only=("rear.bin",)), IngestConfig(topics={"a": "rear.bin"})):
+        with pytest.raises(UnreadableSourceError, match="has 1001 bytes; expected a multiple of 16"):
+            read_snapshot(tmp_path, config=config)
+    (tmp_path / "front.npy").unlink()
+    with pytest.raises(UnreadableSourceError, match="has 1001 bytes; expected a multiple of 16"):
+        read_snapshot(tmp_path)
