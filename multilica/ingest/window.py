@@ -126,6 +126,7 @@ def _shortages(stream: TakenFrames, streams: list[TakenFrames], damage: str) -> 
     if stream.fell_silent:
         patience_s = PATIENCE_NS / 1e9
         return [f"'{stream.topic}' fell silent: {taken} of {stream.wanted} scans, then none for {patience_s:.0f} s."]
-    if taken < max(len(other.clouds) for other in streams):
-        return [f"'{stream.topic}' has {taken} scans in the window, others have more."]
+    if taken + len(stream.broken) < max(len(other.clouds) for other in streams):
+        scans = "1 scan" if taken == 1 else f"{taken} scans"
+        return [f"'{stream.topic}' has {scans} in the window, others have more."]
     return []

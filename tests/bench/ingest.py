@@ -21,6 +21,7 @@ from rosbags.rosbag2 import CompressionMode
 
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.bench.claims import Claim, print_claims, print_table
+from tests.bench.point_files import POINT_FILES
 from tests.ingest.format_writers import livox_messages, write_foxglove_json, write_foxglove_sdk, write_raw_mcap
 from tests.ingest.recording_writers import (
     CLOUD,
@@ -48,10 +49,10 @@ JUDGED = (
     "livox cdr.mcap",
 )
 LARGE_BYTES = 2_000_000_000
-_HEAD = """MB of messages as they are before compression. bare, checked: the iteration of `mcap` itself, which unpacks
-chunks and hands over the bytes of each message, without and with a look at the checksums; decoded: this reader, which
-looks at the checksums and makes points. The shares are of processor time over all threads, each reader in a process of
-its own, in turns, which other work on the machine changes least.
+_HEAD = """MB of messages as they are before compression, of point files as they lie on disk. bare, checked: the
+iteration of `mcap` itself, which unpacks chunks and hands over the bytes of each message, without and with a look at
+checksums; decoded: this reader, which looks at the checksums and makes points. The shares are of processor time over
+all threads, each reader in a process of its own, in turns, which other work on the machine changes least.
 """
 _STAMP_AT = 4
 """In CDR, after the four bytes that say how it is encoded."""
@@ -97,6 +98,7 @@ CASES: dict[str, Callable[[Snapshot, Path], None]] = {
         snapshot, path, compression=CompressionMode.MESSAGE
     ),
     "ros2 sqlite3 zstd file": lambda snapshot, path: write_ros2_bag(snapshot, path, compression=CompressionMode.FILE),
+    **POINT_FILES,
 }
 """Name of the file -> its writer; whole clouds of 26 bytes a point unless the format has its own layout."""
 

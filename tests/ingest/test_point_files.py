@@ -119,7 +119,7 @@ def test_a_folder_of_frames_per_lidar(tmp_path: Path) -> None:
     assert [scan.points_m[0, 0] for scan in snapshot["front"].scans] == list(range(1, 12))
     assert len(snapshot["rear"].scans) == 1
     assert snapshot["rear"].topic == "rear"
-    assert snapshot.notes == ("'rear' has 1 scans in the window, others have more.",)
+    assert snapshot.notes == ("'rear' has 1 scan in the window, others have more.",)
 
 
 def test_a_list_of_files_and_folders(tmp_path: Path) -> None:
@@ -224,7 +224,8 @@ def test_a_broken_file_does_not_cost_the_others(tmp_path: Path) -> None:
     (tmp_path / "rear.bin").write_bytes(b"\0" * 1001)
     found = read_snapshot(tmp_path)
     assert found.names == ("front",)
-    assert found.notes[0].startswith("1 of 1 scans of 'rear.bin' are broken and left out: ")
+    (note,) = found.notes
+    assert note.startswith("1 of 1 scans of 'rear.bin' are broken and left out: ")
     for config in (IngestConfig(strict=True), IngestConfig(only=("rear.bin",)), IngestConfig(topics={"a": "rear.bin"})):
         with pytest.raises(UnreadableSourceError, match="has 1001 bytes; expected a multiple of 16"):
             read_snapshot(tmp_path, config=config)
