@@ -40,9 +40,12 @@ def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.C
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("name", ["zstd.mcap", "plain.mcap", "unchunked.mcap"])
-def test_damaged_files_too_large_to_be_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
-    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", 0)
+@pytest.mark.parametrize("kept_bytes", [0, 2500])
+@pytest.mark.parametrize("name", ["zstd.mcap", "plain.mcap", "unindexed.mcap", "unchunked.mcap", "plain.bag"])
+def test_damaged_files_too_large_to_be_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, kept_bytes: int
+) -> None:
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", kept_bytes)
     path = write_seed(name, tmp_path)
     content = path.read_bytes()
     read = 0
