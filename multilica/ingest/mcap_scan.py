@@ -34,27 +34,19 @@ def open_unindexed(path: Path) -> UnindexedRecording:
     Raises:
         DamagedRecordingError: not a single message can be read.
     """
-    return UnindexedRecording("MCAP without index", _Scan(path), partial(survey, path))
+    known = KnownChannels(str(path))
+    return UnindexedRecording("MCAP without index", partial(_parts, path, known), partial(survey, path, known))
 
 
-class _Scan:
-    """Reads a file from a place on; what the channels are is known from the last time that it was read so far."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._known = KnownChannels(str(path))
-
-    def __call__(self, place: int) -> Iterator[Part]:
-        if place == 0:
-            self._known = KnownChannels(str(self._path))
-        known = self._known
-        stream = WholeReads.of_file(self._path)
-        try:
-            with damage_named(known.where):
-                for opcode, record in _records(stream, place):
-                    yield stream.tell(), _messages(known, opcode, record)
-        finally:
-            stream.close()
+def _parts(path: Path, known: KnownChannels, place: int) -> Iterator[Part]:
+    """From a place on; `known` are the channels that were met so far."""
+    stream = WholeReads.of_file(path)
+    try:
+        with damage_named(known.where):
+            for opcode, record in _records(stream, place):
+                yield stream.tell(), _messages(known, opcode, record)
+    finally:
+        stream.close()
 
 
 def _messages(known: KnownChannels, opcode: int, record: memoryview) -> Iterator[Message]:

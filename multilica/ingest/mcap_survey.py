@@ -36,15 +36,19 @@ class _NotToldError(Exception):
     """Only the messages themselves tell."""
 
 
-def survey(path: Path) -> Survey | None:
-    """What the message indexes behind the chunks tell; None where there are none, or where anything makes no sense."""
-    found, known = Survey(), KnownChannels(str(path))
+def survey(path: Path, known: KnownChannels) -> Survey | None:
+    """What the message indexes behind the chunks tell; None where there are none, or where anything makes no sense.
+
+    Args:
+        known: is told of every channel.
+    """
+    found = Survey()
     stream = WholeReads.of_file(path)
     try:
         if stream.read(len(MAGIC)) != MAGIC:
             return None
         while _add_next(stream, found, known):
-            pass
+            found.mark(stream.tell())
     except EndOfFileError as error:
         found.damage = reason_of(error)
     except DamagedRecordingError as error:
@@ -83,6 +87,7 @@ def _next_head(stream: WholeReads) -> tuple[int, int]:
 def _add_chunk(stream: WholeReads, end: int, found: Survey, known: KnownChannels) -> None:
     start, held_end = stream.tell(), min(end, stream.tell() + stream.remaining)
     span, unpacked_bytes = chunk_claims(stream.read(min(_MOST_CLAIMS_BYTES, held_end - start)))
+    found.latest_ns = max(found.latest_ns, span[1])
     stream.seek(held_end)
     told = _message_indexes(stream, span)
     behind = stream.tell()

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Sized
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 from typing import cast
 
 from multilica.ingest.damage import DamagedRecordingError
@@ -18,6 +20,8 @@ Part = tuple[int, Iterator[Message]]
 
 _MAX_KEPT_BYTES = 128 << 20
 """So much of a recording is unpacked once; to know what is in one takes as long as to read it."""
+_MARK_BYTES = 1 << 20
+"""Places to begin at are remembered this far apart, lest there be one per message."""
 _MESSAGE_BYTES = 256
 """What a message takes beside its data."""
 
@@ -31,12 +35,16 @@ class Survey:
         spans: log times by name of the topic.
         unpacked_bytes: size of the messages.
         damage: as of `Recording`.
+        latest_ns: the latest log time.
+        marks: places in the file, each with the latest log time before it.
     """
 
     counts: Counter[Topic] = field(default_factory=Counter)
     spans: dict[str, Span] = field(default_factory=dict)
     unpacked_bytes: int = 0
     damage: str = ""
+    latest_ns: int = 0
+    marks: list[tuple[int, int]] = field(default_factory=list)
 
     def add(self, topic: Topic, count: int, span: Span, unpacked_bytes: int = 0) -> None:
         """Add so many messages of a topic, whose own count is zero."""
@@ -44,6 +52,17 @@ class Survey:
         first, last = self.spans.get(topic.name, span)
         self.spans[topic.name] = min(first, span[0]), max(last, span[1])
         self.unpacked_bytes += unpacked_bytes
+        self.latest_ns = max(self.latest_ns, span[1])
+
+    def mark(self, place: int) -> None:
+        """Tell that everything before a place in the file was added."""
+        if place - (self.marks[-1][0] if self.marks else 0) >= _MARK_BYTES:
+            self.marks.append((place, self.latest_ns))
+
+    def begin(self, start_ns: int, least: int) -> int:
+        """The last place that is known to have only earlier messages before it; `least` if none lies behind that."""
+        index = bisect_left(self.marks, start_ns, key=itemgetter(1))
+        return max(least, self.marks[index - 1][0]) if index else least
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -86,7 +105,7 @@ class UnindexedRecording:
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """In the order of writing."""
-        for message in self._once_more():
+        for message in self._once_more(start_ns):
             if message.topic in topics and message.log_time_ns >= start_ns:
                 yield message
 
@@ -94,10 +113,10 @@ class UnindexedRecording:
         """Let go of what was kept; nothing stays open."""
         self._kept = []
 
-    def _once_more(self) -> Iterator[Message]:
+    def _once_more(self, start_ns: int) -> Iterator[Message]:
         yield from self._kept
         if self._kept_until is not None:
-            for _, messages in self._scan(self._kept_until):
+            for _, messages in self._scan(self._survey.begin(start_ns, self._kept_until)):
                 yield from messages
         if self._error is not None:
             raise self._error
@@ -114,6 +133,7 @@ class UnindexedRecording:
                     kept_bytes += _MESSAGE_BYTES + (0 if chunk is before else len(chunk))
                     if kept_bytes <= _MAX_KEPT_BYTES:
                         self._kept.append(message)
+                found.mark(behind)
                 if kept_bytes <= _MAX_KEPT_BYTES:
                     self._kept_until, whole_parts = behind, len(self._kept)
         except DamagedRecordingError as error:

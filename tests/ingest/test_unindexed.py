@@ -17,7 +17,7 @@ from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.mcap_scan import open_unindexed
 from multilica.ingest.recording import Message
 from multilica.ingest.unindexed import Part, UnindexedRecording
-from tests.ingest.recording_writers import make_snapshot, write_mcap, write_ros1_bag
+from tests.ingest.recording_writers import PERIOD_NS, START_NS, make_snapshot, write_mcap, write_ros1_bag
 
 CHUNK_BYTES = 10_000
 
@@ -106,6 +106,34 @@ def test_a_large_recording_without_a_summary_is_not_unpacked_to_learn_what_is_in
         assert told.span_ns(names) == read.span_ns(names)
         assert all_of(told.messages(names)) == all_of(read.messages(names))
         read.close()
+
+
+@pytest.mark.parametrize("make", ["survey", "no survey", "bag"])
+def test_what_lies_before_the_window_is_not_unpacked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: str
+) -> None:
+    path = tmp_path / "a"
+    if make == "bag":
+        write_ros1_bag(make_snapshot(frames=40, points=2000), path)
+    else:
+        write_mcap(make_snapshot(frames=40, points=200), path, indexed=make == "survey", chunk_size=20_000)
+    os.truncate(path, int(0.9 * path.stat().st_size))
+    monkeypatch.setattr(unindexed, "_MARK_BYTES", 1)
+    open_file = ros1_scan.open_unindexed if make == "bag" else mcap_scan.open_unindexed
+    whole = open_file(path)
+    monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", 0)
+    recording = open_file(path)
+    unpacked, unpack = [], PackedChunk.unpack
+    monkeypatch.setattr(PackedChunk, "unpack", lambda *args: unpacked.append(args) or unpack(*args))
+    names = {topic.name for topic in whole.topics}
+    counts = []
+    for frame in (0, 7, 20, 33):
+        unpacked.clear()
+        start_ns = START_NS + frame * PERIOD_NS
+        assert all_of(recording.messages(names, start_ns)) == all_of(whole.messages(names, start_ns))
+        counts.append(len(unpacked))
+    assert counts == sorted(counts, reverse=True)
+    assert 1 <= counts[-1] <= max(1, counts[0] // 3)
 
 
 def all_of(messages: Iterator[Message]) -> list[tuple[str, int, bytes]]:
