@@ -144,7 +144,8 @@ def _text(frame: str) -> Advertised | Withdrawn | None:
     try:
         table = json.loads(frame)
         if table["op"] == "advertise":
-            return Advertised(tuple(_channel(entry) for entry in table["channels"]))
+            channels = map(_channel, table["channels"])
+            return Advertised(tuple(channel for channel in channels if channel is not None))
         if table["op"] == "unadvertise":
             return Withdrawn(frozenset(int(number) for number in table["channelIds"]))
     except (ValueError, TypeError, KeyError):
@@ -153,8 +154,12 @@ def _text(frame: str) -> Advertised | Withdrawn | None:
     return None
 
 
-def _channel(entry: dict[str, Any]) -> Channel:
-    return Channel(int(entry["id"]), str(entry["topic"]), str(entry["schemaName"]), str(entry["encoding"]))
+def _channel(entry: dict[str, Any]) -> Channel | None:
+    try:
+        return Channel(int(entry["id"]), str(entry["topic"]), str(entry["schemaName"]), str(entry["encoding"]))
+    except (ValueError, TypeError, KeyError):
+        # One that makes no sense is no reason to do without the others.
+        return None
 
 
 def _binary(frame: bytes) -> Received | None:
