@@ -40,10 +40,15 @@ def report_html(contents: ReportContents) -> str:
     frame = level or RigidTransform.identity(LEVEL, contents.target)
     colours = distinct_colours(contents.names)
     context = _context(contents, frame, levelled=level is not None)
-    empty = _template().render(context | {"scene": rig_scene(contents, frame, colours, 0)})
-    spare_points = (MAX_BYTES - len(empty.encode()) - _SLACK_BYTES) // BYTES_PER_POINT
-    scene = rig_scene(contents, frame, colours, max(0, min(MAX_POINTS, spare_points)))
-    return _template().render(context | {"scene": scene})
+
+    def page(max_points: int) -> str:
+        return _template().render(context | {"scene": rig_scene(contents, frame, colours, max_points)})
+
+    whole = page(MAX_POINTS)
+    if len(whole.encode()) <= MAX_BYTES:
+        return whole
+    spare_points = (MAX_BYTES - len(page(0).encode()) - _SLACK_BYTES) // BYTES_PER_POINT
+    return page(max(0, min(MAX_POINTS, spare_points)))
 
 
 def _context(contents: ReportContents, level: RigidTransform, *, levelled: bool) -> dict[str, Any]:
