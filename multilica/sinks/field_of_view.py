@@ -7,14 +7,22 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from multilica.geometry import FloatArray
+from multilica.sinks.run_story import RunStory
 
-__all__ = ["field_of_view"]
+__all__ = ["field_of_view", "shown_field_of_view"]
 
 _RADIUS_M = 2.0
 _LARGEST_GAP_RAD = float(np.deg2rad(20.0))
 _STEP_RAD = float(np.deg2rad(3.0))
 _MAX_RAYS = 8
 _MAX_RETURNS = 20_000
+
+
+def shown_field_of_view(story: RunStory, lidar: str) -> tuple[FloatArray, ...]:
+    """That of a LiDAR whose cloud is preprocessed, computed once."""
+    if lidar not in story.outlines:
+        story.outlines[lidar] = field_of_view(story.clouds[lidar].returns_m)
+    return story.outlines[lidar]
 
 
 def field_of_view(returns_m: FloatArray, radius_m: float = _RADIUS_M) -> tuple[FloatArray, ...]:

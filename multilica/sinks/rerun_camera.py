@@ -20,7 +20,11 @@ _RADIUS_LIMITS_M = (6.0, 40.0)
 
 def around_lidar(story: RunStory, lidar: str, *, zoom: float = 1.0) -> rrb.EyeControls3D:
     """What one LiDAR saw, in its own frame; the smaller the zoom, the more of what surrounds it."""
-    return _around(sampled_cloud(story, lidar), up_axis(story, lidar), zoom)
+    if lidar not in story.clouds:
+        return _around(_extent(np.empty((0, 3))), up_axis(story, lidar), zoom)
+    if lidar not in story.extents:
+        story.extents[lidar] = _extent(sampled_cloud(story, lidar))
+    return _around(story.extents[lidar], up_axis(story, lidar), zoom)
 
 
 def around_rig(story: RunStory) -> rrb.EyeControls3D:
@@ -32,7 +36,7 @@ def around_rig(story: RunStory) -> rrb.EyeControls3D:
         if place.placed and place.T_target_source is not None
     ]
     target = story.result.target if story.result is not None else ""
-    return _around(np.concatenate(clouds) if clouds else np.empty((0, 3)), up_axis(story, target))
+    return _around(_extent(np.concatenate([np.empty((0, 3)), *clouds])), up_axis(story, target))
 
 
 def three_quarter(centre_m: FloatArray, radius_m: float, up: FloatArray) -> rrb.EyeControls3D:
@@ -71,13 +75,21 @@ def up_axis(story: RunStory, lidar: str) -> FloatArray:
     return np.array([0.0, 0.0, 1.0])
 
 
-def _around(points_m: FloatArray, up: FloatArray, zoom: float = 1.0) -> rrb.EyeControls3D:
-    """A cloud (N, 3), as far as it is dense; between it and the sensor for those that look one way."""
+def _extent(points_m: FloatArray) -> tuple[FloatArray, float]:
+    """Centre and radius of a cloud (N, 3), as far as it is dense.
+
+    For a LiDAR that looks one way the centre is between its cloud and the sensor.
+    """
     if len(points_m) == 0:
-        return three_quarter(np.zeros(3), _RADIUS_LIMITS_M[0], up)
+        return np.zeros(3), _RADIUS_LIMITS_M[0]
     centre_m = 0.6 * np.median(points_m, axis=0)
     radius_m = np.percentile(np.linalg.norm(points_m - centre_m, axis=1), _FAR_SHARE)
-    return three_quarter(centre_m, float(np.clip(radius_m, *_RADIUS_LIMITS_M)) / zoom, up)
+    return centre_m, float(np.clip(radius_m, *_RADIUS_LIMITS_M))
+
+
+def _around(extent: tuple[FloatArray, float], up: FloatArray, zoom: float = 1.0) -> rrb.EyeControls3D:
+    centre_m, radius_m = extent
+    return three_quarter(centre_m, radius_m / zoom, up)
 
 
 def _horizontal(up: FloatArray) -> tuple[FloatArray, FloatArray]:

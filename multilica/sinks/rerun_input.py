@@ -10,7 +10,7 @@ from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import FeatureCloud, PreprocessedCloud
 from multilica.sinks.dropped_points import dropped_markdown
-from multilica.sinks.field_of_view import field_of_view
+from multilica.sinks.field_of_view import shown_field_of_view
 from multilica.sinks.narration import LogLine
 from multilica.sinks.palette import MUTED, UNDECIDED, VIOLATE, Rgb
 from multilica.sinks.rerun_scene import Scene, rigid
@@ -78,7 +78,7 @@ def log_dropped_table(scene: Scene) -> None:
 
 
 def _log_field_of_view(scene: Scene, cloud: PreprocessedCloud) -> None:
-    strips = field_of_view(cloud.returns_m)
+    strips = shown_field_of_view(scene.story, cloud.lidar)
     if strips:
         lines = rr.LineStrips3D(strips, colors=[scene.colour(cloud.lidar)], radii=rr.Radius.ui_points(0.6))
         scene.log(lidar_path(cloud.lidar, "field_of_view"), rr.CoordinateFrame(lidar_frame(cloud.lidar)), lines)

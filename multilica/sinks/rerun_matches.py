@@ -15,12 +15,11 @@ from multilica.sinks.palette import KEPT, MUTED, REJECTED, Rgb
 from multilica.sinks.rerun_scene import Scene, rigid
 from multilica.sinks.rerun_tree import lidar_frame, lifted_frame, pair_path
 from multilica.sinks.slots import shown_radius_m
-from multilica.sinks.thinning import sample_indices, sample_points
+from multilica.sinks.thinning import sample_indices
 
 __all__ = ["log_matches", "log_verdict_on_matches"]
 
 _LIFT_PER_RADIUS = 0.5
-_RADIUS_SAMPLE = 30_000
 
 
 def log_matches(scene: Scene, event: events.CorrespondencesMatched) -> None:
@@ -49,7 +48,7 @@ def log_verdict_on_matches(scene: Scene, matches: Correspondences, best: Hypothe
 
 def _lifted(scene: Scene, matches: Correspondences, pose: RigidTransform) -> RigidTransform:
     """The pose, moved up the target's z axis; logged as the frame of the lifted cloud."""
-    radius_m = shown_radius_m(sample_points(matches.target_points_m, _RADIUS_SAMPLE))
+    radius_m = shown_radius_m(matches.target_points_m)
     xyz_m = pose.xyz_m + np.array([0.0, 0.0, _LIFT_PER_RADIUS * radius_m])
     lifted = RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
     frame = lifted_frame(matches.target, matches.source)

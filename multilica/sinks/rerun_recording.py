@@ -49,12 +49,13 @@ class RerunRecording:
     Args:
         path: the final name, ending in `.rrd`; what lies there is replaced. How much of the run it holds is said by the
             configuration's section `record`.
+        story: shared with other sinks of the run; its own if there are none.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, story: RunStory | None = None) -> None:
         self.path = path
         self._stream = rr.RecordingStream(APPLICATION_ID, send_properties=False, batcher_config=_batching())
-        self._scene = Scene(self._stream, RunStory())
+        self._scene = Scene(self._stream, story if story is not None else RunStory())
 
     def __enter__(self) -> Self:
         return self

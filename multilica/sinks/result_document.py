@@ -33,6 +33,8 @@ __all__ = ["RESULT_SCHEMA", "json_safe", "result_document"]
 
 RESULT_SCHEMA = "multilica/result/1"
 
+_AS_THEY_ARE = (str, int, bool, type(None))
+
 
 def result_document(result: CalibrationResult, config: CalibrationConfig, provenance: Provenance) -> dict[str, Any]:
     """What `result.json` holds.
@@ -63,7 +65,9 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
 
 def json_safe(value: object) -> object:
     """The value with arrays as lists, tuples as lists, and null for every float that JSON has no word for."""
-    if isinstance(value, Mapping):
+    if type(value) in _AS_THEY_ARE:
+        return value
+    if isinstance(value, dict | Mapping):
         return {str(key): json_safe(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
         return json_safe(value.tolist())

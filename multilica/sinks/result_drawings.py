@@ -7,10 +7,10 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from multilica.geometry import FloatArray
-from multilica.results import BoolArray, CalibrationResult
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import BoolArray, CalibrationResult, Correspondences
 from multilica.sinks.drawing import Drawing, Ellipsoid, Label, Lines, segments_along
-from multilica.sinks.field_of_view import field_of_view
+from multilica.sinks.field_of_view import shown_field_of_view
 from multilica.sinks.kept_matches import kept_matches
 from multilica.sinks.narration import pair_label
 from multilica.sinks.palette import KEPT, REJECTED, VERDICT_COLOURS, VIOLATE, distinct_colours
@@ -45,14 +45,15 @@ def _matches(story: RunStory) -> Iterator[Drawing]:
         hypothesis = coarse.hypotheses[index]
         pose = as_matched(pair, found.T_target_source) if found is not None else hypothesis.T_target_source
         kept = kept_matches(story, matches, hypothesis)
-        ends_m = np.stack([matches.target_points_m, pose.apply(matches.source_points_m)], axis=1)
-        lines = (Lines(_some(ends_m, kept), KEPT), Lines(_some(ends_m, ~kept), REJECTED))
+        lines = (Lines(_some(matches, kept, pose), KEPT), Lines(_some(matches, ~kept, pose), REJECTED))
         yield Drawing(pair_label(*pair), matches.target, lines)
 
 
-def _some(segments_m: FloatArray, chosen: BoolArray) -> FloatArray:
+def _some(matches: Correspondences, chosen: BoolArray, pose: RigidTransform) -> FloatArray:
+    """(K, 2, 3) from the target's point to the source's at that pose."""
     rows = np.flatnonzero(chosen)
-    return segments_m[rows[sample_indices(len(rows), _MAX_MATCHES)]]
+    rows = rows[sample_indices(len(rows), _MAX_MATCHES)]
+    return np.stack([matches.target_points_m[rows], pose.apply(matches.source_points_m[rows])], axis=1)
 
 
 def _merge_graph(story: RunStory, result: CalibrationResult) -> Iterator[Drawing]:
@@ -88,11 +89,10 @@ def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> Lines:
 
 def _fields_of_view(story: RunStory) -> Iterator[Drawing]:
     colours = distinct_colours(story.lidars)
-    for lidar, cloud in sorted(story.clouds.items()):
-        if lidar not in story.outlines:
-            story.outlines[lidar] = field_of_view(cloud.returns_m)
-        if story.outlines[lidar]:
-            segments_m = np.concatenate([segments_along(strip) for strip in story.outlines[lidar]])
+    for lidar in sorted(story.clouds):
+        strips = shown_field_of_view(story, lidar)
+        if strips:
+            segments_m = np.concatenate([segments_along(strip) for strip in strips])
             yield Drawing(lidar, lidar, (Lines(segments_m, colours[lidar]),))
 
 

@@ -27,11 +27,12 @@ class ResultFiles:
 
     Args:
         directory: an existing directory; files of these names in it are replaced.
+        story: shared with other sinks of the run; its own if there are none.
     """
 
-    def __init__(self, directory: Path) -> None:
+    def __init__(self, directory: Path, story: RunStory | None = None) -> None:
         self.directory = directory
-        self._story = RunStory()
+        self._story = story if story is not None else RunStory()
 
     def __enter__(self) -> Self:
         return self

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -19,7 +19,7 @@ from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult
 from multilica.sinks.atomic import atomic_file, partial_path
 from multilica.sinks.foxglove_layout import foxglove_layout
-from multilica.sinks.mcap_messages import Encoding, MessageWriter
+from multilica.sinks.mcap_messages import Encoding, Message, MessageWriter
 from multilica.sinks.narration import LogLine, narrate, narrate_end
 from multilica.sinks.result_drawings import result_drawings
 from multilica.sinks.run_document import result_so_far, run_document
@@ -38,6 +38,14 @@ _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html
 # Readers take a time of zero for "unset"; ROS has no times from 2038 on.
 _STAMP_WITHOUT_CLOCK_NS = 10**9
 _FAR_FUTURE_NS = 2**31 * 10**9 - 3600 * 10**9
+_CHANGES_DRAWINGS = (
+    events.CloudPreprocessed,
+    events.CorrespondencesMatched,
+    events.HypothesesFound,
+    events.PairRegistered,
+    events.TargetChosen,
+    events.CalibrationFinished,
+)
 
 
 class ResultMcap:
@@ -45,25 +53,35 @@ class ResultMcap:
 
     It is an observer within its `with` block. The file is written when the block ends, so that it can hold what other
     sinks wrote. Until then `<stem>.partial.mcap` holds what is known, written anew at the end of each stage: a whole,
-    indexed file at any time. It stays when the run is interrupted or killed.
+    indexed file at any time, not compressed. It stays when the run is interrupted or killed.
 
     Args:
         path: the final name; what lies there is replaced.
         encoding: ``foxglove`` (protobuf and JSON) or ``ros2`` (CDR).
-        attached: files that are attached if they are there, beside the configuration and the result.
+        attached: files that are attached if they are there, beside the configuration and the result; the result as it
+            lies there, if it is among them.
+        story: shared with other sinks of the run; its own if there are none.
 
     Raises:
         UnknownNameError: no such encoding.
     """
 
-    def __init__(self, path: Path, encoding: str = "foxglove", attached: Sequence[Path] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        encoding: str = "foxglove",
+        attached: Sequence[Path] = (),
+        story: RunStory | None = None,
+    ) -> None:
         if encoding not in MCAP_ENCODINGS:
             raise UnknownNameError("MCAP encoding", encoding, MCAP_ENCODINGS)
         self.path = path
-        self._encoding_name = encoding
+        self._encoding = _encoding(encoding)
         self._attached = tuple(attached)
-        self._story = RunStory()
+        self._story = story if story is not None else RunStory()
         self._lines: list[LogLine] = []
+        self._messages = _Messages()
+        self._finished = False
 
     def __enter__(self) -> Self:
         return self
@@ -71,7 +89,9 @@ class ResultMcap:
     def __call__(self, event: events.Event) -> None:
         """Remember an event; what is known is written when a stage ends."""
         self._story(event)
+        self._messages.forget(event)
         self._lines += narrate(event)
+        self._finished |= isinstance(event, events.CalibrationFinished)
         if isinstance(event, events.StageFinished):
             self._write(partial_path(self.path))
 
@@ -80,16 +100,17 @@ class ResultMcap:
     ) -> None:
         """Write the end of a calibration that has started."""
         partial = partial_path(self.path)
-        if self._story.result is not None:
-            self._write(self.path)
+        if self._finished:
+            self._write(self.path, CompressionType.ZSTD)
             partial.unlink(missing_ok=True)
         elif self._story.snapshot is not None:
             self._lines.append(narrate_end(error))
             self._write(partial)
 
-    def _write(self, path: Path) -> None:
+    def _write(self, path: Path, compression: CompressionType = CompressionType.NONE) -> None:
         with atomic_file(path) as file:
-            _write(file, self._story, self._lines, _encoding(self._encoding_name), self._attached)
+            writer = Writer(file, compression=compression, enable_data_crcs=True)
+            _write(writer, self._story, self._lines, self._encoding, self._messages, self._attached)
 
 
 def _encoding(name: str) -> Encoding:
@@ -102,7 +123,43 @@ def _encoding(name: str) -> Encoding:
     return FoxgloveEncoding()
 
 
-def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Encoding, attached: Sequence[Path]) -> None:
+@dataclass(slots=True, eq=False)
+class _Messages:
+    """Large messages that stay as they are from one writing to the next.
+
+    Args:
+        clouds: per LiDAR, as it was last written.
+        drawings: one per topic; none before they are asked for.
+    """
+
+    clouds: dict[str, Message] = field(default_factory=dict)
+    drawings: list[Message] = field(default_factory=list)
+
+    def forget(self, event: events.Event) -> None:
+        """Drop what the event changes."""
+        if isinstance(event, events.CloudPreprocessed):
+            self.clouds.pop(event.cloud.lidar, None)
+        if isinstance(event, _CHANGES_DRAWINGS):
+            self.drawings.clear()
+
+    def make(self, story: RunStory, result: CalibrationResult, encoding: Encoding, stamp_ns: int) -> None:
+        """Encode what is not there."""
+        for lidar in story.snapshot.lidars if story.snapshot is not None else ():
+            if lidar.name not in self.clouds:
+                self.clouds[lidar.name] = encoding.cloud(lidar.name, _cloud(story, lidar), stamp_ns)
+        if not self.drawings:
+            drawn = result_drawings(story, result).items()
+            self.drawings += [encoding.drawings(topic, drawings, stamp_ns) for topic, drawings in drawn]
+
+
+def _write(
+    writer: Writer,
+    story: RunStory,
+    lines: list[LogLine],
+    encoding: Encoding,
+    large: _Messages,
+    attached: Sequence[Path],
+) -> None:
     """Transforms first, so that a reader in time order can place every cloud."""
     snapshot, document = story.snapshot, run_document(story)
     if snapshot is None or document is None:
@@ -110,23 +167,21 @@ def _write(file: BinaryIO, story: RunStory, lines: list[LogLine], encoding: Enco
     result = result_so_far(story)
     result = replace(result, target=result.target or snapshot.names[0])
     start_ns = _first_stamp_ns(snapshot)
-    writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
     writer.start(profile=encoding.profile, library=f"multilica {document['versions']['multilica']}")
     writer.add_metadata("multilica", _metadata(document))
     messages = MessageWriter(writer)
     messages.write(encoding.transforms(_static_poses(result), start_ns), start_ns)
-    clouds = {lidar.name: encoding.cloud(lidar.name, _cloud(story, lidar), start_ns) for lidar in snapshot.lidars}
-    for cloud in clouds.values():
-        messages.write(cloud, start_ns)
-    for topic, drawings in result_drawings(story, result).items():
-        messages.write(encoding.drawings(topic, drawings, start_ns), start_ns)
+    large.make(story, result, encoding, start_ns)
+    clouds = {name: large.clouds[name] for name in snapshot.names}
+    for message in (*clouds.values(), *large.drawings):
+        messages.write(message, start_ns)
     for index, line in enumerate(lines):
         stamp_ns = start_ns + index * _LINE_SPACING_NS
         messages.write(encoding.log(line, stamp_ns), stamp_ns)
     messages.write(encoding.metrics(_metrics(document)), start_ns + len(lines) * _LINE_SPACING_NS)
     texts = {
         "config.toml": toml_text(document["config"]),
-        "result.json": json.dumps(document, indent=2, allow_nan=False),
+        "result.json": json.dumps(document, allow_nan=False),
         "foxglove-layout.json": foxglove_layout(result.target, {name: cloud.topic for name, cloud in clouds.items()}),
     }
     found = {path.name: path.read_bytes() for path in attached if path.is_file()}

@@ -18,6 +18,7 @@ from multilica.sinks.report.report_file import REPORT_HTML, ReportFile
 from multilica.sinks.rerun_recording import RerunRecording
 from multilica.sinks.result_files import CALIBRATION_TOML, RESULT_JSON, ResultFiles
 from multilica.sinks.result_mcap import ResultMcap
+from multilica.sinks.run_story import RunStory
 from multilica.sinks.toml_text import toml_text
 
 __all__ = ["Run", "open_run"]
@@ -25,7 +26,7 @@ __all__ = ["Run", "open_run"]
 _CONFIG = "config.toml"
 _RECORDING = "recording.rrd"
 _MCAP = "result.mcap"
-_ATTACHED = (CALIBRATION_TOML, REPORT_HTML)
+_ATTACHED = (CALIBRATION_TOML, RESULT_JSON, REPORT_HTML)
 _CONFIG_HEADER = "# The resolved configuration of a multilica run; give it to --config to run the same again.\n"
 
 
@@ -115,12 +116,13 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
         UnknownNameError: no such encoding.
     """
     _prepare(out_dir)
+    story, attached = RunStory(), [out_dir / name for name in _ATTACHED]
     with ExitStack() as stack:
         # Entered first, so closed last: it attaches what the others wrote.
-        mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding, [out_dir / name for name in _ATTACHED]))
-        report = stack.enter_context(ReportFile(out_dir))
-        recording = stack.enter_context(RerunRecording(out_dir / _RECORDING))
-        files = stack.enter_context(ResultFiles(out_dir))
+        mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding, attached, story))
+        report = stack.enter_context(ReportFile(out_dir, story))
+        recording = stack.enter_context(RerunRecording(out_dir / _RECORDING, story))
+        files = stack.enter_context(ResultFiles(out_dir, story))
         yield Run(out_dir, config, (recording, mcap, files, report))
 
 

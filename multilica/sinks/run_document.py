@@ -20,8 +20,14 @@ def run_document(story: RunStory) -> dict[str, Any] | None:
     """What is known of a run so far, in the form of `result.json`; None before it has started.
 
     Beyond `result_document` it holds `progress`, the stages that finished and the one that runs, and `stages`, the
-    figures of each.
+    figures of each. The sinks that share a story share the document: it is not to be changed.
     """
+    if story.document is None:
+        story.document = _document(story)
+    return story.document
+
+
+def _document(story: RunStory) -> dict[str, Any] | None:
     if story.config is None or story.provenance is None:
         return None
     result = result_so_far(story)

@@ -42,7 +42,9 @@ class RunStory:
         assessments: per pair its hypotheses by visibility, the most believable first.
         stages: those that finished, in order.
         rig: poses in the target's frame after the joint adjustment.
+        document: of what is known, as far as somebody asked for it, see `run_document`.
         figures: of stages that finished, as far as somebody asked for them, see `stage_figures`.
+        extents: centre and radius of clouds, as far as somebody asked for them, see `rerun_camera`.
         outlines: of fields of view, as far as somebody asked for them, see `field_of_view`.
     """
 
@@ -63,9 +65,12 @@ class RunStory:
     decisions: list[MergeDecision] = field(default_factory=list)
     rig: tuple[RigidTransform, ...] = ()
     ground: events.GroundEstimated | None = None
+    document: dict[str, Any] | None = None
     figures: dict[Stage, Mapping[str, Any]] = field(default_factory=dict)
+    extents: dict[str, tuple[FloatArray, float]] = field(default_factory=dict)
     outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
     result: CalibrationResult | None = None
+    _latest: events.Event | None = None
 
     @property
     def lidars(self) -> tuple[str, ...]:
@@ -83,7 +88,10 @@ class RunStory:
         return (source, target) if (source, target) in self.matches else (target, source)
 
     def __call__(self, event: events.Event) -> None:  # noqa: C901, PLR0912 - one case per event type
-        """Remember what the event tells."""
+        """Remember what the event tells; once, however many of the sinks that share a story tell it."""
+        if event is self._latest:
+            return
+        self._latest, self.document = event, None
         match event:
             case events.CalibrationStarted(snapshot, config):
                 self.snapshot, self.config = snapshot, config

@@ -10,7 +10,7 @@ from multilica.snapshot import Float32Array, LidarScans, Snapshot
 
 __all__ = ["raw_points", "shown_radius_m", "slot_offsets_m"]
 
-_RADIUS_SAMPLE = 50_000
+_RADIUS_SAMPLE = 10_000
 
 
 def slot_offsets_m(snapshot: Snapshot) -> dict[str, float]:

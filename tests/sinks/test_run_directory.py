@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
@@ -16,6 +17,11 @@ from multilica import events
 from multilica.config import CalibrationConfig, load_config
 from multilica.errors import UsageError
 from multilica.results import Refusal
+from multilica.sinks.mcap_reading import read_attached_document
+from multilica.sinks.rerun_reading import read_recorded_document
+from multilica.sinks.rerun_recording import RerunRecording
+from multilica.sinks.result_files import ResultFiles
+from multilica.sinks.result_mcap import ResultMcap
 from multilica.sinks.run_directory import open_run
 from tests.sinks.made_events import made_events
 
@@ -40,8 +46,39 @@ def test_the_mcap_file_holds_what_the_others_wrote(tmp_path):
     run_into(tmp_path)
     with (tmp_path / "result.mcap").open("rb") as file:
         attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
-    for name in ("calibration.toml", "report.html"):
+    for name in ("calibration.toml", "result.json", "report.html"):
         assert attached[name] == (tmp_path / name).read_bytes()
+
+
+def test_sinks_that_share_a_story_tell_what_each_tells_alone(tmp_path):
+    shared, alone = tmp_path / "shared", tmp_path / "alone"
+    run_into(shared)
+    alone.mkdir()
+    sinks = (RerunRecording(alone / "recording.rrd"), ResultMcap(alone / "result.mcap"), ResultFiles(alone))
+    with ExitStack() as stack:
+        for sink in sinks:
+            stack.enter_context(sink)
+        for event in made_events():
+            for sink in sinks:
+                sink(event)
+    documents = [json.loads((folder / "result.json").read_text()) for folder in (shared, alone)]
+    assert documents[0] == documents[1]
+    assert read_attached_document(shared / "result.mcap") == read_attached_document(alone / "result.mcap")
+    assert read_recorded_document(shared / "recording.rrd") == read_recorded_document(alone / "recording.rrd")
+
+
+def test_what_a_sink_was_not_told_it_does_not_take_for_done(tmp_path, monkeypatch):
+    def no_space(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("multilica.sinks.rerun_recording.log_outcome", no_space)
+    with pytest.raises(OSError, match="no space left"):
+        run_into(tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names.isdisjoint({"result.json", "calibration.toml", "result.mcap"})
+    report = (tmp_path / "report.html").read_text()
+    assert "ended early" in report
+    assert "no space left" in report
 
 
 def test_the_resolved_configuration_can_be_given_back(tmp_path):

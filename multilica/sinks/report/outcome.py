@@ -74,16 +74,17 @@ def outcome_of(contents: ReportContents) -> Outcome:
     """What the report says first."""
     document = contents.document
     explanation = explain(document)
+    ended_early = (contents.ended_early,) if contents.ended_early else ()
     if explanation.cause is not None:
         badge = _BADGES.get(explanation.cause, "refused")
-        details = (contents.ended_early,) if contents.ended_early else ()
         return Outcome(
-            badge, explanation.headline, details, explanation.warnings, explanation.known, explanation.advice
+            badge, explanation.headline, ended_early, explanation.warnings, explanation.known, explanation.advice
         )
     target = f"The target is {contents.target}: {document['target_reason'].rstrip('.')}."
     failures = tuple(_failure(missing) for missing in explanation.missing)
     headline = _headline(contents, explanation)
-    return Outcome(document["status"], headline, (target,), explanation.warnings, failures=failures)
+    badge = _BADGES["unfinished"] if ended_early else document["status"]
+    return Outcome(badge, headline, (target, *ended_early), explanation.warnings, failures=failures)
 
 
 def _headline(contents: ReportContents, explanation: Explanation) -> str:
