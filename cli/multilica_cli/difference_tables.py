@@ -30,12 +30,23 @@ def print_difference(difference: RunDifference, console: Console) -> None:
         console.print(_moves_table(difference))
     for change in difference.statuses:
         console.print(f"{change.lidar}: {change.before} in A, {change.after} in B. {change.why}")
+    _print_placed_by_neither(difference, console)
     if difference.targets[0] != difference.targets[1]:
         console.print(f"note: the target is {difference.targets[0]} in A and {difference.targets[1]} in B")
     for note in difference.notes:
         console.print(f"note: {note}")
     _print_partings(difference, console)
     console.print(_verdict(difference))
+
+
+def _print_placed_by_neither(difference: RunDifference, console: Console) -> None:
+    """Those of one cause, such as a refused snapshot, in one line."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for each in difference.neither:
+        names.setdefault((each.before, each.after), []).append(each.lidar)
+    for (before, after), lidars in names.items():
+        why = before if before == after else f"In A: {before} In B: {after}"
+        console.print(f"{', '.join(lidars)}: placed neither in A nor in B. {why}")
 
 
 def _moves_table(difference: RunDifference) -> Table:
@@ -78,7 +89,10 @@ def _cut(text: str) -> str:
 def _verdict(difference: RunDifference) -> str:
     moved = [move.lidar for move in difference.moves if move.moved]
     if difference.same:
-        return "Both runs place the same LiDARs at the same places."
+        if difference.places_nothing:
+            return "Neither run places any LiDAR."
+        missing = ", ".join(each.lidar for each in difference.neither)
+        return f"Both runs place the same LiDARs at the same places{f'; neither places {missing}' if missing else ''}."
     told = [f"{len(moved)} of {len(difference.moves)} LiDARs moved"] if moved else []
     told += [f"{len(difference.statuses)} changed status"] if difference.statuses else []
     return f"The runs differ: {', '.join(told)}."

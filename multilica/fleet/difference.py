@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,7 +17,7 @@ from multilica.fleet.pose_error import PoseError
 from multilica.fleet.run_documents import RunDocument
 from multilica.geometry import FloatArray, RigidTransform
 
-__all__ = ["Move", "RunDifference", "StatusChange", "compare_runs", "extrinsics_of"]
+__all__ = ["Move", "PlacedByNeither", "RunDifference", "StatusChange", "compare_runs", "extrinsics_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +51,19 @@ class StatusChange:
     why: str
 
 
+@dataclass(frozen=True, slots=True)
+class PlacedByNeither:
+    """A LiDAR that both runs have and neither placed.
+
+    Args:
+        before, after: the cause, of each run.
+    """
+
+    lidar: str
+    before: str
+    after: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunDifference:
     """How two runs differ.
@@ -61,6 +74,7 @@ class RunDifference:
         targets: of the two runs.
         moves: of each LiDAR that both placed, in name order, the target left out.
         statuses: of each LiDAR that one of them placed.
+        neither: of each LiDAR that none of them placed, in name order.
         partings: steps at which the runs differ, in order; the first is where they part.
         notes: what could not be compared.
     """
@@ -70,6 +84,7 @@ class RunDifference:
     targets: tuple[str, str]
     moves: tuple[Move, ...]
     statuses: tuple[StatusChange, ...]
+    neither: tuple[PlacedByNeither, ...]
     partings: tuple[Parting, ...]
     notes: tuple[str, ...]
 
@@ -77,6 +92,11 @@ class RunDifference:
     def same(self) -> bool:
         """Whether both place the same LiDARs at the same places, within the limits."""
         return not self.statuses and not any(move.moved for move in self.moves)
+
+    @property
+    def places_nothing(self) -> bool:
+        """Whether neither run places a LiDAR, the target included."""
+        return bool(self.neither) and self.target in {each.lidar for each in self.neither} and not self.statuses
 
 
 def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, within_rad: float) -> RunDifference:
@@ -112,6 +132,7 @@ def _compared(before: RunDocument, after: RunDocument, within_m: float, within_r
         targets=(target, str(documents[1]["target"])),
         moves=moves,
         statuses=_status_changes(*documents),
+        neither=_placed_by_neither(*documents),
         partings=partings_of(*documents),
         notes=_notes(before, after),
     )
@@ -155,7 +176,15 @@ def _status_changes(before: Mapping[str, Any], after: Mapping[str, Any]) -> tupl
     names = sorted({*before["lidars"], *after["lidars"]})
     changed = [name for name in names if _status(before, name) != _status(after, name)]
     return tuple(
-        StatusChange(name, _status(before, name), _status(after, name), _why(before, after, name)) for name in changed
+        StatusChange(name, _status(before, name), _status(after, name), _why((after, before), name)) for name in changed
+    )
+
+
+def _placed_by_neither(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[PlacedByNeither, ...]:
+    return tuple(
+        PlacedByNeither(name, _why((before,), name), _why((after,), name))
+        for name in sorted(before["lidars"])
+        if {_status(before, name), _status(after, name)} == {"not placed"}
     )
 
 
@@ -165,8 +194,9 @@ def _status(document: Mapping[str, Any], lidar: str) -> str:
     return "placed" if document["lidars"][lidar]["placed"] else "not placed"
 
 
-def _why(before: Mapping[str, Any], after: Mapping[str, Any], lidar: str) -> str:
-    for document in (after, before):
+def _why(documents: Sequence[Mapping[str, Any]], lidar: str) -> str:
+    """The cause that the first of the documents gives that did not place it."""
+    for document in documents:
         if _status(document, lidar) == "not placed":
             told = explain(document)
             headlines = [missing.headline for missing in told.missing if missing.lidar == lidar]

@@ -27,6 +27,7 @@ def difference_document(difference: RunDifference) -> dict[str, Any]:
         "target": difference.target,
         "targets": list(difference.targets),
         "moves": {move.lidar: _move(move) for move in difference.moves},
+        "placed_by_neither": {each.lidar: {"before": each.before, "after": each.after} for each in difference.neither},
         "statuses": {change.lidar: asdict(change) for change in difference.statuses},
         "first_difference": difference.partings[0].step if difference.partings else None,
         "differences": {

@@ -8,6 +8,7 @@ import pytest
 
 from multilica_cli.failures import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
+from tests.sinks.made_documents import made_document
 
 
 @pytest.fixture
@@ -40,3 +41,12 @@ def test_a_missing_run_is_refused(invoke: Invoke) -> None:
 
 def test_a_recording_of_another_name_is_refused(invoke: Invoke) -> None:
     assert_one_sentence(invoke("diff", "a", "b", "--recording", "both.mcap"), ExitCode.USAGE)
+
+
+def test_what_neither_run_placed_is_told(invoke: Invoke, tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(made_document("partial")))
+    outcome = invoke("diff", path, path)
+    assert outcome.code == ExitCode.DONE
+    assert "rear: placed neither in A nor in B. rear is not placed: it shares too few surfaces" in outcome.out
+    assert outcome.out.endswith("Both runs place the same LiDARs at the same places; neither places rear.\n")

@@ -86,6 +86,19 @@ def test_a_lidar_that_only_one_run_placed_comes_with_its_cause(turned):
     assert not found.same
 
 
+def test_a_lidar_that_neither_run_placed_comes_with_both_causes():
+    before, after = made_document("partial"), made_document("partial")
+    after["input"]["lidars"]["rear"]["points"] = 0
+    found = differences(before, after)
+    (rear,) = found.neither
+    assert found.same
+    assert rear.lidar == "rear"
+    assert "(no overlap)" in rear.before
+    assert "dead sensor" in rear.after
+    assert difference_document(found)["placed_by_neither"] == {"rear": {"before": rear.before, "after": rear.after}}
+    assert differences(made_document("partial"), made_document()).neither == ()
+
+
 def test_the_first_stage_that_differs_is_named():
     after = made_document()
     after["stages"]["correspond"]["front left/1 <- rear"]["matches"] += 1
