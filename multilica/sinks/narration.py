@@ -141,10 +141,8 @@ def _(event: events.SearchWidened) -> tuple[LogLine, ...]:
 def _(event: events.PairRegistered) -> tuple[LogLine, ...]:
     found = event.registration
     start = _start_of(found)
-    text = (
-        f"{pair_label(found.target, found.source)} from {start}: fitness {found.fitness:.3f}, "
-        f"RMSE {found.rmse_m:.3f} m after {found.iterations} iterations"
-    )
+    fit = f"fitness {found.fitness:.3f}, RMSE {found.rmse_m:.3f} m" if found.inliers else "no points in common"
+    text = f"{pair_label(found.target, found.source)} from {start}: {fit} after {found.iterations} iterations"
     doubts = "; ".join(reason.text for reason in found.verdict.reasons)
     verdict = f"{found.verdict.outcome}: {doubts}" if doubts else found.verdict.outcome
     return (LogLine("INFO" if found.verdict.accepted else "WARN", f"{text}; {verdict}"),)

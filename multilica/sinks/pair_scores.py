@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from multilica.results import PRIOR, Assessment, Hypothesis, PairKey, hypothesis_label
-from multilica.sinks.markdown import markdown_table
+from multilica.sinks.markdown import markdown_table, thousandths
 from multilica.sinks.narration import pair_label
 from multilica.sinks.run_story import RunStory
 
@@ -97,4 +97,4 @@ def _matches(hypotheses: Sequence[Hypothesis], index: int) -> str:
 def _scores(how: str, one: Assessment) -> tuple[str, ...]:
     beams = one.testimony
     counts = (f"{beams.agree:,}", f"{beams.violate:,}", f"{beams.occluded:,}", f"{beams.evidence:,.0f}")
-    return (how, *counts, f"{one.fitness:.3f}", f"{one.rmse_m:.3f}")
+    return (how, *counts, thousandths(one.fitness), thousandths(one.rmse_m))

@@ -16,7 +16,7 @@ from multilica.results import (
     PairKey,
 )
 from multilica.sinks.explanation_markdown import explanation_markdown
-from multilica.sinks.markdown import escaped, markdown_table
+from multilica.sinks.markdown import escaped, markdown_table, thousandths
 from multilica.sinks.narration import pair_label
 from multilica.sinks.run_story import RunStory
 from multilica.sinks.uncertainty import SHOWN_ELLIPSOID_SCALE, SIGMAS
@@ -82,7 +82,7 @@ def _placement_row(place: LidarPlacement) -> Sequence[str]:
         return (place.lidar, *("-",) * 9, "not placed")
     pose = place.T_target_source
     numbers = (*(f"{value:.3f}" for value in pose.xyz_m), *(f"{value:.2f}" for value in pose.rpy_deg))
-    return (place.lidar, *numbers, *_sigmas(place), f"{place.fitness:.3f}", f"{place.rmse_m:.3f}")
+    return (place.lidar, *numbers, *_sigmas(place), thousandths(place.fitness), thousandths(place.rmse_m))
 
 
 def _sigmas(place: LidarPlacement) -> Sequence[str]:
@@ -152,7 +152,7 @@ def _scores(story: RunStory, pair: PairKey, index: int) -> Sequence[str]:
     found = story.registrations.get(pair)
     if found is None or found.hypothesis != index:
         return (matches, *visibility, "-", "-", "-")
-    return (matches, *visibility, f"{found.fitness:.3f}", f"{found.rmse_m:.3f}", found.verdict.outcome)
+    return (matches, *visibility, thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
 
 
 def _visibility(testimony: Testimony) -> Sequence[str]:
@@ -168,8 +168,8 @@ def _decision_part(decision: MergeDecision) -> str:
     rows = [
         (
             pair_label(one.target, one.source),
-            f"{one.fitness:.3f}",
-            f"{one.rmse_m:.3f}",
+            thousandths(one.fitness),
+            thousandths(one.rmse_m),
             "merged" if one == decision.chosen else "passes" if one.passes else "does not pass",
         )
         for one in decision.candidates

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
 
 from multilica import events
-from multilica.results import CoarseResult
+from multilica.results import CoarseResult, MergeCandidate, MergeDecision
 from multilica.sinks.narration import narrate
 from multilica.sinks.run_document import run_document
 from multilica.sinks.run_story import RunStory
@@ -44,6 +47,20 @@ def test_a_verdict_that_is_no_accept_is_a_warning_with_its_reasons():
     doubted = [line for line in lines if line.level == "WARN"]
     assert all("reject: only 12 points lie on surfaces; expected 50" in line.text for line in doubted)
     assert [UNPLACED in line.text for line in lines] == [line.level == "WARN" for line in lines]
+
+
+def test_a_pair_without_points_in_common_has_no_rmse_to_tell():
+    event = next(event for event in made_events() if isinstance(event, events.PairRegistered))
+    apart = replace(event.registration, fitness=0.0, rmse_m=math.inf, inliers=0)
+    (line,) = narrate(events.PairRegistered(apart))
+    assert "no points in common after" in line.text
+    assert "inf" not in line.text
+    story = story_of()
+    story(events.PairRegistered(apart))
+    candidate = MergeCandidate(apart.target, apart.source, 0.0, math.inf, passes=False)
+    shown = hypotheses_markdown(story) + decisions_markdown([MergeDecision(0, (candidate,), None, "none passes", ())])
+    assert " inf " not in shown
+    assert "| 0.000 | - |" in shown
 
 
 def test_notes_of_the_reader_are_warnings():
