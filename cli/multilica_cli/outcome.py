@@ -26,7 +26,8 @@ def print_placements(run: FinishedRun, console: Console) -> None:
 
     result = run.result
     console.print(placements_table(result))
-    console.print(f"target {result.target}: {result.target_reason}")
+    if any(place.placed and place.lidar != result.target for place in result.placements):
+        console.print(f"target {result.target}: {result.target_reason}")
     if result.ground is not None:
         console.print(_ground_line(result.target, result.ground))
 

@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 from multilica.explanation.explanation import Cause
 
-__all__ = ["ADVICE", "PRIOR_ADVICE", "REASON_WORDS", "WORDS", "by_weight", "cause_of_codes"]
+__all__ = ["ADVICE", "PRIOR_ADVICE", "REASON_WORDS", "WORDS", "by_weight", "cause_of_codes", "step_of"]
 
 _BY_CODE: Sequence[tuple[str, Cause]] = (
     ("against_prior", "against_prior"),
@@ -73,12 +73,25 @@ PRIOR_ADVICE = "the pose from a drawing or an earlier calibration as one more ca
 """It can show a pose that the descriptors miss; of two that the scene does not tell apart it prefers none."""
 _MORE_FRAMES = "more frames (--frames), so that sparse surfaces are seen"
 
+_STEPS_WITHOUT_PAIR: Mapping[Cause, str] = MappingProxyType(
+    {
+        "dead_sensor": "preprocess: there were no returns",
+        "no_returns_in_range": "preprocess: no return was kept",
+        "dirty_sensor": "preprocess: what the window hides is missing",
+        "disputed": "joint: the snapshots beside each other",
+        "not_joined": "joint: the snapshots beside each other",
+        "unknown": "joint: the snapshots beside each other",
+    }
+)
+
 ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
     {
         "dead_sensor": ("check power, network and driver of the LiDAR, then whether `multilica inspect` shows points",),
         "no_returns_in_range": ("look at preprocess.min_range_m and preprocess.max_range_m, and for a cover on it",),
         "dirty_sensor": ("clean the window, take off covers, and record again",),
-        "moving_vehicle": ("record while the vehicle stands still, or choose another window with --start",),
+        "moving_vehicle": (
+            "record while the vehicle stands still, or choose another window with --start or --window auto",
+        ),
         "unfit_input": ("a recording with at least two LiDARs that have returns; see `multilica inspect`",),
         "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, PRIOR_ADVICE),
         "contradiction": (
@@ -103,6 +116,17 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
         "unknown": (_MORE_OVERLAP, _MORE_FRAMES),
     }
 )
+
+
+def step_of(cause: Cause, codes: Sequence[str] | None) -> str:
+    """The stage at which a LiDAR was left out, with what failed there.
+
+    Args:
+        codes: of the reasons against the decisive comparison; None where there was none.
+    """
+    if codes is None:
+        return _STEPS_WITHOUT_PAIR.get(cause, "coarse: no pose was found with any other LiDAR")
+    return "fine: the verdict on the registered pair" if codes else "merge: joining the groups"
 
 
 def cause_of_codes(codes: Sequence[str]) -> Cause:

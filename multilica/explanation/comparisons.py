@@ -78,8 +78,8 @@ def next_best_sentence(pairs: Sequence[Document]) -> str:
     if len(decisive["assessments"]) > 1:
         first, second = decisive["assessments"][:2]
         return (
-            f"another pose of {decisive['source']} against {decisive['target']}, with evidence "
-            f"{second['evidence']:.0f} against {first['evidence']:.0f} ({second['agree']} points agree, "
-            f"{second['violate']} stand in empty space)."
+            f"another pose of {decisive['source']} against {decisive['target']}, which rests on "
+            f"{second['evidence']:,.0f} distinctive points, the decisive one on {first['evidence']:,.0f} "
+            f"({second['agree']:,} points agree, {second['violate']:,} stand in empty space)."
         )
     return decisive_comparison(pairs[1]).sentence if len(pairs) > 1 else ""

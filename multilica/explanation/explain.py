@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-from multilica.explanation.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
+from multilica.explanation.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes, step_of
 from multilica.explanation.comparisons import (
     Document,
     comparisons_of,
@@ -139,7 +139,8 @@ def _missing_with_another(document: Document, name: str, pairs: Sequence[Documen
 def _told(document: Document, name: str, cause: Cause, decisive: Comparison | None, next_best: str) -> Missing:
     had_prior = document["lidars"][name].get("prior") is not None
     advice = tuple(one for one in ADVICE[cause] if not (had_prior and one == PRIOR_ADVICE))
-    return Missing(name, cause, _not_placed(name, cause), decisive, next_best=next_best, advice=advice)
+    step = step_of(cause, None if decisive is None else decisive.codes)
+    return Missing(name, cause, _not_placed(name, cause), step, decisive, next_best=next_best, advice=advice)
 
 
 def _missing_from_rig(document: Document, name: str, pairs: Sequence[Document], decisive: Comparison) -> Missing:
@@ -167,7 +168,8 @@ def _missing_jointly(document: Document, name: str, pairs: Sequence[Document], d
         return _told(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
     cause = _sensor_fault(document, name) or _joint_cause(document, fits=decisive is not None)
     by_snapshot = f"{document['lidars'][name]['reason'].rstrip('.')}."
-    return Missing(name, cause, _not_placed(name, cause), by_snapshot=by_snapshot, advice=ADVICE[cause])
+    step = step_of(cause, None)
+    return Missing(name, cause, _not_placed(name, cause), step, by_snapshot=by_snapshot, advice=ADVICE[cause])
 
 
 def _joint_cause(document: Document, *, fits: bool) -> Cause:

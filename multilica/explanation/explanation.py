@@ -69,6 +69,7 @@ class Missing:
 
     Args:
         headline: the LiDAR with its cause, in one sentence.
+        step: the stage at which it was left out, with what failed there.
         decisive: the comparison that came closest to placing it; None where there was none.
         elsewhere: the one that puts it at another place, where both were accepted; else None.
         next_best: the best pose besides the decisive one, of the same pair or another; empty where there was none.
@@ -79,6 +80,7 @@ class Missing:
     lidar: str
     cause: Cause
     headline: str
+    step: str
     decisive: Comparison | None = None
     elsewhere: Comparison | None = None
     next_best: str = ""
@@ -130,6 +132,7 @@ class Explanation:
 
 def _missing_lines(missing: Missing) -> Iterator[str]:
     yield missing.headline
+    yield f"  At stage {missing.step}."
     if missing.decisive is not None:
         yield f"  Decisive: {missing.decisive.sentence}"
     if missing.next_best:

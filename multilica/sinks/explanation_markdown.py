@@ -28,7 +28,7 @@ def _parts(explanation: Explanation) -> Iterator[str]:
 
 
 def _missing(missing: Missing) -> str:
-    lines = [f"- **{missing.headline}**"]
+    lines = [f"- **{missing.headline}**", f"  - At stage {missing.step}."]
     if missing.decisive is not None:
         lines.append(f"  - Decisive: {missing.decisive.sentence}")
     if missing.next_best:

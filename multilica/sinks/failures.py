@@ -39,8 +39,13 @@ def failures(story: RunStory) -> tuple[Failure, ...]:
 
 
 def decisive_failure(story: RunStory) -> Failure | None:
-    """The one to look at first: with a comparison rather than without, then the one that came nearest."""
-    return max(failures(story), key=lambda failure: _nearness(story, failure.pair), default=None)
+    """The one to look at first: the first that the explanation tells of which a registered pair can be seen.
+
+    Where there is none, the first with matches, else the first of all.
+    """
+    return min(
+        failures(story), key=lambda each: (each.pair not in story.registrations, each.pair is None), default=None
+    )
 
 
 def _failure(story: RunStory, missing: Missing) -> Failure:

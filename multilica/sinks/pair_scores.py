@@ -54,7 +54,7 @@ def _search(story: RunStory, pair: PairKey) -> str:
         if coarse.graph_nodes
         else "no consistency graph (the solver builds none)"
     )
-    return f"{len(story.matches.get(pair, ())):,} matches; {graph}; {len(coarse.hypotheses)} hypotheses"
+    return f"{len(story.matches.get(pair, ())):,} matches; {graph}; hypotheses: {len(coarse.hypotheses)}"
 
 
 def _table(story: RunStory, pair: PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]) -> str:

@@ -11,20 +11,34 @@ from multilica.sinks.run_story import RunStory
 from multilica.sinks.slots import shown_radius_m, slot_offsets_m
 from multilica.sinks.thinning import sample_points
 
-__all__ = ["above_group", "around_lidar", "around_rig", "sampled_cloud", "three_quarter", "up_axis"]
+__all__ = ["above_group", "around_lidar", "around_rig", "beside_lidar", "sampled_cloud", "three_quarter", "up_axis"]
 
 _SAMPLE = 20_000
 _FAR_SHARE = 75.0
 _RADIUS_LIMITS_M = (6.0, 40.0)
+_ASIDE_M = 1.0
 
 
 def around_lidar(story: RunStory, lidar: str, *, zoom: float = 1.0) -> rrb.EyeControls3D:
     """What one LiDAR saw, in its own frame; the smaller the zoom, the more of what surrounds it."""
+    return _around(_extent_of(story, lidar), up_axis(story, lidar), zoom)
+
+
+def beside_lidar(story: RunStory, lidar: str) -> rrb.EyeControls3D:
+    """The same from aside, for a view that is wider than high: the direction in which it looks goes across."""
+    centre_m, radius_m = _extent_of(story, lidar)
+    up = up_axis(story, lidar)
+    ahead, aside = _horizontal(up, centre_m)
+    position = centre_m + radius_m * (-0.5 * ahead - 1.3 * aside + 1.1 * up)
+    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
+
+
+def _extent_of(story: RunStory, lidar: str) -> tuple[FloatArray, float]:
     if lidar not in story.clouds:
-        return _around(_extent(np.empty((0, 3))), up_axis(story, lidar), zoom)
+        return _extent(np.empty((0, 3)))
     if lidar not in story.extents:
         story.extents[lidar] = _extent(sampled_cloud(story, lidar))
-    return _around(story.extents[lidar], up_axis(story, lidar), zoom)
+    return story.extents[lidar]
 
 
 def around_rig(story: RunStory) -> rrb.EyeControls3D:
@@ -92,9 +106,15 @@ def _around(extent: tuple[FloatArray, float], up: FloatArray, zoom: float = 1.0)
     return three_quarter(centre_m, radius_m / zoom, up)
 
 
-def _horizontal(up: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Ahead, which is x unless that is nearly up, and left of it; both level."""
+def _horizontal(up: FloatArray, towards_m: FloatArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Ahead and left of it, both level.
+
+    Args:
+        towards_m: (3,) what lies ahead; x does, unless that is nearly up, where it is not given or close to the sensor.
+    """
     axis = np.eye(3)[0 if abs(up[0]) < 0.9 else 1]
+    if towards_m is not None and np.linalg.norm(np.cross(up, towards_m)) > _ASIDE_M:
+        axis = towards_m
     ahead = axis - (axis @ up) * up
     ahead /= np.linalg.norm(ahead)
     return ahead, np.cross(up, ahead)

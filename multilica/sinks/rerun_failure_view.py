@@ -6,7 +6,7 @@ from __future__ import annotations
 import rerun.blueprint as rrb
 
 from multilica.results import PairKey
-from multilica.sinks.failures import Failure, decisive_failure
+from multilica.sinks.failures import Failure, decisive_failure, failures
 from multilica.sinks.rerun_tree import MERGE_CANDIDATES, pair_path
 from multilica.sinks.rerun_views import (
     document_view,
@@ -21,9 +21,6 @@ from multilica.sinks.run_story import RunStory
 
 __all__ = ["failure_tab"]
 
-_HALF_HEIGHT = 0.65
-"""Zoom of views that share the height of the window."""
-
 
 def failure_tab(story: RunStory) -> rrb.Container | None:
     """The decisive comparison at the stage where it failed, beside the reasons; None if there is nothing to see."""
@@ -32,7 +29,9 @@ def failure_tab(story: RunStory) -> rrb.Container | None:
         return None
     page = _page(decisive)
     side = rrb.Vertical(summary_view(), page, row_shares=[3, 2]) if page else summary_view()
-    return rrb.Horizontal(_scene(story, decisive), side, column_shares=[3, 2], name=f"Not placed: {decisive.lidar}")
+    others = len(failures(story)) - 1
+    name = f"Not placed: {decisive.lidar}{f' and {others} more' if others else ''}"
+    return rrb.Horizontal(_scene(story, decisive), side, column_shares=[3, 2], name=name)
 
 
 def _scene(story: RunStory, failure: Failure) -> rrb.Container | rrb.View:
@@ -45,15 +44,15 @@ def _scene(story: RunStory, failure: Failure) -> rrb.Container | rrb.View:
 
 def _seen_by(story: RunStory, lidar: str) -> rrb.View:
     """What one LiDAR saw, among the others: one that saw nothing stands out."""
-    left = len(story.clouds[lidar].returns_m) if lidar in story.clouds else 0
-    return single_lidar_view(story, lidar, ("preprocessed", "dropped"), f"{lidar}: {left:,} returns left")
+    kept = len(story.clouds[lidar].returns_m) if lidar in story.clouds else 0
+    return single_lidar_view(story, lidar, ("preprocessed", "dropped"), f"{lidar}: {kept:,} returns kept")
 
 
 def _compared(story: RunStory, pair: PairKey) -> rrb.Container | rrb.View:
     """The pose that is believed most; below it the other one, where the two cannot be told apart."""
     if rival_of(story, story.registrations[pair]) is None:
         return judged_view(story, pair)
-    return rrb.Vertical(judged_view(story, pair, zoom=_HALF_HEIGHT), rival_view(story, pair, zoom=_HALF_HEIGHT))
+    return rrb.Vertical(judged_view(story, pair, wide=True), rival_view(story, pair, wide=True))
 
 
 def _page(failure: Failure) -> rrb.View | None:

@@ -12,7 +12,7 @@ from rerun.encodings import EntityPathLike
 from multilica.results import PairKey
 from multilica.sinks.narration import pair_label
 from multilica.sinks.palette import distinct_colours
-from multilica.sinks.rerun_camera import around_lidar
+from multilica.sinks.rerun_camera import around_lidar, beside_lidar
 from multilica.sinks.rerun_tree import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
 from multilica.sinks.run_story import RunStory
 
@@ -68,12 +68,12 @@ def matches_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
     return _pair_view(story, pair, pair_label(*pair), contents, zoom=0.6)
 
 
-def judged_view(story: RunStory, pair: PairKey, *, zoom: float = 1.0) -> rrb.Spatial3DView:
+def judged_view(story: RunStory, pair: PairKey, *, wide: bool = False) -> rrb.Spatial3DView:
     """A pair at the pose that is shown at the step, its clouds dimmed below the points that the beams judged."""
     clouds = {lidar_path(pair[0], "preprocessed"): pair[0], pair_path(*pair, "source"): pair[1]}
     contents = [*clouds, f"{pair_path(*pair, 'judged')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
     name = f"{pair_label(*pair)}{_JUDGED_LEGEND if _is_judged(story, pair) else ''}"
-    return _pair_view(story, pair, name, contents, zoom=zoom, overrides=_dimmed(story, clouds))
+    return _pair_view(story, pair, name, contents, wide=wide, overrides=_dimmed(story, clouds))
 
 
 def _is_judged(story: RunStory, pair: PairKey) -> bool:
@@ -81,10 +81,10 @@ def _is_judged(story: RunStory, pair: PairKey) -> bool:
     return bool(story.assessments.get(pair) or (found is not None and found.assessments))
 
 
-def rival_view(story: RunStory, pair: PairKey, *, zoom: float = 1.0) -> rrb.Spatial3DView:
+def rival_view(story: RunStory, pair: PairKey, *, wide: bool = False) -> rrb.Spatial3DView:
     """A pair at the other pose that explains nearly as much."""
     contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'rival')}/**"]
-    return _pair_view(story, pair, f"{pair_label(*pair)}, the other pose", contents, zoom=zoom)
+    return _pair_view(story, pair, f"{pair_label(*pair)}, the other pose", contents, wide=wide)
 
 
 def before_view(story: RunStory, pair: PairKey) -> rrb.Spatial3DView:
@@ -106,10 +106,11 @@ def _pair_view(
     contents: Sequence[str],
     *,
     zoom: float = 1.0,
+    wide: bool = False,
     overrides: Mapping[EntityPathLike, rr.Points3D] | None = None,
 ) -> rrb.Spatial3DView:
-    """Entities of a pair in the target's frame."""
-    eye = around_lidar(story, pair[0], zoom=zoom)
+    """Entities of a pair in the target's frame; from aside in a view that is wider than high."""
+    eye = beside_lidar(story, pair[0]) if wide else around_lidar(story, pair[0], zoom=zoom)
     sensor = lidar_path(pair[0], "sensor")
     return scene_view(name, lidar_frame(pair[0]), [sensor, *contents], eye, overrides=overrides)
 

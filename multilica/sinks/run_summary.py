@@ -51,7 +51,8 @@ def _explanation_part(document: Mapping[str, Any] | None) -> str:
 def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
     if result is None or result.refusal is not None:
         return
-    yield f"Target: **{escaped(result.target)}**. {escaped(result.target_reason)}"
+    if any(place.placed and place.lidar != result.target for place in result.placements):
+        yield f"Target: **{escaped(result.target)}**, {escaped(result.target_reason)}"
     yield markdown_table(
         (
             "LiDAR",

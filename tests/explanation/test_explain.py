@@ -84,11 +84,18 @@ def test_the_pair_that_came_closest_is_decisive_and_the_other_next_best(partial)
     assert missing.next_best.startswith("front left/1 against rear")
 
 
+def test_the_stage_at_which_it_failed_is_told_below_its_cause(partial):
+    lines = explain(partial).lines
+    assert (
+        lines[lines.index(missing_of(partial).headline) + 1] == "  At stage fine: the verdict on the registered pair."
+    )
+
+
 def test_a_second_pose_of_the_decisive_pair_is_the_next_best(partial):
     for pair in partial["pairs"]:
         other = pair["assessments"][0] | {"agree": 77, "violate": 3, "evidence": 41.0}
         pair["assessments"] = [pair["assessments"][0], other]
-    assert "evidence 41" in missing_of(partial).next_best
+    assert "rests on 41 distinctive points" in missing_of(partial).next_best
     assert "77 points agree, 3 stand in empty space" in missing_of(partial).next_best
 
 

@@ -97,7 +97,7 @@ def test_the_recording_opens_on_both_places(tmp_path, story):
 def test_the_report_names_both_others_and_draws_both_places(story):
     contents = contents_of(story)
     (failure,) = outcome_of(contents).failures
-    assert failure.step.startswith("merge")
+    assert failure.missing.step.startswith("merge")
     assert set(failure.against) == {"top", OTHER}
     level = RigidTransform.identity("level", contents.target)
     figures = pair_figures(contents, failure.pair, level, dict.fromkeys(contents.names, (200, 100, 50)))

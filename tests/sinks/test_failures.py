@@ -49,6 +49,16 @@ def test_matches_that_agree_on_nothing_fail_at_the_coarse_stage():
     assert decisive_failure(story_of(made_events("failed"))) == found["front left/1"]
 
 
+def test_of_two_comparisons_the_one_that_is_told_first_is_shown(monkeypatch):
+    """However near each came: beside it stands the explanation, from its beginning."""
+    story = story_of(made_events("partial"))
+    pairs = sorted(story.registrations, key=lambda pair: story.registrations[pair].evidence)
+    told = [Failure("dead", "preprocess", None), *(Failure(pair[1], "fine", pair) for pair in pairs)]
+    monkeypatch.setattr("multilica.sinks.failures.failures", lambda _: tuple(told))
+    assert len(pairs) > 1
+    assert decisive_failure(story) == told[1]
+
+
 def test_a_lidar_that_is_left_with_nothing_fails_at_preprocessing():
     nothing = np.empty((0, 3))
     empty = events.CloudPreprocessed(PreprocessedCloud(UNPLACED, nothing, nothing, {"too_near": np.ones((1200, 3))}))

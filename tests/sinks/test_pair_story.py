@@ -61,7 +61,7 @@ def test_violations_stand_where_the_pose_puts_them(partial):
 
 def test_scores_name_graph_verdict_and_the_step_of_each_hypothesis(partial):
     text = partial.last(f"{PAIR}/scores", "TextDocument:text")[0]
-    assert "80 matches; consistency graph of 80 matches with 200 edges; 2 hypotheses" in text
+    assert "80 matches; consistency graph of 80 matches with 200 edges; hypotheses: 2" in text
     assert text.startswith("# rear <- top\n\n**reject**\n- only 12 points")
     shown, other = re.findall(r"^\| (\S+) \| (\S+) \| \S+ \| (\S+) \| (\S+) \|", text, flags=re.MULTILINE)[2:]
     steps = [step for step, _ in partial.cells(f"{PAIR}/judged/source", "Points3D:class_ids")]

@@ -81,9 +81,11 @@ class Layer:
     label: str = ""
 
 
-def top_view(points_m: FloatArray, size_px: tuple[int, int]) -> View:
-    """From above, x to the right, wide enough for nearly all points (N, 3) with the origin."""
+def top_view(points_m: FloatArray, size_px: tuple[int, int], sensors_m: Sequence[FloatArray] = ()) -> View:
+    """From above, x to the right, wide enough for nearly all points (N, 3) with the origin and these sensors."""
     low_m, high_m = _extent_m(points_m)
+    corners_m = np.stack([low_m, high_m, *sensors_m])
+    low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
     span_m = _MARGIN * (high_m - low_m)
     width_m = max(span_m[0], span_m[1] * size_px[0] / size_px[1], _LEAST_WIDTH_M)
     centre_m = (low_m + high_m) / 2.0

@@ -120,7 +120,7 @@ def _pair_figure(
         for name, pose in ((target, T_level_target), (source, T_level_source))
     ]
     points_m = T_level_source.apply(judged.points_m)
-    view = top_view(_all_points(layers), _PAIR_SIZE_PX)
+    view = top_view(_all_points(layers), _PAIR_SIZE_PX, [T_level_target.xyz_m, T_level_source.xyz_m])
     layers += [Layer(points_m[judged.labels == label], colour, dot_px=_JUDGED_DOT_PX) for label, colour in _JUDGEMENTS]
     shown = f"{source} on {target} {words}, from above"
     if len(judged.points_m) == 0:

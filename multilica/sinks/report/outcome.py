@@ -19,12 +19,10 @@ class Failure:
     """A LiDAR that is not placed.
 
     Args:
-        step: the stage at which it failed, with what failed there.
         pair: the comparison that came closest, as it was registered; None where there was none.
     """
 
     missing: Missing
-    step: str
     pair: PairKey | None
 
     @property
@@ -57,16 +55,6 @@ class Outcome:
     failures: tuple[Failure, ...] = ()
 
 
-_STEPS_WITHOUT_PAIR: Mapping[Cause, str] = MappingProxyType(
-    {
-        "dead_sensor": "preprocess: there were no returns",
-        "no_returns_in_range": "preprocess: no return was kept",
-        "dirty_sensor": "preprocess: what the window hides is missing",
-        "disputed": "joint: the snapshots beside each other",
-        "not_joined": "joint: the snapshots beside each other",
-        "unknown": "joint: the snapshots beside each other",
-    }
-)
 _BADGES: Mapping[Cause, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
 
 
@@ -80,11 +68,17 @@ def outcome_of(contents: ReportContents) -> Outcome:
         return Outcome(
             badge, explanation.headline, ended_early, explanation.warnings, explanation.known, explanation.advice
         )
-    target = f"The target is {contents.target}: {document['target_reason'].rstrip('.')}."
     failures = tuple(_failure(missing) for missing in explanation.missing)
     headline = _headline(contents, explanation)
     badge = _BADGES["unfinished"] if ended_early else document["status"]
-    return Outcome(badge, headline, (target, *ended_early), explanation.warnings, failures=failures)
+    return Outcome(badge, headline, (*_target(contents), *ended_early), explanation.warnings, failures=failures)
+
+
+def _target(contents: ReportContents) -> tuple[str, ...]:
+    """Why that one; not where nothing was placed relative to it."""
+    if len(contents.placed_poses()) < 2:
+        return ()
+    return (f"The target is {contents.target}: {contents.document['target_reason'].rstrip('.')}.",)
 
 
 def _headline(contents: ReportContents, explanation: Explanation) -> str:
@@ -102,8 +96,5 @@ def _is(names: list[str]) -> str:
 
 
 def _failure(missing: Missing) -> Failure:
-    if missing.decisive is None:
-        step = _STEPS_WITHOUT_PAIR.get(missing.cause, "coarse: no pose was found with any other LiDAR")
-        return Failure(missing, step, None)
-    step = "fine: the verdict on the registered pair" if missing.decisive.codes else "merge: joining the groups"
-    return Failure(missing, step, (missing.decisive.target, missing.decisive.source))
+    decisive = missing.decisive
+    return Failure(missing, None if decisive is None else (decisive.target, decisive.source))

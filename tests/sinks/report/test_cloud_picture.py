@@ -57,6 +57,14 @@ def test_nearly_all_points_are_in_view_with_the_origin():
         assert inside[-1]
 
 
+def test_sensors_are_in_view_however_far_from_the_points():
+    points_m = np.random.default_rng(3).normal((12.0, 0.0, 2.0), (2.0, 2.0, 1.0), (5000, 3))
+    sensors_m = [np.array([-6.0, 30.0, 1.0]), np.zeros(3)]
+    view = top_view(points_m, (600, 400), sensors_m)
+    at = view.project(np.array(sensors_m))
+    assert np.all((at > 0) & (at < view.size_px))
+
+
 @pytest.mark.parametrize("points_m", [np.empty((0, 3)), np.zeros((1, 3)), np.full((4, 3), 500.0)])
 def test_odd_clouds_make_a_picture_all_the_same(points_m):
     sensor = RigidTransform.identity("level", "rear")

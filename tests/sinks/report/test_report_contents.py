@@ -39,14 +39,14 @@ def test_success_and_failure_have_their_sentence(partial):
 def test_a_failure_names_lidar_step_partner_and_reason(partial):
     (failure,) = outcome_of(partial).failures
     assert failure.missing.lidar == UNPLACED
-    assert failure.step.startswith("fine")
+    assert failure.missing.step.startswith("fine")
     assert failure.against in {("top",), ("front left/1",)}
     assert "only 12 points lie on surfaces" in failure.missing.decisive.sentence
 
 
 def test_a_lidar_without_any_pose_failed_in_coarse():
     failures = {one.missing.lidar: one for one in outcome_of(made_contents("failed")).failures}
-    assert failures[UNPLACED].step.startswith("coarse")
+    assert failures[UNPLACED].missing.step.startswith("coarse")
     assert failures[UNPLACED].pair is None
 
 
