@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from multilica.sinks.thinning import every_nth
 from multilica.snapshot import Float32Array, LidarScans, Snapshot
 
 __all__ = ["raw_points", "shown_radius_m", "slot_offsets_m"]
@@ -26,7 +27,7 @@ def slot_offsets_m(snapshot: Snapshot) -> dict[str, float]:
 
 def shown_radius_m(points_m: npt.NDArray[np.floating]) -> float:
     """Radius around the sensor that holds most of a cloud (N, 3)."""
-    sample_m = points_m[:: max(1, len(points_m) // _RADIUS_SAMPLE)]
+    sample_m = every_nth(points_m, _RADIUS_SAMPLE)
     finite = sample_m[np.all(np.isfinite(sample_m), axis=1)]
     if len(finite) == 0:
         return 5.0

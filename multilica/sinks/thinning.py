@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from multilica.snapshot import Float32Array
 
-__all__ = ["sample_indices", "sample_points"]
+__all__ = ["every_nth", "sample_indices", "sample_points"]
 
 
 def sample_indices(count: int, limit: int) -> npt.NDArray[np.int64]:
@@ -16,6 +16,11 @@ def sample_indices(count: int, limit: int) -> npt.NDArray[np.int64]:
     if count <= limit:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).choice(count, size=limit, replace=False))
+
+
+def every_nth(points_m: npt.NDArray[np.floating], enough: int) -> npt.NDArray[np.floating]:
+    """Of the points (N, 3) at least `enough`, evenly spread over their order: as a view, for figures of the whole."""
+    return points_m[:: max(1, len(points_m) // enough)]
 
 
 def sample_points(points_m: npt.NDArray[np.floating], limit: int) -> Float32Array:

@@ -14,6 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.sinks.palette import Rgb
+from multilica.sinks.thinning import every_nth
 
 __all__ = ["GROUND_COLOUR", "Layer", "View", "draw_clouds", "png_bytes", "side_view", "top_view"]
 
@@ -26,6 +27,7 @@ _AXIS_SHARE = 0.04
 _MARGIN_PX = 12
 _MARGIN = 1.08
 _NEARLY_ALL = (0.04, 0.96)
+_ENOUGH_POINTS = 20_000
 _REACH_M = 50.0
 _LEAST_WIDTH_M = 8.0
 _MAX_LABEL = 40
@@ -105,7 +107,7 @@ def _extent_m(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(3,) lowest and highest coordinates of nearly all points; the origin, where the target sits, is among them."""
     if len(points_m) == 0:
         return np.zeros(3), np.zeros(3)
-    low_m, high_m = np.quantile(points_m, _NEARLY_ALL, axis=0)
+    low_m, high_m = np.quantile(every_nth(points_m, _ENOUGH_POINTS), _NEARLY_ALL, axis=0)
     return np.clip(low_m, -_REACH_M, 0.0), np.clip(high_m, 0.0, _REACH_M)
 
 

@@ -13,7 +13,7 @@ from multilica.sinks.thinning import sample_points
 __all__ = ["LEVEL", "level_pose"]
 
 LEVEL = "level"
-_ENOUGH_POINTS = 6_000
+_ENOUGH_POINTS = 3_000
 
 
 def level_pose(contents: ReportContents) -> RigidTransform | None:

@@ -12,7 +12,7 @@ import numpy as np
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.sinks.palette import Rgb
 from multilica.sinks.report.contents import ReportContents
-from multilica.sinks.thinning import sample_points
+from multilica.sinks.thinning import every_nth, sample_points
 
 __all__ = ["BYTES_PER_POINT", "MAX_POINTS", "hex_colour", "refused_poses", "rig_scene"]
 
@@ -24,6 +24,7 @@ BYTES_PER_POINT = 8
 
 _STEPS = 65_535
 _REACH_M = 40.0
+_ENOUGH_POINTS = 10_000
 
 
 def rig_scene(
@@ -45,7 +46,7 @@ def rig_scene(
     seen_first = {name: pose for name, pose in _seen_first(contents).items() if name in clouds}
     return {
         "level": _columns(level.matrix),
-        **_camera([(level @ pose).apply(clouds[name]) for name, pose in seen_first.items()]),
+        **_camera([(level @ pose).apply(every_nth(clouds[name], _ENOUGH_POINTS)) for name, pose in seen_first.items()]),
         "clouds": [
             {
                 "name": name,
