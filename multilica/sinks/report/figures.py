@@ -111,12 +111,14 @@ def _accepted(contents: ReportContents, pair: PairKey) -> bool:
 def _pair_figure(
     contents: ReportContents, judged: JudgedPoints, level: RigidTransform, colours: Mapping[str, Rgb], words: str
 ) -> Figure:
-    """The target's cloud with the judged points of the source."""
+    """Both clouds, dimmed below the judged points of the source where there are any."""
     target, source = judged.T_target_source.target, judged.T_target_source.source
     T_level_target = _levelled(contents, judged.T_target_source, level)
     T_level_source = T_level_target @ judged.T_target_source
+    counts = {label: int((judged.labels == label).sum()) for label, _ in _JUDGEMENTS}
+    strength = _DIMMED if any(counts.values()) else 1.0
     layers = [
-        Layer(pose.apply(contents.clouds[name]), colours[name], _DIMMED, 1, pose, name)
+        Layer(pose.apply(contents.clouds[name]), colours[name], strength, 1, pose, name)
         for name, pose in ((target, T_level_target), (source, T_level_source))
     ]
     points_m = T_level_source.apply(judged.points_m)
@@ -125,7 +127,6 @@ def _pair_figure(
     shown = f"{source} on {target} {words}, from above"
     if len(judged.points_m) == 0:
         return _figure(view, layers, f"{shown}.", f"{shown}, each in its colour.")
-    counts = {label: int((judged.labels == label).sum()) for label, _ in _JUDGEMENTS}
     if not any(counts.values()):
         unseen = f"{shown}: no point of one lies in view of the other, so nothing speaks against it."
         return _figure(view, layers, unseen, unseen)
