@@ -24,7 +24,7 @@ __all__ = ["Turn", "claim", "main"]
 
 SAMPLE = Path(__file__).resolve().parents[2] / "recordings" / "samples" / "edgar-street.mcap"
 _DETAILS = ("full", "normal", "slim")
-_ROUNDS = 3
+_ROUNDS = 5
 _LIMIT = 0.15
 
 
