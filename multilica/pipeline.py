@@ -360,6 +360,8 @@ class _Run:
                 overlap[registration.target] += registration.fitness
                 overlap[registration.source] += registration.fitness
         best = max(overlap, key=lambda name: (overlap[name], len(self.clouds[name].points_m)))
+        if overlap[best] == 0.0:
+            return best, "the LiDAR with the most points; no pair was accepted"
         return best, f"the LiDAR with the most overlap: fitness over its pairs adds up to {overlap[best]:.2f}"
 
     def _reregister(self, group: Group, other: Group, hints: Sequence[PairRegistration]) -> PairRegistration | None:

@@ -56,7 +56,7 @@ def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
             "too_little_evidence",
             best.evidence,
             config.min_evidence,
-            f"the pose rests on {max(0.0, best.evidence):.0f} distinctive points, less what contradicts it; "
+            f"the pose rests on {max(0.0, best.evidence):.0f} distinctive points, those that contradict it taken off; "
             f"expected {config.min_evidence:g}",
             failed=best.evidence < config.min_evidence,
         ),

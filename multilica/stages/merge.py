@@ -186,7 +186,7 @@ def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None)
     if not ranked:
         return "stopped: no pair is left that could be registered"
     best = _candidate(ranked[0])
-    return (
-        f"stopped: none of {len(ranked)} candidates is accepted; the best, {best.source} in {best.target}: "
-        f"{best.reason}"
-    )
+    pair = f"{best.source} in {best.target}"
+    if len(ranked) == 1:
+        return f"stopped: the only candidate, {pair}, is not accepted: {best.reason}"
+    return f"stopped: none of {len(ranked)} candidates is accepted; the best, {pair}: {best.reason}"

@@ -142,6 +142,7 @@ def test_in_a_garage_that_looks_the_same_turned_around_nothing_is_placed():
     """The sides look apart and fit on each other turned around; the top one sees that both poses are possible."""
     result = calibrate(simulate_snapshot("sides", "symmetric_garage", 3, frames=1).snapshot)
     assert result.status == "failed"
+    assert result.target_reason == "the LiDAR with the most points; no pair was accepted"
     assert all("ambiguous" in {reason.code for reason in pair.verdict.reasons} for pair in result.pairs)
 
 
