@@ -37,7 +37,7 @@ from multilica.results import (
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.coarse import find_hypotheses
-from multilica.stages.contradiction import doubt_by_contradiction
+from multilica.stages.contradiction import doubt_by_contradiction, doubt_by_open_pairs, is_contradicted
 from multilica.stages.correspond import match_features
 from multilica.stages.decide import decide, decide_by_fitness
 from multilica.stages.features import compute_features
@@ -249,8 +249,7 @@ class _Run:
             candidates = self._candidates(pair)
             if candidates:
                 self.registrations[pair] = self._register(self.sides[pair[0]], self.sides[pair[1]], candidates)
-        self._doubt(doubt_by_symmetry)
-        self._doubt(doubt_by_contradiction)
+        self._doubt_all()
         if self.config.verify.enabled:
             for voxel_size_m in self.config.features.further_voxel_sizes_m:
                 self._search_again(voxel_size_m)
@@ -281,14 +280,17 @@ class _Run:
                     self.observe(events.HypothesesFound(coarse, matches))
                     self.observe(events.HypothesesAssessed(*pair, assessments))
                     self.observe(events.PairRegistered(registration))
-        self._doubt(doubt_by_symmetry)
-        self._doubt(doubt_by_contradiction)
+        self._doubt_all()
 
     def _is_left_open(self, pair: PairKey) -> bool:
         """Whether the scene, not the search, keeps the pair from being accepted."""
         registration = self.registrations.get(pair)
         codes = set() if registration is None else {reason.code for reason in registration.verdict.reasons}
         return pair in self.doubted or {"not_observable"} <= codes <= {"ambiguous", "not_observable"}
+
+    def _doubt_all(self) -> None:
+        for doubting in (doubt_by_symmetry, doubt_by_contradiction, doubt_by_open_pairs):
+            self._doubt(doubting)
 
     def _doubt(self, doubting: Doubting) -> None:
         settled = list(self.registrations.items())
@@ -368,13 +370,15 @@ class _Run:
         """The groups as wholes, from all that is known; if that leaves doubt, from what pairs were accepted for.
 
         Two wholes have more poses that fit by chance than two LiDARs. Those that no pair was accepted for need not
-        stand against one that was.
+        stand against one that was, unless one of them has more evidence and is not rejected. What other pairs
+        contradict is not tried again.
         """
-        known = [hint.T_target_source for hint in hints]
+        contradicted = {pair for pair, registration in self.registrations.items() if is_contradicted(registration)}
+        known = [hint.T_target_source for hint in hints if not is_contradicted(hint)]
         known += [
             assessment.T_target_source
             for pair, assessments in self.assessments.items()
-            if len({*pair} & {*group.poses}) == 1 and len({*pair} & {*other.poses}) == 1
+            if len({*pair} & {*group.poses}) == 1 and len({*pair} & {*other.poses}) == 1 and pair not in contradicted
             for assessment in self._hopeful(assessments)
         ]
         link = self._register_groups(group, other, known)
@@ -384,7 +388,9 @@ class _Run:
         again = self._register_groups(group, other, accepted) if self.config.verify.enabled else None
         if again is not None and not again.verdict.accepted:
             again = self._upheld(again, [pose_between(group, other, pose) for pose in accepted])
-        return again if again is not None and again.verdict.accepted else link
+        if again is None or not again.verdict.accepted or _outdoes(link, again):
+            return link
+        return again
 
     def _upheld(self, link: PairRegistration, accepted: Sequence[RigidTransform]) -> PairRegistration:
         """More points cannot loosen what an accepted pair holds by itself, but those of a group are thinned more."""
@@ -486,3 +492,11 @@ class _Run:
 
 def _candidate(assessment: Assessment) -> Candidate:
     return Candidate(assessment.T_target_source, assessment.hypothesis, assessment.origin, assessment.evidence)
+
+
+def _outdoes(link: PairRegistration, other: PairRegistration) -> bool:
+    """Whether a registration of the same groups that is not rejected has another pose, and more evidence for it."""
+    same_way = link.target == other.target
+    pose = other.T_target_source if same_way else other.T_target_source.inverse()
+    elsewhere = is_distinct(link.T_target_source, [pose])
+    return link.verdict.outcome == "undecided" and elsewhere and link.evidence > other.evidence

@@ -32,7 +32,7 @@ REASON_WORDS: Mapping[str, str] = MappingProxyType(
         "too_little_evidence": "too little evidence",
         "empty_space_violated": "points in empty space",
         "place_proven_empty": "stands in empty space",
-        "cycle_contradicted": "another accepted pair contradicts it",
+        "cycle_contradicted": "another pair contradicts it",
         "ambiguous": "another pose not ruled out",
         "not_observable": "free to slide",
         "structure_unexplained": "walls and objects unexplained",

@@ -13,12 +13,16 @@ from multilica.results import Assessment, Hold, PairRegistration
 from multilica.stages.decide import hopeless_below, standing_rivals
 from multilica.stages.gicp import register, register_narrower
 from multilica.stages.information import pose_information
-from multilica.stages.observability import examine_hold, weakest_curvature
+from multilica.stages.observability import examine_hold, weakest_curvature, weakest_sigmas
 from multilica.stages.poses import is_distinct, slid, within_reach
 from multilica.stages.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.stages.witness import PlacedWitness, judge
 
 __all__ = ["Candidate", "Side", "hopeful", "prepare_side", "register_best"]
+
+
+# What is surer than a quarter of what is still accepted needs no examination of what holds it.
+_UNSURE_SHARE = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +161,7 @@ class _Final:
             registered = self.registered(Candidate(best.T_target_source, best.hypothesis, best.origin))
             best = registered.assessments[0]
         registered = _informed(registered, self.target, self.source, self.refine, self.threads)
-        if best.evidence >= self.verify.min_evidence and self._is_in_doubt(best, others):
+        if best.evidence >= self.verify.min_evidence and self._is_in_doubt(registered, best, others):
             best = replace(best, hold=self._hold(registered, best.testimony.weakest_direction))
         return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
 
@@ -166,10 +170,12 @@ class _Final:
         assessment = _assess(self.target, self.source, registered, candidate.hypothesis, candidate.origin, self.verify)
         return replace(registered, hypothesis=candidate.hypothesis, assessments=(assessment,))
 
-    def _is_in_doubt(self, best: Assessment, others: Sequence[Assessment]) -> bool:
+    def _is_in_doubt(self, registered: PairRegistration, best: Assessment, others: Sequence[Assessment]) -> bool:
         """Whether it may slide: along a tunnel a rival may be no answer of its own, but the end of a slide."""
         loose = best.testimony.held_by < self.verify.firmly_held_by
-        return loose or bool(standing_rivals([best, *others], self.verify))
+        sigma_m, _ = weakest_sigmas(registered.information)
+        unsure = sigma_m is not None and sigma_m > _UNSURE_SHARE * self.verify.max_sigma_m
+        return loose or unsure or bool(standing_rivals([best, *others], self.verify))
 
     def _hold(self, registered: PairRegistration, weakest_direction: FloatArray) -> Hold:
         clouds, thinned = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)

@@ -7,6 +7,7 @@ import numpy as np
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.stages.observability import ROTATION_SCALE_M
 from multilica.stages.registration_cloud import RegistrationCloud
 
 __all__ = ["pose_information"]
@@ -25,15 +26,18 @@ def pose_information(
 
     Each source point with a target point within `distance_m` holds the pose along that point's normal n, by
     J = [a x n, n] with its arm a from the source's origin. GICP gives all of them the same weight, whatever they lie
-    on, so its covariance is the sandwich H^-1 B H^-1 with H = sum J^T J and B = sum r^2 J^T J (White, Econometrica
-    1980): a direction that only bushes and kerbs hold is known as badly as these fit. Neighbouring residuals are not
-    independent (one surface, one beam pattern, one error of its normals), so only each `correlated_points`-th counts.
+    on, so its covariance is the sandwich H^-1 B H^-1 with B = sum r^2 J^T J (White, Econometrica 1980): a direction
+    that only bushes and kerbs hold is known as badly as these fit. Between the rings of a sparse sensor normals are
+    mostly noise, and a tilted normal of the ground would hold the pose sideways: H = sum J^T J' takes J' from the
+    source's own normals, whose noise is another one and averages out (instrumental variables: Reiersol, 1945).
+    Neighbouring residuals are not independent (one surface, one beam pattern, one error of its normals), so only each
+    `correlated_points`-th counts.
 
     Returns:
         (6, 6), order rotation (rad), translation (m), both along the target's axes, the rotation about the source's
         origin; None where too few points match or the engine gives no normals.
     """
-    if target.normals is None:
+    if target.normals is None or source.normals is None:
         return None
     arms = T_target_source.rotate(source.points_m)
     moved = arms + T_target_source.xyz_m
@@ -41,10 +45,20 @@ def pose_information(
     matched = np.isfinite(distance_m)
     if np.count_nonzero(matched) < _MIN_MATCHES:
         return None
-    normals = target.normals[index[matched]]
-    residual_m = np.einsum("ij,ij->i", normals, moved[matched] - target.points_m[index[matched]])
+    arms, offsets = arms[matched], (moved - target.points_m[np.where(matched, index, 0)])[matched]
+    normals, others = target.normals[index[matched]], T_target_source.rotate(source.normals[matched])
+    others = np.where(np.einsum("ij,ij->i", normals, others)[:, None] < 0.0, -others, others)
+    residual_m = np.einsum("ij,ij->i", normals, offsets)
     variance = np.maximum(residual_m**2, config.min_sigma_m**2)
-    jacobian = np.concatenate([np.cross(arms[matched], normals), normals], axis=1)
-    held = jacobian.T @ jacobian
+    jacobian, other_jacobian = (np.concatenate([np.cross(arms, each), each], axis=1) for each in (normals, others))
+    held = _positive(jacobian.T @ other_jacobian)
     spread = jacobian.T @ (jacobian * variance[:, None])
     return np.asarray(held @ np.linalg.pinv(spread, hermitian=True) @ held / config.correlated_points)
+
+
+def _positive(held: FloatArray) -> FloatArray:
+    """Symmetric, and one point in directions in which noise alone is left; turns count as arcs 10 m away."""
+    scale = np.repeat([1.0 / ROTATION_SCALE_M, 1.0], 3)
+    values, directions = np.linalg.eigh(0.5 * (held + held.T) * np.outer(scale, scale))
+    kept = (directions * np.maximum(values, 1.0)) @ directions.T
+    return np.asarray(kept / np.outer(scale, scale))

@@ -12,7 +12,7 @@ from multilica.results import Hold, PairRegistration
 from multilica.stages.gicp import register
 from multilica.stages.registration_cloud import RegistrationCloud
 
-__all__ = ["ROTATION_SCALE_M", "examine_hold", "weakest_curvature"]
+__all__ = ["ROTATION_SCALE_M", "examine_hold", "weakest_curvature", "weakest_sigmas"]
 
 ROTATION_SCALE_M = 10.0
 """Lever arm that makes a rotation comparable with a translation."""
@@ -49,7 +49,7 @@ def examine_hold(
     pose = registration.T_target_source
     starts = [_pushed(pose, side * push_m * weakest_direction) for side in (-1.0, 1.0)]
     ends = [register(*clouds, start, fine, threads).T_target_source for start in starts]
-    sigma_m, sigma_rad = _sigmas(registration.information)
+    sigma_m, sigma_rad = weakest_sigmas(registration.information)
     return Hold(
         sigma_m,
         sigma_rad,
@@ -71,7 +71,8 @@ def _off_m(pose: RigidTransform, other: RigidTransform) -> float:
     return metres + ROTATION_SCALE_M * radians
 
 
-def _sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:
+def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:
+    """Standard deviations in metres and rad, each in its weakest direction; `information` as `pose_information`."""
     if information is None:
         return None, None
     covariance = np.linalg.pinv(information, hermitian=True)

@@ -129,7 +129,7 @@ def _tried(
         return far
     nearest_only = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[-1:]})
     near = _assess(target, source, index, hypothesis, config, nearest_only, threads)
-    return max(far, near, key=lambda assessment: assessment.evidence)
+    return near if near.evidence > max(far.evidence, 0.0) else far
 
 
 def _assess(
@@ -170,7 +170,7 @@ def _testimony(
 def _may_win(roughly: Testimony, found: Sequence[Assessment], config: VerifyConfig) -> bool:
     """Whether a pose that is off by no more than the tolerance it was judged with can come near the best."""
     best = max(assessment.evidence for assessment in within_reach(found, config.rival_reach_m))
-    return roughly.evidence >= max(config.min_evidence, hopeless_below(best, config))
+    return roughly.evidence > hopeless_below(best, config)
 
 
 def _is_settled(found: Sequence[Assessment], config: VerifyConfig) -> bool:

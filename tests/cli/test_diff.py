@@ -24,7 +24,7 @@ def test_two_runs_are_told_apart(runs: tuple[Path, Path], invoke: Invoke) -> Non
     outcome = invoke("diff", *runs, "--recording", "both.rrd")
     assert outcome.code == ExitCode.DIFFERENT
     assert "MOVED" in outcome.out
-    assert "The runs first differ at: config\n  fine.voxel_size_m: 0.1 -> 0.4\nafter it: fine, merge" in outcome.out
+    assert "The runs first differ at: config\n  fine.voxel_size_m: 0.15 -> 0.4\nafter it: fine, merge" in outcome.out
     assert outcome.out.endswith("wrote both.rrd\n")
     assert invoke("diff", *runs, "--within-m", "1", "--within-deg", "10").code == ExitCode.DONE
     document = json.loads(invoke("diff", *runs, "--json").out)

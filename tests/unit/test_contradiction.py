@@ -7,8 +7,8 @@ import pytest
 from multilica import testimony
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import Assessment, PairRegistration, Verdict
-from multilica.stages.contradiction import doubt_by_contradiction
+from multilica.results import Assessment, PairRegistration, Reason, Verdict
+from multilica.stages.contradiction import doubt_by_contradiction, doubt_by_open_pairs, is_contradicted
 
 _CONFIG = VerifyConfig()
 _IN_A = {
@@ -93,3 +93,51 @@ def test_a_cycle_that_an_accepted_pair_closes_needs_no_trial():
 def test_pairs_that_were_never_judged_are_left_alone():
     pairs = [replace(_pair("a", "b"), assessments=()), replace(_pair("a", "c"), assessments=())]
     assert _outcomes(pairs, _contradict("b", "c")) == ["accept", "accept"]
+
+
+def _open(target, source, agree=1000, turned=True, codes=("not_observable",)):
+    """An undecided pair that fits elsewhere than the others imply, or where they do."""
+    pair = _pair(target, source, agree)
+    pose = pair.T_target_source
+    if turned:
+        pose = RigidTransform.from_xyz_rpy(target, target, [0.0, 1.0, 0.0], [0.0, 0.0, np.pi]) @ pose
+    best = replace(pair.assessments[0], T_target_source=pose)
+    reasons = tuple(Reason(code, 0.0, 1.0, "made") for code in codes)
+    return replace(pair, T_target_source=pose, assessments=(best,), verdict=Verdict("undecided", reasons))
+
+
+def _held(pair, points):
+    weakest = replace(pair.assessments[0].testimony, information=np.diag([points, 200, 200, 200, 200, 400.0]))
+    return replace(pair, assessments=(replace(pair.assessments[0], testimony=weakest),))
+
+
+_CHAIN = (_held(_pair("b", "a", agree=500), 20.0), _held(_pair("b", "c", agree=600), 0.1), _pair("d", "c", agree=400))
+
+
+def _nothing_in_common(_):
+    return _testimony(agree=0)
+
+
+def test_a_chain_of_pairs_is_doubted_where_it_is_held_least_if_an_open_pair_knows_nothing_of_where_it_leads():
+    doubted = doubt_by_open_pairs([*_CHAIN, _open("d", "a")], _nothing_in_common, _CONFIG)
+    assert [is_contradicted(pair) for pair in doubted] == [False, True, False, False]
+    assert doubted[1].verdict.outcome == "undecided"
+    assert "puts a 1." in doubted[1].verdict.reasons[0].text
+    assert "180 deg from where it fits d" in doubted[1].verdict.reasons[0].text
+
+
+@pytest.mark.parametrize(
+    ("known", "testify"),
+    [
+        (_open("d", "a", turned=False), _nothing_in_common),
+        (_open("a", "d", turned=False), _nothing_in_common),
+        (_open("d", "a"), lambda _: _testimony()),
+        (_open("d", "a", agree=300), _nothing_in_common),
+        (_open("d", "a", codes=("not_observable", "structure_unexplained")), _nothing_in_common),
+        (replace(_open("d", "a"), verdict=Verdict("reject")), _nothing_in_common),
+    ],
+    ids=["one of its answers", "the other way round", "seen as well", "less evidence", "unexplained", "rejected"],
+)
+def test_an_open_pair_that_goes_with_the_chain_or_is_no_witness_changes_nothing(known, testify):
+    pairs = [*_CHAIN, known]
+    assert doubt_by_open_pairs(pairs, testify, _CONFIG) == pairs
