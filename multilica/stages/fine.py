@@ -9,11 +9,17 @@ from functools import cached_property
 
 from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import Assessment, Hold, PairRegistration
+from multilica.results import Assessment, PairRegistration
 from multilica.stages.decide import hopeless_below, standing_rivals
 from multilica.stages.gicp import register, register_narrower
 from multilica.stages.information import pose_information
-from multilica.stages.observability import examine_hold, weakest_curvature, weakest_sigmas
+from multilica.stages.observability import (
+    arc_between_m,
+    examine_hold,
+    pushed_ends,
+    weakest_curvature,
+    weakest_sigmas,
+)
 from multilica.stages.poses import is_distinct, slid, within_reach
 from multilica.stages.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.stages.witness import PlacedWitness, judge
@@ -162,7 +168,8 @@ class _Final:
             best = registered.assessments[0]
         registered = _informed(registered, self.target, self.source, self.refine, self.threads)
         if best.evidence >= self.verify.min_evidence and self._is_in_doubt(registered, best, others):
-            best = replace(best, hold=self._hold(registered, best.testimony.weakest_direction))
+            registered = self._held(registered)
+            best = registered.assessments[0]
         return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
 
     def _judged(self, target: RegistrationCloud, source: RegistrationCloud, candidate: Candidate) -> PairRegistration:
@@ -177,9 +184,20 @@ class _Final:
         unsure = sigma_m is not None and sigma_m > _UNSURE_SHARE * self.verify.max_sigma_m
         return loose or unsure or bool(standing_rivals([best, *others], self.verify))
 
-    def _hold(self, registered: PairRegistration, weakest_direction: FloatArray) -> Hold:
+    def _held(self, registered: PairRegistration) -> PairRegistration:
+        """With what holds it. One that ends at the same other pose from both sides had only stopped short of that."""
         clouds, thinned = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)
-        return examine_hold(clouds, thinned, registered, weakest_direction, self.verify.push_m, self.fine, self.threads)
+        push_m, limit_m = self.verify.push_m, self.verify.max_pushed_off_m
+        for last in (False, True):
+            best = registered.assessments[0]
+            pose, weakest = best.T_target_source, best.testimony.weakest_direction
+            ends = pushed_ends(clouds, pose, weakest, push_m, self.fine, self.threads)
+            hold = examine_hold(thinned, registered, ends, push_m, self.fine, self.threads)
+            if last or hold.pushed_off_m <= limit_m or arc_between_m(*ends) > limit_m:
+                break
+            registered = self.registered(Candidate(ends[0], best.hypothesis, best.origin))
+            registered = _informed(registered, self.target, self.source, self.refine, self.threads)
+        return replace(registered, assessments=(replace(best, hold=hold),))
 
 
 def _slides(best: Assessment, verify: VerifyConfig) -> bool:

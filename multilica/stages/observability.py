@@ -12,7 +12,14 @@ from multilica.results import Hold, PairRegistration
 from multilica.stages.gicp import register
 from multilica.stages.registration_cloud import RegistrationCloud
 
-__all__ = ["ROTATION_SCALE_M", "examine_hold", "weakest_curvature", "weakest_sigmas"]
+__all__ = [
+    "ROTATION_SCALE_M",
+    "arc_between_m",
+    "examine_hold",
+    "pushed_ends",
+    "weakest_curvature",
+    "weakest_sigmas",
+]
 
 ROTATION_SCALE_M = 10.0
 """Lever arm that makes a rotation comparable with a translation."""
@@ -27,36 +34,58 @@ def weakest_curvature(registration: PairRegistration) -> float:
     return float(np.linalg.eigvalsh(registration.hessian * np.outer(scale, scale) / inliers)[0])
 
 
-def examine_hold(
+def pushed_ends(
     clouds: tuple[RegistrationCloud, RegistrationCloud],
-    thinned: tuple[RegistrationCloud, RegistrationCloud],
-    registration: PairRegistration,
+    pose: RigidTransform,
     weakest_direction: FloatArray,
     push_m: float,
     fine: FineConfig,
     threads: int,
+) -> tuple[RigidTransform, RigidTransform]:
+    """Where registration of target and source ends if the pose is pushed where it gives way most easily, either way.
+
+    Args:
+        weakest_direction: (6,) unit vector as `Testimony.weakest_direction`.
+    """
+    back, forth = (
+        register(*clouds, _pushed(pose, side * push_m * weakest_direction), fine, threads).T_target_source
+        for side in (-1.0, 1.0)
+    )
+    return back, forth
+
+
+def examine_hold(
+    thinned: tuple[RegistrationCloud, RegistrationCloud],
+    registration: PairRegistration,
+    ends: tuple[RigidTransform, RigidTransform],
+    push_m: float,
+    fine: FineConfig,
+    threads: int,
 ) -> Hold:
-    """Push a registered pose where it gives way most easily, and take points away: what holds it brings it back.
+    """How far a registered pose gives way when it is pushed, and when points are taken away.
 
     Along a tunnel a registration stays where it is put, and a chance fit of ground and shrubs depends on which points
     there are. A pose that the scene holds comes back to a fraction of a millimetre.
 
     Args:
-        clouds: target and source as they were registered.
-        thinned: the same with fewer points.
-        weakest_direction: (6,) unit vector as `Testimony.weakest_direction`.
+        thinned: target and source with fewer points.
+        ends: as `pushed_ends` of the registered pose.
     """
     pose = registration.T_target_source
-    starts = [_pushed(pose, side * push_m * weakest_direction) for side in (-1.0, 1.0)]
-    ends = [register(*clouds, start, fine, threads).T_target_source for start in starts]
     sigma_m, sigma_rad = weakest_sigmas(registration.information)
     return Hold(
         sigma_m,
         sigma_rad,
         push_m,
-        pushed_off_m=max(_off_m(pose, end) for end in ends),
-        thinned_off_m=_off_m(pose, register(*thinned, pose, fine, threads).T_target_source),
+        pushed_off_m=max(arc_between_m(pose, end) for end in ends),
+        thinned_off_m=arc_between_m(pose, register(*thinned, pose, fine, threads).T_target_source),
     )
+
+
+def arc_between_m(pose: RigidTransform, other: RigidTransform) -> float:
+    """How far apart two poses are, a turn counted as the arc at `ROTATION_SCALE_M`."""
+    metres, radians = pose.distance_to(other)
+    return metres + ROTATION_SCALE_M * radians
 
 
 def _pushed(pose: RigidTransform, motion: FloatArray) -> RigidTransform:
@@ -64,11 +93,6 @@ def _pushed(pose: RigidTransform, motion: FloatArray) -> RigidTransform:
     return RigidTransform.from_rotation_translation(
         pose.target, pose.source, turn @ pose.rotation, pose.xyz_m + motion[3:]
     )
-
-
-def _off_m(pose: RigidTransform, other: RigidTransform) -> float:
-    metres, radians = pose.distance_to(other)
-    return metres + ROTATION_SCALE_M * radians
 
 
 def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:

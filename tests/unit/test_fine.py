@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
+from multilica.stages import fine
 from multilica.stages.fine import Candidate, hopeful, prepare_side, register_best
+from multilica.stages.gicp import register
 from multilica.stages.witness import prepare_witness
 from tests.unit.made_rooms import HALL, box, scan
 
@@ -101,6 +105,24 @@ def test_what_holds_a_pose_is_examined_where_it_is_in_doubt(sides):
     candidates = [Candidate(_near(pose), index) for index, pose in enumerate((_TRUTH, _HALF_TURN))]
     best = register_best(*both, candidates, _VERIFY, _FINE, _REFINE, 1).assessments[0]
     assert best.testimony.held_by > _VERIFY.firmly_held_by
+    assert best.hold.pushed_off_m < 1e-3
+
+
+def test_a_registration_that_stopped_short_is_taken_to_where_it_is_held(sides, monkeypatch):
+    def stopping_short(target, source, start, *rest):
+        monkeypatch.setattr(fine, "register", register)
+        registered = register(target, source, start, *rest)
+        pose = registered.T_target_source
+        short = RigidTransform.from_rotation_translation("t", "s", pose.rotation, np.add(pose.xyz_m, [0.03, 0.0, 0.0]))
+        return replace(registered, T_target_source=short)
+
+    monkeypatch.setattr(fine, "register", stopping_short)
+    examined = _VERIFY.model_copy(update={"firmly_held_by": 1e9})
+    result = register_best(*sides, [Candidate(_near(_TRUTH), 3)], examined, _FINE, _REFINE, 1)
+    _assert_true(result.T_target_source)
+    (best,) = result.assessments
+    assert best.T_target_source is result.T_target_source
+    assert best.hypothesis == 3
     assert best.hold.pushed_off_m < 1e-3
 
 
