@@ -184,7 +184,8 @@ class VerifyConfig(Section):
         description="the same for a pose that is not firmly held: a chance agreement may be anywhere, a car is short",
     )
     slide_step_m: PositiveMetres = Field(
-        1.0, description="a pose that is not firmly held is tried so far along its weakest direction, too"
+        1.0,
+        description="steps along its weakest direction at which a pose is tried if it is not firmly held or slides",
     )
     slides: int = Field(6, ge=0, description="number of such steps to either side: repeating facades look alike there")
     finalists: Count = Field(8, description="distinct answers that are registered more finely")
@@ -215,10 +216,10 @@ class VerifyConfig(Section):
     firmly_held_by: Metres = Field(
         8.0,
         description="points that hold the pose in its weakest direction, 10 m lever arm: with so many, parallax and "
-        "clutter need no further explanation, and what holds it no examination if it is known to 5 mm",
+        "clutter need no further explanation, and what holds it no examination if it is sure and has no rival",
     )
     push_m: PositiveMetres = Field(
-        0.3, description="a pose that is not firmly held is pushed so far along its weakest direction"
+        0.3, description="a pose that is to be examined is pushed so far along its weakest direction"
     )
     max_pushed_off_m: PositiveMetres = Field(
         0.01, description="and comes back as near as this by itself, a turn counted 10 m away"

@@ -44,6 +44,7 @@ from multilica.stages.features import compute_features
 from multilica.stages.fine import Candidate, Side, hopeful, prepare_side, register_best
 from multilica.stages.ground import estimate_ground
 from multilica.stages.merge import Group, merge, pose_between
+from multilica.stages.observability import arc_between_m
 from multilica.stages.poses import is_distinct
 from multilica.stages.preprocess import preprocess
 from multilica.stages.prior import known_between, require_usable
@@ -57,6 +58,9 @@ from multilica.stages.witness import Trial, Witness, judge, prepare_witness
 from multilica.testimony import Testimony
 
 __all__ = ["calibrate"]
+
+# A pose that slides gives way by more.
+_STILL_HELD_M = 0.05
 
 Doubting = Callable[[Sequence[PairRegistration], Trial, VerifyConfig], Sequence[PairRegistration]]
 
@@ -386,17 +390,20 @@ class _Run:
             return link
         accepted = [hint.T_target_source for hint in hints if hint.verdict.accepted]
         again = self._register_groups(group, other, accepted) if self.config.verify.enabled else None
-        if again is not None and not again.verdict.accepted:
-            again = self._upheld(again, [pose_between(group, other, pose) for pose in accepted])
-        if again is None or not again.verdict.accepted or _outdoes(link, again):
+        if again is None or _outdoes(link, again):
             return link
-        return again
+        if not again.verdict.accepted:
+            again = self._upheld(again, [pose_between(group, other, pose) for pose in accepted])
+        return again if again.verdict.accepted else link
 
     def _upheld(self, link: PairRegistration, accepted: Sequence[RigidTransform]) -> PairRegistration:
-        """More points cannot loosen what an accepted pair holds by itself, but those of a group are thinned more."""
+        """More points hardly loosen what an accepted pair holds by itself, but those of a group are thinned more."""
         pose = link.T_target_source if link.target == accepted[0].target else link.T_target_source.inverse()
         only_loose = [reason.code for reason in link.verdict.reasons] == ["not_observable"]
-        if not only_loose or len(link.assessments) > 1 or is_distinct(pose, accepted):
+        hold = link.assessments[0].hold
+        if not only_loose or len(link.assessments) > 1 or hold is None or hold.pushed_off_m > _STILL_HELD_M:
+            return link
+        if min(arc_between_m(pose, known) for known in accepted) > _STILL_HELD_M:
             return link
         upheld = replace(link, verdict=Verdict("accept"))
         self.observe(events.PairRegistered(upheld))

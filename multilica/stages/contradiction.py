@@ -12,7 +12,7 @@ import numpy as np
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import PairRegistration, Reason, Verdict
-from multilica.stages.decide import max_violation_share
+from multilica.stages.decide import decide, max_violation_share
 from multilica.stages.poses import is_distinct
 from multilica.stages.witness import Trial
 from multilica.testimony import Testimony
@@ -76,7 +76,7 @@ def doubt_by_open_pairs(
     """
     accepted = [pair for pair in pairs if pair.verdict.accepted and pair.assessments]
     doubts: dict[int, Reason] = {}
-    for known in sorted(filter(_is_open, pairs), key=lambda pair: -pair.evidence):
+    for known in sorted((pair for pair in pairs if _is_open(pair, config)), key=lambda pair: -pair.evidence):
         while chain := _chain(known.target, known.source, [pair for pair in accepted if id(pair) not in doubts]):
             implied = _composed(known.target, chain)
             by_chance = [pair for pair in chain if pair.evidence < known.evidence]
@@ -95,10 +95,13 @@ def is_contradicted(pair: PairRegistration) -> bool:
     return any(reason.code == _CODE for reason in pair.verdict.reasons)
 
 
-def _is_open(pair: PairRegistration) -> bool:
-    """Whether nothing speaks against its answers but that there are several."""
-    codes = {reason.code for reason in pair.verdict.reasons}
-    return bool(pair.assessments) and pair.verdict.outcome == "undecided" and codes <= {"ambiguous", "not_observable"}
+def _is_open(pair: PairRegistration, config: VerifyConfig) -> bool:
+    """Whether nothing speaks against its answers but that there are several; by itself, not because others doubt it."""
+    if not pair.assessments or pair.verdict.outcome != "undecided":
+        return False
+    verdict = decide(pair.assessments, config)
+    codes = {reason.code for reason in verdict.reasons}
+    return verdict.outcome == "undecided" and codes <= {"ambiguous", "not_observable"}
 
 
 def _chain(start: str, end: str, edges: Sequence[PairRegistration]) -> list[PairRegistration]:

@@ -17,6 +17,7 @@ __all__ = ["decide", "decide_by_fitness", "hopeless_below", "max_violation_share
 _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
 _STRAY_POINTS = 2
+_ROUGHLY = 0.8
 
 
 def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
@@ -90,8 +91,11 @@ def max_violation_share(testimony: Testimony, config: VerifyConfig) -> float:
 
 
 def hopeless_below(best_evidence: float, config: VerifyConfig) -> float:
-    """The evidence below which a roughly registered answer will not rival the best: far behind, and a small share."""
-    return min(best_evidence - config.hopeless_evidence, config.max_equal * best_evidence)
+    """The evidence below which a roughly registered answer will not rival the best: far behind, and a small share.
+
+    A finer registration may add to what is just below the share that counts.
+    """
+    return min(best_evidence - config.hopeless_evidence, _ROUGHLY * config.max_equal * best_evidence)
 
 
 def standing_rivals(finalists: Sequence[Assessment], config: VerifyConfig) -> list[Assessment]:

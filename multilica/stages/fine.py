@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
+
 from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import Assessment, PairRegistration
@@ -39,7 +41,7 @@ class Side:
         name: the LiDAR, or the group's root.
         cloud: the points of all members in the frame of that name.
         witnesses: the members with their poses; empty where verification is off.
-        drafting: how `draft` is prepared.
+        drafting, threads: how `draft` is prepared.
     """
 
     name: str
@@ -92,14 +94,16 @@ def register_best(
     """GICP on the finalists among the candidates; the one with the most evidence is registered on all points.
 
     A pose that slides may have slid from one that the scene holds: GICP falls into a notch from one side only, so it
-    is started all along the slide, and what it finds is taken if it has more evidence.
+    is started all along the slide, and what it finds is taken if it has more evidence. One that stopped short of where
+    it is held is taken there.
 
     Args:
         candidates: at least one, the most believable first.
 
     Returns:
         The narrower side is the source. `assessments` holds the distinct finalists, the best first; what holds the best
-        is examined if it has enough evidence, and few points hold it in its weakest direction or a rival stands.
+        is examined if it has enough evidence, and few points hold it in its weakest direction, or its sigma is more
+        than a quarter of what is accepted, or a rival stands.
     """
     if not target.witnesses:
         first = candidates[0]
@@ -111,14 +115,15 @@ def register_best(
         candidates = [replace(each, T_target_source=each.T_target_source.inverse()) for each in candidates]
     final = _Final(target, source, verify, fine, refine, threads)
     finalists = _finalists(target, source, candidates, verify)
-    tried = [final.registered(finalists[0])] if len(finalists) == 1 else final.drafted(finalists)
-    best = final.examined(tried)
+    drafted = len(finalists) > 1
+    tried = final.drafted(finalists) if drafted else [final.registered(finalists[0])]
+    best = final.examined(tried, drafted=drafted)
     if _slides(best.assessments[0], verify):
         hypothesis, origin = best.hypothesis, best.assessments[0].origin
         starts = [Candidate(pose, hypothesis, origin) for pose in slid(best.assessments[0], verify)]
-        beside = final.drafted(starts, beside=tried)
+        beside = final.drafted(starts, beside=[*tried, best])
         if any(each.evidence > best.evidence for each in beside):
-            return final.examined([*tried, *beside])
+            return max(best, final.examined([*tried, *beside], drafted=True), key=lambda each: each.evidence)
     return best
 
 
@@ -157,19 +162,24 @@ class _Final:
         """Where GICP of all points takes it."""
         return self._judged(self.target.cloud, self.source.cloud, candidate)
 
-    def examined(self, tried: Sequence[PairRegistration]) -> PairRegistration:
-        """The one with the most evidence, registered on all points, with what holds it; the others behind it."""
+    def examined(self, tried: Sequence[PairRegistration], *, drafted: bool) -> PairRegistration:
+        """The one with the most evidence, registered on all points, with what holds it; the others behind it.
+
+        Args:
+            drafted: the registrations tried are of fewer points.
+        """
         reach_m = self.verify.rival_reach_m
         ranked = sorted(within_reach([each.assessments[0] for each in tried], reach_m), key=lambda each: -each.evidence)
         best, *others = ranked
         registered = next(each for each in tried if each.assessments[0] is best)
-        if best.evidence > 0.0 and len(tried) > 1:
+        if best.evidence > 0.0 and drafted:
             registered = self.registered(Candidate(best.T_target_source, best.hypothesis, best.origin))
             best = registered.assessments[0]
         registered = _informed(registered, self.target, self.source, self.refine, self.threads)
         if best.evidence >= self.verify.min_evidence and self._is_in_doubt(registered, best, others):
             registered = self._held(registered)
             best = registered.assessments[0]
+            others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
         return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
 
     def _judged(self, target: RegistrationCloud, source: RegistrationCloud, candidate: Candidate) -> PairRegistration:
@@ -178,10 +188,14 @@ class _Final:
         return replace(registered, hypothesis=candidate.hypothesis, assessments=(assessment,))
 
     def _is_in_doubt(self, registered: PairRegistration, best: Assessment, others: Sequence[Assessment]) -> bool:
-        """Whether it may slide: along a tunnel a rival may be no answer of its own, but the end of a slide."""
+        """Whether it may slide: few points hold it, it is not sure, or a rival stands, which may be the slide's end."""
         loose = best.testimony.held_by < self.verify.firmly_held_by
-        sigma_m, _ = weakest_sigmas(registered.information)
-        unsure = sigma_m is not None and sigma_m > _UNSURE_SHARE * self.verify.max_sigma_m
+        sigma_m, sigma_rad = weakest_sigmas(registered.information)
+        limits = (self.verify.max_sigma_m, np.deg2rad(self.verify.max_sigma_deg))
+        unsure = any(
+            sigma is not None and sigma > _UNSURE_SHARE * limit
+            for sigma, limit in zip((sigma_m, sigma_rad), limits, strict=True)
+        )
         return loose or unsure or bool(standing_rivals([best, *others], self.verify))
 
     def _held(self, registered: PairRegistration) -> PairRegistration:
@@ -193,10 +207,12 @@ class _Final:
             pose, weakest = best.T_target_source, best.testimony.weakest_direction
             ends = pushed_ends(clouds, pose, weakest, push_m, self.fine, self.threads)
             hold = examine_hold(thinned, registered, ends, push_m, self.fine, self.threads)
-            if last or hold.pushed_off_m <= limit_m or arc_between_m(*ends) > limit_m:
+            if last or hold.pushed_off_m <= limit_m or arc_between_m(*ends) > limit_m or is_distinct(ends[0], [pose]):
                 break
-            registered = self.registered(Candidate(ends[0], best.hypothesis, best.origin))
-            registered = _informed(registered, self.target, self.source, self.refine, self.threads)
+            further = self.registered(Candidate(ends[0], best.hypothesis, best.origin))
+            if further.evidence < best.evidence:
+                break
+            registered = _informed(further, self.target, self.source, self.refine, self.threads)
         return replace(registered, assessments=(replace(best, hold=hold),))
 
 

@@ -45,20 +45,25 @@ def pose_information(
     matched = np.isfinite(distance_m)
     if np.count_nonzero(matched) < _MIN_MATCHES:
         return None
-    arms, offsets = arms[matched], (moved - target.points_m[np.where(matched, index, 0)])[matched]
+    arms, offsets = arms[matched], moved[matched] - target.points_m[index[matched]]
     normals, others = target.normals[index[matched]], T_target_source.rotate(source.normals[matched])
     others = np.where(np.einsum("ij,ij->i", normals, others)[:, None] < 0.0, -others, others)
     residual_m = np.einsum("ij,ij->i", normals, offsets)
     variance = np.maximum(residual_m**2, config.min_sigma_m**2)
     jacobian, other_jacobian = (np.concatenate([np.cross(arms, each), each], axis=1) for each in (normals, others))
-    held = _positive(jacobian.T @ other_jacobian)
     spread = jacobian.T @ (jacobian * variance[:, None])
+    held, spread = _floored(jacobian.T @ other_jacobian, spread, config.distance_m)
     return np.asarray(held @ np.linalg.pinv(spread, hermitian=True) @ held / config.correlated_points)
 
 
-def _positive(held: FloatArray) -> FloatArray:
-    """Symmetric, and one point in directions in which noise alone is left; turns count as arcs 10 m away."""
+def _floored(held: FloatArray, spread: FloatArray, distance_m: float) -> tuple[FloatArray, FloatArray]:
+    """H, symmetric, and B: where noise alone is left of H, one point holds, off by the whole distance of a match.
+
+    Turns count as arcs 10 m away.
+    """
     scale = np.repeat([1.0 / ROTATION_SCALE_M, 1.0], 3)
-    values, directions = np.linalg.eigh(0.5 * (held + held.T) * np.outer(scale, scale))
-    kept = (directions * np.maximum(values, 1.0)) @ directions.T
-    return np.asarray(kept / np.outer(scale, scale))
+    lengths = np.outer(scale, scale)
+    values, directions = np.linalg.eigh(0.5 * (held + held.T) * lengths)
+    loose = directions[:, values < 1.0]
+    floored = (directions * np.maximum(values, 1.0)) @ directions.T
+    return floored / lengths, spread + distance_m**2 * (loose @ loose.T) / lengths

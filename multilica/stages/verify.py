@@ -74,9 +74,9 @@ def assess_hypotheses(
             continue
         if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in tried)):
             continue
-        assessment = _tried(target, source, index, hypothesis, config, gicp, threads)
-        if is_distinct(assessment.T_target_source, (other.T_target_source for other in tried)):
-            tried.append(assessment)
+        for assessment in _tried(target, source, index, hypothesis, config, gicp, threads):
+            if is_distinct(assessment.T_target_source, (other.T_target_source for other in tried)):
+                tried.append(assessment)
     for assessment in claimed:
         found = _joined(found, assessment)
     for index, hypothesis in _rivals(target[0], source[0], found, config):
@@ -119,17 +119,17 @@ def _tried(
     config: VerifyConfig,
     gicp: FineConfig,
     threads: int,
-) -> Assessment:
-    """The hypothesis after GICP; one that GICP carried off has a second try among near points only.
+) -> list[Assessment]:
+    """The hypothesis after GICP; for one that GICP carried off also where a second try among near points is better.
 
     Narrow views share few points: of those within 2 m most may be no matches, and draw even the true pose away.
     """
     far = _assess(target, source, index, hypothesis, config, gicp, threads)
     if not is_distinct(far.T_target_source, [hypothesis.T_target_source]):
-        return far
+        return [far]
     nearest_only = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[-1:]})
     near = _assess(target, source, index, hypothesis, config, nearest_only, threads)
-    return near if near.evidence > max(far.evidence, 0.0) else far
+    return [near, far] if near.evidence > max(far.evidence, 0.0) else [far]
 
 
 def _assess(

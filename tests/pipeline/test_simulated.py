@@ -132,7 +132,7 @@ def test_what_an_accepted_pair_holds_is_not_lost_among_the_points_of_a_group(mon
         return doubt if answers[0].hypothesis == -1 else judge(answers, config)
 
     monkeypatch.setattr(pipeline, "decide", doubtful_in_groups)
-    result, _ = _watched(_sides().snapshot)
+    result, _ = _watched(_sides().snapshot, "verify.firmly_held_by=1e6")
     assert (result.status == "complete") is placed
     if placed:
         _assert_true(result, _sides().truth)

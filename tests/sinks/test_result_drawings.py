@@ -146,4 +146,4 @@ def panels_in(node: Any) -> set[str]:
 
 def test_the_documented_layout_is_that_of_the_demo():
     topics = {name: f"/lidar/{name}/points" for name in ("front", "left", "rear", "right")}
-    assert DOCUMENTED_LAYOUT.read_text(encoding="utf-8") == foxglove_layout("right", topics)
+    assert DOCUMENTED_LAYOUT.read_text(encoding="utf-8") == foxglove_layout("left", topics)

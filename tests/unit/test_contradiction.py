@@ -7,7 +7,7 @@ import pytest
 from multilica import testimony
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
-from multilica.results import Assessment, PairRegistration, Reason, Verdict
+from multilica.results import Assessment, PairRegistration, Verdict
 from multilica.stages.contradiction import doubt_by_contradiction, doubt_by_open_pairs, is_contradicted
 
 _CONFIG = VerifyConfig()
@@ -95,15 +95,15 @@ def test_pairs_that_were_never_judged_are_left_alone():
     assert _outcomes(pairs, _contradict("b", "c")) == ["accept", "accept"]
 
 
-def _open(target, source, agree=1000, turned=True, codes=("not_observable",)):
-    """An undecided pair that fits elsewhere than the others imply, or where they do."""
+def _open(target, source, agree=1000, turned=True, curvature=0.1, occluded=0):
+    """An undecided pair that can slide, and fits elsewhere than the others imply, or where they do."""
     pair = _pair(target, source, agree)
     pose = pair.T_target_source
     if turned:
         pose = RigidTransform.from_xyz_rpy(target, target, [0.0, 1.0, 0.0], [0.0, 0.0, np.pi]) @ pose
-    best = replace(pair.assessments[0], T_target_source=pose)
-    reasons = tuple(Reason(code, 0.0, 1.0, "made") for code in codes)
-    return replace(pair, T_target_source=pose, assessments=(best,), verdict=Verdict("undecided", reasons))
+    testimony_of = replace(pair.assessments[0].testimony, structure_agree=100, structure_occluded=occluded)
+    best = replace(pair.assessments[0], T_target_source=pose, weakest_curvature=curvature, testimony=testimony_of)
+    return replace(pair, T_target_source=pose, assessments=(best,), verdict=Verdict("undecided"))
 
 
 def _held(pair, points):
@@ -133,10 +133,19 @@ def test_a_chain_of_pairs_is_doubted_where_it_is_held_least_if_an_open_pair_know
         (_open("a", "d", turned=False), _nothing_in_common),
         (_open("d", "a"), lambda _: _testimony()),
         (_open("d", "a", agree=300), _nothing_in_common),
-        (_open("d", "a", codes=("not_observable", "structure_unexplained")), _nothing_in_common),
+        (_open("d", "a", occluded=5000), _nothing_in_common),
+        (_open("d", "a", curvature=5.0), _nothing_in_common),
         (replace(_open("d", "a"), verdict=Verdict("reject")), _nothing_in_common),
     ],
-    ids=["one of its answers", "the other way round", "seen as well", "less evidence", "unexplained", "rejected"],
+    ids=[
+        "one of its answers",
+        "the other way round",
+        "seen as well",
+        "less evidence",
+        "unexplained",
+        "doubted by others",
+        "rejected",
+    ],
 )
 def test_an_open_pair_that_goes_with_the_chain_or_is_no_witness_changes_nothing(known, testify):
     pairs = [*_CHAIN, known]

@@ -73,6 +73,23 @@ def test_candidates_that_are_the_same_answer_count_once(sides):
     _assert_true(result.T_target_source)
 
 
+def test_finalists_that_end_at_one_answer_are_registered_on_all_points(sides, monkeypatch):
+    few = _VERIFY.model_copy(update={"finalist_points": 1500})
+    drafting = [replace(side, drafting=_FINE.model_copy(update={"max_points": 1500})) for side in sides]
+    registered = []
+
+    def counted(target, source, *rest):
+        registered.append(len(source.points_m))
+        return register(target, source, *rest)
+
+    monkeypatch.setattr(fine, "register", counted)
+    candidates = [Candidate(_near(_TRUTH, (shift_m, 0.0, 0.0)), 0) for shift_m in (-0.2, 0.2)]
+    result = register_best(*drafting, candidates, few, _FINE, _REFINE, 1)
+    assert len(result.assessments) == 1
+    assert max(registered[:2]) < 1500 < registered[2] == len(sides[1].cloud.points_m)
+    _assert_true(result.T_target_source)
+
+
 def test_no_more_finalists_are_registered_than_asked_for(sides):
     poses = [_near(_TRUTH, (0.0, 0.0, 0.0), yaw) for yaw in (0.0, 0.8, 1.6, 2.4, 3.2)]
     candidates = [Candidate(pose, index) for index, pose in enumerate(poses)]
@@ -84,7 +101,7 @@ def test_no_more_finalists_are_registered_than_asked_for(sides):
 @pytest.mark.parametrize(
     ("evidence", "kept"),
     [
-        ([-900.0, 500.0, 130.0, 120.0], [1, 2]),
+        ([-900.0, 500.0, 130.0, 90.0], [1, 2]),
         ([310.0, 20.0, 5.0], [0, 1]),
         ([50.0, -240.0, -260.0], [0, 1]),
         ([-400.0, -750.0, -90.0], [2]),
