@@ -400,8 +400,8 @@ class _Run:
         """More points hardly loosen what an accepted pair holds by itself, but those of a group are thinned more."""
         pose = link.T_target_source if link.target == accepted[0].target else link.T_target_source.inverse()
         only_loose = [reason.code for reason in link.verdict.reasons] == ["not_observable"]
-        hold = link.assessments[0].hold
-        if not only_loose or len(link.assessments) > 1 or hold is None or hold.pushed_off_m > _STILL_HELD_M:
+        holds = [assessment.hold for assessment in link.assessments]
+        if not only_loose or len(holds) != 1 or holds[0] is None or holds[0].pushed_off_m > _STILL_HELD_M:
             return link
         if min(arc_between_m(pose, known) for known in accepted) > _STILL_HELD_M:
             return link
