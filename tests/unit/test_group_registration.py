@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Groups that were registered as wholes beside the pairs that were accepted."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from multilica import events, pipeline
+from multilica import events, pipeline, testimony
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
-from multilica.results import PairRegistration, Verdict
+from multilica.results import Assessment, Hold, PairRegistration, Reason, Verdict
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.stages.merge import Group
 
@@ -16,9 +18,9 @@ _HINTED = RigidTransform.from_xyz_rpy("a", "b", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0)
 _CHANCE = RigidTransform.from_xyz_rpy("a", "b", (0.0, 4.0, 0.0), (0.0, 0.0, 0.0))
 
 
-def _link(pose, verdict):
+def _link(pose, verdict, fitness=0.5):
     return PairRegistration(
-        "a", "b", pose, 0.5, 0.05, 100, converged=True, iterations=5, engine="made", verdict=verdict
+        "a", "b", pose, fitness, 0.05, 100, converged=True, iterations=5, engine="made", verdict=verdict
     )
 
 
@@ -47,3 +49,51 @@ def test_chance_fits_of_the_whole_do_not_outvote_an_accepted_pair(monkeypatch, h
     link = run._reregister(Group.of_one("a"), Group.of_one("b"), [_link(_HINTED, hint)])
     assert len([known for known in tries if known]) == asked
     assert link.T_target_source is placed_at
+
+
+@pytest.mark.parametrize(
+    ("elsewhere", "placed_at"),
+    [
+        (_link(_CHANCE, _REFUSED, fitness=0.9), _CHANCE),
+        (_link(_CHANCE, Verdict("reject"), fitness=0.9), _HINTED),
+        (_link(_HINTED, _REFUSED, fitness=0.9), _HINTED),
+        (_link(_CHANCE, _REFUSED, fitness=0.1), _HINTED),
+    ],
+    ids=["outdone", "rejected", "the same pose", "less evidence"],
+)
+def test_an_accepted_pair_does_not_stand_against_more_evidence_elsewhere(monkeypatch, elsewhere, placed_at):
+    links = iter([elsewhere, _link(_HINTED, _ACCEPTED)])
+    monkeypatch.setattr(pipeline._Run, "_register_groups", lambda *_: next(links))
+    snapshot = Snapshot(tuple(LidarScans(name, (Scan(np.ones((1, 3))),)) for name in "ab"))
+    run = pipeline._Run(snapshot, CalibrationConfig(), events.ignore)
+    link = run._reregister(Group.of_one("a"), Group.of_one("b"), [_link(_HINTED, _ACCEPTED)])
+    assert link.T_target_source is placed_at
+    assert link.verdict.accepted is (placed_at is _HINTED)
+
+
+def _held_at(pushed_off_m, pose=_HINTED, codes=("not_observable",), answers=1):
+    hold = Hold(0.005, 1e-3, 0.3, pushed_off_m, 0.0)
+    told = testimony.Testimony(200, 0, 0, 0, np.eye(6), np.zeros(0, dtype=np.uint8))
+    answer = Assessment(-1, pose, told, 0.5, 0.05, 1.0, np.zeros((0, 3)), hold=hold)
+    reasons = tuple(Reason(code, 0.0, 1.0, "made") for code in codes)
+    return replace(_link(pose, Verdict("undecided", reasons)), assessments=(answer,) * answers)
+
+
+_SLID = RigidTransform.from_xyz_rpy("a", "b", (1.2, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("link", "accepted"),
+    [
+        (_held_at(0.02), True),
+        (_held_at(0.2), False),
+        (_held_at(0.02, _SLID), False),
+        (_held_at(0.02, answers=2), False),
+        (_held_at(0.02, codes=("not_observable", "structure_unexplained")), False),
+    ],
+    ids=["gives way a little", "slides", "has slid", "has a rival", "explains little"],
+)
+def test_a_pair_upholds_only_what_gives_way_a_little_where_it_was_accepted(link, accepted):
+    snapshot = Snapshot(tuple(LidarScans(name, (Scan(np.ones((1, 3))),)) for name in "ab"))
+    run = pipeline._Run(snapshot, CalibrationConfig(), events.ignore)
+    assert run._upheld(link, [_HINTED]).verdict.accepted is accepted
