@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -100,11 +101,11 @@ def test_a_hypothesis_that_gicp_carries_off_has_a_second_try_among_near_points(s
 
     def carried_off_by_far_points(target, source, start, gicp, threads):
         reaches_m.append(gicp.max_correspondence_distances_m[0])
-        if reaches_m[-1] > 1.0:
-            start = RigidTransform.from_rotation_translation(
-                start.target, start.source, start.rotation, np.add(start.xyz_m, [3.0, 0.0, 0.0])
-            )
-        return register_narrower(target, source, start, gicp, threads)
+        registered = register_narrower(target, source, start, gicp, threads)
+        pose = registered.T_target_source
+        away_m = np.add(pose.xyz_m, [3.0 if reaches_m[-1] > 1.0 else 0.0, 0.0, 0.0])
+        carried = RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, away_m)
+        return replace(registered, T_target_source=carried)
 
     monkeypatch.setattr(verify, "register_narrower", carried_off_by_far_points)
     best, *_ = _assessed(sides, _near(_TRUTH), config=_CONFIG.model_copy(update={"rivals": 0, "slides": 0}))
