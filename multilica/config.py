@@ -279,8 +279,8 @@ class RefineConfig(Section):
 
     enabled: bool = Field(default=True, description="off: poses stay as the merge left them")
     distance_m: PositiveMetres = Field(0.2, description="points nearer to the other cloud than this hold the pose")
+    max_points: Count = Field(20_000, description="points in common that a pose is fitted to; more are thinned evenly")
     min_sigma_m: PositiveMetres = Field(0.005, description="residuals are not believed to be smaller than this")
-    correlated_points: PositiveMetres = Field(3.0, description="neighbouring points that err together and count as one")
     outlier_sigma: PositiveMetres = Field(3.0, description="a pair off by this many sigma keeps half its weight")
     max_iterations: Count = Field(20, description="Gauss-Newton steps")
     epsilon: PositiveMetres = Field(1e-9, description="converged when no pose moves by more (rad, m)")

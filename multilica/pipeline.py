@@ -434,11 +434,13 @@ class _Run:
         self.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
     def _close_loops(self, group: Group) -> None:
-        """Register placed pairs that were not accepted from where the rig puts them; the search may have missed it."""
+        """Register placed pairs that were not accepted from where the rig puts them, if the search missed it."""
         for pair in self._pairs():
             before = self.registrations.get(pair)
             if set(pair) <= set(group.poses) and (before is None or not before.verdict.accepted):
                 placed = group.poses[pair[0]].inverse() @ group.poses[pair[1]]
+                if before is not None and not is_distinct(_the_way_of(placed, before), [before.T_target_source]):
+                    continue
                 after = self._register(self.sides[pair[0]], self.sides[pair[1]], [Candidate(placed, -1)])
                 if after.verdict.accepted:
                     self.registrations[pair] = after
@@ -501,9 +503,12 @@ def _candidate(assessment: Assessment) -> Candidate:
     return Candidate(assessment.T_target_source, assessment.hypothesis, assessment.origin, assessment.evidence)
 
 
+def _the_way_of(pose: RigidTransform, registration: PairRegistration) -> RigidTransform:
+    """A pose between the registration's LiDARs, from the same source to the same target."""
+    return pose if pose.target == registration.target else pose.inverse()
+
+
 def _outdoes(link: PairRegistration, other: PairRegistration) -> bool:
     """Whether a registration of the same groups that is not rejected has another pose, and more evidence for it."""
-    same_way = link.target == other.target
-    pose = other.T_target_source if same_way else other.T_target_source.inverse()
-    elsewhere = is_distinct(link.T_target_source, [pose])
+    elsewhere = is_distinct(link.T_target_source, [_the_way_of(other.T_target_source, link)])
     return link.verdict.outcome == "undecided" and elsewhere and link.evidence > other.evidence

@@ -21,8 +21,8 @@ class Hold:
     """How firmly the points of both clouds hold a registered pose. Turns count as arcs 10 m away.
 
     Args:
-        sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where the
-            engine gives no normals.
+        sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where
+            too few points match.
         push_m: how far the pose was pushed along its weakest direction, either way.
         pushed_off_m: how far from the pose the registration ends when it starts from there.
         thinned_off_m: how far from the pose the registration of fewer points ends.

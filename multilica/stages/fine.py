@@ -13,8 +13,7 @@ from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import Assessment, PairRegistration
 from multilica.stages.decide import hopeless_below, standing_rivals
-from multilica.stages.gicp import register, register_narrower
-from multilica.stages.information import pose_information
+from multilica.stages.gicp import fitness_and_rmse, register, register_narrower
 from multilica.stages.observability import (
     arc_between_m,
     examine_hold,
@@ -22,6 +21,7 @@ from multilica.stages.observability import (
     weakest_curvature,
     weakest_sigmas,
 )
+from multilica.stages.plane_fit import fit_planes, pose_information
 from multilica.stages.poses import is_distinct, slid, within_reach
 from multilica.stages.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.stages.witness import PlacedWitness, judge
@@ -29,8 +29,8 @@ from multilica.stages.witness import PlacedWitness, judge
 __all__ = ["Candidate", "Side", "hopeful", "prepare_side", "register_best"]
 
 
-# What is surer than a quarter of what is still accepted needs no examination of what holds it.
-_UNSURE_SHARE = 0.25
+# What is surer than half of what is still accepted needs no examination of what holds it.
+_UNSURE_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +93,7 @@ def register_best(
 ) -> PairRegistration:
     """GICP on the finalists among the candidates; the one with the most evidence is registered on all points.
 
+    What GICP makes of it is then fitted to the planes that both sides have in common.
     A pose that slides may have slid from one that the scene holds: GICP falls into a notch from one side only, so it
     is started all along the slide, and what it finds is taken if it has more evidence. One that stopped short of where
     it is held is taken there.
@@ -103,12 +104,16 @@ def register_best(
     Returns:
         The narrower side is the source. `assessments` holds the distinct finalists, the best first; what holds the best
         is examined if it has enough evidence, and few points hold it in its weakest direction, or its sigma is more
-        than a quarter of what is accepted, or a rival stands.
+        than half of what is accepted, or a rival stands.
     """
     if not target.witnesses:
         first = candidates[0]
         registered = register_narrower(target.cloud, source.cloud, first.T_target_source, fine, threads)
-        registered = _informed(registered, target, source, refine, threads)
+        if refine.enabled:
+            clouds = {side.name: side.cloud for side in (target, source)}
+            ordered = clouds[registered.target], clouds[registered.source]
+            information = pose_information(*ordered, registered.T_target_source, refine, threads)
+            registered = replace(registered, information=information)
         return replace(registered, hypothesis=first.hypothesis)
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
@@ -175,12 +180,25 @@ class _Final:
         if best.evidence > 0.0 and drafted:
             registered = self.registered(Candidate(best.T_target_source, best.hypothesis, best.origin))
             best = registered.assessments[0]
-        registered = _informed(registered, self.target, self.source, self.refine, self.threads)
-        if best.evidence >= self.verify.min_evidence and self._is_in_doubt(registered, best, others):
-            registered = self._held(registered)
+        if best.evidence >= self.verify.min_evidence:
+            held = registered
+            registered = self._fitted(held)
             best = registered.assessments[0]
-            others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
+            if self._is_in_doubt(registered, best, others):
+                registered = self._examined(held, registered)
+                best = registered.assessments[0]
+                others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
         return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
+
+    def _fitted(self, registered: PairRegistration) -> PairRegistration:
+        """With the pose fitted to planes and judged again, and its information."""
+        clouds, (before,) = (self.target.cloud, self.source.cloud), registered.assessments[:1]
+        fit = fit_planes(*clouds, registered.T_target_source, self.refine, self.threads)
+        pose = fit.T_target_source
+        fitness, rmse_m, inliers = fitness_and_rmse(*clouds, pose, self.fine.fitness_distance_m, self.threads)
+        moved = replace(registered, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers)
+        assessment = _assess(self.target, self.source, moved, before.hypothesis, before.origin, self.verify)
+        return replace(moved, information=fit.information, assessments=(assessment,))
 
     def _judged(self, target: RegistrationCloud, source: RegistrationCloud, candidate: Candidate) -> PairRegistration:
         registered = register(target, source, candidate.T_target_source, self.fine, self.threads)
@@ -198,35 +216,30 @@ class _Final:
         )
         return loose or unsure or bool(standing_rivals([best, *others], self.verify))
 
-    def _held(self, registered: PairRegistration) -> PairRegistration:
-        """With what holds it. One that ends at the same other pose from both sides had only stopped short of that."""
+    def _examined(self, registered: PairRegistration, fitted: PairRegistration) -> PairRegistration:
+        """The fitted one with what holds it. One that ends at the same other pose from both sides had stopped short.
+
+        Args:
+            registered: where GICP ended, which is what comes back to where it was when it is pushed.
+        """
         clouds, thinned = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)
         push_m, limit_m = self.verify.push_m, self.verify.max_pushed_off_m
         for last in (False, True):
-            best = registered.assessments[0]
-            pose, weakest = best.T_target_source, best.testimony.weakest_direction
+            best, pose = registered.assessments[0], registered.T_target_source
+            weakest = best.testimony.weakest_direction
             ends = pushed_ends(clouds, pose, weakest, push_m, self.fine, self.threads)
-            hold = examine_hold(thinned, registered, ends, push_m, self.fine, self.threads)
+            hold = examine_hold(thinned, pose, fitted.information, ends, push_m, self.fine, self.threads)
             if last or hold.pushed_off_m <= limit_m or arc_between_m(*ends) > limit_m or is_distinct(ends[0], [pose]):
                 break
             further = self.registered(Candidate(ends[0], best.hypothesis, best.origin))
             if further.evidence < best.evidence:
                 break
-            registered = _informed(further, self.target, self.source, self.refine, self.threads)
-        return replace(registered, assessments=(replace(best, hold=hold),))
+            registered, fitted = further, self._fitted(further)
+        return replace(fitted, assessments=(replace(fitted.assessments[0], hold=hold),))
 
 
 def _slides(best: Assessment, verify: VerifyConfig) -> bool:
     return best.hold is not None and best.hold.pushed_off_m > verify.max_pushed_off_m
-
-
-def _informed(
-    registration: PairRegistration, first: Side, second: Side, refine: RefineConfig, threads: int
-) -> PairRegistration:
-    clouds = {side.name: side.cloud for side in (first, second)}
-    target, source = clouds[registration.target], clouds[registration.source]
-    information = pose_information(target, source, registration.T_target_source, refine, threads)
-    return replace(registration, information=information)
 
 
 def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig) -> list[Candidate]:

@@ -56,7 +56,8 @@ def pushed_ends(
 
 def examine_hold(
     thinned: tuple[RegistrationCloud, RegistrationCloud],
-    registration: PairRegistration,
+    pose: RigidTransform,
+    information: FloatArray | None,
     ends: tuple[RigidTransform, RigidTransform],
     push_m: float,
     fine: FineConfig,
@@ -69,10 +70,11 @@ def examine_hold(
 
     Args:
         thinned: target and source with fewer points.
-        ends: as `pushed_ends` of the registered pose.
+        pose: where GICP ended.
+        information: as `pose_information`.
+        ends: as `pushed_ends` of that pose.
     """
-    pose = registration.T_target_source
-    sigma_m, sigma_rad = weakest_sigmas(registration.information)
+    sigma_m, sigma_rad = weakest_sigmas(information)
     return Hold(
         sigma_m,
         sigma_rad,

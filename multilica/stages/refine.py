@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -57,7 +58,7 @@ def refine(
         current = _moved(current, free, step)
         if np.abs(step).max() < config.epsilon:
             break
-    normal_matrix, _ = _normal_equations(edges, current, free, config)
+    normal_matrix, _ = _normal_equations(_as_one_by_source(edges), current, free, config)
     joint = np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64)
     covariances = {name: joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(free)}
     after = [_disagreement(edge, current) for edge in edges]
@@ -66,6 +67,12 @@ def refine(
         for edge, start, end in zip(edges, before, after, strict=True)
     )
     return RefinedRig(current, covariances, Refinement(residuals))
+
+
+def _as_one_by_source(edges: Sequence[PairRegistration]) -> list[PairRegistration]:
+    """With their information shared out: the noise of a source's points is the same in all pairs that it is in."""
+    count = Counter(edge.source for edge in edges)
+    return [replace(edge, information=np.asarray(edge.information) / count[edge.source]) for edge in edges]
 
 
 def linked(root: str, edges: Sequence[PairRegistration]) -> set[str]:

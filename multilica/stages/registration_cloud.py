@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray
+from multilica.stages.surface import Surface
 from multilica.stages.voxel_grid import thin
 
 __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
@@ -20,7 +22,7 @@ __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
 _COARSER = 1.2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RegistrationCloud:
     """Thinned points with what the engine needs to register them.
 
@@ -28,16 +30,21 @@ class RegistrationCloud:
         name: the LiDAR, or the root of a group.
         points_m: (N, 3) in the frame of that name.
         tree: nearest neighbours among `points_m`, for fitness and RMSE.
-        normals: (N, 3) unit; None where the engine gives none.
         engine_cloud, engine_tree: the engine's own types, with covariances.
+        neighbours: points from which a covariance is estimated.
     """
 
     name: str
     points_m: FloatArray
     tree: cKDTree
-    normals: FloatArray | None
     engine_cloud: Any
     engine_tree: Any
+    neighbours: int
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The planes that its points lie on."""
+        return Surface(self.tree, self.neighbours)
 
 
 def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConfig, threads: int) -> RegistrationCloud:
@@ -48,10 +55,7 @@ def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConf
         thinned = thin(thinned, voxel_size_m)
     prepare = _prepare_small_gicp if config.engine == "small_gicp" else _prepare_open3d
     engine_cloud, engine_tree = prepare(thinned, config, threads)
-    normals = None
-    if config.engine == "small_gicp":
-        normals = np.ascontiguousarray(engine_cloud.normals()[:, :3])
-    return RegistrationCloud(name, thinned, cKDTree(thinned), normals, engine_cloud, engine_tree)
+    return RegistrationCloud(name, thinned, cKDTree(thinned), engine_cloud, engine_tree, config.neighbours)
 
 
 def _prepare_small_gicp(points_m: FloatArray, config: FineConfig, threads: int) -> tuple[Any, Any]:

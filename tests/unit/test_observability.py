@@ -7,8 +7,8 @@ import pytest
 from multilica.config import FineConfig, RefineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.stages.gicp import register
-from multilica.stages.information import pose_information
 from multilica.stages.observability import examine_hold, pushed_ends
+from multilica.stages.plane_fit import pose_information
 from multilica.stages.registration_cloud import prepare_registration_cloud
 from tests.unit.made_rooms import HALL, box, scan
 
@@ -32,7 +32,8 @@ def _registered(objects):
 
 def _hold(clouds, thinned, registration):
     ends = pushed_ends(clouds, registration.T_target_source, _ALONG, _VERIFY.push_m, _FINE, 1)
-    return examine_hold(thinned, registration, ends, _VERIFY.push_m, _FINE, 1)
+    pose, information = registration.T_target_source, registration.information
+    return examine_hold(thinned, pose, information, ends, _VERIFY.push_m, _FINE, 1)
 
 
 @pytest.fixture(scope="module")

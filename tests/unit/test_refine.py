@@ -66,7 +66,8 @@ def test_exact_pairs_give_exact_poses_from_a_rough_start():
     assert np.array_equal(rig.poses["T"].matrix, np.eye(4))
 
 
-def test_loops_lower_the_error_and_the_covariance_tells_it():
+def test_loops_lower_the_error_and_the_covariance_tells_no_less():
+    """Here the noise of the pairs is independent; the covariance allows for pairs that have it in common."""
     normalised, direct, joint = [], [], []
     for seed in range(40):
         rng = np.random.default_rng(seed)
@@ -80,7 +81,18 @@ def test_loops_lower_the_error_and_the_covariance_tells_it():
             joint.append(np.linalg.norm(error[3:]))
         direct += [np.linalg.norm(p.T_target_source.xyz_m - _TRUTH[p.source].xyz_m) for p in pairs if p.target == "T"]
     assert np.mean(joint) < 0.85 * np.mean(direct)
-    assert 0.7 < np.mean(normalised) < 1.3
+    assert 0.3 < np.mean(normalised) < 1.3
+
+
+def test_pairs_of_the_same_source_make_it_no_surer():
+    pairs = [_pair(target, "C", _TRUTH[target].inverse() @ _TRUTH["C"]) for target in "TAB"]
+    sure = [_pair("T", name, _TRUTH[name], 1e6 * _INFORMATION) for name in "AB"]
+    alone = refine("T", _TRUTH, pairs[:1], RefineConfig()).covariances["C"]
+    together = refine("T", _TRUTH, [*pairs, *sure], RefineConfig()).covariances["C"]
+    assert np.allclose(np.diag(together)[3:], np.diag(alone)[3:], rtol=0.3)
+    others = [_pair("C", name, _TRUTH["C"].inverse() @ _TRUTH[name]) for name in "AB"]
+    surer = refine("T", _TRUTH, [*pairs[:1], *others, *sure], RefineConfig()).covariances["C"]
+    assert np.all(np.diag(surer)[3:] < 0.6 * np.diag(alone)[3:])
 
 
 def test_one_bad_pair_does_not_bend_the_rig():

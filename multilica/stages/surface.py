@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The surface that each point of a cloud lies on, as its neighbours tell it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from multilica.geometry import FloatArray
+
+__all__ = ["Surface"]
+
+_TINY = 1e-12
+
+
+class Surface:
+    """Planes through the points of a cloud, each found when it is first asked for.
+
+    Args:
+        tree: of the cloud's points, in metres.
+        neighbours: how many points, itself included, tell the plane of each.
+    """
+
+    def __init__(self, tree: cKDTree, neighbours: int) -> None:
+        self._tree = tree
+        self._neighbours = min(neighbours, tree.n)
+        self._known = np.zeros(tree.n, dtype=bool)
+        self._normals = np.empty((tree.n, 3))
+        self._flatness = np.empty(tree.n)
+
+    def at(self, index: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        """Of the points at these (M,) indices: (M, 3) unit normals of either sign, and (M,) flatness.
+
+        Flatness goes from 0, where the neighbours have no plane (a twig, a single scan line, a bush), to 1. It is
+        1 - s0 / s1 of the standard deviations s0 <= s1 <= s2 along their principal directions: along a line s1 is as
+        small as s0, and any normal across it is as good as another; in a bush all three are alike.
+        """
+        unknown = np.unique(index[~self._known[index]])
+        if len(unknown):
+            self._normals[unknown], self._flatness[unknown] = self._estimated(unknown)
+            self._known[unknown] = True
+        return self._normals[index], self._flatness[index]
+
+    def _estimated(self, index: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        points_m: NDArray[Any] = np.asarray(self._tree.data)
+        _, neighbours = self._tree.query(points_m[index], k=range(1, self._neighbours + 1))
+        around = points_m[neighbours]
+        around = around - around.mean(axis=1, keepdims=True)
+        variances, directions = np.linalg.eigh(np.matmul(around.transpose(0, 2, 1), around))
+        deviations = np.sqrt(np.maximum(variances, 0.0))
+        flatness = 1.0 - deviations[:, 0] / np.maximum(deviations[:, 1], _TINY)
+        return directions[:, :, 0], np.maximum(flatness, 0.0)
