@@ -398,10 +398,9 @@ class _Run:
 
     def _upheld(self, link: PairRegistration, accepted: Sequence[RigidTransform]) -> PairRegistration:
         """More points hardly loosen what an accepted pair holds by itself, but those of a group are thinned more."""
-        pose = link.T_target_source if link.target == accepted[0].target else link.T_target_source.inverse()
-        only_loose = [reason.code for reason in link.verdict.reasons] == ["not_observable"]
+        pose = _the_way_of(link.T_target_source, accepted[0])
         holds = [assessment.hold for assessment in link.assessments]
-        if not only_loose or len(holds) != 1 or holds[0] is None or holds[0].pushed_off_m > _STILL_HELD_M:
+        if not _is_only_loose(link) or len(holds) != 1 or holds[0] is None or holds[0].pushed_off_m > _STILL_HELD_M:
             return link
         if min(arc_between_m(pose, known) for known in accepted) > _STILL_HELD_M:
             return link
@@ -434,12 +433,12 @@ class _Run:
         self.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
     def _close_loops(self, group: Group) -> None:
-        """Register placed pairs that were not accepted from where the rig puts them, if the search missed it."""
+        """Register placed pairs that were not accepted from where the rig puts them; the search may have missed it."""
         for pair in self._pairs():
             before = self.registrations.get(pair)
             if set(pair) <= set(group.poses) and (before is None or not before.verdict.accepted):
                 placed = group.poses[pair[0]].inverse() @ group.poses[pair[1]]
-                if before is not None and not is_distinct(_the_way_of(placed, before), [before.T_target_source]):
+                if before is not None and _is_loose_at(before, placed):
                     continue
                 after = self._register(self.sides[pair[0]], self.sides[pair[1]], [Candidate(placed, -1)])
                 if after.verdict.accepted:
@@ -503,12 +502,22 @@ def _candidate(assessment: Assessment) -> Candidate:
     return Candidate(assessment.T_target_source, assessment.hypothesis, assessment.origin, assessment.evidence)
 
 
-def _the_way_of(pose: RigidTransform, registration: PairRegistration) -> RigidTransform:
-    """A pose between the registration's LiDARs, from the same source to the same target."""
-    return pose if pose.target == registration.target else pose.inverse()
+def _is_loose_at(registration: PairRegistration, pose: RigidTransform) -> bool:
+    """Whether the registration ended at this pose, and nothing but too loose a hold speaks against it."""
+    ended_at = _the_way_of(registration.T_target_source, pose)
+    return _is_only_loose(registration) and not is_distinct(pose, [ended_at])
+
+
+def _is_only_loose(registration: PairRegistration) -> bool:
+    return [reason.code for reason in registration.verdict.reasons] == ["not_observable"]
+
+
+def _the_way_of(pose: RigidTransform, other: RigidTransform) -> RigidTransform:
+    """The pose, or its inverse, that goes between the same two as the other the same way."""
+    return pose if pose.target == other.target else pose.inverse()
 
 
 def _outdoes(link: PairRegistration, other: PairRegistration) -> bool:
     """Whether a registration of the same groups that is not rejected has another pose, and more evidence for it."""
-    elsewhere = is_distinct(link.T_target_source, [_the_way_of(other.T_target_source, link)])
+    elsewhere = is_distinct(link.T_target_source, [_the_way_of(other.T_target_source, link.T_target_source)])
     return link.verdict.outcome == "undecided" and elsewhere and link.evidence > other.evidence

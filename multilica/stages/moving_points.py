@@ -77,8 +77,8 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
     Returns:
         The scans without those returns, and the (K, 3) dropped points.
     """
-    grid = _grid(scans)
-    if len(scans) < 2 or grid is None:
+    grid = _grid(scans) if len(scans) > 1 else None
+    if grid is None:
         return tuple(scans), np.empty((0, 3))
     frames = [_frame(scan, grid) for scan in scans]
     references = sorted(set(np.linspace(0, len(frames) - 1, _REFERENCE_FRAMES).astype(int).tolist()))

@@ -38,8 +38,9 @@ class Surface:
         1 - s0 / s1 of the standard deviations s0 <= s1 <= s2 along their principal directions: along a line s1 is as
         small as s0, and any normal across it is as good as another; in a bush all three are alike.
         """
-        unknown = np.unique(index[~self._known[index]])
-        if len(unknown):
+        known = self._known[index]
+        if not np.all(known):
+            unknown = np.unique(index[~known])
             self._normals[unknown], self._flatness[unknown] = self._estimated(unknown)
             self._known[unknown] = True
         return self._normals[index], self._flatness[index]

@@ -214,7 +214,7 @@ def _surfaces(probes_m: FloatArray, returns: cKDTree) -> tuple[BoolArray, FloatA
     _, index = returns.query(probes_m, k=min(_SURFACE_NEIGHBOURS, returns.n))
     around = returns.data[index.reshape(len(probes_m), -1)]
     centred = around - around.mean(axis=1, keepdims=True)
-    variances, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
+    variances, axes = np.linalg.eigh(np.matmul(centred.transpose(0, 2, 1), centred))
     solid = np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))
     wide = variances[:, 1] >= np.maximum(_PLANE_WIDTH * variances[:, 2], _WIDER_THAN_THICK * variances[:, 0])
     spanned = solid & wide

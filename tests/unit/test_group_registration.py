@@ -97,3 +97,33 @@ def test_a_pair_upholds_only_what_gives_way_a_little_where_it_was_accepted(link,
     snapshot = Snapshot(tuple(LidarScans(name, (Scan(np.ones((1, 3))),)) for name in "ab"))
     run = pipeline._Run(snapshot, CalibrationConfig(), events.ignore)
     assert run._upheld(link, [_HINTED]).verdict.accepted is accepted
+
+
+@pytest.mark.parametrize(
+    ("before", "again"),
+    [
+        (_held_at(0.5), False),
+        (_held_at(0.5, pose=_CHANCE), True),
+        (_held_at(0.5, codes=("ambiguous",)), True),
+        (_held_at(0.5, codes=("ambiguous", "not_observable")), True),
+        (None, True),
+    ],
+    ids=["too loose there", "elsewhere", "one of two answers", "loose and one of two", "never registered"],
+)
+def test_a_loop_is_closed_unless_the_pair_was_too_loose_at_that_very_pose(monkeypatch, before, again):
+    asked = []
+
+    def register(*arguments):
+        candidates = arguments[-1]
+        asked.extend(each.T_target_source for each in candidates)
+        return _link(candidates[0].T_target_source, _ACCEPTED)
+
+    monkeypatch.setattr(pipeline._Run, "_register", register)
+    snapshot = Snapshot(tuple(LidarScans(name, (Scan(np.ones((1, 3))),)) for name in "ab"))
+    run = pipeline._Run(snapshot, CalibrationConfig(), events.ignore)
+    run.clouds = dict.fromkeys("ab")
+    run.sides = dict.fromkeys("ab")
+    run.registrations = {} if before is None else {("a", "b"): before}
+    run._close_loops(Group("a", {"a": RigidTransform.identity("a", "a"), "b": _HINTED}))
+    assert [pose.matrix.tolist() for pose in asked] == ([_HINTED.matrix.tolist()] if again else [])
+    assert run.registrations["a", "b"].verdict.accepted is again
