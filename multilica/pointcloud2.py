@@ -16,6 +16,7 @@ from multilica.snapshot import Float32Array
 __all__ = [
     "DATATYPES",
     "LIDAR_NAME_KEY",
+    "SNAPSHOT_METADATA_NAME",
     "PointCloud2",
     "PointField",
     "decode_points",
@@ -30,6 +31,8 @@ DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "
 
 LIDAR_NAME_KEY = "multilica:lidar"
 """Where the metadata of an MCAP channel of point clouds names the LiDAR."""
+SNAPSHOT_METADATA_NAME = "multilica:snapshot"
+"""The metadata record of an MCAP file that holds a snapshot; `frames` is how many per LiDAR were asked for."""
 
 Column = npt.NDArray[Any]
 

@@ -57,8 +57,12 @@ def ingest_options(
     window_s: float | None,
     *,
     strict: bool,
+    usual_frames: int | None = None,
 ) -> dict[str, object]:
     """The options that say what to read, as `resolve_config` takes them.
+
+    Args:
+        usual_frames: what `frames` is unless it is given.
 
     Raises:
         UsageError: a text of `--topic` of another form, or a name twice.
@@ -67,7 +71,7 @@ def ingest_options(
     return {
         "ingest.topics": topic_names([text for text in topics or () if "=" in text]),
         "ingest.only": [text for text in topics or () if "=" not in text] or None,
-        "ingest.frames": frames,
+        "ingest.frames": usual_frames if frames is None else frames,
         "ingest.start_s": start_s,
         "ingest.start_at": start if start_s is None else None,
         "ingest.window": window,

@@ -48,7 +48,15 @@ Topics = Annotated[
         help="Take only this topic, as the LiDAR of that name; or a pattern (/lidar_*/points), or a type; repeatable.",
     ),
 ]
-Frames = Annotated[int | None, typer.Option("--frames", metavar="N", help="Frames per LiDAR that are accumulated.")]
+Frames = Annotated[
+    int | None,
+    typer.Option(
+        "--frames",
+        metavar="N",
+        help="Frames per LiDAR that are accumulated.",
+        show_default="10, of a recorded snapshot all",
+    ),
+]
 Start = Annotated[
     str | None,
     typer.Option(

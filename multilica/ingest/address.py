@@ -30,13 +30,13 @@ _FLATTENED = re.compile(rf"({'|'.join(REMOTE_SCHEMES + LIVE_SCHEMES)}):/")
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
 
 
-def scheme_of(source: str | Path) -> str:
+def scheme_of(source: object) -> str:
     """What stands before ``://``, in lower case; empty for a path."""
     found = _SCHEME.match(source) if isinstance(source, str) else None
     return found[1].lower() if found else ""
 
 
-def is_live(source: str | Path) -> bool:
+def is_live(source: object) -> bool:
     """Whether this is the address of a running vehicle rather than of a recording."""
     return scheme_of(source) in LIVE_SCHEMES
 

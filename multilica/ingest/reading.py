@@ -12,6 +12,7 @@ from multilica.ingest.choice import choose_topics, unread_notes
 from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.naming import lidar_names, shared_frames
 from multilica.ingest.opening import open_source
+from multilica.ingest.recorded_frames import config_for
 from multilica.ingest.source import PathLike, find_source
 from multilica.ingest.static_transforms import StaticTransforms, read_static_transforms
 from multilica.ingest.window import Window, collect_frames, require_frames
@@ -22,14 +23,15 @@ __all__ = ["DEFAULT_CONFIG", "assemble_snapshot", "read_snapshot"]
 DEFAULT_CONFIG = IngestConfig()
 
 
-def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig = DEFAULT_CONFIG) -> Snapshot:
+def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig | None = None) -> Snapshot:
     """Read what each LiDAR of a recording saw in one window of time.
 
     Args:
         source: an MCAP file, a ROS 2 bag (folder, ``.db3`` or ``.mcap``), a ROS 1 bag, a folder of point files with one
             per LiDAR or one sub-folder of frames per LiDAR, or a list: of point files and folders of them, or of
             recordings with different LiDARs each.
-        config: which topics, from when on, how many frames.
+        config: which topics, from when on, how many frames; None: the defaults, but all of what `multilica record`
+            took.
 
     Returns:
         The snapshot, points in the order of the recording; notes say what could not be read.
@@ -42,6 +44,7 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         UsageError: several recordings of the same LiDAR, or a topic with two names.
     """
     found = find_source(source)
+    config = config or config_for(found.files)
     with ThreadPoolExecutor(max_workers=1) as aside, closing(open_source(found)) as recording:
         # Hashing takes as long as unpacking and holds no lock on Python.
         sha256 = aside.submit(sha256_of_files, found.files)

@@ -16,7 +16,8 @@ from multilica.ingest.choice import choose_topics, unread_notes
 from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.opening import open_source
 from multilica.ingest.packets import OUSTER_TURN
-from multilica.ingest.reading import DEFAULT_CONFIG, assemble_snapshot
+from multilica.ingest.reading import assemble_snapshot
+from multilica.ingest.recorded_frames import config_for
 from multilica.ingest.recording import Recording, Topic
 from multilica.ingest.requirement import require_calibratable
 from multilica.ingest.source import PathLike, find_source
@@ -92,7 +93,7 @@ class SourceSummary:
         return (max(times) - min(times)) / _NS_PER_S if times else None
 
 
-def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfig = DEFAULT_CONFIG) -> SourceSummary:
+def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfig | None = None) -> SourceSummary:
     """Look at a source with the eyes of `read_snapshot`; what that would refuse becomes the objection.
 
     Only the frames that calibrate would take are unpacked, so that a long log costs no more than a short one.
@@ -103,6 +104,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
         UnknownNameError: no point cloud topic of that name.
     """
     found = find_source(source)
+    config = config or config_for(found.files)
     with closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _look(recording, config, found.label)

@@ -5,14 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from multilica.config import IngestConfig
 from multilica.errors import UsageError
 from multilica.ingest.address import is_live, without_secrets
 from multilica.ingest.reading import DEFAULT_CONFIG, read_snapshot
 from multilica.ingest.recording import MessageObserver
-from multilica.ingest.source import find_source, locate
+from multilica.ingest.source import PathLike, find_source, locate
 from multilica.snapshot import Snapshot
 
 __all__ = ["TakenSnapshot", "take_snapshot"]
@@ -33,7 +32,7 @@ class TakenSnapshot:
 
 
 def take_snapshot(
-    sources: Sequence[str | Path], *, config: IngestConfig = DEFAULT_CONFIG, observe: MessageObserver | None = None
+    sources: Sequence[PathLike], *, config: IngestConfig = DEFAULT_CONFIG, observe: MessageObserver | None = None
 ) -> TakenSnapshot:
     """Read a recording, or listen to a running vehicle.
 

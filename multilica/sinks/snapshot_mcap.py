@@ -10,11 +10,11 @@ from mcap.well_known import MessageEncoding, Profile
 from mcap.writer import CompressionType, Writer
 
 import multilica
-from multilica.pointcloud2 import LIDAR_NAME_KEY
+from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
 from multilica.sinks.atomic import atomic_file
 from multilica.sinks.ros2_qos import offered_qos
 from multilica.sinks.ros2_types import POINT_CLOUD, TRANSFORMS, point_cloud, schema_of, serialised, transforms
-from multilica.sinks.snapshot_metadata import METADATA_NAME, snapshot_metadata
+from multilica.sinks.snapshot_metadata import snapshot_metadata
 from multilica.snapshot import Snapshot
 
 __all__ = ["write_snapshot_mcap"]
@@ -36,7 +36,7 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
         writer.start(profile=Profile.ROS2, library=f"multilica {multilica.__version__}")
         _write_static_transforms(writer, snapshot)
         _write_scans(writer, snapshot)
-        writer.add_metadata(METADATA_NAME, snapshot_metadata(snapshot) | dict(metadata or {}))
+        writer.add_metadata(SNAPSHOT_METADATA_NAME, snapshot_metadata(snapshot) | dict(metadata or {}))
         writer.finish()  # type: ignore[no-untyped-call]
 
 

@@ -9,10 +9,7 @@ import multilica
 from multilica.config import IngestConfig
 from multilica.snapshot import Snapshot
 
-__all__ = ["METADATA_NAME", "snapshot_metadata", "window_metadata"]
-
-METADATA_NAME = "multilica:snapshot"
-"""Name of the metadata record."""
+__all__ = ["snapshot_metadata", "window_metadata"]
 
 
 def snapshot_metadata(snapshot: Snapshot) -> dict[str, str]:

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from multilica_cli.failures import ExitCode
 from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.ingest.processes import served
+from tests.ingest.recording_writers import make_snapshot, write_mcap
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +33,21 @@ def test_a_log_becomes_a_snapshot(invoke: Invoke) -> None:
     size, whole = (path.stat().st_size for path in (Path("new/snapshot.mcap"), find_sample().recording))
     assert outcome.out.splitlines()[-1] == f"wrote new/snapshot.mcap: {size / 1e3:.1f} kB of {whole / 1e6:.1f} MB"
     assert [len(lidar.scans) for lidar in read_snapshot("new/snapshot.mcap").lidars] == [1, 1, 1, 1]
+
+
+def test_a_snapshot_is_calibrated_whole_unless_told_otherwise(invoke: Invoke) -> None:
+    write_mcap(make_snapshot(frames=15), Path("drive.mcap"))
+    assert invoke("record", "drive.mcap", "--out", "a.mcap", "--frames", "12").code == ExitCode.DONE
+    for options, frames in (((), 12), (("--frames", "3"), 3), (("--set", "ingest.frames=10"), 10)):
+        run = invoke("calibrate", "a.mcap", "--out", "run", "--until", "preprocess", *options)
+        assert run.code == ExitCode.DONE, run
+        config = tomllib.loads(Path("run/config.toml").read_text(encoding="utf-8"))
+        assert config["ingest"]["frames"] == frames
+    run = invoke("calibrate", "a.mcap", "--out", "again", "--until", "preprocess", "--config", "run/config.toml")
+    assert tomllib.loads(Path("again/config.toml").read_text(encoding="utf-8"))["ingest"]["frames"] == 10
+    assert "lidar_0 (12 of 12 frames)" in invoke("inspect", "a.mcap").out
+    assert invoke("record", "a.mcap", "--out", "b.mcap").code == ExitCode.DONE
+    assert [len(lidar.scans) for lidar in read_snapshot("b.mcap").lidars] == [12, 12]
 
 
 def test_the_document_tells_what_was_taken(invoke: Invoke) -> None:

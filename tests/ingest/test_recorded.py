@@ -15,8 +15,10 @@ import multilica
 from multilica import read_snapshot
 from multilica.config import CalibrationConfig, IngestConfig, with_overrides
 from multilica.geometry import RigidTransform
+from multilica.ingest import frames_recorded, inspect_source
+from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
 from multilica.sinks.snapshot_mcap import write_snapshot_mcap
-from multilica.sinks.snapshot_metadata import METADATA_NAME, window_metadata
+from multilica.sinks.snapshot_metadata import window_metadata
 from multilica.snapshot import Snapshot
 from multilica_cli.sample import find_sample
 from tests.ingest.recording_writers import (
@@ -97,7 +99,7 @@ def test_the_file_says_where_it_comes_from(tmp_path: Path) -> None:
         reader = make_reader(file)
         (record,) = reader.iter_metadata()
         channels = reader.get_summary().channels.values()
-    assert record.name == METADATA_NAME
+    assert record.name == SNAPSHOT_METADATA_NAME
     stamps = [scan.stamp_ns for lidar in taken.lidars for scan in lidar.scans]
     assert record.metadata == {
         "lidars": "lidar_0, lidar_1",
@@ -115,3 +117,31 @@ def test_the_file_says_where_it_comes_from(tmp_path: Path) -> None:
         "vehicle": "bus-7",
     }
     assert all("durability: 2" in channel.metadata["offered_qos_profiles"] for channel in channels)
+
+
+def test_a_recorded_snapshot_is_taken_whole(tmp_path: Path) -> None:
+    log, recorded, shorter = tmp_path / "drive.mcap", tmp_path / "a.mcap", tmp_path / "b.mcap"
+    write_mcap(make_snapshot(frames=30), log)
+    for path, frames in ((recorded, 24), (shorter, 12)):
+        config = IngestConfig(frames=frames)
+        write_snapshot_mcap(read_snapshot(log, config=config), path, metadata=window_metadata(config))
+    assert [len(lidar.scans) for lidar in read_snapshot(recorded).lidars] == [24, 24]
+    assert [len(lidar.scans) for lidar in read_snapshot(recorded, config=IngestConfig()).lidars] == [10, 10]
+    assert [len(lidar.scans) for lidar in read_snapshot(log).lidars] == [10, 10]
+    assert inspect_source(recorded).clouds[0].frames_taken == 24
+    assert frames_recorded([recorded, shorter]) == 24
+    assert [frames_recorded(paths) for paths in ([recorded, log], [log], [])] == [None, None, None]
+
+
+def test_a_recorded_snapshot_that_was_damaged_is_taken_like_a_log(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    config = IngestConfig(frames=12)
+    write_snapshot_mcap(make_snapshot(frames=12), path, metadata=window_metadata(config))
+    assert frames_recorded([path]) == 12
+    content = path.read_bytes()
+    for size in (0, 5, len(content) // 2, len(content) - 1):
+        path.write_bytes(content[:size])
+        assert frames_recorded([path]) is None
+    for metadata in ({"frames": "all"}, {"frames": ""}, {}):
+        write_snapshot_mcap(make_snapshot(), path, metadata=metadata)
+        assert frames_recorded([path]) is None

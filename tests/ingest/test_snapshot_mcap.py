@@ -12,9 +12,8 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 from multilica.geometry import RigidTransform
-from multilica.pointcloud2 import LIDAR_NAME_KEY
+from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
 from multilica.sinks.snapshot_mcap import write_snapshot_mcap
-from multilica.sinks.snapshot_metadata import METADATA_NAME
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.recording_writers import START_NS, make_snapshot
 
@@ -36,7 +35,7 @@ def test_it_is_indexed_compressed_and_checked(tmp_path: Path, snapshot: Snapshot
     assert {index.compression for index in summary.chunk_indexes} == {"zstd"}
     assert summary.statistics.message_count == 7
     assert {channel.metadata.get(LIDAR_NAME_KEY) for channel in summary.channels.values()} == {None, *snapshot.names}
-    assert metadata.name == METADATA_NAME
+    assert metadata.name == SNAPSHOT_METADATA_NAME
     assert metadata.metadata["source_sha256"] == "abc"
     assert metadata.metadata["seed"] == "7"
     with path.open("rb") as file:

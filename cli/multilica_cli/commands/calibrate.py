@@ -79,18 +79,22 @@ def calibrate(
 
     Several recordings are several snapshots of one rig: each is calibrated by itself, then all of them jointly.
     """
-    from multilica.ingest import find_snapshots
+    from multilica.ingest import find_snapshots, frames_recorded
+    from multilica.ingest.source import locate
 
+    files = [locate(source) for source in sources]
+    # A configuration file tells the number itself.
+    recorded = None if config_file else frames_recorded(files)
     options = {
         "target": target,
         "until": until,
-        **ingest_options(topics, frames, start, window, window_s, strict=strict),
+        **ingest_options(topics, frames, start, window, window_s, strict=strict, usual_frames=recorded),
         "ground.enabled": ground or None,
         "runtime.threads": threads,
         "record.detail": record,
     }
     config = resolve_config(preset, config_file, options, settings or ())
-    found = find_snapshots(sources, config=config.ingest)
+    found = find_snapshots(files, config=config.ingest)
     out_dir = out or default_out_dir(sources, len(found))
     if len(found) > 1:
         run = calibrate_snapshots(found, out_dir, config, prior=prior, mcap_encoding=mcap_encoding, quiet=quiet)

@@ -31,12 +31,15 @@ def inspect(
     as_json: Json = False,
 ) -> None:
     """Print what a recording holds, and what calibrate would take from it."""
-    from multilica.ingest import inspect_source
+    from multilica.ingest import frames_recorded, inspect_source
+    from multilica.ingest.source import locate
     from multilica_cli.source_tables import print_summary, summary_document
 
-    options = ingest_options(topics, frames, start, window, window_s, strict=strict)
+    files = [locate(source) for source in sources]
+    recorded = frames_recorded(files)
+    options = ingest_options(topics, frames, start, window, window_s, strict=strict, usual_frames=recorded)
     config = resolve_config(None, None, options, ())
-    summary = inspect_source(sources, config=config.ingest)
+    summary = inspect_source(files, config=config.ingest)
     if as_json:
         typer.echo(json.dumps(summary_document(summary), indent=2))
     else:

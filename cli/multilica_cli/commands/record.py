@@ -46,21 +46,24 @@ def record(
     as_json: Json = False,
 ) -> int:
     """Write what calibrate would take into one small indexed MCAP; calibrate on it gives the same."""
-    from multilica.ingest import take_snapshot
+    from multilica.ingest import frames_recorded, take_snapshot
     from multilica.ingest.address import is_live
+    from multilica.ingest.source import locate
     from multilica.sinks.snapshot_mcap import write_snapshot_mcap
     from multilica.sinks.snapshot_metadata import window_metadata
     from multilica_cli.listening import show_listening
     from multilica_cli.recorded_tables import print_recorded, recorded_document
 
     _require_out(out, sources)
-    options = ingest_options(topics, frames, start, window, window_s, strict=strict)
+    files = [source if is_live(source) else locate(source) for source in sources]
+    recorded = frames_recorded(files)
+    options = ingest_options(topics, frames, start, window, window_s, strict=strict, usual_frames=recorded)
     config = resolve_config(None, None, options | {"ingest.timeout_s": timeout_s}, ()).ingest
     messages = stderr_console(quiet=quiet)
     if any(is_live(source) for source in sources):
         messages.print(f"listening for {config.frames} scans of each LiDAR, at most {config.timeout_s:g} s")
     with show_listening(messages, config.frames) as observe:
-        taken = take_snapshot(sources, config=config, observe=observe)
+        taken = take_snapshot(files, config=config, observe=observe)
     out.parent.mkdir(parents=True, exist_ok=True)
     write_snapshot_mcap(taken.snapshot, out, metadata=window_metadata(config, vehicle))
     if as_json:
