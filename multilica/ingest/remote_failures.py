@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from multilica.errors import MissingDependencyError, MultilicaError, SourceNotFoundError, UnreadableSourceError
 
-__all__ = ["ConnectionLostError", "remote_failures_named", "without_ranges"]
+__all__ = ["ConnectionLostError", "WithoutRangesError", "remote_failures_named"]
 
 _CREDENTIALS = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or AWS_PROFILE, or FSSPEC_S3_ANON=true for a public bucket",
@@ -29,6 +29,10 @@ _LOST = {"ClientConnectionError", "ClientPayloadError", "ConnectionError", "HTTP
 
 class ConnectionLostError(UnreadableSourceError):
     """A server that does not answer, or not any more: trying again may help."""
+
+
+class WithoutRangesError(UnreadableSourceError):
+    """A server that gives whole files only."""
 
 
 @contextmanager
@@ -63,7 +67,7 @@ def _explained(error: Exception, where: str, scheme: str) -> MultilicaError:
     if names & _LOST:
         return ConnectionLostError(f"The connection to the server of {where} failed; check the address, try again.")
     if any("range requests" in str(cause) for cause in _causes(error)):
-        return without_ranges(where)
+        return WithoutRangesError(f"The server of {where} does not serve parts of files; download the file.")
     return UnreadableSourceError(f"{where} cannot be read ({type(error).__name__}); try to download the file.")
 
 
@@ -73,13 +77,6 @@ def _refused(status: int, where: str, scheme: str) -> MultilicaError:
     if status in (404, 410):
         return SourceNotFoundError(f"Nothing exists at {where}.")
     return UnreadableSourceError(f"The server of {where} answers with status {status}; try again later.")
-
-
-def without_ranges(where: str) -> UnreadableSourceError:
-    """What is said of a server that gives whole files only."""
-    return UnreadableSourceError(
-        f"The server of {where} does not serve parts of files, which reading in place needs; download the file."
-    )
 
 
 def _hint(scheme: str) -> str:

@@ -3,11 +3,11 @@
 
 from __future__ import annotations
 
-import logging
 import os
 import stat
 import time
 import weakref
+from contextlib import closing
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from shutil import copyfileobj, rmtree
@@ -19,21 +19,23 @@ from urllib.parse import urlsplit
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.ingest.address import scheme_of, without_secrets
 from multilica.ingest.block_cache import BLOCK_BYTES, BlockCache, BlockStream
-from multilica.ingest.remote_failures import ConnectionLostError, remote_failures_named, without_ranges
+from multilica.ingest.remote_failures import ConnectionLostError, WithoutRangesError, remote_failures_named
+from multilica.ingest.remote_system import open_system
 
 __all__ = ["MAX_WHOLE_BYTES", "RemoteFile", "SourceFile"]
 
 MAX_WHOLE_BYTES = 2 << 30
 """Larger files are read by ranges or not at all."""
 
+_WEB = ("https", "http")
 _PIECE_BYTES = 8 << 20
-_CONNECT_S = 10
-_READ_S = 30
 _RETRY_AFTER_S = (0.5, 2.0)
 
 
 class RemoteFile:
     """A file that is read by byte ranges; nothing is asked of the server before it is needed.
+
+    From a web server that serves whole files only, it is fetched whole.
 
     Args:
         url: ``s3://``, ``gs://``, ``https://`` or ``http://``; only its part without secrets is ever shown.
@@ -124,9 +126,7 @@ class RemoteFile:
         """
         if self._copied is None:
             self.require_size(what)
-            folder = Path(mkdtemp(prefix="multilica-"))
-            weakref.finalize(self, rmtree, folder, ignore_errors=True)
-            path = folder / (self.name or "download")
+            path = self._place_on_disk()
             with self.open() as source, path.open("wb") as target:
                 copyfileobj(source, target, _PIECE_BYTES)
             self._copied = path
@@ -154,14 +154,58 @@ class RemoteFile:
     @cached_property
     def _handle(self) -> Any:  # noqa: ANN401 - fsspec has no types
         with remote_failures_named(str(self), self._scheme):
-            system, path = _opened_system(self._url)
+            system, path = open_system(self._url)
             handle = system.open(path, "rb", block_size=BLOCK_BYTES, cache_type="none")
             is_folder = handle.details.get("type") == "directory"
         if is_folder:
             raise UnreadableSourceError(f"{self} is a folder; expected the address of a file.")
-        if handle.size is None or not handle.seekable():
-            raise without_ranges(str(self))
+        if handle.size is None or not handle.seekable() or not self._serves_ranges(handle):
+            handle.close()
+            return self._whole(system, path, handle.size)
         return handle
+
+    def _serves_ranges(self, handle: Any) -> bool:  # noqa: ANN401 - see _handle
+        """Whether the last byte can be had alone; a web server need not say."""
+        if self._scheme not in _WEB or handle.size <= BLOCK_BYTES:
+            return True
+        try:
+            with remote_failures_named(str(self), self._scheme):
+                handle.seek(handle.size - 1)
+                return bool(handle.read(1))
+        except WithoutRangesError:
+            return False
+
+    def _whole(self, system: Any, path: str, told_bytes: int | None) -> Any:  # noqa: ANN401 - see _handle
+        """The file on disk, fetched from front to end."""
+        import fsspec
+
+        self._require_whole_size(told_bytes or 0)
+        size, on_disk = 0, self._place_on_disk()
+        with remote_failures_named(str(self), self._scheme):
+            source = system.open(path, "rb", block_size=0)
+        with closing(source), on_disk.open("wb") as target:
+            while data := self._next_piece(source):
+                size += target.write(data)
+                self._require_whole_size(size)
+        self._copied = on_disk
+        return fsspec.filesystem("file").open(on_disk, "rb")
+
+    def _next_piece(self, source: Any) -> bytes:  # noqa: ANN401 - see _handle
+        with remote_failures_named(str(self), self._scheme):
+            return bytes(source.read(_PIECE_BYTES))
+
+    def _require_whole_size(self, size: int) -> None:
+        if size > MAX_WHOLE_BYTES:
+            raise UnreadableSourceError(
+                f"{self} has more than {MAX_WHOLE_BYTES / 1e9:.1f} GB, and its server serves no parts of files; "
+                "download it."
+            )
+
+    def _place_on_disk(self) -> Path:
+        """In a folder that goes when nobody holds this object any more."""
+        folder = Path(mkdtemp(prefix="multilica-"))
+        weakref.finalize(self, rmtree, folder, ignore_errors=True)
+        return folder / (self.name or "download")
 
     def _fetch(self, start: int, end: int) -> bytes:
         for pause_s in _RETRY_AFTER_S:
@@ -182,35 +226,3 @@ class RemoteFile:
 
 SourceFile: TypeAlias = Path | RemoteFile
 """What the readers read."""
-
-
-def _opened_system(url: str) -> tuple[Any, str]:
-    """The file system behind an address, and the path in it."""
-    if scheme_of(url) == "gs":
-        # What `fsspec` would choose first asks for the kind of the bucket over gRPC, without end where nobody answers.
-        import gcsfs.core
-
-        # What it logs before it raises would stand on the terminal where nobody has set up logging.
-        logging.getLogger("gcsfs").addHandler(logging.NullHandler())
-        system = gcsfs.core.GCSFileSystem(**_options(url), skip_instance_cache=True)
-        return system, system._strip_protocol(url)  # noqa: SLF001 - as fsspec does it
-    import fsspec
-
-    opened: tuple[Any, str] = fsspec.url_to_fs(url, **_options(url), skip_instance_cache=True)
-    return opened
-
-
-def _options(url: str) -> dict[str, Any]:
-    """Above all time limits, without which a server that falls silent is waited for without end."""
-    scheme = scheme_of(url)
-    if scheme == "s3":
-        return {"config_kwargs": {"connect_timeout": _CONNECT_S, "read_timeout": _READ_S}}
-    from aiohttp import ClientTimeout
-
-    timeout = ClientTimeout(sock_connect=_CONNECT_S, sock_read=_READ_S)
-    if scheme == "gs":
-        return {"requests_timeout": timeout}
-    # Ranges of a file that is compressed on its way are ranges of something else.
-    client = {"timeout": timeout, "headers": {"Accept-Encoding": "identity"}}
-    # A signed address is valid letter by letter.
-    return {"client_kwargs": client, "encoded": "%" in url}

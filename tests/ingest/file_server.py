@@ -23,6 +23,7 @@ class Server:
         app = web.Application()
         app.router.add_get("/sent", self.tell)
         app.router.add_get("/whole/{name}", self.whole)
+        app.router.add_get("/streamed/{name}", self.streamed)
         app.router.add_get("/denied/{name}", self.denied)
         app.router.add_get("/busy/{name}", self.busy)
         app.router.add_get("/lost/{name}", self.lost)
@@ -41,6 +42,15 @@ class Server:
     async def whole(self, request: web.Request) -> web.Response:
         """Every byte, whatever range is asked for."""
         return web.Response(body=(self.folder / request.match_info["name"]).read_bytes())
+
+    async def streamed(self, request: web.Request) -> web.StreamResponse:
+        """Every byte, and nobody knows before how many."""
+        response = web.StreamResponse()
+        await response.prepare(request)
+        if request.method == "GET":
+            await response.write((self.folder / request.match_info["name"]).read_bytes())
+        await response.write_eof()
+        return response
 
     async def denied(self, _: web.Request) -> web.Response:
         return web.Response(status=403)

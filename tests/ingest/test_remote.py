@@ -107,6 +107,21 @@ def test_what_cannot_be_read_by_ranges_is_copied(name: str, web: str, folder: Pa
     assert_equal_to_the_file(f"{web}/files/{name}", folder / name, IngestConfig(frames=3))
 
 
+@pytest.mark.parametrize("name", ["long.mcap", "unindexed.mcap", "drive.bag"])
+@pytest.mark.parametrize("kind", ["whole", "streamed"])
+def test_a_server_of_whole_files_is_asked_for_the_whole_file(kind: str, name: str, web: str, folder: Path) -> None:
+    assert_equal_to_the_file(f"{web}/{kind}/{name}", folder / name, IngestConfig(frames=3))
+
+
+@pytest.mark.parametrize("kind", ["whole", "streamed"])
+def test_a_large_file_is_not_taken_from_a_server_of_whole_files(
+    kind: str, web: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(remote_file, "MAX_WHOLE_BYTES", 1 << 20)
+    with pytest.raises(UnreadableSourceError, match=rf"/{kind}/long\.mcap has more than 0\.0 GB, and its server"):
+        read_snapshot(f"{web}/{kind}/long.mcap")
+
+
 def test_recorders_are_named_by_their_addresses(web: str) -> None:
     urls = [f"{web}/files/{name}" for name in ("long.mcap", "unindexed.mcap")]
     with pytest.raises(UsageError, match="both hold the LiDAR 'lidar_0'") as caught:
@@ -167,7 +182,6 @@ def test_secrets_of_an_address_are_not_shown(web: str) -> None:
         ("files/none.mcap", SourceNotFoundError, "Nothing exists at"),
         ("denied/long.mcap", UnreadableSourceError, "Access to .* is denied"),
         ("busy/long.mcap", UnreadableSourceError, "status 503"),
-        ("whole/long.mcap", UnreadableSourceError, "does not serve parts of files"),
         ("lost/long.mcap", UnreadableSourceError, "The connection to the server of .* failed"),
         ("files/notes.txt", UnreadableSourceError, "of no format that is read here"),
     ],
