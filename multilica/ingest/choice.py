@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
@@ -88,11 +89,11 @@ def _is_twin(topic: Topic, clouds: Mapping[str, Topic]) -> bool:
 def unread_notes(recording: Recording) -> list[str]:
     """Topics of points that cannot be read here, with what to do about them."""
     clouds = {topic.name: topic for topic in recording.topics if is_cloud(topic)}
-    return [
-        f"'{topic.name}' holds {held}."
-        for topic in recording.topics
-        if topic.count and not _is_twin(topic, clouds) and (held := obstacle(topic))
-    ]
+    topics: dict[str, list[str]] = defaultdict(list)
+    for topic in recording.topics:
+        if topic.count and not _is_twin(topic, clouds) and (held := obstacle(topic)):
+            topics[held].append(f"'{topic.name}'")
+    return [f"{', '.join(names)} {'hold' if len(names) > 1 else 'holds'} {held}." for held, names in topics.items()]
 
 
 def _no_clouds(recording: Recording, label: str) -> str:

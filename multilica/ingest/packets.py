@@ -20,23 +20,26 @@ _OUSTER_ALONE = (
     "packets of Ouster, yet beside them is no topic 'metadata' of its driver, which tells how they are to be read; "
     "replay the log through the driver ouster_ros with the sensor's metadata file"
 )
-_HESAI = "packets of Hesai, which its driver HesaiLidar_ROS_2.0 turns into point clouds; replay the log through it"
-_ROBOSENSE = "packets of RoboSense, which its driver rslidar_sdk turns into point clouds; replay the log through it"
-_NEBULA = (
-    "packets as Autoware's Nebula records them, which nebula_ros turns into point clouds; replay the log through it"
+_VELODYNE = (
+    "packets of Velodyne; `pip install 'multilica[velodyne]'`, or replay the log through the driver velodyne_pointcloud"
 )
-_VELODYNE = "packets of Velodyne; install multilica[velodyne], or replay the log through the driver velodyne_pointcloud"
+
+
+def _replayed(packets: str, driver: str) -> str:
+    """What to do about packets that nothing but a driver for ROS unpacks; each driver has a message type of its own."""
+    return f"{packets}, which the driver {driver} turns into point clouds; replay the log through it"
+
 
 OUSTER_TYPES = ("ouster_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg")
 PACKET_TYPES = {
     "velodyne_msgs/msg/VelodyneScan": _VELODYNE,
     **dict.fromkeys(OUSTER_TYPES, _OUSTER),
-    "hesai_lidar/msg/PandarScan": _HESAI,
-    "hesai_ros_driver/msg/UdpFrame": _HESAI,
-    "nebula_msgs/msg/NebulaPackets": _NEBULA,
-    "pandar_msgs/msg/PandarScan": _HESAI,
-    "rslidar_msg/msg/RslidarPacket": _ROBOSENSE,
-    "rslidar_msgs/msg/rslidarScan": _ROBOSENSE,
+    "hesai_lidar/msg/PandarScan": _replayed("packets of Hesai", "HesaiLidar_General_ROS"),
+    "hesai_ros_driver/msg/UdpFrame": _replayed("packets of Hesai", "HesaiLidar_ROS_2.0"),
+    "nebula_msgs/msg/NebulaPackets": _replayed("packets as Autoware's Nebula records them", "nebula_ros"),
+    "pandar_msgs/msg/PandarScan": _replayed("packets of Hesai", "nebula_ros, or pandar_pointcloud of ROS 1,"),
+    "rslidar_msg/msg/RslidarPacket": _replayed("packets of RoboSense", "rslidar_sdk"),
+    "rslidar_msgs/msg/rslidarScan": _replayed("packets of RoboSense", "ros_rslidar"),
 }
 """Message type -> what it is, and what to do about it."""
 

@@ -133,7 +133,9 @@ def test_packets_name_the_driver_to_run(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(packets, "_has_velodyne_decoder", lambda: False)
     monkeypatch.setattr(packets, "has_ouster_decoder", lambda: False)
     write_raw_mcap(velodyne_messages("cdr"), tmp_path / "a.mcap", "cdr")
-    with pytest.raises(UnfitSnapshotError, match=r"packets of Velodyne; install multilica\[velodyne\], or replay"):
+    with pytest.raises(
+        UnfitSnapshotError, match=r"packets of Velodyne; `pip install 'multilica\[velodyne\]'`, or replay"
+    ):
         read_snapshot(tmp_path / "a.mcap")
     ouster = [("/ouster/lidar_packets", "ouster_sensor_msgs/msg/PacketMsg", START_NS, b"\0" * 40)]
     write_raw_mcap(iter(ouster), tmp_path / "b.mcap", "cdr")

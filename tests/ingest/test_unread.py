@@ -21,7 +21,10 @@ from tests.ingest.recording_writers import START_NS, make_snapshot
 @pytest.mark.parametrize(
     ("message_type", "driver"),
     [
+        ("hesai_lidar/msg/PandarScan", "HesaiLidar_General_ROS"),
         ("hesai_ros_driver/msg/UdpFrame", "HesaiLidar_ROS_2.0"),
+        ("pandar_msgs/msg/PandarScan", "nebula_ros, or pandar_pointcloud"),
+        ("rslidar_msgs/msg/rslidarScan", "ros_rslidar"),
         ("nebula_msgs/msg/NebulaPackets", "nebula_ros"),
         ("rslidar_msg/msg/RslidarPacket", "rslidar_sdk"),
     ],
@@ -30,6 +33,14 @@ def test_packets_name_the_driver_to_run(tmp_path: Path, message_type: str, drive
     write_raw_mcap(iter([("/packets", message_type, START_NS, b"\0" * 40)]), tmp_path / "a.mcap", "cdr")
     with pytest.raises(UnfitSnapshotError, match=f"'/packets' holds packets .*{driver}.*; replay the log through it"):
         read_snapshot(tmp_path / "a.mcap")
+
+
+def test_packets_of_several_lidars_are_one_note(tmp_path: Path) -> None:
+    known = [("/lidar_0/points", "livox_ros_driver2/msg/CustomMsg", "cdr", data) for _, _, _, data in _livox()]
+    packets = [(f"/lidar_{number}/packets", "nebula_msgs/msg/NebulaPackets", "cdr", b"\0" * 40) for number in (1, 2)]
+    _write_mixed(tmp_path / "a.mcap", [*packets, *known])
+    (note,) = read_snapshot(tmp_path / "a.mcap").notes
+    assert note.startswith("'/lidar_1/packets', '/lidar_2/packets' hold packets as Autoware's Nebula records them")
 
 
 def test_point_clouds_in_an_encoding_of_nobody_here_are_told(tmp_path: Path) -> None:
