@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -18,16 +18,23 @@ from multilica.ingest.ros_messages import unpacked
 from multilica.ingest.sampling import PATIENCE_NS, evenly, sampled
 from multilica.snapshot import Scan
 
-__all__ = ["by_clouds", "by_imu", "by_odometry"]
+if TYPE_CHECKING:
+    from multilica.stages.stillness import Motion
 
-Witness: TypeAlias = tuple[str, Sequence[tuple[int, bool]]] | None
-"""Who says so; log times, and whether the vehicle stands still then. None: nothing to go by."""
+__all__ = ["Samples", "Witness", "by_clouds", "by_imu", "by_odometry"]
+
+Samples: TypeAlias = Sequence[tuple[int, bool | None]]
+"""Log times, and whether the vehicle stands still then; None: it cannot be told."""
+Witness: TypeAlias = tuple[str, Samples] | None
+"""Who says so, and what; None: nothing to go by."""
 
 _NS_PER_S = 1_000_000_000
 _MAX_SAMPLES = 240
 _MAX_CLOUD_SAMPLES = 90
 _MIN_STEP_S = 0.25
 _MIN_CLOUD_STEP_S = 1.0
+_MAX_LIDARS = 4
+"""That are asked, one after the other, until one can tell throughout."""
 
 _MAX_SPEED_MPS = 0.05
 _MAX_TURN_RAD_S = 0.01
@@ -69,14 +76,28 @@ def by_imu(recording: Recording, span: Span) -> Witness:
 
 
 def by_clouds(recording: Recording, span: Span) -> Witness:
-    """Whether each sampled cloud of one LiDAR lies where the next frame, and the next sample, have it."""
+    """Whether each sampled cloud of one LiDAR lies where the next frame, and the next sample, have it.
+
+    The LiDAR is the one with the largest clouds that can tell throughout, else the one that can at most times.
+    """
+    found: list[tuple[float, str, Samples]] = []
+    for topic in _richest_topics(recording, span)[:_MAX_LIDARS]:
+        samples = _cloud_samples(recording, topic, span)
+        known = np.mean([still is not None for _, still in samples]) if samples else 0.0
+        found.append((float(known), topic, samples))
+        if known == 1.0:
+            break
+    _, topic, samples = max(found, key=lambda each: each[0])
+    return f"the clouds on '{topic}'", samples
+
+
+def _cloud_samples(recording: Recording, topic: str, span: Span) -> Samples:
     from multilica.stages.stillness import detect_motion
 
-    topic = _richest_topic(recording, span)
     times_ns = _times_ns(span, _MAX_CLOUD_SAMPLES, _MIN_CLOUD_STEP_S)
     scans: dict[int, list[Scan]] = defaultdict(list)
     logged_ns: dict[int, int] = {}
-    still: list[tuple[int, bool]] = []
+    still: list[tuple[int, bool | None]] = []
     config = StillnessConfig()
     previous: Scan | None = None
     for index, message in sampled(recording, [topic], times_ns, span[1] + 1, most=2):
@@ -86,16 +107,18 @@ def by_clouds(recording: Recording, span: Span) -> Witness:
             continue
         logged_ns.setdefault(index, message.log_time_ns)
         if len(scans[index]) == 2:
-            pairs = [scans[index], *([[previous, scans[index][0]]] if previous is not None else [])]
-            motions = [detect_motion(pair, config) for pair in pairs]
-            stays = all(motion.can_tell and not motion.moving for motion in motions)
-            # A stretch may begin with a sample to which the vehicle has just come.
-            alone = motions[0].can_tell and not motions[0].moving
-            if alone and not stays:
-                still.append((logged_ns[index] - 1, False))
+            alone = _stands(detect_motion(scans[index], config))
+            if alone and previous is not None:
+                stayed = _stands(detect_motion([previous, scans[index][0]], config))
+                # A stretch may begin with a sample to which the vehicle has just come.
+                still += [] if stayed else [(logged_ns[index] - 1, stayed)]
             still.append((logged_ns[index], alone))
             previous = scans.pop(index)[0]
-    return f"the clouds on '{topic}'", still
+    return still
+
+
+def _stands(motion: Motion) -> bool | None:
+    return not motion.moving if motion.can_tell else None
 
 
 def _ros_samples(
@@ -143,10 +166,11 @@ def _xyz(vector: Any) -> list[float]:  # noqa: ANN401 - see _odometry_row
     return [vector.x, vector.y, vector.z]
 
 
-def _richest_topic(recording: Recording, span: Span) -> str:
+def _richest_topics(recording: Recording, span: Span) -> list[str]:
+    """Those with the largest clouds first."""
     topics = [topic.name for topic in recording.topics if is_cloud(topic) and topic.count]
     sizes = dict.fromkeys(topics, 0)
     # One that is silent at the beginning is not waited for.
     for _, message in sampled(recording, topics, [span[0]], min(span[1], span[0] + PATIENCE_NS) + 1):
         sizes[message.topic] = len(message.data)
-    return max(sorted(sizes), key=lambda topic: sizes[topic])
+    return sorted(sizes, key=lambda topic: (-sizes[topic], topic))

@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import groupby
 
-from multilica.ingest.motion_evidence import by_clouds, by_imu, by_odometry
+from multilica.errors import UnfitSnapshotError
+from multilica.ingest.motion_evidence import Witness, by_clouds, by_imu, by_odometry
 from multilica.ingest.recording import Recording, Span
 
 __all__ = ["Standstill", "find_standstill"]
@@ -15,9 +16,8 @@ __all__ = ["Standstill", "find_standstill"]
 _MIN_NS = 10**9
 """A vehicle that turns round stands still for less."""
 
-Evidence = Callable[[Recording, Span], tuple[str, Sequence[tuple[int, bool]]] | None]
-_EVIDENCE: tuple[Evidence, ...] = (by_odometry, by_imu, by_clouds)
-"""The most direct first; each gives its name with log times and whether the vehicle stands still then, or None."""
+_EVIDENCE: tuple[Callable[[Recording, Span], Witness], ...] = (by_odometry, by_imu, by_clouds)
+"""The most direct first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,22 +33,31 @@ class Standstill:
     evidence: str
 
 
-def find_standstill(recording: Recording, span: Span) -> Standstill | None:
-    """The longest stretch of at least a second, or all there is, in which every sample stands still; None without one.
+def find_standstill(recording: Recording, span: Span, label: str) -> Standstill:
+    """The longest stretch of at least a second, or all there is, in which every sample stands still.
 
     Only samples are read, a few hundred whatever the length of the recording: what moves between two of them is left
     to the check of the frames themselves.
+
+    Args:
+        label: the source, for messages.
+
+    Raises:
+        UnfitSnapshotError: there is none, or nothing tells.
     """
-    for look in _EVIDENCE:
-        found = look(recording, span)
-        if found is not None:
-            name, samples = found
-            runs = [[time_ns for time_ns, _ in run] for still, run in groupby(samples, key=lambda s: s[1]) if still]
-            longest = max(runs, key=lambda run: run[-1] - run[0], default=[0])
-            if samples and all(still for _, still in samples):
-                # What is too short to tell more about it is taken whole.
-                return Standstill(*span, name)
-            if longest[-1] - longest[0] < _MIN_NS:
-                return None
-            return Standstill(longest[0], longest[-1], name)
-    return None
+    name, samples = next(found for look in _EVIDENCE if (found := look(recording, span)) is not None)
+    if samples and all(still for _, still in samples):
+        # What is too short to tell more about it is taken whole.
+        return Standstill(*span, name)
+    runs = [[time_ns for time_ns, _ in run] for still, run in groupby(samples, key=lambda s: s[1]) if still]
+    longest = max(runs, key=lambda run: run[-1] - run[0], default=[0])
+    if longest[-1] - longest[0] >= _MIN_NS:
+        return Standstill(longest[0], longest[-1], name)
+    if any(still is not None for _, still in samples):
+        raise UnfitSnapshotError(
+            f"In {label} the vehicle never stands still, by {name}; expected a stretch of a second or more."
+        )
+    raise UnfitSnapshotError(
+        f"In {label} nothing tells when the vehicle stands still: no odometry and no IMU can be read, and {name} show "
+        "too little, as in a tunnel; choose a time with --start (ingest.start_s)."
+    )

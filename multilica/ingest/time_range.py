@@ -110,12 +110,7 @@ def _spread(config: IngestConfig, start_ns: int, last_ns: int) -> TimeRange:
 
 
 def _still_range(recording: Recording, config: IngestConfig, start_ns: int, span: Span, label: str) -> TimeRange:
-    found = find_standstill(recording, (start_ns, span[1]))
-    if found is None:
-        raise UnfitSnapshotError(
-            f"In {label} the vehicle never stands still, by what its odometry, IMU or clouds show; "
-            "expected a stretch of a second or more."
-        )
+    found = find_standstill(recording, (start_ns, span[1]), label)
     longest_s = config.window_s or _LONGEST_SPREAD_S
     end_ns = min(found.end_ns, found.start_ns + round(longest_s * _NS_PER_S))
     first_s, last_s = ((time_ns - span[0]) / _NS_PER_S for time_ns in (found.start_ns, found.end_ns))
