@@ -25,11 +25,13 @@ class Scan:
         points_m: (N, 3) finite returns in the LiDAR's own frame, float32.
         stamp_ns: nanoseconds since the epoch; 0 where the format has no time.
         intensity: (N,) or None.
+        log_time_ns: when it was recorded, by the clock of the recorder; 0 where the format has no time.
     """
 
     points_m: Float32Array
     stamp_ns: int = 0
     intensity: Float32Array | None = None
+    log_time_ns: int = 0
 
     def __post_init__(self) -> None:
         points_m = read_only(self.points_m, np.float32)

@@ -67,7 +67,7 @@ class TakenFrames:
         if message.log_time_ns:
             self.offsets_s.append((message.log_time_ns - cloud.scan.stamp_ns) / _NS_PER_S)
         self.backward += bool(self.clouds) and cloud.scan.stamp_ns < self.clouds[-1].scan.stamp_ns
-        self.clouds.append(_without_nothing(cloud))
+        self.clouds.append(replace(cloud, scan=_as_logged(cloud.scan, message.log_time_ns)))
 
     def by_time(self) -> tuple[Cloud, ...]:
         """Oldest first."""
@@ -113,9 +113,8 @@ def clock_notes(streams: list[TakenFrames]) -> list[str]:
     return [f"The stamps lag behind the log time: {told}; the frames were chosen by log time."]
 
 
-def _without_nothing(cloud: Cloud) -> Cloud:
-    """An empty cloud in place of one that only says that no beam came back."""
-    points_m = cloud.scan.points_m
-    if not len(points_m) or points_m.any():
-        return cloud
-    return replace(cloud, scan=Scan(np.empty((0, 3), np.float32), cloud.scan.stamp_ns))
+def _as_logged(scan: Scan, log_time_ns: int) -> Scan:
+    """With the log time, and empty where it only says that no beam came back."""
+    if not len(scan.points_m) or scan.points_m.any():
+        return replace(scan, log_time_ns=log_time_ns)
+    return Scan(np.empty((0, 3), np.float32), scan.stamp_ns, log_time_ns=log_time_ns)

@@ -15,7 +15,7 @@ from multilica.sinks.atomic import atomic_file
 from multilica.sinks.ros2_qos import offered_qos
 from multilica.sinks.ros2_types import POINT_CLOUD, TRANSFORMS, point_cloud, schema_of, serialised, transforms
 from multilica.sinks.snapshot_metadata import snapshot_metadata
-from multilica.snapshot import Snapshot
+from multilica.snapshot import Scan, Snapshot
 
 __all__ = ["write_snapshot_mcap"]
 
@@ -23,7 +23,7 @@ _CHUNK_BYTES = 4 << 20
 
 
 def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
-    """Write a snapshot so that `read_snapshot` gives the same points, stamps, names, frames and static transforms.
+    """Write a snapshot so that `read_snapshot` gives the same points, times, names, frames and static transforms.
 
     ROS 2 profile, one ``sensor_msgs/PointCloud2`` of float32 per frame, zstd chunks with checksums, ``/tf_static``.
     The file takes its name when it is whole.
@@ -43,11 +43,11 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
 def _write_static_transforms(writer: Writer, snapshot: Snapshot) -> None:
     if not snapshot.static_transforms:
         return
-    stamp_ns = min((scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans), default=0)
-    data = serialised(transforms(snapshot.static_transforms, stamp_ns))
+    time_ns = min((_log_time_ns(scan) for lidar in snapshot.lidars for scan in lidar.scans), default=0)
+    data = serialised(transforms(snapshot.static_transforms, time_ns))
     schema = _register_schema(writer, TRANSFORMS)
     channel = writer.register_channel("/tf_static", MessageEncoding.CDR, schema, offered_qos(latched=True))
-    writer.add_message(channel, stamp_ns, data, stamp_ns)
+    writer.add_message(channel, time_ns, data, time_ns)
 
 
 def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
@@ -62,11 +62,15 @@ def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
         )
         for lidar in snapshot.lidars
     }
-    frames = [(scan.stamp_ns, lidar, index) for lidar in snapshot.lidars for index, scan in enumerate(lidar.scans)]
-    for stamp_ns, lidar, index in sorted(frames, key=lambda frame: frame[0]):
+    frames = [(_log_time_ns(scan), lidar, index) for lidar in snapshot.lidars for index, scan in enumerate(lidar.scans)]
+    for time_ns, lidar, index in sorted(frames, key=lambda frame: frame[0]):
         scan = lidar.scans[index]
-        data = serialised(point_cloud(lidar.frame_id, stamp_ns, scan.points_m, scan.intensity))
-        writer.add_message(channels[lidar.name], stamp_ns, data, stamp_ns, index)
+        data = serialised(point_cloud(lidar.frame_id, scan.stamp_ns, scan.points_m, scan.intensity))
+        writer.add_message(channels[lidar.name], time_ns, data, time_ns, index)
+
+
+def _log_time_ns(scan: Scan) -> int:
+    return scan.log_time_ns or scan.stamp_ns
 
 
 def _topics(snapshot: Snapshot) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,13 @@ from multilica.sinks.snapshot_metadata import window_metadata
 from multilica.snapshot import Snapshot
 from multilica_cli.sample import find_sample
 from tests.ingest.recording_writers import (
+    CLOUD,
+    START_NS,
     assert_same_points,
     assert_same_times,
+    cloud_message,
     make_snapshot,
+    ros2_types,
     write_mcap,
     write_ros1_bag,
     write_ros2_bag,
@@ -145,3 +150,25 @@ def test_a_recorded_snapshot_that_was_damaged_is_taken_like_a_log(tmp_path: Path
     for metadata in ({"frames": "all"}, {"frames": ""}, {}):
         write_snapshot_mcap(make_snapshot(), path, metadata=metadata)
         assert frames_recorded([path]) is None
+
+
+def test_lidars_with_clocks_of_their_own_stay_together(tmp_path: Path) -> None:
+    store, messages = ros2_types(), []
+    for lidar, behind_ns in zip(
+        make_snapshot(lidars=3, frames=15).lidars, (0, 37 * 10**9, START_NS - 10**9), strict=True
+    ):
+        for scan in lidar.scans:
+            late = replace(scan, stamp_ns=scan.stamp_ns - behind_ns)
+            cloud = cloud_message(store, late, lidar.name)
+            messages.append((lidar.topic, CLOUD, scan.stamp_ns, bytes(store.serialize_cdr(cloud, CLOUD))))
+    log, recorded = tmp_path / "drive.mcap", tmp_path / "a.mcap"
+    write_mcap(Snapshot(()), log, messages=sorted(messages, key=lambda message: message[2]))
+    taken = read_snapshot(log, config=IngestConfig(frames=12))
+    write_snapshot_mcap(taken, recorded)
+    for config in (IngestConfig(frames=12), IngestConfig(frames=5, start_s=0.3), IngestConfig(frames=3, window_s=1.0)):
+        found, expected = read_snapshot(recorded, config=config), read_snapshot(log, config=config)
+        assert_same_points(found, expected)
+        assert_same_times(found, expected)
+        assert found.notes == expected.notes
+        assert any(note.startswith("The stamps lag behind the log time") for note in found.notes)
+    assert inspect_source(recorded).duration_s == pytest.approx(1.1, abs=1e-3)
