@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from itertools import islice
 from typing import Any
 
@@ -21,12 +22,17 @@ StaticTransforms = tuple[tuple[RigidTransform, ...], tuple[str, ...]]
 _TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 _ENCODINGS = ("cdr", "ros1")
 _MAX_MESSAGES = 256
-"""A publisher that repeats itself for hours says nothing new."""
+_MAX_REPEATS = 10
+_QUIET_NS = 2 * 10**9
+"""What was repeated so often, for so long, will be repeated to the end; each time costs a chunk of the recording."""
 _NORM_TOLERANCE = 0.01
 
 
 def read_static_transforms(recording: Recording) -> StaticTransforms:
-    """Every static transform of the recording, parent frame as target; the latest where one is repeated."""
+    """The static transforms of the recording, parent frame as target; the latest where one changes.
+
+    Where the publishers repeat themselves, what comes after some repetitions is not read.
+    """
     topics = [
         topic.name
         for topic in recording.topics
@@ -36,29 +42,40 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
         return (), ()
     found: dict[tuple[str, str], RigidTransform] = {}
     notes: dict[str, None] = {}
+    repeats, news_ns = 0, 0
     try:
-        for message in islice(recording.messages(topics), _MAX_MESSAGES):
-            _add(message, found, notes)
+        with closing(recording.messages(topics)) as messages:
+            for message in islice(messages, _MAX_MESSAGES):
+                if _add(message, found, notes):
+                    repeats, news_ns = 0, message.log_time_ns
+                repeats += 1
+                if repeats > _MAX_REPEATS and message.log_time_ns - news_ns >= _QUIET_NS:
+                    break
     except DamagedRecordingError as error:
         notes[f"'{topics[0]}' was read in part only: {error.reason}."] = None
     return tuple(found[key] for key in sorted(found)), tuple(notes)
 
 
-def _add(message: Message, found: dict[tuple[str, str], RigidTransform], notes: dict[str, None]) -> None:
+def _add(message: Message, found: dict[tuple[str, str], RigidTransform], notes: dict[str, None]) -> bool:
+    """Whether it says anything that was not known before."""
     from multilica.ingest.ros_messages import unpacked
 
     try:
         stamped = unpacked(message).transforms
     except ValueError as error:
         notes[f"A message on '{message.topic}' was left out: it {error}."] = None
-        return
+        return False
+    is_news = False
     for entry in stamped:
         try:
             transform = _rigid(entry)
         except ValueError as error:
             notes[f"A transform on '{message.topic}' was left out: {error}."] = None
         else:
-            found[transform.target, transform.source] = transform
+            key = transform.target, transform.source
+            is_news |= key not in found or not np.array_equal(found[key].matrix, transform.matrix)
+            found[key] = transform
+    return is_news
 
 
 def _rigid(stamped: Any) -> RigidTransform:  # noqa: ANN401 - the class is made by rosbags at run time

@@ -13,9 +13,12 @@ from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
+from multilica.config import IngestConfig
 from multilica.errors import MultilicaError
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.ingest.packets import has_ouster_decoder
+from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshot_metadata import window_metadata
 from multilica.snapshot import Scan, Snapshot
 from tests.ingest.format_writers import (
     POINT_WRITERS,
@@ -68,6 +71,10 @@ def _ouster(_: Snapshot, path: Path) -> None:
     write_raw_mcap(ouster_messages(info, [frame_of(info, 0)]), path, "cdr")
 
 
+def _recorded(snapshot: Snapshot, path: Path) -> None:
+    write_snapshot_mcap(snapshot, path, metadata=window_metadata(IngestConfig(frames=2)))
+
+
 def _first_scan(write: Callable[[Scan, Path], None]) -> Callable[[Snapshot, Path], None]:
     return lambda snapshot, path: write(snapshot.lidars[0].scans[0], path)
 
@@ -84,6 +91,7 @@ SEEDS: dict[str, Callable[[Snapshot, Path], None]] = {
         livox_messages(snapshot, "livox_ros_driver2", "cdr"), path, "cdr"
     ),
     "velodyne.mcap": lambda _, path: write_raw_mcap(velodyne_messages("ros1"), path, "ros1"),
+    "recorded.mcap": _recorded,
     "plain.bag": write_ros1_bag,
     "lz4.bag": lambda snapshot, path: write_ros1_bag(snapshot, path, Ros1Writer.CompressionFormat.LZ4),
     "bz2.bag": lambda snapshot, path: write_ros1_bag(snapshot, path, Ros1Writer.CompressionFormat.BZ2),
