@@ -100,7 +100,8 @@ def _cloud_samples(recording: Recording, topic: str, span: Span) -> Samples:
     still: list[tuple[int, bool | None]] = []
     config = StillnessConfig()
     previous: Scan | None = None
-    for index, message in sampled(recording, [topic], times_ns, span[1] + 1, most=2):
+    # Clouds of all LiDARs fill chunks fast: even within a second, some need not be read.
+    for index, message in sampled(recording, [topic], times_ns, span[1] + 1, most=2, jump_ns=0):
         try:
             scans[index].append(decode_cloud(message).scan)
         except UnreadableSourceError:

@@ -25,7 +25,12 @@ def evenly(start_ns: int, end_ns: int, count: int) -> list[int]:
 
 
 def sampled(
-    recording: Recording, topics: Collection[str], times_ns: Sequence[int], end_ns: int, most: int = 1
+    recording: Recording,
+    topics: Collection[str],
+    times_ns: Sequence[int],
+    end_ns: int,
+    most: int = 1,
+    jump_ns: int = _WORTH_A_JUMP_NS,
 ) -> Iterator[tuple[int, Message]]:
     """For each time and each topic, the first messages that were logged from then on, before the next time.
 
@@ -35,11 +40,12 @@ def sampled(
         times_ns: ascending.
         end_ns: what was logged then or later is left out.
         most: messages per time and topic.
+        jump_ns: where the times lie farther apart than this, what lies between them is not read.
 
     Yields:
         Index of the time, message.
     """
-    if recording.is_indexed and len(times_ns) > 1 and times_ns[1] - times_ns[0] > _WORTH_A_JUMP_NS:
+    if recording.is_indexed and len(times_ns) > 1 and times_ns[1] - times_ns[0] > jump_ns:
         for index, until_ns in enumerate([*times_ns[1:], end_ns]):
             yield from (
                 (index, message)
