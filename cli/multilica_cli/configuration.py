@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,6 +25,7 @@ def resolve_config(
     config_file: Path | None,
     options: Mapping[str, object],
     settings: Sequence[str],
+    recorded_frames: int | None = None,
 ) -> CalibrationConfig:
     """The configuration that the user asked for: preset or file, then options, then `--set`.
 
@@ -32,6 +34,7 @@ def resolve_config(
         config_file: `--config`.
         options: key of the configuration -> value of its own option; None where it was not given.
         settings: texts of `--set`.
+        recorded_frames: frames of a snapshot, all of which are taken unless file or options say otherwise.
 
     Raises:
         UsageError: a preset and a file, an unknown key or a value out of range.
@@ -45,8 +48,14 @@ def resolve_config(
             f'or write preset = "{preset_name}" into the file.'
         )
     config = load_config(config_file) if config_file else preset(preset_name or "default")
+    if recorded_frames and not (config_file and _tells_frames(config_file)):
+        config = with_overrides(config, [f"ingest.frames={recorded_frames}"])
     given = [f"{key}={inline_toml(value)}" for key, value in options.items() if value is not None]
     return with_overrides(with_overrides(config, given), settings)
+
+
+def _tells_frames(config_file: Path) -> bool:
+    return "frames" in tomllib.loads(config_file.read_text(encoding="utf-8")).get("ingest", {})
 
 
 def ingest_options(
@@ -57,12 +66,8 @@ def ingest_options(
     window_s: float | None,
     *,
     strict: bool,
-    usual_frames: int | None = None,
 ) -> dict[str, object]:
     """The options that say what to read, as `resolve_config` takes them.
-
-    Args:
-        usual_frames: what `frames` is unless it is given.
 
     Raises:
         UsageError: a text of `--topic` of another form, or a name twice.
@@ -71,7 +76,7 @@ def ingest_options(
     return {
         "ingest.topics": topic_names([text for text in topics or () if "=" in text]),
         "ingest.only": [text for text in topics or () if "=" not in text] or None,
-        "ingest.frames": usual_frames if frames is None else frames,
+        "ingest.frames": frames,
         "ingest.start_s": start_s,
         "ingest.start_at": start if start_s is None else None,
         "ingest.window": window,

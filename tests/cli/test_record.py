@@ -38,7 +38,9 @@ def test_a_log_becomes_a_snapshot(invoke: Invoke) -> None:
 def test_a_snapshot_is_calibrated_whole_unless_told_otherwise(invoke: Invoke) -> None:
     write_mcap(make_snapshot(frames=15), Path("drive.mcap"))
     assert invoke("record", "drive.mcap", "--out", "a.mcap", "--frames", "12").code == ExitCode.DONE
-    for options, frames in (((), 12), (("--frames", "3"), 3), (("--set", "ingest.frames=10"), 10)):
+    Path("mine.toml").write_text("[fine]\nmax_iterations = 7\n", encoding="utf-8")
+    asked = {(): 12, ("--config", "mine.toml"): 12, ("--frames", "3"): 3, ("--set", "ingest.frames=10"): 10}
+    for options, frames in asked.items():
         run = invoke("calibrate", "a.mcap", "--out", "run", "--until", "preprocess", *options)
         assert run.code == ExitCode.DONE, run
         config = tomllib.loads(Path("run/config.toml").read_text(encoding="utf-8"))

@@ -83,17 +83,15 @@ def calibrate(
     from multilica.ingest.source import locate
 
     files = [locate(source) for source in sources]
-    # A configuration file tells the number itself.
-    recorded = None if config_file else frames_recorded(files)
     options = {
         "target": target,
         "until": until,
-        **ingest_options(topics, frames, start, window, window_s, strict=strict, usual_frames=recorded),
+        **ingest_options(topics, frames, start, window, window_s, strict=strict),
         "ground.enabled": ground or None,
         "runtime.threads": threads,
         "record.detail": record,
     }
-    config = resolve_config(preset, config_file, options, settings or ())
+    config = resolve_config(preset, config_file, options, settings or (), frames_recorded(files))
     found = find_snapshots(files, config=config.ingest)
     out_dir = out or default_out_dir(sources, len(found))
     if len(found) > 1:

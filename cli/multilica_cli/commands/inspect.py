@@ -36,9 +36,8 @@ def inspect(
     from multilica_cli.source_tables import print_summary, summary_document
 
     files = [locate(source) for source in sources]
-    recorded = frames_recorded(files)
-    options = ingest_options(topics, frames, start, window, window_s, strict=strict, usual_frames=recorded)
-    config = resolve_config(None, None, options, ())
+    options = ingest_options(topics, frames, start, window, window_s, strict=strict)
+    config = resolve_config(None, None, options, (), frames_recorded(files))
     summary = inspect_source(files, config=config.ingest)
     if as_json:
         typer.echo(json.dumps(summary_document(summary), indent=2))

@@ -56,9 +56,8 @@ def record(
 
     _require_out(out, sources)
     files = [source if is_live(source) else locate(source) for source in sources]
-    recorded = frames_recorded(files)
-    options = ingest_options(topics, frames, start, window, window_s, strict=strict, usual_frames=recorded)
-    config = resolve_config(None, None, options | {"ingest.timeout_s": timeout_s}, ()).ingest
+    options = ingest_options(topics, frames, start, window, window_s, strict=strict) | {"ingest.timeout_s": timeout_s}
+    config = resolve_config(None, None, options, (), frames_recorded(files)).ingest
     messages = stderr_console(quiet=quiet)
     if any(is_live(source) for source in sources):
         messages.print(f"listening for {config.frames} scans of each LiDAR, at most {config.timeout_s:g} s")
