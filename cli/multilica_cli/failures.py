@@ -11,6 +11,7 @@ import typer
 
 from multilica.errors import InputError, MultilicaError, UsageError
 from multilica_cli.interruption import Interrupted
+from multilica_cli.terminal import printable
 
 __all__ = ["DEBUG_VARIABLE", "ExitCode", "explain", "report"]
 
@@ -88,4 +89,4 @@ def _with_notes(failure: BaseException) -> str:
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    return printable(" ".join(text.split()))

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
+from multilica_cli.terminal import printable
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -27,7 +29,9 @@ def show_listening(console: Console, wanted: int) -> Iterator[MessageObserver]:
     if not console.is_terminal or console.quiet:
         yield _CompleteLines(console, wanted)
         return
-    with Progress(TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), console=console) as progress:
+    with Progress(
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), console=console
+    ) as progress:
         yield _Bars(progress, wanted)
 
 
@@ -49,5 +53,5 @@ class _Bars:
 
     def __call__(self, topic: str, count: int) -> None:
         if topic not in self._tasks:
-            self._tasks[topic] = self._progress.add_task(topic, total=self._wanted)
+            self._tasks[topic] = self._progress.add_task(printable(topic), total=self._wanted)
         self._progress.update(self._tasks[topic], completed=min(count, self._wanted))

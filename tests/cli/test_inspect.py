@@ -2,14 +2,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from multilica.ingest import read_snapshot
+from multilica.snapshot import Snapshot
 from multilica_cli.failures import ExitCode
 from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence, write_pcd
+from tests.ingest.recording_writers import make_snapshot, write_mcap
 
 
 def test_the_sample_is_described(invoke: Invoke) -> None:
@@ -26,6 +29,20 @@ def test_the_sample_is_described(invoke: Invoke) -> None:
     ):
         assert text in outcome.out
     assert "\x1b" not in outcome.out
+
+
+def test_names_that_would_steer_a_terminal_are_shown(invoke: Invoke) -> None:
+    first, second = make_snapshot().lidars
+    odd = replace(first, name="roof\x1b[2J", frame_id="roof\x1b[2J", topic="/\x9b31m[/bold]/points")
+    write_mcap(Snapshot((odd, second)), Path("odd.mcap"))
+    outcome = invoke("inspect", "odd.mcap")
+    assert outcome.code == ExitCode.DONE
+    assert "roof\\x1b[2J" in outcome.out
+    assert "/\\x9b31m[/bold]/points" in outcome.out
+    refusal = invoke("inspect", "odd.mcap", "--topic", "/none")
+    assert_one_sentence(refusal, ExitCode.USAGE)
+    assert "/\\x9b31m[/bold]/points" in refusal.err
+    assert not {"\x1b", "\x9b"} & {*outcome.out, *refusal.err}
 
 
 def test_the_document_holds_what_calibrate_would_take(invoke: Invoke) -> None:
