@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from multilica.ingest.prior import Prior, read_prior
 from multilica.ingest.reading import read_snapshot
-from multilica.ingest.recorded_frames import frames_recorded
+from multilica.ingest.recorded import frames_recorded
 from multilica.ingest.requirement import require_calibratable
 from multilica.ingest.snapshots import SnapshotSource, find_snapshots, require_lidar
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source

@@ -6,19 +6,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 
 from multilica.config import IngestConfig
 from multilica.ingest.choice import choose_topics, unread_notes
 from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.naming import lidar_names, shared_frames
 from multilica.ingest.opening import open_source
-from multilica.ingest.recorded_frames import config_for
+from multilica.ingest.recorded import config_for, notes_recorded
+from multilica.ingest.recording import Recording
+from multilica.ingest.remote_file import SourceFile
 from multilica.ingest.source import PathLike, find_source
 from multilica.ingest.static_transforms import StaticTransforms, read_static_transforms
 from multilica.ingest.window import Window, collect_frames, require_frames
 from multilica.snapshot import LidarScans, Snapshot
 
-__all__ = ["DEFAULT_CONFIG", "assemble_snapshot", "read_snapshot"]
+__all__ = ["DEFAULT_CONFIG", "assemble_snapshot", "read_snapshot", "with_recorded_notes"]
 
 DEFAULT_CONFIG = IngestConfig()
 
@@ -53,7 +56,8 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         require_frames(window, given.keys(), config, found.label)
         static = read_static_transforms(recording)
         unread = unread_notes(recording)
-    return assemble_snapshot(found.label, given, window, static, sha256.result(), unread)
+        snapshot = assemble_snapshot(found.label, given, window, static, sha256.result(), unread)
+        return with_recorded_notes(snapshot, recording, found.files)
 
 
 def assemble_snapshot(
@@ -85,6 +89,14 @@ def assemble_snapshot(
         static_transforms=static[0],
         notes=(*window.notes, *static[1], *_frame_notes(frame_ids), *notes),
     )
+
+
+def with_recorded_notes(snapshot: Snapshot, recording: Recording, files: Sequence[SourceFile]) -> Snapshot:
+    """With what was noticed when `multilica record` took it, if it did."""
+    # Only what multilica wrote names its LiDARs.
+    if not any(topic.lidar for topic in recording.topics):
+        return snapshot
+    return replace(snapshot, notes=(*snapshot.notes, *notes_recorded(files, snapshot.notes)))
 
 
 def _frame_notes(frame_ids: Mapping[str, str]) -> list[str]:

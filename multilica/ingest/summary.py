@@ -16,8 +16,8 @@ from multilica.ingest.choice import choose_topics, unread_notes
 from multilica.ingest.cloud import Cloud, is_cloud
 from multilica.ingest.opening import open_source
 from multilica.ingest.packets import OUSTER_TURN
-from multilica.ingest.reading import assemble_snapshot
-from multilica.ingest.recorded_frames import config_for
+from multilica.ingest.reading import assemble_snapshot, with_recorded_notes
+from multilica.ingest.recorded import config_for
 from multilica.ingest.recording import Recording, Topic
 from multilica.ingest.requirement import require_calibratable
 from multilica.ingest.source import PathLike, find_source
@@ -109,6 +109,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
         static = read_static_transforms(recording)
         given, window, objection = _look(recording, config, found.label)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
+        snapshot = with_recorded_notes(snapshot, recording, found.files)
         return SourceSummary(
             source=found.label,
             format=recording.format,

@@ -172,3 +172,20 @@ def test_lidars_with_clocks_of_their_own_stay_together(tmp_path: Path) -> None:
         assert found.notes == expected.notes
         assert any(note.startswith("The stamps lag behind the log time") for note in found.notes)
     assert inspect_source(recorded).duration_s == pytest.approx(1.1, abs=1e-3)
+
+
+def test_what_was_noticed_when_it_was_recorded_is_told_again(tmp_path: Path) -> None:
+    log, recorded, again = (tmp_path / name for name in ("drive.mcap", "a.mcap", "b.mcap"))
+    write_mcap(make_snapshot(frames=8), log)
+    log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    taken = read_snapshot(log)
+    assert any(note.endswith("of 10 scans, then the file ends too early.") for note in taken.notes)
+    write_snapshot_mcap(taken, recorded)
+    own = "'/lidar_1/points' has 4 scans in the window, others have more."
+    expected = (own, *(f"When it was recorded: {note}" for note in taken.notes))
+    assert read_snapshot(recorded).notes == inspect_source(recorded).notes == expected
+    write_snapshot_mcap(read_snapshot(recorded), again)
+    assert read_snapshot(again).notes == expected
+    for notes in ("no list", "[" * 9000, "{}", "[1, [2]]"):
+        write_snapshot_mcap(taken, recorded, metadata={"notes": notes})
+        assert read_snapshot(recorded).notes == (own,)

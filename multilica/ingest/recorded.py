@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How many frames a snapshot holds that `multilica record` took."""
+"""What a snapshot that `multilica record` took says about itself."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Collection, Sequence
 from contextlib import closing
 from io import BytesIO
 from typing import IO, cast
@@ -22,10 +23,11 @@ from multilica.ingest.source import PathLike, locate
 from multilica.ingest.whole_reads import WholeReads
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
 
-__all__ = ["config_for", "frames_recorded"]
+__all__ = ["config_for", "frames_recorded", "notes_recorded"]
 
 _MAX_BYTES = 1 << 20
 """Of a snapshot's metadata, which takes a few hundred."""
+_THEN = "When it was recorded: "
 
 
 def config_for(sources: Sequence[PathLike]) -> IngestConfig:
@@ -45,22 +47,42 @@ def frames_recorded(sources: Sequence[PathLike]) -> int | None:
     return max((count for count in counts if count), default=None) if all(counts) else None
 
 
+def notes_recorded(files: Sequence[SourceFile], known: Collection[str]) -> list[str]:
+    """What was noticed when these snapshots were taken, without what is known anyway."""
+    notes = [note for file in files for note in _notes_of(file) if note not in known]
+    return [note if note.startswith(_THEN) else f"{_THEN}{note}" for note in notes]
+
+
 def _frames_of(path: SourceFile) -> int | None:
-    """None of every other file, and of one that cannot be read: who reads it will say why."""
+    text = _told(path).get("frames", "")
+    return int(text) if text.isdecimal() else None
+
+
+def _notes_of(path: SourceFile) -> list[str]:
+    try:
+        notes = json.loads(_told(path).get("notes", "[]"))
+    except (ValueError, RecursionError):
+        return []
+    return [" ".join(note.split()) for note in notes if isinstance(note, str)] if isinstance(notes, list) else []
+
+
+def _told(path: SourceFile) -> dict[str, str]:
+    """Nothing of every other file, and of one that cannot be read: who reads it will say why."""
     if named_format(path) != "mcap" or not (path.exists() and path.is_file()):
-        return None
+        return {}
     try:
         with damage_named(str(path)), closing(WholeReads.of_file(path)) as stream:
-            return _frames_told(stream)
+            return _metadata(stream)
     except DamagedRecordingError:
-        return None
+        return {}
 
 
-def _frames_told(stream: WholeReads) -> int | None:
+def _metadata(stream: WholeReads) -> dict[str, str]:
     summary = make_reader(cast(IO[bytes], stream)).get_summary()
     for index in summary.metadata_indexes if summary else ():
         if index.name == SNAPSHOT_METADATA_NAME and index.length <= _MAX_BYTES:
             stream.seek(index.offset + RECORD_HEAD.size)
             record = stream.read(index.length - RECORD_HEAD.size)
-            return int(Metadata.read(ReadDataStream(BytesIO(record))).metadata.get("frames", 0)) or None
-    return None
+            entries: dict[str, str] = Metadata.read(ReadDataStream(BytesIO(record))).metadata
+            return entries
+    return {}
