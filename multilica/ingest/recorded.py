@@ -68,11 +68,12 @@ def _notes_of(path: SourceFile) -> list[str]:
 
 def _told(path: SourceFile) -> dict[str, str]:
     """Nothing of every other file, and of one that cannot be read: who reads it will say why."""
-    if named_format(path) != "mcap" or not (path.exists() and path.is_file()):
-        return {}
     try:
-        with damage_named(str(path)), closing(WholeReads.of_file(path)) as stream:
-            return _metadata(stream)
+        with damage_named(str(path)):
+            if named_format(path) != "mcap" or not (path.exists() and path.is_file()):
+                return {}
+            with closing(WholeReads.of_file(path)) as stream:
+                return _metadata(stream)
     except DamagedRecordingError:
         return {}
 

@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 import multilica
 from multilica import read_snapshot
 from multilica.config import CalibrationConfig, IngestConfig, with_overrides
+from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.ingest import frames_recorded, inspect_source
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
@@ -189,3 +190,13 @@ def test_what_was_noticed_when_it_was_recorded_is_told_again(tmp_path: Path) -> 
     for notes in ("no list", "[" * 9000, "{}", "[1, [2]]"):
         write_snapshot_mcap(taken, recorded, metadata={"notes": notes})
         assert read_snapshot(recorded).notes == (own,)
+
+
+def test_what_may_not_be_looked_at_is_left_to_who_reads_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path) -> bool:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "exists", refuse)
+    assert frames_recorded([tmp_path / "a.mcap"]) is None
+    with pytest.raises(UnreadableSourceError, match=r"a\.mcap cannot be opened: Permission denied"):
+        read_snapshot(tmp_path / "a.mcap")
