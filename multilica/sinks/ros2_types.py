@@ -16,11 +16,22 @@ from multilica.pointcloud2 import encode_points
 from multilica.sinks.mcap_messages import MessageSchema
 from multilica.snapshot import Float32Array
 
-__all__ = ["POINT_CLOUD", "TRANSFORMS", "point_cloud", "schema_of", "serialised", "store", "time_of", "transforms"]
+__all__ = [
+    "POINT_CLOUD",
+    "ROS_END_NS",
+    "TRANSFORMS",
+    "point_cloud",
+    "schema_of",
+    "serialised",
+    "store",
+    "time_of",
+    "transforms",
+]
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
-_MAX_SECONDS = 2**31 - 1
+ROS_END_NS = 2**31 * 10**9
+"""In 2038: ROS has no stamps from then on."""
 
 
 @cache
@@ -47,9 +58,9 @@ def time_of(stamp_ns: int) -> Any:  # noqa: ANN401 - see store
     Raises:
         ValueError: before 1970 or after 2038, which it cannot hold.
     """
-    seconds, nanoseconds = divmod(stamp_ns, 10**9)
-    if not 0 <= seconds <= _MAX_SECONDS:
+    if not 0 <= stamp_ns < ROS_END_NS:
         raise ValueError(f"the stamp {stamp_ns} ns lies outside 1970 to 2038, which is all that ROS can hold")
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
     return store().types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
 
 

@@ -13,13 +13,22 @@ import multilica
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
 from multilica.sinks.atomic import atomic_file
 from multilica.sinks.ros2_qos import offered_qos
-from multilica.sinks.ros2_types import POINT_CLOUD, TRANSFORMS, point_cloud, schema_of, serialised, transforms
+from multilica.sinks.ros2_types import (
+    POINT_CLOUD,
+    ROS_END_NS,
+    TRANSFORMS,
+    point_cloud,
+    schema_of,
+    serialised,
+    transforms,
+)
 from multilica.sinks.snapshot_metadata import snapshot_metadata
-from multilica.snapshot import Scan, Snapshot
+from multilica.snapshot import LidarScans, Snapshot
 
 __all__ = ["write_snapshot_mcap"]
 
 _CHUNK_BYTES = 4 << 20
+_LATEST_NS = 2**64 - 1
 
 
 def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
@@ -43,8 +52,8 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
 def _write_static_transforms(writer: Writer, snapshot: Snapshot) -> None:
     if not snapshot.static_transforms:
         return
-    time_ns = min((_log_time_ns(scan) for lidar in snapshot.lidars for scan in lidar.scans), default=0)
-    data = serialised(transforms(snapshot.static_transforms, time_ns))
+    time_ns = min((time_ns for time_ns, _, _ in _frames(snapshot)), default=0)
+    data = serialised(transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)))
     schema = _register_schema(writer, TRANSFORMS)
     channel = writer.register_channel("/tf_static", MessageEncoding.CDR, schema, offered_qos(latched=True))
     writer.add_message(channel, time_ns, data, time_ns)
@@ -62,15 +71,25 @@ def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
         )
         for lidar in snapshot.lidars
     }
-    frames = [(_log_time_ns(scan), lidar, index) for lidar in snapshot.lidars for index, scan in enumerate(lidar.scans)]
-    for time_ns, lidar, index in sorted(frames, key=lambda frame: frame[0]):
+    for time_ns, lidar, index in sorted(_frames(snapshot), key=lambda frame: frame[0]):
         scan = lidar.scans[index]
-        data = serialised(point_cloud(lidar.frame_id, scan.stamp_ns, scan.points_m, scan.intensity))
+        data = serialised(point_cloud(lidar.frame_id, _ros_stamp_ns(scan.stamp_ns), scan.points_m, scan.intensity))
         writer.add_message(channels[lidar.name], time_ns, data, time_ns, index)
 
 
-def _log_time_ns(scan: Scan) -> int:
-    return scan.log_time_ns or scan.stamp_ns
+def _frames(snapshot: Snapshot) -> list[tuple[int, LidarScans, int]]:
+    """Log time, or stamp where there are no log times, LiDAR and number of each frame."""
+    frames = [(scan, lidar, index) for lidar in snapshot.lidars for index, scan in enumerate(lidar.scans)]
+    has_log_times = any(scan.log_time_ns for scan, _, _ in frames)
+    return [
+        (min(max(0, scan.log_time_ns if has_log_times else scan.stamp_ns), _LATEST_NS), lidar, index)
+        for scan, lidar, index in frames
+    ]
+
+
+def _ros_stamp_ns(stamp_ns: int) -> int:
+    """Zero, which leaves it to the log time, where ROS cannot hold it."""
+    return stamp_ns if 0 <= stamp_ns < ROS_END_NS else 0
 
 
 def _topics(snapshot: Snapshot) -> dict[str, str]:

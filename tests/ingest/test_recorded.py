@@ -200,3 +200,27 @@ def test_what_may_not_be_looked_at_is_left_to_who_reads_it(tmp_path: Path, monke
     assert frames_recorded([tmp_path / "a.mcap"]) is None
     with pytest.raises(UnreadableSourceError, match=r"a\.mcap cannot be opened: Permission denied"):
         read_snapshot(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("log_time_ns", [0, 2**63, 2**64 - 10**9])
+@pytest.mark.parametrize("stamp_ns", [1, -(10**9), START_NS, 2**31 * 10**9, 2**64])
+def test_times_that_ros_cannot_hold_cost_no_points(tmp_path: Path, log_time_ns: int, stamp_ns: int) -> None:
+    taken = Snapshot(
+        tuple(
+            replace(
+                lidar,
+                scans=tuple(
+                    replace(scan, stamp_ns=stamp_ns + number * 1000, log_time_ns=log_time_ns + number * 1000)
+                    for number, scan in enumerate(lidar.scans)
+                ),
+            )
+            for lidar in make_snapshot().lidars
+        ),
+        static_transforms=(POSE,),
+    )
+    write_snapshot_mcap(taken, tmp_path / "a.mcap")
+    found = read_snapshot(tmp_path / "a.mcap")
+    assert_same_points(found, taken)
+    assert len(found.static_transforms) == 1
+    spans_ns = [lidar.scans[-1].log_time_ns - lidar.scans[0].log_time_ns for lidar in found.lidars]
+    assert spans_ns == [2000, 2000]
