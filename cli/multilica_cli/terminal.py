@@ -17,7 +17,7 @@ _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)
 
 def printable(text: str) -> str:
     """The text with control characters as escapes: a recording's topics and frames may hold what steers a terminal."""
-    return text.translate(_ESCAPES)
+    return text.translate(_ESCAPES).encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def stdout_console(*, quiet: bool = False) -> Console:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Sequence
 
 from multilica.ingest.remote_file import RemoteFile, SourceFile
@@ -28,7 +29,7 @@ def sha256_of_files(files: Sequence[SourceFile]) -> str:
     if len(files) == 1:
         return _sha256_of_file(files[0])
     lines = [f"{_sha256_of_file(path)}  {path.name}\n" for path in sorted(files, key=str)]
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
+    return hashlib.sha256(os.fsencode("".join(lines))).hexdigest()
 
 
 def _sha256_of_file(path: SourceFile) -> str:

@@ -14,6 +14,7 @@ from typing import Any
 import pybase64
 
 from multilica.ingest.cloud import Cloud
+from multilica.ingest.encodable import encodable
 from multilica.ingest.protobuf_wire import fields_of, fixed32, float64
 from multilica.ingest.recording import Message
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
@@ -107,11 +108,11 @@ def _from_json(message: bytes | memoryview) -> _Parts:
         stamp, pose = table.get("timestamp") or {}, table.get("pose") or {}
         return _Parts(
             int(stamp.get("sec", 0)) * 10**9 + int(stamp.get("nsec", 0)),
-            str(table.get("frame_id", "")),
+            encodable(table.get("frame_id", "")),
             _numbers(pose.get("position"), "xyz") + _numbers(pose.get("orientation"), "xyzw"),
             int(table["point_stride"]),
             [
-                PointField(str(entry["name"]), int(entry.get("offset", 0)), _DATATYPES.get(entry.get("type"), 0))
+                PointField(encodable(entry["name"]), int(entry.get("offset", 0)), _DATATYPES.get(entry.get("type"), 0))
                 for entry in table["fields"]
             ],
             data,

@@ -16,6 +16,7 @@ from websockets.typing import Subprotocol
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.address import without_secrets
+from multilica.ingest.encodable import encodable
 
 __all__ = ["Advertised", "Channel", "ConnectionLost", "FoxgloveSocket", "Received", "Withdrawn"]
 
@@ -156,7 +157,7 @@ def _text(frame: str) -> Advertised | Withdrawn | None:
 
 def _channel(entry: dict[str, Any]) -> Channel | None:
     try:
-        return Channel(int(entry["id"]), str(entry["topic"]), str(entry["schemaName"]), str(entry["encoding"]))
+        return Channel(int(entry["id"]), *(encodable(entry[key]) for key in ("topic", "schemaName", "encoding")))
     except (ValueError, TypeError, KeyError):
         # One that makes no sense is no reason to do without the others.
         return None

@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 
+from multilica.ingest.encodable import encodable
+
 __all__ = ["lidar_names", "shared_frames"]
 
 
@@ -21,7 +23,7 @@ def lidar_names(given: Mapping[str, str], frame_ids: Mapping[str, str]) -> dict[
     taken: set[str] = set()
     for topic in sorted(given, key=lambda topic: (not given[topic], topic)):
         frame_id = "" if frame_ids[topic] in shared else frame_ids[topic]
-        names[topic] = _free(given[topic] or frame_id or topic.strip("/") or topic, taken)
+        names[topic] = _free(encodable(given[topic] or frame_id or topic.strip("/") or topic), taken)
         taken.add(names[topic])
     return names
 

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 from multilica.config import IngestConfig
 from multilica.ingest.choice import choose_topics, unread_notes
+from multilica.ingest.encodable import encodable
 from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.naming import lidar_names, shared_frames
 from multilica.ingest.opening import open_source
@@ -79,15 +80,15 @@ def assemble_snapshot(
     frame_ids = {topic: frames[0].frame_id for topic, frames in clouds.items()}
     names = lidar_names({topic: given[topic] for topic in clouds}, frame_ids)
     lidars = [
-        LidarScans(names[topic], tuple(cloud.scan for cloud in frames), frame_ids[topic], topic)
+        LidarScans(names[topic], tuple(cloud.scan for cloud in frames), frame_ids[topic], encodable(topic))
         for topic, frames in clouds.items()
     ]
     return Snapshot(
         lidars=tuple(lidars),
-        source=label,
+        source=encodable(label),
         source_sha256=sha256,
         static_transforms=static[0],
-        notes=(*window.notes, *static[1], *_frame_notes(frame_ids), *notes),
+        notes=tuple(map(encodable, (*window.notes, *static[1], *_frame_notes(frame_ids), *notes))),
     )
 
 

@@ -17,6 +17,7 @@ from multilica.config import IngestConfig
 from multilica.ingest.address import is_live
 from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.detect import named_format
+from multilica.ingest.encodable import encodable
 from multilica.ingest.mcap_records import RECORD_HEAD
 from multilica.ingest.remote_file import SourceFile
 from multilica.ingest.source import PathLike, locate
@@ -63,7 +64,11 @@ def _notes_of(path: SourceFile) -> list[str]:
         notes = json.loads(_told(path).get("notes", "[]"))
     except (ValueError, RecursionError):
         return []
-    return [" ".join(note.split()) for note in notes if isinstance(note, str)] if isinstance(notes, list) else []
+    return (
+        [" ".join(encodable(note).split()) for note in notes if isinstance(note, str)]
+        if isinstance(notes, list)
+        else []
+    )
 
 
 def _told(path: SourceFile) -> dict[str, str]:

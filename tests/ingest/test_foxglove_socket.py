@@ -56,6 +56,11 @@ def test_what_is_not_understood_is_passed_over() -> None:
     assert heard([*NEVER_UNDERSTOOD, goodbye]) == [*[None] * len(NEVER_UNDERSTOOD), Withdrawn(frozenset({2}))]
 
 
+def test_half_a_surrogate_pair_is_no_topic() -> None:
+    advertised = json.dumps({"op": "advertise", "channels": [{**GOOD, "topic": "/\ud800"}]})
+    assert heard([advertised]) == [Advertised((Channel(2, "/?", "s", "cdr"),))]
+
+
 @pytest.mark.parametrize("odd", [{}, {**GOOD, "id": "x"}, None, 3, {"id": 1, "topic": "/b"}])
 def test_an_odd_channel_does_not_cost_the_others(odd: object) -> None:
     (found,) = heard([json.dumps({"op": "advertise", "channels": [odd, GOOD]})])

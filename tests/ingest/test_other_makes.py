@@ -19,6 +19,7 @@ from multilica.errors import MultilicaError, UnfitSnapshotError, UnreadableSourc
 from multilica.ingest import packets, read_snapshot
 from multilica.ingest.cloud import decode_cloud
 from multilica.ingest.recording import Message
+from multilica.sinks.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.format_writers import (
     LIVOX_DRIVERS,
@@ -198,6 +199,14 @@ def test_json_may_be_written_in_any_way(scene: Snapshot, rewrite: Callable[[str]
     cloud = decode_cloud(Message("/a", "foxglove.PointCloud", "json", 0, memoryview(text.encode()), "A scan"))
     np.testing.assert_array_equal(cloud.scan.points_m, scan.points_m)
     assert cloud.frame_id == "lidar"
+
+
+def test_half_a_surrogate_pair_in_json_is_no_name(tmp_path: Path, scene: Snapshot) -> None:
+    write_foxglove_json(Snapshot(scene.lidars[:1]), tmp_path / "a.mcap", frame_id="\ud800roof")
+    snapshot = read_snapshot(tmp_path / "a.mcap")
+    assert snapshot.names == ("?roof",)
+    write_snapshot_mcap(snapshot, tmp_path / "b.mcap")
+    assert read_snapshot(tmp_path / "b.mcap").names == ("?roof",)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from multilica.config import IngestConfig
 from multilica.errors import UnreadableSourceError
 from multilica.ingest import read_snapshot
+from multilica.sinks.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Scan
 from tests.ingest.recording_writers import make_snapshot
 
@@ -232,3 +234,16 @@ def test_a_broken_file_does_not_cost_the_others(tmp_path: Path) -> None:
     (tmp_path / "front.npy").unlink()
     with pytest.raises(UnreadableSourceError, match="has 1001 bytes; expected a multiple of 16"):
         read_snapshot(tmp_path)
+
+
+def test_files_whose_names_are_no_utf8(tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"\xfc")
+    folder.mkdir()
+    for name in (b"l\xfcnks.npy", b"rechts.npy"):
+        with (folder / os.fsdecode(name)).open("wb") as file:
+            np.save(file, np.ones((5, 3), np.float32))
+    snapshot = read_snapshot(folder)
+    assert snapshot.names == ("l?nks", "rechts")
+    assert snapshot.source == str(tmp_path / "?")
+    write_snapshot_mcap(snapshot, tmp_path / "a.mcap")
+    assert read_snapshot(tmp_path / "a.mcap").names == snapshot.names
