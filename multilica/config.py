@@ -59,10 +59,13 @@ class Section(BaseModel):
 class IngestConfig(Section):
     """What is taken from the recording."""
 
-    frames: Count = Field(10, description="frames per LiDAR that are accumulated")
+    frames: Count = Field(
+        10, description="frames per LiDAR that are accumulated; of a recorded snapshot all, unless this is given"
+    )
     start_s: float = Field(0.0, ge=0.0, description="seconds after the first frame at which the window begins")
     start_at: str = Field(
-        "", description="as start_s, but a time: ISO 8601 (UTC unless it says otherwise), or seconds since the epoch"
+        "",
+        description="as start_s, but a time: ISO 8601 (UTC unless it says otherwise), or s or ns since the epoch",
     )
     window: Literal["start", "auto"] = Field(
         "start", description="auto: from start_s on, the longest stretch in which the vehicle stands still"
@@ -188,7 +191,7 @@ class VerifyConfig(Section):
         description="steps along its weakest direction at which a pose is tried if it is not firmly held or slides",
     )
     slides: int = Field(6, ge=0, description="number of such steps to either side: repeating facades look alike there")
-    finalists: Count = Field(8, description="distinct answers that are registered more finely")
+    finalists: Count = Field(16, description="distinct answers that are registered more finely")
     hopeless_evidence: PositiveMetres = Field(
         300.0,
         description="one that is so much behind the best and has less than max_equal of its evidence is hopeless",

@@ -390,7 +390,7 @@ class _Run:
             return link
         accepted = [hint.T_target_source for hint in hints if hint.verdict.accepted]
         again = self._register_groups(group, other, accepted) if self.config.verify.enabled else None
-        if again is None or _outdoes(link, again):
+        if again is None or _outdoes(link, again, self.config.verify.rival_reach_m):
             return link
         if not again.verdict.accepted:
             again = self._upheld(again, [pose_between(group, other, pose) for pose in accepted])
@@ -517,7 +517,8 @@ def _the_way_of(pose: RigidTransform, other: RigidTransform) -> RigidTransform:
     return pose if pose.target == other.target else pose.inverse()
 
 
-def _outdoes(link: PairRegistration, other: PairRegistration) -> bool:
-    """Whether a registration of the same groups that is not rejected has another pose, and more evidence for it."""
+def _outdoes(link: PairRegistration, other: PairRegistration, reach_m: float) -> bool:
+    """Whether a registration of the same groups, not rejected, has more evidence for another pose within reach."""
     elsewhere = is_distinct(link.T_target_source, [_the_way_of(other.T_target_source, link.T_target_source)])
-    return link.verdict.outcome == "undecided" and elsewhere and link.evidence > other.evidence
+    near = float(np.linalg.norm(link.T_target_source.xyz_m)) <= reach_m
+    return link.verdict.outcome == "undecided" and elsewhere and near and link.evidence > other.evidence

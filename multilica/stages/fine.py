@@ -222,7 +222,8 @@ class _Final:
         Args:
             registered: where GICP ended, which is what comes back to where it was when it is pushed.
         """
-        clouds, thinned = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)
+        clouds, drafts = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)
+        thinned = None if drafts == clouds else drafts
         push_m, limit_m = self.verify.push_m, self.verify.max_pushed_off_m
         for last in (False, True):
             best, pose = registered.assessments[0], registered.T_target_source

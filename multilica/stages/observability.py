@@ -55,7 +55,7 @@ def pushed_ends(
 
 
 def examine_hold(
-    thinned: tuple[RegistrationCloud, RegistrationCloud],
+    thinned: tuple[RegistrationCloud, RegistrationCloud] | None,
     pose: RigidTransform,
     information: FloatArray | None,
     ends: tuple[RigidTransform, RigidTransform],
@@ -69,18 +69,19 @@ def examine_hold(
     there are. A pose that the scene holds comes back to a fraction of a millimetre.
 
     Args:
-        thinned: target and source with fewer points.
+        thinned: target and source with fewer points; None where they have few.
         pose: where GICP ended.
         information: as `pose_information`.
         ends: as `pushed_ends` of that pose.
     """
     sigma_m, sigma_rad = weakest_sigmas(information)
+    of_fewer = pose if thinned is None else register(*thinned, pose, fine, threads).T_target_source
     return Hold(
         sigma_m,
         sigma_rad,
         push_m,
         pushed_off_m=max(arc_between_m(pose, end) for end in ends),
-        thinned_off_m=arc_between_m(pose, register(*thinned, pose, fine, threads).T_target_source),
+        thinned_off_m=arc_between_m(pose, of_fewer),
     )
 
 

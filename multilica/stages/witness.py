@@ -18,6 +18,7 @@ from multilica.testimony import LEVER_ARM_M, Testimony
 
 __all__ = ["PlacedWitness", "Trial", "Witness", "judge", "prepare_witness"]
 
+_BAND_RAD = 0.05
 _RETURN_VOXEL_M = 0.1
 _SURFACE_NEIGHBOURS = 40
 _SOLID_FLATNESS = 0.02
@@ -61,7 +62,7 @@ Trial = Callable[[RigidTransform], Testimony]
 def prepare_witness(cloud: PreprocessedCloud, config: VerifyConfig) -> Witness:
     """Everything of one sensor that every hypothesis about it needs."""
     near_m = cloud.points_m[np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m]
-    probes_m = thin(near_m, config.probe_voxel_size_m)
+    probes_m = _along_bands(thin(near_m, config.probe_voxel_size_m))
     image = build_beam_image(cloud.returns_m)
     returns = cKDTree(thin(near_m, _RETURN_VOXEL_M))
     flat, normals = _surfaces(probes_m, returns)
@@ -193,6 +194,14 @@ def _sees_through(beams: Witness, T_beams_other: RigidTransform, tolerance_m: fl
     around_m = place_m + _CARRIED_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
     labels = label_points(beams.image, around_m, tolerance_m, float(np.deg2rad(tolerance_deg)))
     return bool(np.all(labels == BeamLabel.VIOLATE))
+
+
+def _along_bands(points_m: FloatArray) -> FloatArray:
+    """In bands of elevation, back and forth: what lies beside a point in view comes after it, and is found at once."""
+    elevation_rad = np.arctan2(points_m[:, 2], np.linalg.norm(points_m[:, :2], axis=1))
+    azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
+    band = np.floor(elevation_rad / _BAND_RAD)
+    return np.asarray(points_m[np.lexsort((np.where(band % 2 == 0, azimuth_rad, -azimuth_rad), band))])
 
 
 def _opaque(image: BeamImage | None, probes_m: FloatArray, config: VerifyConfig) -> BoolArray:

@@ -15,6 +15,7 @@ from multilica.stages.merge import Group
 
 _ACCEPTED, _REFUSED = Verdict("accept"), Verdict("undecided")
 _HINTED = RigidTransform.from_xyz_rpy("a", "b", (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+_FAR = RigidTransform.from_xyz_rpy("a", "b", (0.0, 36.0, 0.0), (0.0, 0.0, 0.0))
 _CHANCE = RigidTransform.from_xyz_rpy("a", "b", (0.0, 4.0, 0.0), (0.0, 0.0, 0.0))
 
 
@@ -58,8 +59,9 @@ def test_chance_fits_of_the_whole_do_not_outvote_an_accepted_pair(monkeypatch, h
         (_link(_CHANCE, Verdict("reject"), fitness=0.9), _HINTED),
         (_link(_HINTED, _REFUSED, fitness=0.9), _HINTED),
         (_link(_CHANCE, _REFUSED, fitness=0.1), _HINTED),
+        (_link(_FAR, _REFUSED, fitness=0.9), _HINTED),
     ],
-    ids=["outdone", "rejected", "the same pose", "less evidence"],
+    ids=["outdone", "rejected", "the same pose", "less evidence", "on no vehicle"],
 )
 def test_an_accepted_pair_does_not_stand_against_more_evidence_elsewhere(monkeypatch, elsewhere, placed_at):
     links = iter([elsewhere, _link(_HINTED, _ACCEPTED)])
