@@ -9,6 +9,7 @@ from multilica.geometry import RigidTransform
 from multilica.stages import fine
 from multilica.stages.fine import Candidate, hopeful, prepare_side, register_best
 from multilica.stages.gicp import register
+from multilica.stages.plane_fit import PlaneFit
 from multilica.stages.witness import prepare_witness
 from tests.unit.made_rooms import HALL, box, scan
 
@@ -123,6 +124,37 @@ def test_what_holds_a_pose_is_examined_where_it_is_in_doubt(sides):
     best = register_best(*both, candidates, _VERIFY, _FINE, _REFINE, 1).assessments[0]
     assert best.testimony.held_by > _VERIFY.firmly_held_by
     assert best.hold.pushed_off_m < 1e-3
+
+
+def test_where_gicp_ends_is_fitted_to_planes(sides, monkeypatch):
+    elsewhere = _near(_TRUTH, (0.004, 0.0, 0.0), 0.0)
+    information = np.diag([1e8] * 3 + [1e6] * 3)
+    monkeypatch.setattr(fine, "fit_planes", lambda *_: PlaneFit(elsewhere, information))
+    result = register_best(*sides, [Candidate(_near(_TRUTH), 0)], _VERIFY, _FINE, _REFINE, 1)
+    assert result.T_target_source is elsewhere
+    assert result.assessments[0].T_target_source is elsewhere
+    assert result.information is information
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "sigma_deg", "examined"), [(0.009, 0.09, False), (0.011, 0.0, True), (0.0, 0.11, True)]
+)
+def test_what_holds_an_unsure_pose_is_examined(sides, monkeypatch, sigma_m, sigma_deg, examined):
+    monkeypatch.setattr(fine, "weakest_sigmas", lambda _: (sigma_m, np.deg2rad(sigma_deg)))
+    result = register_best(*sides, [Candidate(_near(_TRUTH), 0)], _VERIFY, _FINE, _REFINE, 1)
+    assert (result.assessments[0].hold is not None) is examined
+
+
+def test_fewer_points_are_asked_only_where_there_are_many(sides):
+    examined = _VERIFY.model_copy(update={"firmly_held_by": 1e9})
+    off_m = []
+    for most in (1_000_000, 1500):
+        drafting = _FINE.model_copy(update={"max_points": most})
+        drafted = [replace(side, drafting=drafting) for side in sides]
+        best = register_best(*drafted, [Candidate(_near(_TRUTH), 0)], examined, _FINE, _REFINE, 1).assessments[0]
+        off_m.append(best.hold.thinned_off_m)
+    assert off_m[0] < 1e-9
+    assert 1e-6 < off_m[1] < 0.05
 
 
 def test_a_registration_that_stopped_short_is_taken_to_where_it_is_held(sides, monkeypatch):

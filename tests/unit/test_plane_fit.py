@@ -91,6 +91,19 @@ def test_a_direction_that_only_rough_surfaces_hold_is_known_less_well():
     assert rough[0] > 1.5 * rough[1:].max()
 
 
+def test_residuals_that_err_together_are_believed_less():
+    """The same spread of residuals, by point or by square metre of wall."""
+    alike, together = _room("t", 0, (0.001,) * 3), _room("s", 1, (0.001,) * 3)
+    rng = np.random.default_rng(2)
+    by_point = rng.normal(0.0, 0.01, together.points_m.shape)
+    patches = np.floor(together.points_m).astype(int)
+    by_patch = rng.normal(0.0, 0.01, (8, 8, 8, 3))[tuple(np.clip(patches, -1, 6).T)]
+    scattered, uneven = (
+        _sigma_m(_information(alike, _cloud("s", together.points_m + off))) for off in (by_point, by_patch)
+    )
+    assert np.all(uneven > 1.25 * scattered)
+
+
 @pytest.mark.parametrize("noise_m", [0.0, 1e-6, 1e-3, 3e-3])
 def test_a_direction_that_nothing_holds_has_no_information(noise_m):
     rng = np.random.default_rng(0)
