@@ -103,6 +103,7 @@ def _template() -> Template:
         lstrip_blocks=True,
     )
     own = {name: files(_PACKAGE).joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "rig_view.js")}
+    environment.filters["with_code"] = _with_code
     environment.globals |= {
         "style": Markup(own["page.css"]),  # noqa: S704
         "script": Markup(own["rig_view.js"]),  # noqa: S704
@@ -110,6 +111,13 @@ def _template() -> Template:
         "script_hash": _hash(own["rig_view.js"]),
     }
     return environment.get_template("page.html")
+
+
+def _with_code(text: str) -> Markup:
+    """A sentence in which commands stand between backticks."""
+    parts = text.split("`")
+    code = Markup("<code>{}</code>")
+    return Markup("").join(code.format(part) if index % 2 else part for index, part in enumerate(parts))
 
 
 def _hash(text: str) -> str:

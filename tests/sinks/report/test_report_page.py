@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.resources import files
 from itertools import pairwise
@@ -139,3 +140,10 @@ def test_text_stands_out_from_its_ground(scheme, text, ground):
     named = colours(scheme)
     dim, bright = sorted((luminance(named[text]), luminance(named[ground])))
     assert (bright + 0.05) / (dim + 0.05) >= 4.5
+
+
+def test_commands_in_advice_are_set_as_code_and_nothing_else_is(partial: ReportContents) -> None:
+    refusal = {"code": "unfit_input", "text": "<b>empty</b>.mcap has `nothing`."}
+    text = report_html(replace(partial, document={**partial.document, "refusal": refusal}))
+    assert "see <code>multilica inspect</code></li>" in text
+    assert "&lt;b&gt;empty&lt;/b&gt;.mcap has `nothing`." in text
