@@ -83,7 +83,7 @@ def _rig(target: str, edges: Edges, config: CalibrationConfig) -> RefinedRig:
     told = [(name, edge) for name, own in edges.items() for edge in own if edge.information is not None]
     registrations = [edge for _, edge in told]
     poses = chained(target, registrations)
-    rig = refine(target, poses, registrations, config.refine)
+    rig = refine(target, poses, registrations, config.refine, [name for name, _ in told])
     used = [name for name, edge in told if {edge.target, edge.source} <= set(poses)]
     residuals = tuple(
         replace(residual, snapshot=name) for name, residual in zip(used, rig.refinement.edges, strict=False)

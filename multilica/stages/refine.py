@@ -33,7 +33,11 @@ class RefinedRig:
 
 
 def refine(
-    root: str, poses: Mapping[str, RigidTransform], pairs: Sequence[PairRegistration], config: RefineConfig
+    root: str,
+    poses: Mapping[str, RigidTransform],
+    pairs: Sequence[PairRegistration],
+    config: RefineConfig,
+    snapshots: Sequence[str] = (),
 ) -> RefinedRig:
     """Pose graph over all accepted pairs, loops included (the paper's future work).
 
@@ -44,8 +48,14 @@ def refine(
         root: the LiDAR that stays where it is.
         poses: where to start, ``T_root_lidar`` of every placed LiDAR.
         pairs: registrations with `information`; those of LiDARs that are not placed are left out.
+        snapshots: the one that each pair is from, whose scans have noise of their own; all from one if empty.
     """
-    edges = [pair for pair in pairs if pair.information is not None and {pair.target, pair.source} <= set(poses)]
+    told = [
+        (pair, snapshot)
+        for pair, snapshot in zip(pairs, snapshots or [""] * len(pairs), strict=True)
+        if pair.information is not None and {pair.target, pair.source} <= set(poses)
+    ]
+    edges = [edge for edge, _ in told]
     free = [name for name in sorted(poses) if name != root]
     free = [name for name in free if name in linked(root, edges)]
     current = dict(poses)
@@ -58,7 +68,7 @@ def refine(
         current = _moved(current, free, step)
         if np.abs(step).max() < config.epsilon:
             break
-    normal_matrix, _ = _normal_equations(_as_one_by_source(edges), current, free, config)
+    normal_matrix, _ = _normal_equations(_as_one_by_source(told), current, free, config)
     joint = np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64)
     covariances = {name: joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(free)}
     after = [_disagreement(edge, current) for edge in edges]
@@ -69,10 +79,13 @@ def refine(
     return RefinedRig(current, covariances, Refinement(residuals))
 
 
-def _as_one_by_source(edges: Sequence[PairRegistration]) -> list[PairRegistration]:
-    """With their information shared out: the noise of a source's points is the same in all pairs that it is in."""
-    count = Counter(edge.source for edge in edges)
-    return [replace(edge, information=np.asarray(edge.information) / count[edge.source]) for edge in edges]
+def _as_one_by_source(told: Sequence[tuple[PairRegistration, str]]) -> list[PairRegistration]:
+    """With their information shared out: the noise of a scan's points is the same in all pairs that it is source of."""
+    count = Counter((edge.source, snapshot) for edge, snapshot in told)
+    return [
+        replace(edge, information=np.asarray(edge.information) / count[edge.source, snapshot])
+        for edge, snapshot in told
+    ]
 
 
 def linked(root: str, edges: Sequence[PairRegistration]) -> set[str]:

@@ -90,6 +90,8 @@ def test_pairs_of_the_same_source_make_it_no_surer():
     alone = refine("T", _TRUTH, pairs[:1], RefineConfig()).covariances["C"]
     together = refine("T", _TRUTH, [*pairs, *sure], RefineConfig()).covariances["C"]
     assert np.allclose(np.diag(together)[3:], np.diag(alone)[3:], rtol=0.3)
+    apart = refine("T", _TRUTH, [*pairs, *sure], RefineConfig(), ["one", "two", "three", "one", "one"]).covariances["C"]
+    assert np.allclose(np.diag(apart)[3:], np.diag(alone)[3:] / 3, rtol=0.3)
     others = [_pair("C", name, _TRUTH["C"].inverse() @ _TRUTH[name]) for name in "AB"]
     surer = refine("T", _TRUTH, [*pairs[:1], *others, *sure], RefineConfig()).covariances["C"]
     assert np.all(np.diag(surer)[3:] < 0.6 * np.diag(alone)[3:])
