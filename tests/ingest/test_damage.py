@@ -220,7 +220,10 @@ def test_nothing_to_recover_is_an_error(recording: Path) -> None:
         read_snapshot(recording)
 
 
-def test_a_bag_packed_as_a_whole_and_cut_off(tmp_path: Path) -> None:
+def test_a_bag_packed_as_a_whole_and_cut_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    unpacked = tmp_path / "unpacked"
+    unpacked.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(unpacked))
     write_ros2_bag(make_snapshot(frames=FRAMES), tmp_path / "bag", compression=CompressionMode.FILE)
     (packed,) = (tmp_path / "bag").glob("*.zstd")
     content = packed.read_bytes()
@@ -230,7 +233,7 @@ def test_a_bag_packed_as_a_whole_and_cut_off(tmp_path: Path) -> None:
     packed.write_bytes(b"\x28\xb5\x2f\xfd" + b"\xff" * 50)
     with pytest.raises(UnreadableSourceError, match="compressed data cannot be unpacked"):
         read_snapshot(tmp_path / "bag")
-    assert not list(Path(tempfile.gettempdir()).glob("multilica-*"))
+    assert not list(unpacked.iterdir())
 
 
 def test_memory_is_bounded_whatever_a_header_claims(tmp_path: Path) -> None:
