@@ -25,7 +25,7 @@ _NOISE_M = 0.01
 _MAD_TO_SIGMA = 1.4826
 # Half the weight at about twice the usual residual.
 _OUTLIER_SIGMAS = 3.0
-# Both clouds' normals 20 degrees apart, as at an edge, halve the weight within a quarter.
+# Where both clouds' normals lie 20 degrees apart, a quarter of the weight is lost; at 33 degrees, half.
 _AGREEMENT_POWER = 4
 _FLATNESS_POWER = 2
 
