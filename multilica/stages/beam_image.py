@@ -180,8 +180,9 @@ def _stereographic(directions: FloatArray) -> FloatArray:
 
 
 def _longest_edge_rad(corners: FloatArray) -> FloatArray:
-    chords = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    return np.asarray(2.0 * np.arcsin(np.clip(chords.max(axis=1) / 2.0, 0.0, 1.0)))
+    edges = corners - np.roll(corners, 1, axis=1)
+    longest = np.sqrt(np.einsum("ijk,ijk->ij", edges, edges).max(axis=1))
+    return np.asarray(2.0 * np.arcsin(np.clip(longest / 2.0, 0.0, 1.0)))
 
 
 def _planes(corners_m: FloatArray) -> FloatArray:

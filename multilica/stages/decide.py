@@ -18,6 +18,7 @@ _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
 _STRAY_POINTS = 2
 _ROUGHLY = 0.8
+_WITHOUT_BOUND = 1.0
 
 
 def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
@@ -121,6 +122,7 @@ def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason 
     standing = standing_rivals(finalists, config)
     for rival in rivals:
         limit = config.max_equal if rival in standing else config.max_runner_up
+        limit = _WITHOUT_BOUND if _is_far_fetched(rival, config) else limit
         ratio = max(0.0, rival.evidence / best.evidence)
         if ratio > limit:
             return _undecided(best, rival, ratio, limit)
@@ -149,6 +151,16 @@ def _stands_by_itself(rival: Assessment, best: Assessment, config: VerifyConfig)
         and rival.testimony.held_by >= config.rival_held_by
         and rival.weakest_curvature >= config.min_curvature
     )
+
+
+def _is_far_fetched(rival: Assessment, config: VerifyConfig) -> bool:
+    """Whether the LiDARs would be too far apart, and beams, structure or a flat fit speak against it, too.
+
+    In an open field few things stand, so that agreements by chance are anywhere.
+    """
+    said = rival.testimony
+    contradicted = said.violation_share > max_violation_share(said, config) or _explanation(said, config) is not None
+    return _distance(rival, config) is not None and (contradicted or rival.weakest_curvature < config.min_curvature)
 
 
 def _observability(best: Assessment, config: VerifyConfig) -> Reason | None:

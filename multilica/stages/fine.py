@@ -41,7 +41,7 @@ class Side:
         name: the LiDAR, or the group's root.
         cloud: the points of all members in the frame of that name.
         witnesses: the members with their poses; empty where verification is off.
-        drafting, threads: how `draft` is prepared.
+        drafting, threads: how `draft` is prepared and registered.
     """
 
     name: str
@@ -78,7 +78,9 @@ def prepare_side(
 ) -> Side:
     """Thin the points (N, 3) of a LiDAR or of a group, given in the frame of that name, for GICP."""
     cloud = prepare_registration_cloud(name, points_m, fine, threads)
-    drafting = fine.model_copy(update={"max_points": verify.finalist_points})
+    drafting = fine.model_copy(
+        update={"max_points": verify.finalist_points, "max_iterations": min(verify.max_iterations, fine.max_iterations)}
+    )
     return Side(name, cloud, tuple(witnesses), drafting, threads)
 
 
@@ -121,12 +123,12 @@ def register_best(
     final = _Final(target, source, verify, fine, refine, threads)
     finalists = _finalists(target, source, candidates, verify)
     drafted = len(finalists) > 1
-    tried = final.drafted(finalists) if drafted else [final.registered(finalists[0])]
+    tried = final.drafted(finalists, target.drafting) if drafted else [final.registered(finalists[0])]
     best = final.examined(tried, drafted=drafted)
     if _slides(best.assessments[0], verify):
         hypothesis, origin = best.hypothesis, best.assessments[0].origin
         starts = [Candidate(pose, hypothesis, origin) for pose in slid(best.assessments[0], verify)]
-        beside = final.drafted(starts, beside=[*tried, best])
+        beside = final.drafted(starts, fine, beside=[*tried, best])
         if any(each.evidence > best.evidence for each in beside):
             return max(best, final.examined([*tried, *beside], drafted=True), key=lambda each: each.evidence)
     return best
@@ -153,19 +155,22 @@ class _Final:
     threads: int
 
     def drafted(
-        self, candidates: Sequence[Candidate], beside: Sequence[PairRegistration] = ()
+        self, candidates: Sequence[Candidate], gicp: FineConfig, beside: Sequence[PairRegistration] = ()
     ) -> list[PairRegistration]:
-        """Where GICP of fewer points takes the candidates: what is distinct from each other, and from others beside."""
+        """Where GICP of fewer points takes the candidates: what is distinct from each other, and from others beside.
+
+        What comes from a short GICP needs few iterations: where GICP creeps on and on, the scene does not fit.
+        """
         drafts: list[PairRegistration] = []
         for candidate in candidates:
-            drafted = self._judged(self.target.draft, self.source.draft, candidate)
+            drafted = self._judged(self.target.draft, self.source.draft, candidate, gicp)
             if is_distinct(drafted.T_target_source, [other.T_target_source for other in (*beside, *drafts)]):
                 drafts.append(drafted)
         return drafts
 
     def registered(self, candidate: Candidate) -> PairRegistration:
         """Where GICP of all points takes it."""
-        return self._judged(self.target.cloud, self.source.cloud, candidate)
+        return self._judged(self.target.cloud, self.source.cloud, candidate, self.fine)
 
     def examined(self, tried: Sequence[PairRegistration], *, drafted: bool) -> PairRegistration:
         """The one with the most evidence, registered on all points, with what holds it; the others behind it.
@@ -200,8 +205,10 @@ class _Final:
         assessment = _assess(self.target, self.source, moved, before.hypothesis, before.origin, self.verify)
         return replace(moved, information=fit.information, assessments=(assessment,))
 
-    def _judged(self, target: RegistrationCloud, source: RegistrationCloud, candidate: Candidate) -> PairRegistration:
-        registered = register(target, source, candidate.T_target_source, self.fine, self.threads)
+    def _judged(
+        self, target: RegistrationCloud, source: RegistrationCloud, candidate: Candidate, gicp: FineConfig
+    ) -> PairRegistration:
+        registered = register(target, source, candidate.T_target_source, gicp, self.threads)
         assessment = _assess(self.target, self.source, registered, candidate.hypothesis, candidate.origin, self.verify)
         return replace(registered, hypothesis=candidate.hypothesis, assessments=(assessment,))
 

@@ -94,7 +94,7 @@ def fitness_and_rmse(
     inliers the RMSE is infinite.
     """
     moved = T_target_source.apply(source.points_m)
-    distances, _ = target.tree.query(moved, distance_upper_bound=distance_m, workers=threads)
+    distances, _ = target.near_tree.query(moved, distance_upper_bound=distance_m, workers=threads)
     inlier_distances = distances[np.isfinite(distances)]
     if len(inlier_distances) == 0:
         return 0.0, float("inf"), 0
@@ -133,8 +133,8 @@ def _within_reach(
 ) -> RegistrationCloud:
     reach_m = _REACH * max(config.max_correspondence_distances_m)
     moved = T_target_source.apply(source.points_m)
-    distances, _ = target.tree.query(moved, distance_upper_bound=reach_m, workers=threads)
-    near = np.isfinite(distances)
+    distances_m, _ = target.tree.nearest(moved, threads)
+    near = distances_m <= reach_m
     if not _MIN_POINTS <= np.count_nonzero(near) <= _WORTH_CROPPING * len(near):
         return source
     return prepare_registration_cloud(source.name, source.points_m[near], config, threads)
@@ -153,7 +153,7 @@ def _run_small_gicp(
         result = small_gicp.align(
             target.engine_cloud,
             source.engine_cloud,
-            target.engine_tree,
+            target.tree.engine,
             init_T_target_source=state.pose.matrix,
             registration_type="GICP",
             max_correspondence_distance=distance_m,

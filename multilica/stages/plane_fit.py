@@ -157,8 +157,8 @@ def _overlap(
 ) -> _Overlap:
     """Points that may come within reach, evenly thinned to as many as are wanted."""
     reach_m = 1.5 * config.distance_m
-    distance_m, _ = target.tree.query(pose.apply(source.points_m), distance_upper_bound=reach_m, workers=threads)
-    near = np.flatnonzero(np.isfinite(distance_m))
+    distance_m, _ = target.tree.nearest(pose.apply(source.points_m), threads)
+    near = np.flatnonzero(distance_m <= reach_m)
     if len(near) > config.max_points:
         near = near[np.linspace(0, len(near) - 1, config.max_points).astype(np.intp)]
     normals, _ = source.surface.at(near)
@@ -168,10 +168,8 @@ def _overlap(
 def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = None) -> _Residuals | None:
     arms = pose.rotate(overlap.points_m)
     moved = arms + pose.xyz_m
-    distance_m, index = overlap.target.tree.query(
-        moved, distance_upper_bound=overlap.distance_m, workers=overlap.threads
-    )
-    matched = np.isfinite(distance_m)
+    distance_m, index = overlap.target.tree.nearest(moved, overlap.threads)
+    matched = distance_m <= overlap.distance_m
     if np.count_nonzero(matched) < _MIN_MATCHES:
         return None
     arms, moved, index = arms[matched], moved[matched], index[matched]

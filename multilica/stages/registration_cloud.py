@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import numpy as np
 import open3d as o3d
 import small_gicp
 from scipy.spatial import cKDTree
 
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray
+from multilica.stages.point_tree import PointTree
 from multilica.stages.surface import Surface
 from multilica.stages.voxel_grid import thin
 
@@ -29,16 +29,17 @@ class RegistrationCloud:
     Args:
         name: the LiDAR, or the root of a group.
         points_m: (N, 3) in the frame of that name.
-        tree: nearest neighbours among `points_m`, for fitness and RMSE.
-        engine_cloud, engine_tree: the engine's own types, with covariances.
+        tree: nearest neighbours among `points_m`.
+        near_tree: the same, for searches where most points may have none nearby.
+        engine_cloud: the engine's own type, with covariances.
         neighbours: points from which a covariance is estimated.
     """
 
     name: str
     points_m: FloatArray
-    tree: cKDTree
+    tree: PointTree
+    near_tree: cKDTree
     engine_cloud: Any
-    engine_tree: Any
     neighbours: int
 
     @cached_property
@@ -53,20 +54,21 @@ def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConf
     while len(thinned) > config.max_points:
         voxel_size_m *= _COARSER
         thinned = thin(thinned, voxel_size_m)
-    prepare = _prepare_small_gicp if config.engine == "small_gicp" else _prepare_open3d
-    engine_cloud, engine_tree = prepare(thinned, config, threads)
-    return RegistrationCloud(name, thinned, cKDTree(thinned), engine_cloud, engine_tree, config.neighbours)
+    tree = PointTree(thinned, threads)
+    near_tree = cKDTree(thinned, balanced_tree=False, compact_nodes=False)
+    estimated = _with_covariances if config.engine == "small_gicp" else _in_open3d
+    return RegistrationCloud(name, thinned, tree, near_tree, estimated(tree, config, threads), config.neighbours)
 
 
-def _prepare_small_gicp(points_m: FloatArray, config: FineConfig, threads: int) -> tuple[Any, Any]:
-    cloud = small_gicp.PointCloud(np.ascontiguousarray(points_m))
-    tree = small_gicp.KdTree(cloud, num_threads=threads)
-    small_gicp.estimate_normals_covariances(cloud, tree, num_neighbors=config.neighbours, num_threads=threads)
-    return cloud, tree
+def _with_covariances(tree: PointTree, config: FineConfig, threads: int) -> small_gicp.PointCloud:
+    small_gicp.estimate_normals_covariances(
+        tree.cloud, tree.engine, num_neighbors=config.neighbours, num_threads=threads
+    )
+    return tree.cloud
 
 
-def _prepare_open3d(points_m: FloatArray, config: FineConfig, threads: int) -> tuple[Any, Any]:
+def _in_open3d(tree: PointTree, config: FineConfig, threads: int) -> o3d.geometry.PointCloud:
     del threads
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
     cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(config.neighbours))
-    return cloud, None
+    return cloud

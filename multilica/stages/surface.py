@@ -3,13 +3,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from multilica.geometry import FloatArray
+from multilica.results import IndexArray
+from multilica.stages.point_tree import PointTree, principal_directions
 
 __all__ = ["Surface"]
 
@@ -20,18 +18,19 @@ class Surface:
     """Planes through the points of a cloud, each found when it is first asked for.
 
     Args:
-        tree: of the cloud's points, in metres.
+        tree: of the cloud's points.
         neighbours: how many points, itself included, tell the plane of each.
     """
 
-    def __init__(self, tree: cKDTree, neighbours: int) -> None:
-        self._tree = tree
-        self._neighbours = min(neighbours, tree.n)
-        self._known = np.zeros(tree.n, dtype=bool)
-        self._normals = np.empty((tree.n, 3))
-        self._flatness = np.empty(tree.n)
+    def __init__(self, tree: PointTree, neighbours: int) -> None:
+        count = len(tree.points_m)
+        self.tree = tree
+        self._neighbours = neighbours
+        self._known = np.zeros(count, dtype=bool)
+        self._normals = np.empty((count, 3))
+        self._flatness = np.empty(count)
 
-    def at(self, index: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    def at(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Of the points at these (M,) indices: (M, 3) unit normals of either sign, and (M,) flatness.
 
         Flatness goes from 0, where the neighbours have no plane (a twig, a single scan line, a bush), to 1. It is
@@ -45,12 +44,10 @@ class Surface:
             self._known[unknown] = True
         return self._normals[index], self._flatness[index]
 
-    def _estimated(self, index: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        points_m: NDArray[Any] = np.asarray(self._tree.data)
-        _, neighbours = self._tree.query(points_m[index], k=range(1, self._neighbours + 1))
-        around = points_m[neighbours]
-        around = around - around.mean(axis=1, keepdims=True)
-        variances, directions = np.linalg.eigh(np.matmul(around.transpose(0, 2, 1), around))
+    def _estimated(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:
+        points_m = self.tree.points_m
+        neighbours = self.tree.neighbours(points_m[index], self._neighbours)
+        variances, directions = principal_directions(points_m, neighbours)
         deviations = np.sqrt(np.maximum(variances, 0.0))
         flatness = 1.0 - deviations[:, 0] / np.maximum(deviations[:, 1], _TINY)
         return directions[:, :, 0], np.maximum(flatness, 0.0)

@@ -21,7 +21,8 @@ from multilica.testimony import Testimony
 
 __all__ = ["assess_hypotheses", "short_gicp"]
 
-# Rivals come from plans with cells of half a metre, or are steps of one metre apart.
+# Rivals come from plans with cells of half a metre, or are steps of one metre apart: so near, GICP takes them by its
+# shorter distances.
 _RIVAL_TOLERANCE_M = 0.6
 
 
@@ -79,12 +80,13 @@ def assess_hypotheses(
                 tried.append(assessment)
     for assessment in claimed:
         found = _joined(found, assessment)
+    near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
     for index, hypothesis in _rivals(target[0], source[0], found, config):
         pose = hypothesis.T_target_source
         if is_distinct(pose, (other.T_target_source for other in found)) and _may_win(
             _testimony(target[0], source[0], pose, _RIVAL_TOLERANCE_M, config.tolerance_deg), found, config
         ):
-            found = _joined(found, _assess(target, source, index, hypothesis, config, gicp, threads))
+            found = _joined(found, _assess(target, source, index, hypothesis, config, near, threads))
     return tuple(sorted(within_reach(found, config.rival_reach_m), key=lambda assessment: -assessment.evidence))
 
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from multilica.config import VerifyConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import BoolArray, PreprocessedCloud
 from multilica.stages.beam_image import BeamImage, BeamLabel, LabelArray, build_beam_image, label_points
+from multilica.stages.point_tree import PointTree, principal_directions
 from multilica.stages.voxel_grid import thin
 from multilica.testimony import LEVER_ARM_M, Testimony
 
@@ -41,7 +41,8 @@ class Witness:
         probes_m: (N, 3) points in its own frame that other sensors are to judge.
         solid: (N,) which of them lie on a closed surface, not in foliage, on a fence or on something thin.
         normals: (N, 3) unit normals of the surface; zero where the neighbours do not span one.
-        returns: its points, thinned: thin things that fall between the beams of the image are among them.
+        returns: its points, thinned: thin things that fall between the beams of the image are among them; None if
+            there are none in range.
     """
 
     lidar: str
@@ -49,7 +50,7 @@ class Witness:
     probes_m: FloatArray
     solid: BoolArray
     normals: FloatArray
-    returns: cKDTree
+    returns: PointTree | None
 
 
 PlacedWitness = tuple[RigidTransform, Witness]
@@ -64,7 +65,7 @@ def prepare_witness(cloud: PreprocessedCloud, config: VerifyConfig) -> Witness:
     near_m = cloud.points_m[np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m]
     probes_m = _along_bands(thin(near_m, config.probe_voxel_size_m))
     image = build_beam_image(cloud.returns_m)
-    returns = cKDTree(thin(near_m, _RETURN_VOXEL_M))
+    returns = PointTree(thin(near_m, _RETURN_VOXEL_M)) if len(near_m) else None
     flat, normals = _surfaces(probes_m, returns)
     return Witness(cloud.lidar, image, probes_m, flat & _opaque(image, probes_m, config), normals, returns)
 
@@ -177,8 +178,10 @@ def _labels(
     grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & spanned
     labels[(labels == BeamLabel.VIOLATE) & (grazing | ~other.solid)] = BeamLabel.OCCLUDED
     empty = np.flatnonzero(labels == BeamLabel.VIOLATE)
+    if beams.returns is None or len(empty) == 0:
+        return labels
     reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * np.linalg.norm(points_m[empty], axis=1))
-    nearest_m, _ = beams.returns.query(points_m[empty], distance_upper_bound=reach_m.max(initial=0.0) + 1e-9)
+    nearest_m, _ = beams.returns.nearest(points_m[empty])
     labels[empty[nearest_m <= reach_m]] = BeamLabel.AGREE
     return labels
 
@@ -212,18 +215,16 @@ def _opaque(image: BeamImage | None, probes_m: FloatArray, config: VerifyConfig)
     return np.asarray(own == BeamLabel.AGREE)
 
 
-def _surfaces(probes_m: FloatArray, returns: cKDTree) -> tuple[BoolArray, FloatArray]:
+def _surfaces(probes_m: FloatArray, returns: PointTree | None) -> tuple[BoolArray, FloatArray]:
     """Which probes have flat surroundings, as surfaces have and foliage has not, with their normals.
 
     The surroundings are thinned: in a dense cloud the nearest points lie within the range noise of each other.
     Neighbours on one line, a single ring of a sparse sensor, are flat yet have no normal.
     """
-    if len(probes_m) == 0:
+    if returns is None:
         return np.zeros(0, dtype=bool), np.zeros((0, 3))
-    _, index = returns.query(probes_m, k=min(_SURFACE_NEIGHBOURS, returns.n))
-    around = returns.data[index.reshape(len(probes_m), -1)]
-    centred = around - around.mean(axis=1, keepdims=True)
-    variances, axes = np.linalg.eigh(np.matmul(centred.transpose(0, 2, 1), centred))
+    neighbours = returns.neighbours(probes_m, _SURFACE_NEIGHBOURS)
+    variances, axes = principal_directions(returns.points_m, neighbours)
     solid = np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))
     wide = variances[:, 1] >= np.maximum(_PLANE_WIDTH * variances[:, 2], _WIDER_THAN_THICK * variances[:, 0])
     spanned = solid & wide

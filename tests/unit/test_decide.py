@@ -111,6 +111,18 @@ def test_a_pose_that_would_be_accepted_by_itself_is_a_rival_however_little_it_ha
         assert decide([best, _answer(_ELSEWHERE, **{**rival, **weakness})], _CONFIG).accepted
 
 
+@pytest.mark.parametrize("flaw", [{"curvature": 0.1}, {"violate": 6}, {"structure": (10, 5, 0)}])
+def test_chance_agreement_farther_off_than_a_car_is_long_is_no_rival(flaw):
+    def far(distance_m, **said):
+        pose = RigidTransform.from_xyz_rpy("t", "s", (distance_m, 0.0, 0.0), (0, 0, 1.0))
+        return _answer(pose, **{"agree": 1100, "held_by": 5.0, **said})
+
+    best = _answer(agree=1100)
+    assert decide([best, far(6.0, **flaw)], _CONFIG).accepted
+    for rival in (far(6.0), far(4.0, **flaw), far(6.0, **{**flaw, "held_by": 50.0})):
+        assert _codes(decide([best, rival], _CONFIG)) == ["ambiguous"]
+
+
 def test_a_rival_along_the_weakest_direction_is_told_as_sliding():
     weakest_x = np.diag([300.0, 300.0, 300.0, 50.0, 300.0, 400.0])
     best = _answer()

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
-from scipy.spatial import cKDTree
 
+from multilica.stages.point_tree import PointTree
 from multilica.stages.surface import Surface
 
 _RNG = np.random.default_rng(0)
 
 
 def _made(points_m, neighbours=20):
-    surface = Surface(cKDTree(points_m), neighbours)
+    surface = Surface(PointTree(points_m), neighbours)
     return surface.at(np.arange(len(points_m)))
 
 
@@ -30,7 +30,7 @@ def test_a_line_and_a_bush_are_not_flat():
 
 def test_what_is_asked_for_twice_or_in_another_order_is_the_same():
     points_m = _RNG.uniform(0.0, 1.0, (300, 3))
-    surface = Surface(cKDTree(points_m), 12)
+    surface = Surface(PointTree(points_m), 12)
     some = np.array([5, 250, 5, 17])
     first = surface.at(some)
     everything = surface.at(np.arange(300))

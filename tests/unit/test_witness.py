@@ -3,12 +3,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from multilica.config import VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.results import PreprocessedCloud
 from multilica.stages.beam_image import BeamLabel
+from multilica.stages.point_tree import PointTree
 from multilica.stages.witness import judge, prepare_witness
 from multilica.testimony import LEVER_ARM_M
 from tests.unit.made_rooms import HALL, Face, Foliage, box, scan
@@ -115,7 +115,7 @@ def test_a_post_between_the_beams_of_the_image_cannot_violate_where_the_sensor_h
         posts += box((x_m, -4.2, 0.0), (x_m + 0.1, -4.1, 4.0)) + box((x_m, 5.2, 0.0), (x_m + 0.1, 5.3, 4.0))
     target, source = _witness(_TARGET, posts), _witness(_SOURCE, posts, seed=1)
     assert _judge(target, source).violate == 0
-    nowhere = cKDTree(np.full((1, 3), 1e3))
+    nowhere = PointTree(np.full((1, 3), 1e3))
     assert _judge(replace(target, returns=nowhere), replace(source, returns=nowhere)).violate > 3
 
 
