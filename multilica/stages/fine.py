@@ -123,12 +123,12 @@ def register_best(
     final = _Final(target, source, verify, fine, refine, threads)
     finalists = _finalists(target, source, candidates, verify)
     drafted = len(finalists) > 1
-    tried = final.drafted(finalists, target.drafting) if drafted else [final.registered(finalists[0])]
+    tried = final.drafted(finalists) if drafted else [final.registered(finalists[0])]
     best = final.examined(tried, drafted=drafted)
     if _slides(best.assessments[0], verify):
         hypothesis, origin = best.hypothesis, best.assessments[0].origin
         starts = [Candidate(pose, hypothesis, origin) for pose in slid(best.assessments[0], verify)]
-        beside = final.drafted(starts, fine, beside=[*tried, best])
+        beside = final.drafted(starts, beside=[*tried, best])
         if any(each.evidence > best.evidence for each in beside):
             return max(best, final.examined([*tried, *beside], drafted=True), key=lambda each: each.evidence)
     return best
@@ -155,18 +155,25 @@ class _Final:
     threads: int
 
     def drafted(
-        self, candidates: Sequence[Candidate], gicp: FineConfig, beside: Sequence[PairRegistration] = ()
+        self, candidates: Sequence[Candidate], beside: Sequence[PairRegistration] = ()
     ) -> list[PairRegistration]:
         """Where GICP of fewer points takes the candidates: what is distinct from each other, and from others beside.
 
-        What comes from a short GICP needs few iterations: where GICP creeps on and on, the scene does not fit.
+        The right ones come from a short GICP, and need few iterations. What creeps on is left unless it may win.
         """
+        begun = [self._drafted(candidate, self.target.drafting) for candidate in candidates]
+        needed = hopeless_below(max(each.evidence for each in (*begun, *beside)), self.verify)
         drafts: list[PairRegistration] = []
-        for candidate in candidates:
-            drafted = self._judged(self.target.draft, self.source.draft, candidate, gicp)
-            if is_distinct(drafted.T_target_source, [other.T_target_source for other in (*beside, *drafts)]):
-                drafts.append(drafted)
+        for candidate, start in zip(candidates, begun, strict=True):
+            draft = start
+            if not start.converged and start.evidence > needed:
+                draft = self._drafted(replace(candidate, T_target_source=start.T_target_source), self.fine)
+            if is_distinct(draft.T_target_source, [other.T_target_source for other in (*beside, *drafts)]):
+                drafts.append(draft)
         return drafts
+
+    def _drafted(self, candidate: Candidate, gicp: FineConfig) -> PairRegistration:
+        return self._judged(self.target.draft, self.source.draft, candidate, gicp)
 
     def registered(self, candidate: Candidate) -> PairRegistration:
         """Where GICP of all points takes it."""
