@@ -324,14 +324,19 @@ class _Run:
         points_m = self._merged_points(group)
         return prepare_side(group.root, points_m, witnesses, self.config.verify, self.config.fine, self._threads)
 
-    def _register(self, target: Side, source: Side, candidates: Sequence[Candidate]) -> PairRegistration:
-        registration = self._registered(target, source, candidates)
+    def _register(
+        self, target: Side, source: Side, candidates: Sequence[Candidate], *, fit: bool = True
+    ) -> PairRegistration:
+        registration = self._registered(target, source, candidates, fit=fit)
         self.observe(events.PairRegistered(registration))
         return registration
 
-    def _registered(self, target: Side, source: Side, candidates: Sequence[Candidate]) -> PairRegistration:
+    def _registered(
+        self, target: Side, source: Side, candidates: Sequence[Candidate], *, fit: bool = True
+    ) -> PairRegistration:
+        limits = self.config
         registration = register_best(
-            target, source, candidates, self.config.verify, self.config.fine, self.config.refine, self._threads
+            target, source, candidates, limits.verify, limits.fine, limits.refine, self._threads, fit=fit
         )
         if registration.assessments:
             verdict = decide(registration.assessments, self.config.verify)
@@ -375,7 +380,7 @@ class _Run:
 
         Two wholes have more poses that fit by chance than two LiDARs. Those that no pair was accepted for need not
         stand against one that was, unless one of them has more evidence and is not rejected. What other pairs
-        contradict is not tried again.
+        contradict is not tried again. What an accepted pair joins takes its information from that pair.
         """
         contradicted = {pair for pair, registration in self.registrations.items() if is_contradicted(registration)}
         known = [hint.T_target_source for hint in hints if not is_contradicted(hint)]
@@ -385,11 +390,11 @@ class _Run:
             if len({*pair} & {*group.poses}) == 1 and len({*pair} & {*other.poses}) == 1 and pair not in contradicted
             for assessment in self._hopeful(assessments)
         ]
-        link = self._register_groups(group, other, known)
+        accepted = [hint.T_target_source for hint in hints if hint.verdict.accepted]
+        link = self._register_groups(group, other, known, fit=not accepted)
         if link is None or link.verdict.accepted:
             return link
-        accepted = [hint.T_target_source for hint in hints if hint.verdict.accepted]
-        again = self._register_groups(group, other, accepted) if self.config.verify.enabled else None
+        again = self._register_groups(group, other, accepted, fit=not accepted) if self.config.verify.enabled else None
         if again is None or _outdoes(link, again, self.config.verify.rival_reach_m):
             return link
         if not again.verdict.accepted:
@@ -408,10 +413,12 @@ class _Run:
         self.observe(events.PairRegistered(upheld))
         return upheld
 
-    def _register_groups(self, group: Group, other: Group, known: Sequence[RigidTransform]) -> PairRegistration | None:
+    def _register_groups(
+        self, group: Group, other: Group, known: Sequence[RigidTransform], *, fit: bool
+    ) -> PairRegistration | None:
         candidates = [Candidate(pose_between(group, other, pose), -1) for pose in known]
         near = [each for each in candidates if self._is_near(each.T_target_source)]
-        return self._register(self._side(group), self._side(other), near) if near else None
+        return self._register(self._side(group), self._side(other), near, fit=fit) if near else None
 
     def _hopeful(self, assessments: Sequence[Assessment]) -> list[Assessment]:
         return [assessments[index] for index in hopeful([each.evidence for each in assessments], self.config.verify)]

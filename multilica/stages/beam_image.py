@@ -143,19 +143,26 @@ def _triangles(image: BeamImage, points_m: FloatArray, range_m: FloatArray) -> n
 
 
 def _one_per_cell(returns_m: FloatArray) -> tuple[FloatArray, float]:
-    """The return of median range in each cell of directions; cells grow until there are few enough. And their size."""
+    """The return of median range in each cell of directions; cells grow until there are few enough. And their size.
+
+    Their number falls no faster than with the square of their size, often slower: a ring has one row of them.
+    """
     range_m = np.linalg.norm(returns_m, axis=1)
     returns_m, range_m = returns_m[range_m > 0.0], range_m[range_m > 0.0]
     if len(returns_m) == 0:
         return returns_m, _FINEST_CELL_RAD
     directions = returns_m / range_m[:, None]
     cell_rad = _FINEST_CELL_RAD
-    while len(np.unique(_cells(directions, cell_rad))) > _MAX_BEAMS:
-        cell_rad *= _CELL_GROWTH
     cells = _cells(directions, cell_rad)
+    while (count := len(np.unique(cells))) > _MAX_BEAMS:
+        steps = np.log(count / _MAX_BEAMS) / (2.0 * np.log(_CELL_GROWTH))
+        cell_rad *= _CELL_GROWTH ** max(1.0, float(np.floor(steps)))
+        cells = _cells(directions, cell_rad)
     order = np.lexsort((range_m, cells))
-    _, start, count = np.unique(cells[order], return_index=True, return_counts=True)
-    return np.asarray(returns_m[order[start + count // 2]]), cell_rad
+    cells = cells[order]
+    ends = np.flatnonzero(np.append(cells[1:] != cells[:-1], True)) + 1
+    starts = np.append(0, ends[:-1])
+    return np.asarray(returns_m[order[starts + (ends - starts) // 2]]), cell_rad
 
 
 def _cells(directions: FloatArray, cell_rad: float) -> npt.NDArray[np.int64]:

@@ -92,6 +92,8 @@ def register_best(
     fine: FineConfig,
     refine: RefineConfig,
     threads: int,
+    *,
+    fit: bool = True,
 ) -> PairRegistration:
     """GICP on the finalists among the candidates; the one with the most evidence is registered on all points.
 
@@ -102,6 +104,7 @@ def register_best(
 
     Args:
         candidates: at least one, the most believable first.
+        fit: off: without the fit to planes, and so without information.
 
     Returns:
         The narrower side is the source. `assessments` holds the distinct finalists, the best first; what holds the best
@@ -120,7 +123,7 @@ def register_best(
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
         candidates = [replace(each, T_target_source=each.T_target_source.inverse()) for each in candidates]
-    final = _Final(target, source, verify, fine, refine, threads)
+    final = _Final(target, source, verify, fine, refine, threads, fit)
     finalists = _finalists(target, source, candidates, verify)
     drafted = len(finalists) > 1
     tried = final.drafted(finalists) if drafted else [final.registered(finalists[0])]
@@ -153,6 +156,7 @@ class _Final:
     fine: FineConfig
     refine: RefineConfig
     threads: int
+    fit: bool
 
     def drafted(
         self, candidates: Sequence[Candidate], beside: Sequence[PairRegistration] = ()
@@ -194,7 +198,7 @@ class _Final:
             best = registered.assessments[0]
         if best.evidence >= self.verify.min_evidence:
             held = registered
-            registered = self._fitted(held)
+            registered = self._fitted(held) if self.fit else held
             best = registered.assessments[0]
             if self._is_in_doubt(registered, best, others):
                 registered = self._examined(held, registered)
@@ -249,7 +253,7 @@ class _Final:
             further = self.registered(Candidate(ends[0], best.hypothesis, best.origin))
             if further.evidence < best.evidence:
                 break
-            registered, fitted = further, self._fitted(further)
+            registered, fitted = further, self._fitted(further) if self.fit else further
         return replace(fitted, assessments=(replace(fitted.assessments[0], hold=hold),))
 
 
