@@ -136,6 +136,33 @@ def test_where_gicp_ends_is_fitted_to_planes(sides, monkeypatch):
     assert result.information is information
 
 
+def test_without_the_fit_the_pose_is_gicps_and_has_no_information(sides, monkeypatch):
+    monkeypatch.setattr(fine, "fit_planes", pytest.fail)
+    result = register_best(*sides, [Candidate(_near(_TRUTH), 0)], _VERIFY, _FINE, _REFINE, 1, fit=False)
+    _assert_true(result.T_target_source)
+    assert result.information is None
+    assert result.evidence > _VERIFY.min_evidence
+
+
+def test_of_answers_that_creep_on_only_those_that_may_win_go_on(sides, monkeypatch):
+    drafting = [replace(side, drafting=_FINE.model_copy(update={"max_iterations": 1})) for side in sides]
+    went_on = []
+
+    def watched(target, source, pose, gicp, threads):
+        if gicp.max_iterations == _FINE.max_iterations:
+            went_on.append(pose.distance_to(_TRUTH)[1] < 0.1)
+        return register(target, source, pose, gicp, threads)
+
+    monkeypatch.setattr(fine, "register", watched)
+    candidates = [
+        Candidate(_near(pose, yaw_rad=0.05), index, "", 1.0) for index, pose in enumerate((_HALF_TURN, _TRUTH))
+    ]
+    result = register_best(*drafting, candidates, _VERIFY, _FINE, _REFINE, 1)
+    _assert_true(result.T_target_source)
+    assert len(went_on) >= 2
+    assert all(went_on)
+
+
 @pytest.mark.parametrize(
     ("sigma_m", "sigma_deg", "examined"), [(0.009, 0.09, False), (0.011, 0.0, True), (0.0, 0.11, True)]
 )
