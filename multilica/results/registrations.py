@@ -110,6 +110,7 @@ class PairRegistration:
         target, source: LiDARs, or during merging the LiDAR and the group it was registered against.
         fitness: source points within `fine.fitness_distance_m` of the target cloud, as a share of all source points.
         rmse_m: root mean square distance of those points to their nearest target point.
+        converged: whether GICP did with each of its correspondence distances.
         hessian: (6, 6) of the objective, order rotation xyz, translation xyz about the source frame; None where the
             engine does not tell.
         information: (6, 6) inverse covariance of the pose, order rotation (rad), translation (m) along the target's

@@ -46,8 +46,10 @@ def register(
     run = _run_small_gicp if small else _run_open3d
     state = _Gicp(T_target_source)
     within_reach = _within_reach(target, source, T_target_source, config, threads) if small else source
+    converged = True
     for distance_m in config.max_correspondence_distances_m:
         state = run(state, target, within_reach, distance_m, config, threads)
+        converged &= state.converged
     fitness, rmse_m, inliers = fitness_and_rmse(target, source, state.pose, config.fitness_distance_m, threads)
     return PairRegistration(
         target=target.name,
@@ -56,7 +58,7 @@ def register(
         fitness=fitness,
         rmse_m=rmse_m,
         inliers=inliers,
-        converged=state.converged,
+        converged=converged,
         iterations=state.iterations,
         engine=config.engine,
         hessian=state.hessian,

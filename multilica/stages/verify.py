@@ -21,8 +21,7 @@ from multilica.testimony import Testimony
 
 __all__ = ["assess_hypotheses", "short_gicp"]
 
-# Rivals come from plans with cells of half a metre, or are steps of one metre apart: so near, GICP takes them by its
-# shorter distances.
+# Rivals come from plans with cells of half a metre, or are steps of one metre apart.
 _RIVAL_TOLERANCE_M = 0.6
 
 
@@ -80,13 +79,12 @@ def assess_hypotheses(
                 tried.append(assessment)
     for assessment in claimed:
         found = _joined(found, assessment)
-    near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
-    for index, hypothesis in _rivals(target[0], source[0], found, config):
+    for index, hypothesis, settings in _rivals(target[0], source[0], found, config, gicp):
         pose = hypothesis.T_target_source
         if is_distinct(pose, (other.T_target_source for other in found)) and _may_win(
             _testimony(target[0], source[0], pose, _RIVAL_TOLERANCE_M, config.tolerance_deg), found, config
         ):
-            found = _joined(found, _assess(target, source, index, hypothesis, config, near, threads))
+            found = _joined(found, _assess(target, source, index, hypothesis, config, settings, threads))
     return tuple(sorted(within_reach(found, config.rival_reach_m), key=lambda assessment: -assessment.evidence))
 
 
@@ -99,18 +97,25 @@ def _joined(found: Sequence[Assessment], further: Assessment) -> list[Assessment
 
 
 def _rivals(
-    target: Witness, source: Witness, found: Sequence[Assessment], config: VerifyConfig
-) -> list[tuple[int, Hypothesis]]:
-    """Poses that may look as good as the best one: turned in a scene of right angles, or slid along if held loosely."""
+    target: Witness, source: Witness, found: Sequence[Assessment], config: VerifyConfig, gicp: FineConfig
+) -> list[tuple[int, Hypothesis, FineConfig]]:
+    """Poses that may look as good as the best one: turned in a scene of right angles, or slid along if held loosely.
+
+    With the settings of their GICP: a turned pose is off by less than a cell, one that slides finds back from afar.
+    """
     best = max(within_reach(found, config.rival_reach_m), key=lambda assessment: assessment.evidence, default=None)
     if best is None or best.testimony.agree < config.min_agree:
         return []
     up = best.testimony.commonest_normal
-    poses = turned_rivals(target, source, best.T_target_source, up, config.rival_reach_m, config.rivals)
-    if best.testimony.held_by < config.firmly_held_by:
-        poses += slid(best, config)
+    near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
+    turned = turned_rivals(target, source, best.T_target_source, up, config.rival_reach_m, config.rivals)
+    along = slid(best, config) if best.testimony.held_by < config.firmly_held_by else []
     nothing = np.zeros(0, dtype=bool)
-    return [(best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin)) for pose in poses]
+    return [
+        (best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin), settings)
+        for poses, settings in ((turned, near), (along, gicp))
+        for pose in poses
+    ]
 
 
 def _tried(
