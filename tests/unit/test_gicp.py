@@ -38,6 +38,14 @@ def test_finds_the_truth(config):
     assert result.steps
 
 
+def test_it_converged_only_if_it_did_with_each_distance():
+    start = RigidTransform.identity("t", "s")
+    many = FineConfig(max_correspondence_distances_m=(0.5,) + (0.25,) * 20, max_iterations=2)
+    result = register(*_clouds(many), start, many, 1)
+    assert result.steps[-1].iteration - result.steps[-2].iteration < 2
+    assert not result.converged
+
+
 def test_fitness_and_rmse_are_those_of_open3d():
     target, source = _clouds(FineConfig())
     start = RigidTransform.from_xyz_rpy("t", "s", [0.3, 0.0, 0.0], [0.0, 0.0, 0.02])
