@@ -84,7 +84,7 @@ def test_what_harder_scenes_let_expect():
     sliding = next(each for each in harder.EXPECTED if each.scene == "tunnel")
     placed = next(each for each in harder.EXPECTED if each.disturbance == "rain")
     either = next(each for each in harder.EXPECTED if each.disturbance == "low_overlap")
-    other = _lidar("false_refuse", "ambiguous")
+    other = _lidar("false_refuse", "structure_unexplained")
     assert [each.is_met(_JUST) for each in (sliding, placed, either)] == [True, False, True]
     assert [each.is_met(_GOOD) for each in (sliding, placed, either)] == [False, True, True]
     assert not any(each.is_met(lidar) for each in (sliding, placed, either) for lidar in (_WRONG, _MISSED, other))
