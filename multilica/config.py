@@ -171,7 +171,9 @@ class VerifyConfig(Section):
     max_range_m: PositiveMetres = Field(50.0, description="points beyond are left out")
     voxel_size_m: PositiveMetres = Field(0.5, description="grid of the short GICP that each hypothesis gets")
     max_points: Count = Field(4000, description="points per LiDAR of the short GICP; a denser cloud is thinned further")
-    max_iterations: Count = Field(10, description="iterations of each run of the short GICP")
+    max_iterations: Count = Field(
+        10, description="iterations of each run of the short GICP, and of a finalist that then has no hope of winning"
+    )
     probe_voxel_size_m: PositiveMetres = Field(0.5, description="grid of the points that are judged")
     tolerance_m: PositiveMetres = Field(0.15, description="a point nearer than this to a measured surface lies on it")
     tolerance_deg: float = Field(0.5, gt=0.0, description="growth of that tolerance with range: the rotation's error")
