@@ -96,6 +96,21 @@ def test_rivals_that_put_walls_into_empty_space_are_not_registered(sides, monkey
     assert best[0].T_target_source.matrix.tobytes() == best[1].T_target_source.matrix.tobytes()
 
 
+def test_only_a_turned_rival_starts_from_the_shorter_distances(sides, monkeypatch):
+    started = []
+
+    def watched(target, source, pose, gicp, threads):
+        started.append((pose.distance_to(_TRUTH)[1] > 1.0, len(gicp.max_correspondence_distances_m)))
+        return register_narrower(target, source, pose, gicp, threads)
+
+    monkeypatch.setattr(verify, "register_narrower", watched)
+    monkeypatch.setattr(verify, "_may_win", lambda *_: True)
+    config = _CONFIG.model_copy(update={"rivals": 2, "slides": 2, "firmly_held_by": 1e9})
+    _assessed(sides, _TRUTH, config=config)
+    every = len(_GICP.max_correspondence_distances_m)
+    assert {*started} == {(False, every), (True, every - 1)}
+
+
 def test_a_hypothesis_that_gicp_carries_off_has_a_second_try_among_near_points(sides, monkeypatch):
     reaches_m = []
 
