@@ -37,9 +37,10 @@ def _link(pose, verdict, fitness=0.5):
 def test_chance_fits_of_the_whole_do_not_outvote_an_accepted_pair(monkeypatch, hint, alone, asked, placed_at):
     tries = []
 
-    def register_groups(*arguments):
+    def register_groups(*arguments, fit):
         known = list(arguments[-1])
         tries.append(known)
+        assert fit is not hint.accepted
         if known == [_HINTED] and len(tries) == 2:
             return _link(_HINTED, alone)
         return _link(_CHANCE, _REFUSED) if known else None
@@ -65,7 +66,7 @@ def test_chance_fits_of_the_whole_do_not_outvote_an_accepted_pair(monkeypatch, h
 )
 def test_an_accepted_pair_does_not_stand_against_more_evidence_elsewhere(monkeypatch, elsewhere, placed_at):
     links = iter([elsewhere, _link(_HINTED, _ACCEPTED)])
-    monkeypatch.setattr(pipeline._Run, "_register_groups", lambda *_: next(links))
+    monkeypatch.setattr(pipeline._Run, "_register_groups", lambda *_, **__: next(links))
     snapshot = Snapshot(tuple(LidarScans(name, (Scan(np.ones((1, 3))),)) for name in "ab"))
     run = pipeline._Run(snapshot, CalibrationConfig(), events.ignore)
     link = run._reregister(Group.of_one("a"), Group.of_one("b"), [_link(_HINTED, _ACCEPTED)])
