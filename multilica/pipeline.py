@@ -334,14 +334,14 @@ class _Run:
     def _registered(
         self, target: Side, source: Side, candidates: Sequence[Candidate], *, fit: bool = True
     ) -> PairRegistration:
-        limits = self.config
+        config = self.config
         registration = register_best(
-            target, source, candidates, limits.verify, limits.fine, limits.refine, self._threads, fit=fit
+            target, source, candidates, config.verify, config.fine, config.refine, self._threads, fit=fit
         )
         if registration.assessments:
-            verdict = decide(registration.assessments, self.config.verify)
+            verdict = decide(registration.assessments, config.verify)
         else:
-            verdict = decide_by_fitness(registration, self.config.merge)
+            verdict = decide_by_fitness(registration, config.merge)
         return replace(registration, verdict=verdict)
 
     def _merge(self) -> None:

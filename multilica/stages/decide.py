@@ -18,7 +18,8 @@ _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
 _STRAY_POINTS = 2
 _ROUGHLY = 0.8
-_WITHOUT_BOUND = 1.0
+# A far-fetched rival counts only with more evidence than the best.
+_FAR_FETCHED_SHARE = 1.0
 
 
 def decide(finalists: Sequence[Assessment], config: VerifyConfig) -> Verdict:
@@ -122,7 +123,7 @@ def _ambiguity(finalists: Sequence[Assessment], config: VerifyConfig) -> Reason 
     standing = standing_rivals(finalists, config)
     for rival in rivals:
         limit = config.max_equal if rival in standing else config.max_runner_up
-        limit = _WITHOUT_BOUND if _is_far_fetched(rival, config) else limit
+        limit = _FAR_FETCHED_SHARE if _is_far_fetched(rival, config) else limit
         ratio = max(0.0, rival.evidence / best.evidence)
         if ratio > limit:
             return _undecided(best, rival, ratio, limit)
