@@ -10,15 +10,18 @@ SAMPLE := recordings/samples/edgar-street.mcap
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo test lint pytest node ros2 bench sample docs format constraints clean
+.PHONY: help libraries pictures demo test test-kernels lint pytest node ros2 bench sample docs format constraints clean
 
 help: ## List the targets.
-	@grep -hE '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 22
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
 
 demo: $(READY) ## Set everything up, then calibrate the embedded sample.
 	@$(BIN)/multilica demo
 
 test: lint pytest ## Set everything up, then run all checks and tests.
+
+test-kernels: $(READY) ## Run the tests that could depend on the CPU with the kernels of three CPUs.
+	$(BIN)/python tests/kernels.py
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -35,8 +38,9 @@ bench: $(READY) ## Measure what must be seen to hold; an hour or more.
 sample: $(READY) ## Make the embedded sample anew.
 	$(BIN)/multilica simulate --rig edgar --scene street --seed 1 --frames 2 --keep-every 4 --out $(SAMPLE)
 
-docs: $(READY) ## Write docs/configuration.md from the models.
+docs: $(READY) ## Write docs/configuration.md and docs/result.schema.json from the models.
 	$(BIN)/multilica config --markdown > docs/configuration.md
+	$(BIN)/python -c "from multilica.results.document.schema import schema_text; print(schema_text())" > docs/result.schema.json
 
 format: $(READY) ## Format the code, mend what the linter can mend.
 	$(BIN)/ruff check --fix .

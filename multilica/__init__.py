@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where every LiDAR of a vehicle sits, from one stationary snapshot."""
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -14,6 +12,7 @@ if TYPE_CHECKING:
     from multilica.ingest import read_prior, read_snapshot
     from multilica.pipeline import calibrate
     from multilica.results import CalibrationResult
+    from multilica.run import CalibrationRun, run_calibration
     from multilica.snapshot import LidarScans, Scan, Snapshot
 
 __version__ = "0.1.0"
@@ -21,6 +20,7 @@ __version__ = "0.1.0"
 _HOMES = {
     "CalibrationConfig": "config",
     "CalibrationResult": "results",
+    "CalibrationRun": "run",
     "Extrinsics": "extrinsics",
     "InputError": "errors",
     "LidarScans": "snapshot",
@@ -35,11 +35,13 @@ _HOMES = {
     "read_extrinsics": "extrinsics",
     "read_prior": "ingest",
     "read_snapshot": "ingest",
+    "run_calibration": "run",
 }
 
 __all__ = [
     "CalibrationConfig",
     "CalibrationResult",
+    "CalibrationRun",
     "Extrinsics",
     "InputError",
     "LidarScans",
@@ -55,6 +57,7 @@ __all__ = [
     "read_extrinsics",
     "read_prior",
     "read_snapshot",
+    "run_calibration",
 ]
 
 

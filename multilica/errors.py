@@ -18,8 +18,6 @@
 Each message is one sentence that says what was found, where, what was expected and what to do.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable
 
@@ -43,15 +41,15 @@ class MultilicaError(Exception):
 
 
 class UsageError(MultilicaError):
-    """The request itself is wrong."""
+    """A wrong request."""
 
 
 class ConfigError(UsageError):
-    """A key, a value or a file of the configuration is wrong."""
+    """A wrong key, value or file of the configuration."""
 
 
 class UnknownNameError(UsageError):
-    """A name was given that does not exist among those available.
+    """An unknown name.
 
     Args:
         kind: what was looked for, for instance ``"topic"``.
@@ -72,23 +70,23 @@ class UnknownNameError(UsageError):
 
 
 class MissingDependencyError(UsageError):
-    """An optional engine was asked for that is not installed."""
+    """An optional engine that is not installed."""
 
 
 class InputError(MultilicaError):
-    """The recording cannot be used."""
+    """A recording that cannot be used."""
 
 
 class SourceNotFoundError(InputError):
-    """Nothing exists at the path that was given."""
+    """A path that does not exist."""
 
 
 class UnreadableSourceError(InputError):
-    """The source is broken, truncated, or not what its name says."""
+    """A source that is corrupt, truncated, or of another format than its name says."""
 
 
 class UnfitSnapshotError(InputError):
-    """The source was read, yet holds nothing that can be calibrated.
+    """A readable source that cannot be calibrated.
 
     Args:
         code: stable name of the cause, for programs.
@@ -100,8 +98,8 @@ class UnfitSnapshotError(InputError):
 
 
 class UnfitPriorError(InputError):
-    """The prior was read, yet does not say how LiDARs of this snapshot sit to each other."""
+    """A readable prior without poses between LiDARs of the snapshot."""
 
 
 class ViewerError(MultilicaError):
-    """Rerun's viewer cannot be shown on this machine, or does not answer."""
+    """A Rerun viewer that does not start or does not respond."""

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happens during a calibration, for those who watch it."""
-
-from __future__ import annotations
+"""Events of a calibration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +8,6 @@ from multilica.config import CalibrationConfig, Stage
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import (
-    Assessment,
     CalibrationResult,
     CoarseResult,
     Correspondences,
@@ -21,6 +18,7 @@ from multilica.results import (
     PairRegistration,
     PreprocessedCloud,
     Refinement,
+    Registration,
 )
 from multilica.snapshot import Snapshot
 
@@ -32,26 +30,34 @@ __all__ = [
     "Event",
     "FeaturesComputed",
     "GroundEstimated",
-    "HypothesesAssessed",
+    "GroupsRegistered",
     "HypothesesFound",
+    "HypothesesVerified",
+    "InputNoted",
+    "LoopRegistered",
     "MergeStepTaken",
     "Observer",
     "PairRegistered",
     "RigRefined",
+    "RunEvent",
+    "RunObserver",
     "SearchWidened",
+    "SnapshotRefused",
+    "SnapshotStarted",
     "StageFinished",
     "StageStarted",
     "TargetChosen",
+    "VerdictChanged",
     "ignore",
 ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationStarted:
-    """The snapshot was read and the work begins.
+    """The snapshot was read and the calibration starts.
 
     Args:
-        prior: poses that are claimed beforehand, by the LiDARs' names.
+        prior: poses that the user claims, by the LiDARs' names.
     """
 
     snapshot: Snapshot
@@ -61,7 +67,7 @@ class CalibrationStarted:
 
 @dataclass(frozen=True, slots=True)
 class StageStarted:
-    """A stage begins; `steps` is the number of events of this stage to come, 0 if unknown."""
+    """A stage starts; `steps` is the number of its events to come, 0 if unknown."""
 
     stage: Stage
     steps: int
@@ -69,7 +75,7 @@ class StageStarted:
 
 @dataclass(frozen=True, slots=True)
 class StageFinished:
-    """A stage is over: the moment at which sinks write to disk."""
+    """A stage finished; sinks write to disk now."""
 
     stage: Stage
     elapsed_s: float
@@ -84,7 +90,7 @@ class CloudPreprocessed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeaturesComputed:
-    """A LiDAR's descriptors are there."""
+    """A LiDAR's descriptors were computed."""
 
     features: FeatureCloud
 
@@ -98,24 +104,24 @@ class CorrespondencesMatched:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HypothesesFound:
-    """A pair's coarse poses are there."""
+    """A pair's hypotheses were found."""
 
     coarse: CoarseResult
     correspondences: Correspondences
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HypothesesAssessed:
-    """A pair's hypotheses were judged by visibility; the most believable first, only distinct ones."""
+class HypothesesVerified:
+    """A pair's hypotheses were scored by visibility; only distinct ones, the one with the most evidence first."""
 
     target: str
     source: str
-    assessments: tuple[Assessment, ...]
+    registrations: tuple[Registration, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchWidened:
-    """Pairs of LiDARs that nothing links yet are searched again; those that are then accepted are told anew."""
+    """Pairs that no accepted pair connects are searched again; events follow for those that are then accepted."""
 
     pairs: tuple[PairKey, ...]
     voxel_size_m: float
@@ -123,22 +129,36 @@ class SearchWidened:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairRegistered:
-    """GICP finished on a pair, or during merging on two groups, and the verdict is known."""
+    """A pair of LiDARs was registered by GICP and has a verdict."""
+
+    registration: PairRegistration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VerdictChanged:
+    """Other pairs cast doubt on a registered pair: its verdict is no longer ``accept``."""
 
     registration: PairRegistration
 
 
 @dataclass(frozen=True, slots=True)
 class TargetChosen:
-    """The root of the result is known."""
+    """The root of the result was chosen."""
 
     target: str
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class GroupsRegistered:
+    """Two groups of placed LiDARs were registered during merging and have a verdict."""
+
+    registration: PairRegistration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MergeStepTaken:
-    """Algorithm 1 took a turn.
+    """Algorithm 1 took a step.
 
     Args:
         poses: per member of the group that grew, its pose in the group's root frame; empty when the algorithm stopped.
@@ -149,8 +169,15 @@ class MergeStepTaken:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LoopRegistered:
+    """Two placed LiDARs were registered from the pose that the rig implies; ignored unless it is accepted."""
+
+    registration: PairRegistration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RigRefined:
-    """All poses were adjusted to all accepted pairs.
+    """All poses were refined jointly.
 
     Args:
         poses: per placed LiDAR, its pose in the target's frame.
@@ -170,7 +197,7 @@ class GroundEstimated:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationFinished:
-    """The outcome is known; that of a snapshot that is not fit says so, and `calibrate` raises after it."""
+    """The calibration ended; for a refused snapshot, `calibrate` raises an error after it."""
 
     result: CalibrationResult
 
@@ -183,11 +210,14 @@ Event = (
     | FeaturesComputed
     | CorrespondencesMatched
     | HypothesesFound
-    | HypothesesAssessed
+    | HypothesesVerified
     | SearchWidened
     | PairRegistered
+    | VerdictChanged
     | TargetChosen
+    | GroupsRegistered
     | MergeStepTaken
+    | LoopRegistered
     | RigRefined
     | GroundEstimated
     | CalibrationFinished
@@ -195,6 +225,33 @@ Event = (
 Observer = Callable[[Event], None]
 
 
-def ignore(event: Event) -> None:
-    """The observer that nobody needs to pass."""
+@dataclass(frozen=True, slots=True)
+class SnapshotStarted:
+    """The next of several snapshots is read and calibrated by itself."""
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class InputNoted:
+    """A sentence about the recording or the prior that the user should know."""
+
+    note: str
+
+
+@dataclass(frozen=True, slots=True)
+class SnapshotRefused:
+    """One of several snapshots cannot be used; the others are calibrated without it."""
+
+    name: str
+    reason: str
+
+
+RunEvent = Event | SnapshotStarted | InputNoted | SnapshotRefused
+"""What `run_calibration` reports: the events of each calibration, and those of reading its input."""
+RunObserver = Callable[[RunEvent], None]
+
+
+def ignore(event: RunEvent) -> None:
+    """Observe nothing."""
     del event

@@ -1,22 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the LiDARs of a rig sit, as a table that files hold."""
-
-from __future__ import annotations
+"""Poses of the LiDARs of a rig, in memory and as a TOML table."""
 
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Self
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from multilica.errors import SourceNotFoundError, UnknownNameError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 
-__all__ = ["EXTRINSICS_SCHEMA", "Extrinsics", "extrinsics_table", "read_extrinsics"]
+__all__ = [
+    "EXTRINSICS_SCHEMA",
+    "Extrinsics",
+    "ExtrinsicsTable",
+    "PoseTable",
+    "extrinsics_table",
+    "pose_values",
+    "read_extrinsics",
+]
 
-EXTRINSICS_SCHEMA = "multilica/extrinsics/1"
+EXTRINSICS_SCHEMA: Literal["multilica/extrinsics/1"] = "multilica/extrinsics/1"
+Numbers = tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,19 +60,56 @@ class Extrinsics:
         return self.T_target_source[name]
 
 
+class PoseTable(BaseModel):
+    """The pose of a LiDAR in a TOML table, in every form that readers ask for; a matrix takes precedence."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    xyz_m: Numbers | None = None
+    rpy_deg: Numbers | None = None
+    quaternion_xyzw: Numbers | None = None
+    T_target_source: tuple[Numbers, ...] | None = None
+
+    @model_validator(mode="after")
+    def _check_pose(self) -> Self:
+        self.pose("", "")
+        return self
+
+    def pose(self, target: str, lidar: str) -> RigidTransform:
+        """Return the pose under those names.
+
+        Raises:
+            ValueError: not a rigid transform.
+        """
+        if self.T_target_source is not None:
+            return RigidTransform(target, lidar, np.asarray(self.T_target_source))
+        if self.xyz_m is None or self.rpy_deg is None:
+            missing = "xyz_m" if self.xyz_m is None else "rpy_deg"
+            raise ValueError(f"it has no '{missing}'; expected T_target_source, or xyz_m and rpy_deg")
+        return RigidTransform.from_xyz_rpy(target, lidar, self.xyz_m, np.deg2rad(self.rpy_deg).tolist())
+
+
+class ExtrinsicsTable(BaseModel):
+    """Extrinsics as a TOML table."""
+
+    model_config = ConfigDict(frozen=True, serialize_by_alias=True)
+
+    schema_: Literal["multilica/extrinsics/1"] = Field(alias="schema")
+    target: str
+    convention: str = "p_target = T_target_source @ p_source"
+    length_unit: str = "m"
+    rpy_convention: str = "degrees, extrinsic xyz: roll, then pitch, then yaw about the fixed axes of the target"
+    lidars: Mapping[str, PoseTable]
+
+
 def extrinsics_table(extrinsics: Extrinsics) -> dict[str, Any]:
-    """The table as TOML-ready values; each pose with its numbers in every form that people ask for."""
-    return {
-        "schema": EXTRINSICS_SCHEMA,
-        "target": extrinsics.target,
-        "convention": "p_target = T_target_source @ p_source",
-        "length_unit": "m",
-        "rpy_convention": "degrees, extrinsic xyz: roll, then pitch, then yaw about the fixed axes of the target",
-        "lidars": {name: _pose_table(pose) for name, pose in sorted(extrinsics.T_target_source.items())},
-    }
+    """Return the extrinsics as values for TOML."""
+    lidars = {name: PoseTable(**pose_values(pose)) for name, pose in sorted(extrinsics.T_target_source.items())}
+    return ExtrinsicsTable(schema=EXTRINSICS_SCHEMA, target=extrinsics.target, lidars=lidars).model_dump(mode="json")
 
 
-def _pose_table(pose: RigidTransform) -> dict[str, Any]:
+def pose_values(pose: RigidTransform) -> dict[str, Any]:
+    """Return a pose in every form that readers ask for."""
     return {
         "xyz_m": pose.xyz_m.tolist(),
         "rpy_deg": pose.rpy_deg.tolist(),
@@ -74,36 +119,27 @@ def _pose_table(pose: RigidTransform) -> dict[str, Any]:
 
 
 def read_extrinsics(path: Path) -> Extrinsics:
-    """Read what a table of `extrinsics_table` became as TOML; further keys are ignored.
-
-    Where a LiDAR has no `T_target_source`, as in a table that a person wrote, its `xyz_m` and `rpy_deg` are taken.
+    """Read extrinsics from a TOML table, such as `calibration.toml` or a truth file; further keys are ignored.
 
     Raises:
         SourceNotFoundError: no such file.
         UnreadableSourceError: not TOML, or not such a table.
     """
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise SourceNotFoundError(f"No extrinsics file at {path}.") from error
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UnreadableSourceError(f"{path} is not a TOML file that can be read: {error}.") from error
-    if table.get("schema") != EXTRINSICS_SCHEMA:
+    if values.get("schema") != EXTRINSICS_SCHEMA:
         raise UnreadableSourceError(
-            f"{path} has schema {table.get('schema')!r}; expected '{EXTRINSICS_SCHEMA}', "
+            f"{path} has schema {values.get('schema')!r}; expected '{EXTRINSICS_SCHEMA}', "
             "as calibration.toml and truth files have it."
         )
     try:
-        target = str(table["target"])
-        poses = {str(name): _read_pose(target, str(name), entry) for name, entry in table["lidars"].items()}
-    except KeyError as error:
-        raise UnreadableSourceError(f"{path} is not a table of extrinsics: it has no {error}.") from error
-    except (AttributeError, TypeError, ValueError) as error:
-        raise UnreadableSourceError(f"{path} is not a table of extrinsics: {error}.") from error
-    return Extrinsics(target, poses)
-
-
-def _read_pose(target: str, lidar: str, entry: Mapping[str, Any]) -> RigidTransform:
-    if "T_target_source" in entry:
-        return RigidTransform(target, lidar, np.asarray(entry["T_target_source"], dtype=np.float64))
-    return RigidTransform.from_xyz_rpy(target, lidar, entry["xyz_m"], np.deg2rad(entry["rpy_deg"]).tolist())
+        table = ExtrinsicsTable.model_validate(values)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where, what = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
+        raise UnreadableSourceError(f"{path} is not a table of extrinsics: {where}: {what}.") from error
+    return Extrinsics(table.target, {name: entry.pose(table.target, name) for name, entry in table.lidars.items()})

@@ -11,18 +11,34 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-__all__ = ["FloatArray", "RigidTransform", "read_only", "rotation_angle_rad", "rotation_vector_rad", "skew"]
+__all__ = [
+    "LEVER_ARM_M",
+    "FloatArray",
+    "RigidTransform",
+    "fixed_sign",
+    "largest_index",
+    "read_only",
+    "rotation_angle_rad",
+    "rotation_vector_rad",
+    "skew",
+]
+
+LEVER_ARM_M = 10.0
+"""Lever arm at which a rotation counts as a length: the usual distance of the structure that two LiDARs share."""
 
 FloatArray = npt.NDArray[np.float64]
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 _ORTHONORMAL_TOLERANCE = 1e-6
+# Differences below these are rounding errors, which differ between CPUs.
+_ROUNDING = 1e-9
+_TIE_SHARE = 1e-6
 _IDENTITY = np.eye(3)
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 
 def read_only(array: npt.ArrayLike, dtype: type[ScalarT]) -> npt.NDArray[ScalarT]:
-    """A contiguous copy of ``array`` that nobody can write to; the array itself if it is that already."""
+    """Return a contiguous, read-only copy of ``array``, or the array itself if it is one already."""
     if isinstance(array, np.ndarray) and array.dtype == dtype and _is_settled(array):
         return array
     copy = np.array(array, dtype=dtype, order="C", copy=True)
@@ -36,22 +52,33 @@ def _is_settled(array: npt.NDArray[Any]) -> bool:
 
 
 def skew(vectors: FloatArray) -> FloatArray:
-    """Cross-product matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == cross(a, b)``."""
+    """Return cross-product matrices (..., 3, 3) of vectors (..., 3): ``skew(a) @ b == cross(a, b)``."""
     x, y, z = np.moveaxis(np.asarray(vectors, dtype=np.float64), -1, 0)
     zero = np.zeros_like(x)
     rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
+def largest_index(values: FloatArray) -> int:
+    """Return the index of the largest absolute value (N,); of values that are equal but for rounding, the first."""
+    sizes = np.abs(values)
+    return int(np.argmax(sizes >= (1.0 - _TIE_SHARE) * sizes.max()))
+
+
+def fixed_sign(direction: FloatArray) -> FloatArray:
+    """Return a direction (N,) of arbitrary sign, such as an eigenvector, with its largest component positive."""
+    return np.asarray(direction * np.copysign(1.0, direction[largest_index(direction)]))
+
+
 def rotation_angle_rad(rotation: FloatArray) -> float:
-    """Angle of a rotation matrix (3, 3), in radians; exact for small angles too."""
+    """Return the angle of a rotation matrix (3, 3) in radians; exact for small angles too."""
     half_sine = np.sqrt(max(0.0, float(np.sum((rotation - _IDENTITY) ** 2)))) / np.sqrt(8.0)
     half_cosine = np.sqrt(max(0.0, 1.0 + float(np.trace(rotation)))) / 2.0
     return float(2.0 * np.arctan2(half_sine, half_cosine))
 
 
 def rotation_vector_rad(rotation: FloatArray) -> FloatArray:
-    """(3,) axis times angle of a rotation matrix (3, 3)."""
+    """Return axis times angle (3,) of a rotation matrix (3, 3), in radians."""
     return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
@@ -88,14 +115,14 @@ class RigidTransform:
 
     @classmethod
     def identity(cls, target: str, source: str) -> Self:
-        """The transform of two frames that coincide."""
+        """Create the transform between two frames that coincide."""
         return cls(target, source, np.eye(4))
 
     @classmethod
     def from_rotation_translation(
         cls, target: str, source: str, rotation: FloatArray, translation_m: npt.ArrayLike
     ) -> Self:
-        """From a rotation matrix (3, 3) and a translation (3,); the rotation is made orthonormal first."""
+        """Create from a rotation matrix (3, 3), which is made orthonormal, and a translation (3,)."""
         u, _, vt = np.linalg.svd(np.asarray(rotation, dtype=np.float64))
         matrix = np.eye(4)
         matrix[:3, :3] = (u * [1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
@@ -104,7 +131,7 @@ class RigidTransform:
 
     @classmethod
     def from_xyz_rpy(cls, target: str, source: str, xyz_m: Sequence[float], rpy_rad: Sequence[float]) -> Self:
-        """From a translation and extrinsic xyz angles: roll, then pitch, then yaw about fixed axes."""
+        """Create from a translation and extrinsic xyz angles: roll, then pitch, then yaw about fixed axes."""
         rotation = Rotation.from_euler("xyz", rpy_rad).as_matrix()
         return cls.from_rotation_translation(target, source, rotation, xyz_m)
 
@@ -112,7 +139,7 @@ class RigidTransform:
     def from_xyz_quaternion(
         cls, target: str, source: str, xyz_m: Sequence[float], quaternion_xyzw: Sequence[float]
     ) -> Self:
-        """From a translation and a quaternion in the order x, y, z, w."""
+        """Create from a translation and a quaternion in the order x, y, z, w."""
         rotation = Rotation.from_quat(quaternion_xyzw).as_matrix()
         return cls.from_rotation_translation(target, source, rotation, xyz_m)
 
@@ -128,8 +155,9 @@ class RigidTransform:
 
     @property
     def rpy_rad(self) -> FloatArray:
-        """(3,) roll, pitch, yaw about the fixed axes of the target frame."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_euler("xyz", suppress_warnings=True))
+        """(3,) roll, pitch, yaw about the fixed axes of the target frame; a half turn is positive."""
+        angles_rad = np.asarray(Rotation.from_matrix(self.rotation).as_euler("xyz", suppress_warnings=True))
+        return np.where(angles_rad <= _ROUNDING - np.pi, angles_rad + 2.0 * np.pi, angles_rad)
 
     @property
     def rpy_deg(self) -> FloatArray:
@@ -138,18 +166,31 @@ class RigidTransform:
 
     @property
     def quaternion_xyzw(self) -> FloatArray:
-        """(4,) unit quaternion with w >= 0."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_quat(canonical=True))
+        """(4,) unit quaternion with w > 0; of a half turn, the first component that is not zero is positive."""
+        quaternion = np.asarray(Rotation.from_matrix(self.rotation).as_quat(canonical=True))
+        if quaternion[3] > _ROUNDING:
+            return quaternion
+        return np.asarray(quaternion * np.copysign(1.0, quaternion[np.abs(quaternion) > _ROUNDING][0]))
 
     def inverse(self) -> RigidTransform:
-        """Where the target frame sits in the source frame."""
+        """Return the pose of the target frame in the source frame."""
         matrix = np.eye(4)
         matrix[:3, :3] = self.rotation.T
         matrix[:3, 3] = -self.rotation.T @ self.xyz_m
         return RigidTransform(self.source, self.target, matrix)
 
+    def with_target(self, target: str) -> RigidTransform:
+        """Return this transform, or its inverse, whichever has that target frame.
+
+        Raises:
+            ValueError: the frame is neither the target nor the source.
+        """
+        if target not in (self.target, self.source):
+            raise ValueError(f"T_{self.target}_{self.source} has no frame '{target}'")
+        return self if target == self.target else self.inverse()
+
     def __matmul__(self, other: RigidTransform) -> RigidTransform:
-        """``T_a_b @ T_b_c == T_a_c``.
+        """Chain two transforms: ``T_a_b @ T_b_c == T_a_c``.
 
         Raises:
             ValueError: the inner frames differ.
@@ -167,19 +208,19 @@ class RigidTransform:
         )
 
     def apply(self, points_m: npt.ArrayLike) -> FloatArray:
-        """Points (N, 3) of the source frame, in the target frame."""
+        """Take points (N, 3) of the source frame to the target frame."""
         return np.asarray(points_m, dtype=np.float64) @ self.rotation.T + self.xyz_m
 
     def rotate(self, vectors: npt.ArrayLike) -> FloatArray:
-        """Directions (N, 3) of the source frame, in the target frame."""
+        """Take directions (N, 3) of the source frame to the target frame."""
         return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
 
     def offset_from(self, other: RigidTransform) -> FloatArray:
-        """(6,) turn (rotation vector, rad) and shift (m) along the target's axes that take the other pose to this."""
+        """Return the rotation vector (rad) and shift (m) along the target's axes, (6,), from the other pose to this."""
         turn = Rotation.from_matrix(self.rotation @ other.rotation.T).as_rotvec()
         return np.concatenate([turn, self.xyz_m - other.xyz_m])
 
     def distance_to(self, other: RigidTransform) -> tuple[float, float]:
-        """Distance in metres between the two source origins, and the angle in radians between the two rotations."""
+        """Return the distance of the two source origins in metres and the angle between the rotations in radians."""
         translation_m = float(np.linalg.norm(self.xyz_m - other.xyz_m))
         return translation_m, rotation_angle_rad(self.rotation.T @ other.rotation)

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The data layout of `sensor_msgs/PointCloud2`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -32,7 +30,7 @@ DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "
 LIDAR_NAME_KEY = "multilica:lidar"
 """Where the metadata of an MCAP channel of point clouds names the LiDAR."""
 SNAPSHOT_METADATA_NAME = "multilica:snapshot"
-"""The metadata record of an MCAP file that holds a snapshot; `frames` is how many per LiDAR were asked for."""
+"""The metadata record of an MCAP file of a snapshot; `frames` is the requested number per LiDAR."""
 
 Column = npt.NDArray[Any]
 
@@ -42,7 +40,7 @@ _FLOAT32 = 7
 _BARE = np.dtype([(axis, "<f4") for axis in _COORDINATES])
 _WINDOW = np.dtype(np.complex128)
 _BLOCK = 16384
-"""Points that are put in order at once."""
+"""Number of points that are converted at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +61,7 @@ class PointField:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointCloud2:
-    """The part of the message that says where the points lie.
+    """Layout of the points in a message.
 
     Args:
         point_step: bytes from one point to the next.
@@ -81,7 +79,7 @@ class PointCloud2:
 
 
 def decode_points(cloud: PointCloud2) -> tuple[Float32Array, Float32Array | None]:
-    """Finite points (N, 3) in the order of the data, and their intensities (N,) or None.
+    """Return finite points (N, 3) in the order of the data, with their intensities (N,) or None.
 
     Raises:
         ValueError: the message contradicts itself; the text is a predicate, such as "has no field z".
@@ -98,7 +96,7 @@ def decode_points(cloud: PointCloud2) -> tuple[Float32Array, Float32Array | None
 
 @lru_cache(maxsize=64)
 def point_dtype(fields: tuple[PointField, ...], point_step: int, *, big_endian: bool) -> np.dtype[np.void]:
-    """The structured type with x, y, z and, where there is one, intensity; all other fields are padding.
+    """Return the structured type with x, y, z and intensity, if there is one; all other fields are padding.
 
     Raises:
         ValueError: a coordinate is missing, of unknown type, or outside the point.
@@ -135,17 +133,17 @@ def _checked_row_step(cloud: PointCloud2) -> int:
         raise ValueError(
             f"has rows of {cloud.width} points of {cloud.point_step} bytes, yet a row step of {row_step} bytes"
         )
-    needed, held = (cloud.height - 1) * row_step + row_bytes, len(cloud.data)
-    if needed > held:
+    needed, found = (cloud.height - 1) * row_step + row_bytes, len(cloud.data)
+    if needed > found:
         raise ValueError(
             f"claims {cloud.width} x {cloud.height} points of {cloud.point_step} bytes, which takes {needed} bytes, "
-            f"yet holds {held}"
+            f"but has {found}"
         )
     return row_step
 
 
 def finite_records(records: npt.NDArray[np.void]) -> tuple[Float32Array, Float32Array | None]:
-    """As `finite_points`, of records of any shape and of a type as `point_dtype` gives it."""
+    """Return the finite points of records of any shape and of a type of `point_dtype`, as `finite_points` does."""
     if records.dtype == _BARE:
         return _finite(np.array(records.reshape(-1).view(("<f4", 3)), np.float32), None)
     place = _window_place(records.dtype)
@@ -156,7 +154,7 @@ def finite_records(records: npt.NDArray[np.void]) -> tuple[Float32Array, Float32
 
 @lru_cache(maxsize=64)
 def _window_place(dtype: np.dtype[Any]) -> int | None:
-    """Where 16 bytes of a point begin that hold x, y and z as three of four little-endian float32; None if none do."""
+    """Find the offset of 16 bytes with x, y and z as three of four little-endian float32; None if there is none."""
     fields: Mapping[str, Any] = dtype.fields or {}
     kinds, offsets = zip(*(fields[axis][:2] for axis in _COORDINATES), strict=True)
     place = min(*offsets, dtype.itemsize - _WINDOW.itemsize)
@@ -175,21 +173,21 @@ def _by_windows(records: npt.NDArray[np.void], place: int) -> tuple[Float32Array
     values = None if intensities is None else np.empty(len(records), np.float32)
     block = np.empty((min(len(records), _BLOCK), 4), "<f4")
     for start in range(0, len(records), _BLOCK):
-        held = slice(start, min(start + _BLOCK, len(records)))
-        put = block[: held.stop - start]
-        put.view(_WINDOW)[:, 0] = windows[held]
+        part = slice(start, min(start + _BLOCK, len(records)))
+        put = block[: part.stop - start]
+        put.view(_WINDOW)[:, 0] = windows[part]
         for axis, column in enumerate(columns):
-            points_m[held, axis] = put[:, column]
+            points_m[part, axis] = put[:, column]
         if intensities is not None and values is not None:
             with np.errstate(over="ignore"):
-                values[held] = intensities[held]
+                values[part] = intensities[part]
     return points_m.astype(np.float32, copy=False), values
 
 
 def finite_points(
     x: Column, y: Column, z: Column, intensity: Column | None = None
 ) -> tuple[Float32Array, Float32Array | None]:
-    """Columns (N,) of any number type as read-only float32 points (K, 3), without those not finite, in order."""
+    """Convert columns (N,) of any number type to read-only float32 points (K, 3), finite ones only, in order."""
     points_m = np.empty((len(x), 3), np.float32)
     with np.errstate(over="ignore"):
         for axis, column in enumerate((x, y, z)):
@@ -219,7 +217,7 @@ def _all_finite(points_m: Float32Array) -> bool:
 
 
 def encode_points(points_m: Float32Array, intensity: Float32Array | None = None) -> PointCloud2:
-    """Points (N, 3), and intensities (N,) where there are any, as one packed row of little-endian float32."""
+    """Pack points (N, 3), with intensities (N,) if there are any, as rows of little-endian float32."""
     columns = [*np.asarray(points_m).T, *([] if intensity is None else [intensity])]
     names = (*_COORDINATES, _INTENSITY)[: len(columns)]
     packed = np.stack(columns, axis=1).astype("<f4", order="C")

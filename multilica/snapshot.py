@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a rig saw while it stood still."""
-
-from __future__ import annotations
+"""Scans of a rig that stands still."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -47,7 +45,7 @@ class Scan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LidarScans:
-    """The frames that one LiDAR took, oldest first.
+    """Frames of one LiDAR, oldest first.
 
     Args:
         name: how the LiDAR is called everywhere in multilica.
@@ -113,7 +111,7 @@ class Snapshot:
         return tuple(lidar.name for lidar in self.lidars)
 
     def __getitem__(self, name: str) -> LidarScans:
-        """The LiDAR of that name.
+        """Return the LiDAR of that name.
 
         Raises:
             UnknownNameError: the snapshot has no such LiDAR.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`python -m multilica_cli`: the same as `multilica`."""
+"""Entry point of `python -m multilica_cli`."""
 
 from multilica_cli.main import main
 

@@ -1,23 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From options of the command line to a configuration."""
+"""Options of the command line as a configuration."""
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from multilica.errors import UsageError
-from multilica_cli.inline_toml import inline_toml
 
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
-__all__ = ["ingest_options", "resolve_config", "topic_names"]
+__all__ = ["ingest_options", "inline_toml", "resolve_config", "topic_names"]
 
 _LONGEST_LOG_S = 1e8
-"""Three years; more seconds are those since the epoch."""
+"""Three years; larger numbers of --start are seconds since 1970."""
 
 
 def resolve_config(
@@ -27,14 +27,14 @@ def resolve_config(
     settings: Sequence[str],
     recorded_frames: int | None = None,
 ) -> CalibrationConfig:
-    """The configuration that the user asked for: preset or file, then options, then `--set`.
+    """Build the configuration from the preset or file, then options, then `--set`.
 
     Args:
         preset_name: `--preset`; None means ``default``.
         config_file: `--config`.
         options: key of the configuration -> value of its own option; None where it was not given.
         settings: texts of `--set`.
-        recorded_frames: frames of a snapshot, all of which are taken unless file or options say otherwise.
+        recorded_frames: frames of a file made by `multilica record`; used unless file or options give a number.
 
     Raises:
         UsageError: a preset and a file, an unknown key or a value out of range.
@@ -44,18 +44,24 @@ def resolve_config(
 
     if preset_name and config_file:
         raise UsageError(
-            f"Found --preset {preset_name} beside --config {config_file}; give one of them, "
+            f"Found both --preset {preset_name} and --config {config_file}; give one of them, "
             f'or write preset = "{preset_name}" into the file.'
         )
     config = load_config(config_file) if config_file else preset(preset_name or "default")
-    if recorded_frames and not (config_file and _tells_frames(config_file)):
+    table = tomllib.loads(config_file.read_text(encoding="utf-8")) if config_file else {}
+    if recorded_frames and "frames" not in table.get("ingest", {}):
         config = with_overrides(config, [f"ingest.frames={recorded_frames}"])
     given = [f"{key}={inline_toml(value)}" for key, value in options.items() if value is not None]
-    return with_overrides(with_overrides(config, given), settings)
+    return with_overrides(config, [*given, *settings])
 
 
-def _tells_frames(config_file: Path) -> bool:
-    return "frames" in tomllib.loads(config_file.read_text(encoding="utf-8")).get("ingest", {})
+def inline_toml(value: object) -> str:
+    """Write a scalar, an array or a table as TOML on one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{inline_toml(key)} = {inline_toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(map(inline_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
 
 
 def ingest_options(
@@ -67,12 +73,17 @@ def ingest_options(
     *,
     strict: bool,
 ) -> dict[str, object]:
-    """The options that say what to read, as `resolve_config` takes them.
+    """Return the options that select what is read, as `resolve_config` takes them.
 
     Raises:
-        UsageError: a text of `--topic` of another form, or a name twice.
+        UsageError: a text of `--topic` in another form, or a name twice.
     """
-    start_s = _seconds(start)
+    try:
+        start_s = None if start is None else float(start)
+    except ValueError:
+        start_s = None
+    if start_s is not None and start_s >= _LONGEST_LOG_S:
+        start_s = None
     return {
         "ingest.topics": topic_names([text for text in topics or () if "=" in text]),
         "ingest.only": [text for text in topics or () if "=" not in text] or None,
@@ -85,26 +96,18 @@ def ingest_options(
     }
 
 
-def _seconds(start: str | None) -> float | None:
-    try:
-        seconds = None if start is None else float(start)
-    except ValueError:
-        return None
-    return None if seconds is None or seconds >= _LONGEST_LOG_S else seconds
-
-
 def topic_names(texts: Sequence[str]) -> dict[str, str] | None:
-    """Texts ``NAME=/topic`` as name -> topic; None if there are none.
+    """Parse texts ``NAME=/topic`` into name -> topic; None if there are none.
 
     Raises:
-        UsageError: a text of another form, or a name twice.
+        UsageError: a text in another form, or a name twice.
     """
     topics: dict[str, str] = {}
     for text in texts:
         name, _, topic = text.partition("=")
         if not name or not topic:
             raise UsageError(
-                f"Cannot read --topic '{text}'; expected NAME=/topic, as in --topic front=/lidar_front/points."
+                f"Cannot read --topic '{text}'; expected NAME=/topic, for example --topic front=/lidar_front/points."
             )
         if name in topics:
             raise UsageError(f"Found the name '{name}' in two --topic options; expected one topic per LiDAR.")

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How each failure is told: one sentence, one exit code."""
-
-from __future__ import annotations
+"""Failures as sentences with exit codes."""
 
 import os
 import sys
@@ -13,14 +11,14 @@ from multilica.errors import InputError, MultilicaError, UsageError
 from multilica_cli.interruption import Interrupted
 from multilica_cli.terminal import printable
 
-__all__ = ["DEBUG_VARIABLE", "ExitCode", "explain", "report"]
+__all__ = ["DEBUG_VARIABLE", "ExitCode", "describe_failure", "print_failure"]
 
 DEBUG_VARIABLE = "MULTILICA_DEBUG"
-"""Environment variable; set to 1, failures come with their traceback."""
+"""Environment variable; 1 adds the traceback to each failure."""
 
 
 class ExitCode(IntEnum):
-    """What the process ends with; a signal ends it with 128 + its number."""
+    """Exit code of the process; a signal ends it with 128 + its number."""
 
     DONE = 0
     BROKEN = 1
@@ -30,18 +28,18 @@ class ExitCode(IntEnum):
     DIFFERENT = 5
 
 
-def report(failure: BaseException) -> int:
-    """Tell the failure on stderr; returns the exit code."""
-    code, sentence = explain(failure)
+def print_failure(failure: BaseException) -> int:
+    """Print the failure on stderr and return the exit code."""
+    code, sentence = describe_failure(failure)
     if sentence:
-        print(f"multilica: {_one_line(sentence)}", file=sys.stderr)  # noqa: T201
+        print(f"multilica: {printable(' '.join(sentence.split()))}", file=sys.stderr)  # noqa: T201
     if os.environ.get(DEBUG_VARIABLE) == "1":
         sys.excepthook(type(failure), failure, failure.__traceback__)
     return code
 
 
-def explain(failure: BaseException) -> tuple[int, str]:
-    """The exit code of a failure, with the sentence that tells it."""
+def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: PLR0911 - one return per kind of failure
+    """Return the exit code of a failure, and a sentence for the user that is empty if there is nothing to say."""
     match failure:
         case UsageError():
             return ExitCode.USAGE, str(failure)
@@ -53,14 +51,14 @@ def explain(failure: BaseException) -> tuple[int, str]:
             return failure.exit_code, _with_notes(failure)
         case typer.TyperException():
             return ExitCode.USAGE, _usage_sentence(failure)
-        case _:
-            return ExitCode.BROKEN, _machine_or_bug(failure)
-
-
-def _machine_or_bug(failure: BaseException) -> str:
-    match failure:
         case BrokenPipeError():
-            return ""
+            return ExitCode.BROKEN, ""
+        case _:
+            return ExitCode.BROKEN, _system_error_or_bug(failure)
+
+
+def _system_error_or_bug(failure: BaseException) -> str:
+    match failure:
         case ImportError() if "shared object" in str(failure):
             return (
                 f"A library that multilica needs cannot be loaded ({failure}); on Debian and Ubuntu "
@@ -68,25 +66,21 @@ def _machine_or_bug(failure: BaseException) -> str:
             )
         case OSError():
             where = f" ({failure.filename})" if failure.filename else ""
-            return f"The operating system refused: {failure.strerror or failure}{where}."
+            return f"System error: {failure.strerror or failure}{where}."
         case MemoryError():
-            return "Memory is exhausted; fewer --frames or a larger preprocess.voxel_size_m need less."
+            return "Out of memory; use fewer --frames or a larger preprocess.voxel_size_m."
         case _:
             return (
                 f"This is a bug in multilica, not in the input ({type(failure).__name__}: {failure}); "
-                f"please report it with what {DEBUG_VARIABLE}=1 adds to this message."
+                f"please report it with the traceback that {DEBUG_VARIABLE}=1 prints."
             )
 
 
 def _usage_sentence(failure: typer.TyperException) -> str:
-    """What typer objects to, which its errors know better than their text; "" after it printed the help itself."""
+    """Return typer's own message; empty after typer printed the help itself."""
     message = str(getattr(failure, "format_message", failure.__str__)()).strip().rstrip(".")
     return f"{message}; see `multilica --help` and `multilica COMMAND --help`." if message else ""
 
 
 def _with_notes(failure: BaseException) -> str:
     return " ".join((str(failure), *getattr(failure, "__notes__", ())))
-
-
-def _one_line(text: str) -> str:
-    return printable(" ".join(text.split()))

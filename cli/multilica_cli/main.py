@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `multilica` command."""
-
-from __future__ import annotations
+"""Command `multilica`."""
 
 import sys
 from collections.abc import Sequence
@@ -21,7 +19,7 @@ from multilica_cli.commands.record import record
 from multilica_cli.commands.report import report
 from multilica_cli.commands.simulate import simulate
 from multilica_cli.commands.view import view
-from multilica_cli.failures import report as report_failure
+from multilica_cli.failures import print_failure
 from multilica_cli.interruption import unwind_on_signals
 
 __all__ = ["app", "main", "run"]
@@ -31,8 +29,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Exit codes: 0 all placed, 1 machine or bug, 2 usage, 3 input unreadable or unfit, "
-    "4 some LiDAR not placed or silent, 5 diff found the runs different, 130 Ctrl-C, 143 SIGTERM.",
+    epilog="Exit codes: 0 all LiDARs placed, 1 system error or bug, 2 wrong usage, 3 unusable input, "
+    "4 a LiDAR not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM.",
 )
 for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, demo):
     app.command()(command)
@@ -45,17 +43,17 @@ def main() -> None:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line; returns its exit code.
+    """Run one command line and return its exit code.
 
     Args:
-        arguments: without the program's name; None takes those of the process.
+        arguments: without the program's name; None: those of the process.
     """
     try:
         return app(arguments, standalone_mode=False) or 0
     except SystemExit:
         raise
     except BaseException as failure:  # noqa: BLE001
-        return report_failure(failure)
+        return print_failure(failure)
 
 
 def _print_version(asked: bool) -> None:
@@ -70,5 +68,5 @@ def multilica_command(
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
     ] = False,
 ) -> None:
-    """Find where every LiDAR of a vehicle sits, from one stationary snapshot."""
+    """Calibrate the extrinsics of a vehicle's LiDARs from one stationary snapshot."""
     del version

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Arguments that several commands share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -34,9 +32,9 @@ Sources = Annotated[
     list[str],
     typer.Argument(
         metavar="SOURCE",
-        help="An MCAP file, a ROS 1 or ROS 2 bag, a directory of PCD, PLY or other point files, or such files, one per "
-        "LiDAR; recordings with different LiDARs each are one snapshot, recordings of the same LiDARs a snapshot each; "
-        "a file may be at s3://, gs:// or https://.",
+        help="MCAP file, ROS 1 or ROS 2 bag, or point files (PCD, PLY, ...) with one file or directory per LiDAR; "
+        "local or at s3://, gs:// or https://. Recordings of different LiDARs form one snapshot, recordings of the "
+        "same LiDARs one each.",
         show_default=False,
     ),
 ]
@@ -45,7 +43,7 @@ Topics = Annotated[
     typer.Option(
         "--topic",
         metavar="[NAME=]/topic",
-        help="Take only this topic, as the LiDAR of that name; or a pattern (/lidar_*/points), or a type; repeatable.",
+        help="Topic to use, with a name for its LiDAR; also a pattern (/lidar_*/points) or a message type. Repeatable.",
     ),
 ]
 Frames = Annotated[
@@ -53,8 +51,8 @@ Frames = Annotated[
     typer.Option(
         "--frames",
         metavar="N",
-        help="Frames per LiDAR that are accumulated.",
-        show_default="10, of a recorded snapshot all",
+        help="Frames to accumulate per LiDAR.",
+        show_default="10; all of a file made by record",
     ),
 ]
 Start = Annotated[
@@ -62,57 +60,56 @@ Start = Annotated[
     typer.Option(
         "--start",
         metavar="S|TIME",
-        help="Begin so many seconds after the first frame, or at a time: ISO 8601, seconds or nanoseconds since 1970.",
+        help="Start S seconds after the first frame, or at a time (ISO 8601, or seconds or nanoseconds since 1970).",
     ),
 ]
 Window = Annotated[
     Literal["start", "auto"] | None,
-    typer.Option("--window", metavar="start|auto", help="auto: where the vehicle stands still for longest."),
+    typer.Option("--window", metavar="start|auto", help="auto: use the longest standstill of the vehicle."),
 ]
 WindowSeconds = Annotated[
-    float | None, typer.Option("--over", metavar="S", help="Spread the frames over so many seconds.")
+    float | None, typer.Option("--over", metavar="S", help="Spread the frames over this many seconds.")
 ]
-Strict = Annotated[bool, typer.Option("--strict", help="Refuse a recording of which less than all can be used.")]
-Preset = Annotated[str | None, typer.Option("--preset", metavar="default|paper", help="Parameters to start from.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Fail if any part of the recording is unreadable.")]
+Preset = Annotated[str | None, typer.Option("--preset", metavar="default|paper", help="Set of parameters.")]
 PriorSource = Annotated[
     str | None,
     typer.Option(
         "--prior",
         metavar="tf|FILE",
-        help="Poses to try as well: the recording's /tf_static, or a file, TOML (as calibration.toml) or URDF.",
+        help="Known poses to try as well: tf (the recording's /tf_static), or a TOML or URDF file.",
         show_default=False,
     ),
 ]
 ConfigFile = Annotated[
     Path | None,
-    typer.Option("--config", metavar="FILE", help="Parameters as TOML; `multilica config --toml` prints one."),
+    typer.Option("--config", metavar="FILE", help="TOML file with parameters; `multilica config --toml` prints one."),
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="SECTION.KEY=VALUE", help="One parameter, as in fine.max_iterations=30; repeatable."),
+    typer.Option(
+        "--set", metavar="SECTION.KEY=VALUE", help="Set one parameter, for example fine.max_iterations=30. Repeatable."
+    ),
 ]
 Threads = Annotated[
-    int | None, typer.Option("--threads", metavar="N", help="Threads; with 1 the same input gives the same bits.")
+    int | None, typer.Option("--threads", metavar="N", help="Number of threads; with 1, results repeat bit for bit.")
 ]
 McapEncoding = Annotated[
     Literal["foxglove", "ros2"],
-    typer.Option("--mcap-encoding", metavar="foxglove|ros2", help="Encoding of the messages in result.mcap."),
+    typer.Option("--mcap-encoding", metavar="foxglove|ros2", help="Message encoding of result.mcap."),
 ]
 Record = Annotated[
     Literal["full", "normal", "slim"] | None,
     typer.Option(
-        "--record",
-        metavar="full|normal|slim",
-        help="How much recording.rrd keeps; as record.detail.",
-        show_default="normal",
+        "--record", metavar="full|normal|slim", help="Level of detail of recording.rrd.", show_default="normal"
     ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else there.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else.")]
 
 
 def mcap_name(out: Path) -> Path:
-    """The name itself; a callback of options that name a recording.
+    """Return the path of an option unchanged.
 
     Raises:
         UsageError: it does not end in .mcap.

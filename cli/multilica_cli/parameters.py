@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The configuration as a list of parameters with unit, range and meaning."""
+"""Documentation of the configuration's parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from multilica_cli.inline_toml import inline_toml
+from multilica_cli.configuration import inline_toml
 
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
@@ -16,16 +16,16 @@ __all__ = ["Parameter", "configuration_file", "configuration_page", "parameters"
 
 _UNITS = {"m": "m", "rad": "rad", "deg": "deg", "s": "s", "ns": "ns", "hz": "Hz", "voxels": "voxels"}
 _PAGE_HEAD = (
-    "<!-- Made by `make docs` from the models in multilica/config.py: change those. -->",
+    "<!-- Made by `make docs` from the models in multilica/config: change those. -->",
     "",
     "# Configuration",
     "",
-    "Every parameter exists once, in `multilica/config.py`. Values come from a preset (`--preset default|paper`) or",
-    "a TOML file (`--config FILE`; a key `preset` in it names what the rest comes from), then from options of the",
-    "command line, then from `--set section.key=value`. Unknown keys are refused. `multilica config` prints what",
-    "results, `multilica config --toml` prints it as a file to start from, `result.json` keeps that of its run.",
+    "Every parameter is defined once, in `multilica/config`. Values come from a preset (`--preset default|paper`) or a",
+    "TOML file (`--config FILE`; its key `preset` gives the keys that it leaves out), then from options of the command",
+    "line, then from `--set section.key=value`. Unknown keys are an error. `multilica config` prints the resulting",
+    "values, `multilica config --toml` prints them as a file to start from; `result.json` holds those of its run.",
 )
-_TABLE_HEAD = ("| key | default | `paper`, where it differs | unit | allowed | meaning |", "|---|---|---|---|---|---|")
+_TABLE_HEAD = ("| key | default | `paper`, if different | unit | allowed | meaning |", "|---|---|---|---|---|---|")
 _BOUNDS = {"minimum": ">= {}", "exclusiveMinimum": "> {}", "maximum": "<= {}", "exclusiveMaximum": "< {}"}
 
 
@@ -34,12 +34,12 @@ class Parameter:
     """One parameter.
 
     Args:
-        section: its table, "" for those of the whole run.
+        section: its table; empty for parameters of the whole run.
         name: its key in that table.
         value: plain value, as TOML holds it.
-        unit: "" for numbers without one.
-        allowed: range or choices in words, "" if any value of the type will do.
-        meaning: what it does.
+        unit: empty for numbers without one.
+        allowed: range or choices; empty if any value of the type is allowed.
+        meaning: one clause.
     """
 
     section: str
@@ -51,26 +51,28 @@ class Parameter:
 
     @property
     def key(self) -> str:
-        """What `--set` takes."""
+        """Return the key that `--set` takes."""
         return f"{self.section}.{self.name}" if self.section else self.name
+
+    @property
+    def meaning_with_limits(self) -> str:
+        """Return the meaning, followed by the allowed values if they are limited."""
+        return self.meaning + (f" ({self.allowed})" if self.allowed else "")
 
 
 def parameters(config: CalibrationConfig) -> tuple[Parameter, ...]:
-    """Every parameter with its value in that configuration, in the order of the stages."""
+    """List all parameters with their values, those of the whole run first, then in the order of the stages."""
     values = config.model_dump(mode="json")
     schema = config.model_json_schema()
-    return tuple(_parameters(schema, schema["$defs"], values))
-
-
-def _parameters(schema: dict[str, Any], sections: dict[str, Any], values: dict[str, Any]) -> Iterator[Parameter]:
-    nested: list[Parameter] = []
+    of_run: list[Parameter] = []
+    of_sections: list[Parameter] = []
     for name, field in schema["properties"].items():
         if "$ref" not in field:
-            yield _parameter("", name, field, values[name])
+            of_run.append(_parameter("", name, field, values[name]))
             continue
-        section = sections[field["$ref"].rpartition("/")[2]]
-        nested += [_parameter(name, key, entry, values[name][key]) for key, entry in section["properties"].items()]
-    yield from nested
+        keys = schema["$defs"][field["$ref"].rpartition("/")[2]]["properties"]
+        of_sections += [_parameter(name, key, entry, values[name][key]) for key, entry in keys.items()]
+    return (*of_run, *of_sections)
 
 
 def _parameter(section: str, name: str, field: dict[str, Any], value: object) -> Parameter:
@@ -87,39 +89,25 @@ def _allowed(field: dict[str, Any]) -> str:
 
 
 def configuration_file(config: CalibrationConfig) -> str:
-    """A configuration file that says what each key means; `--config` reads it."""
+    """Write a file for `--config` with the meaning of each key as a comment."""
     lines = ["# Keys that are left out keep the value of the preset."]
-    section = ""
-    for parameter in parameters(config):
-        if parameter.section != section:
-            section = parameter.section
-            lines += ["", f"[{section}]"]
-        lines += [f"# {_comment(parameter)}", f"{parameter.name} = {inline_toml(parameter.value)}"]
+    for section, members in groupby(parameters(config), key=lambda parameter: parameter.section):
+        lines += ["", f"[{section}]"] if section else []
+        for parameter in members:
+            lines += [f"# {parameter.meaning_with_limits}", f"{parameter.name} = {inline_toml(parameter.value)}"]
     return "\n".join(lines) + "\n"
 
 
 def configuration_page() -> str:
-    """The page of the documentation: one table per section, with the values of both presets."""
+    """Write the page of the documentation: one table per section, with the values of both presets."""
     from multilica.config import preset
 
-    other = {parameter.key: parameter.value for parameter in parameters(preset("paper"))}
+    paper = {parameter.key: parameter.value for parameter in parameters(preset("paper"))}
     lines = list(_PAGE_HEAD)
-    section: str | None = None
-    for parameter in parameters(preset("default")):
-        if parameter.section != section:
-            section = parameter.section
-            lines += ["", f"## `[{section}]`" if section else "## The whole run", "", *_TABLE_HEAD]
-        cells = (
-            f"`{parameter.name}`",
-            f"`{inline_toml(parameter.value)}`",
-            f"`{inline_toml(other[parameter.key])}`" if other[parameter.key] != parameter.value else "",
-            parameter.unit,
-            parameter.allowed,
-            parameter.meaning,
-        )
-        lines.append("| " + " | ".join(cells) + " |")
+    for section, members in groupby(parameters(preset("default")), key=lambda parameter: parameter.section):
+        lines += ["", f"## `[{section}]`" if section else "## The whole run", "", *_TABLE_HEAD]
+        for each in members:
+            other = f"`{inline_toml(paper[each.key])}`" if paper[each.key] != each.value else ""
+            cells = (f"`{each.name}`", f"`{inline_toml(each.value)}`", other, each.unit, each.allowed, each.meaning)
+            lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
-
-
-def _comment(parameter: Parameter) -> str:
-    return parameter.meaning + (f" ({parameter.allowed})" if parameter.allowed else "")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Events as progress on the terminal."""
+"""Progress of a run or of a live recording on the terminal."""
 
 from __future__ import annotations
 
@@ -7,64 +7,108 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
+from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from multilica.events import CalibrationFinished, CalibrationStarted, Event, Observer, StageFinished, StageStarted
+from multilica.events import (
+    CalibrationFinished,
+    CalibrationStarted,
+    InputNoted,
+    RunEvent,
+    RunObserver,
+    SnapshotRefused,
+    SnapshotStarted,
+    StageFinished,
+    StageStarted,
+)
+from multilica_cli.terminal import printable, stderr_console
 
 if TYPE_CHECKING:
-    from rich.console import Console
+    from multilica.ingest.recording import MessageObserver
 
-__all__ = ["show_progress"]
+__all__ = ["show_listening", "show_progress"]
 
 
 @contextmanager
-def show_progress(console: Console) -> Iterator[Observer]:
-    """An observer that shows the stages: bars on a terminal, a line per finished stage elsewhere."""
-    if not console.is_terminal or console.quiet:
-        yield _StageLines(console)
+def show_progress(*, quiet: bool) -> Iterator[RunObserver]:
+    """Show the stages of a run on stderr: as bars on a terminal, else as a line per finished stage."""
+    console = stderr_console(quiet=quiet)
+    if quiet or not console.is_terminal:
+        yield lambda event: _print_event(event, console)
         return
-    columns = (
-        SpinnerColumn(finished_text=" "),
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-    )
-    with Progress(*columns, console=console) as progress:
-        yield _StageBars(progress)
+    bars = _StageBars(console)
+    try:
+        yield bars
+    finally:
+        bars.stop()
 
 
-class _StageLines:
-    def __init__(self, console: Console) -> None:
-        self._console = console
-
-    def __call__(self, event: Event) -> None:
-        if isinstance(event, StageFinished):
-            self._console.print(f"{event.stage:<10} {event.elapsed_s:7.2f} s")
+def _print_event(event: RunEvent, console: Console) -> None:
+    match event:
+        case StageFinished(stage, elapsed_s):
+            console.print(f"{stage:<10} {elapsed_s:7.2f} s")
+        case SnapshotStarted(name):
+            console.print(f"snapshot {name}")
+        case InputNoted(note):
+            console.print(f"note: {note}")
+        case SnapshotRefused(_, reason):
+            console.print(f"left out: {reason}")
 
 
 class _StageBars:
-    def __init__(self, progress: Progress) -> None:
-        self._progress = progress
-        self._task: TaskID | None = None
+    """An observer with a bar per stage; each snapshot starts a new block of bars."""
 
-    def __call__(self, event: Event) -> None:
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._progress: Progress | None = None
+        self._task = TaskID(0)
+
+    def __call__(self, event: RunEvent) -> None:
         match event:
             case StageStarted(stage, steps):
-                self._task = self._progress.add_task(f"{stage:<10}", total=steps or None)
+                self._task = self._started().add_task(f"{stage:<10}", total=steps or None)
             case StageFinished():
-                self._finish()
+                done = max(self._started().tasks[-1].completed, 1)
+                self._started().update(self._task, total=done, completed=done)
+            case SnapshotStarted():
+                self.stop()
+                _print_event(event, self._console)
+            case InputNoted() | SnapshotRefused():
+                _print_event(event, self._console)
             case CalibrationStarted() | CalibrationFinished():
                 pass
             case _:
-                self._advance()
+                self._started().advance(self._task)
 
-    def _advance(self) -> None:
-        if self._task is not None:
-            self._progress.advance(self._task)
+    def _started(self) -> Progress:
+        if self._progress is None:
+            spinner, name = SpinnerColumn(finished_text=" "), TextColumn("{task.description}")
+            columns = (spinner, name, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+            self._progress = Progress(*columns, console=self._console)
+            self._progress.start()
+        return self._progress
 
-    def _finish(self) -> None:
-        if self._task is not None:
-            done = self._progress.tasks[self._task].completed
-            self._progress.update(self._task, total=max(done, 1), completed=max(done, 1))
-            self._task = None
+    def stop(self) -> None:
+        """Leave the bars as they are."""
+        if self._progress is not None:
+            self._progress.stop()
+            self._progress = None
+
+
+@contextmanager
+def show_listening(wanted: int, *, quiet: bool) -> Iterator[MessageObserver]:
+    """Show on stderr how many of the wanted frames arrived: as a bar per topic, else as a line per complete topic."""
+    console = stderr_console(quiet=quiet)
+    if quiet or not console.is_terminal:
+        yield lambda topic, count: console.print(f"{topic}: {count} of {wanted} scans") if count == wanted else None
+        return
+    tasks: dict[str, TaskID] = {}
+    name = TextColumn("{task.description}", markup=False)
+    with Progress(name, BarColumn(), MofNCompleteColumn(), console=console) as progress:
+
+        def observe(topic: str, count: int) -> None:
+            if topic not in tasks:
+                tasks[topic] = progress.add_task(printable(topic), total=wanted)
+            progress.update(tasks[topic], completed=min(count, wanted))
+
+        yield observe

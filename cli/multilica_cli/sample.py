@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recording that comes with multilica."""
-
-from __future__ import annotations
+"""Sample recording that is installed with multilica."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,22 +11,17 @@ SAMPLE_NAME = "edgar-street"
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A simulated snapshot.
-
-    Args:
-        recording: the MCAP file.
-        truth: TOML file of the exact extrinsics.
-    """
+    """A simulated MCAP file with a TOML file of its exact extrinsics."""
 
     recording: Path
     truth: Path
 
 
 def find_sample() -> Sample:
-    """The embedded sample: in the installed package, or in the checkout that this file belongs to.
+    """Find the embedded sample in the installed package or in the checkout.
 
     Raises:
-        FileNotFoundError: in neither.
+        FileNotFoundError: it is in neither.
     """
     package = Path(__file__).parent
     folders = (package / "samples", package.parents[1] / "recordings" / "samples")
@@ -36,4 +29,4 @@ def find_sample() -> Sample:
         sample = Sample(folder / f"{SAMPLE_NAME}.mcap", folder / f"{SAMPLE_NAME}.truth.toml")
         if sample.recording.is_file() and sample.truth.is_file():
             return sample
-    raise FileNotFoundError(2, "the embedded sample is missing; `make sample` makes it", str(folders[-1]))
+    raise FileNotFoundError(2, "the embedded sample is missing; `make sample` creates it", str(folders[-1]))

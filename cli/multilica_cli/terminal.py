@@ -1,42 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where text for people goes."""
+"""Consoles for text on stdout or stderr."""
 
-from __future__ import annotations
+import json
+from typing import Any
 
-from typing import TYPE_CHECKING
+import typer
+from rich.console import Console
+from rich.text import Text
 
-if TYPE_CHECKING:
-    from rich.console import Console
-
-__all__ = ["printable", "stderr_console", "stdout_console"]
+__all__ = ["print_json", "printable", "stderr_console", "stdout_console"]
 
 _WIDTH_OF_FILES = 160
 _LEAST_WIDTH = 100
 _ESCAPES = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\n\t"}
 
 
+class _PlainConsole(Console):
+    """A rich console that prints control characters as escapes, also in cells of tables."""
+
+    def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401 - those of rich
+        """Render text that has no style yet."""
+        return super().render_str(printable(text), **options)
+
+
 def printable(text: str) -> str:
-    """The text with control characters as escapes: a recording's topics and frames may hold what steers a terminal."""
+    """Escape control characters: names from a recording could otherwise send commands to the terminal."""
     return text.translate(_ESCAPES).encode("utf-8", "backslashreplace").decode("utf-8")
 
 
+def print_json(document: object) -> None:
+    """Print a document of plain values as JSON on stdout."""
+    typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+
+
 def stdout_console(*, quiet: bool = False) -> Console:
-    """For results; says nothing when `quiet`. On a narrow terminal tables break rather than lose digits."""
+    """Return a console for results that is at least 100 columns wide, so that tables keep their digits."""
     console = _console(stderr=False, quiet=quiet)
     console.width = max(console.width, _LEAST_WIDTH)
     return console
 
 
 def stderr_console(*, quiet: bool = False) -> Console:
-    """For progress; says nothing when `quiet`."""
+    """Return a console for progress."""
     return _console(stderr=True, quiet=quiet)
 
 
 def _console(*, stderr: bool, quiet: bool) -> Console:
-    """Plain text of a fixed width where nobody watches: tables in logs must not depend on a terminal."""
-    from multilica_cli.plain_console import PlainConsole
-
-    console = PlainConsole(stderr=stderr, quiet=quiet, highlight=False, markup=False, emoji=False, soft_wrap=True)
+    console = _PlainConsole(stderr=stderr, quiet=quiet, highlight=False, markup=False, emoji=False, soft_wrap=True)
     if not console.is_terminal:
-        console.width = _WIDTH_OF_FILES
+        console.width = _WIDTH_OF_FILES  # tables in logs must not depend on a terminal
     return console

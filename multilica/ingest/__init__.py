@@ -1,15 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of every format as snapshots."""
+"""Readers of recordings of every format as snapshots."""
 
-from __future__ import annotations
-
-from multilica.ingest.prior import Prior, read_prior
-from multilica.ingest.reading import read_snapshot
-from multilica.ingest.recorded import frames_recorded
-from multilica.ingest.requirement import require_calibratable
-from multilica.ingest.snapshots import SnapshotSource, find_snapshots, require_lidar
+from multilica.ingest.snapshot_metadata import frames_recorded
+from multilica.ingest.snapshot_reader import TakenSnapshot, read_snapshot, take_snapshot
+from multilica.ingest.snapshots import SnapshotSource, find_snapshots, require_calibratable, require_lidar
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
-from multilica.ingest.taking import TakenSnapshot, take_snapshot
+from multilica.ingest.transforms.prior import Prior, read_prior
 
 __all__ = [
     "CloudTopicSummary",

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Damaged bytes as one sentence."""
-
-from __future__ import annotations
+"""Errors of libraries on damaged files as one sentence."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,36 +8,34 @@ from multilica.errors import MultilicaError, UnreadableSourceError
 
 __all__ = ["DamagedRecordingError", "damage_named", "reason_of"]
 
-_NONSENSE = "its records make no sense"
 _REASONS = {
-    "AssertionError": _NONSENSE,
-    "AttributeError": _NONSENSE,
-    "CRCValidationError": "a checksum does not match its data",
-    "EndOfFile": "the file ends too early",
-    "EndOfFileError": "the file ends too early",
-    "IndexError": _NONSENSE,
-    "KeyError": "a record refers to another that is not there",
-    "MemoryError": "a record claims more memory than there is",
-    "OSError": _NONSENSE,
-    "OverflowError": "a record claims an impossible size",
-    "PermissionError": "permission is denied",
-    "RecordLengthLimitExceeded": "a record claims an impossible size",
-    "RuntimeError": "compressed data cannot be unpacked",
-    "StopIteration": "the file ends too early",
-    "TypeError": _NONSENSE,
-    "UnicodeDecodeError": _NONSENSE,
-    "ZstdError": "compressed data cannot be unpacked",
-    "error": _NONSENSE,
+    "its records make no sense": (
+        "AssertionError",
+        "AttributeError",
+        "IndexError",
+        "OSError",
+        "TypeError",
+        "UnicodeDecodeError",
+        "error",
+    ),
+    "a checksum does not match its data": ("CRCValidationError",),
+    "the file ends too early": ("EndOfFile", "EndOfFileError", "StopIteration"),
+    "a record refers to another that does not exist": ("KeyError",),
+    "a record claims more memory than there is": ("MemoryError",),
+    "a record claims an impossible size": ("OverflowError", "RecordLengthLimitExceeded"),
+    "permission is denied": ("PermissionError",),
+    "compressed data cannot be unpacked": ("RuntimeError", "ZstdError"),
 }
-"""What the exceptions of the libraries mean for the user, by name, so that no library is imported for it."""
+"""Reason -> names of exception classes; by name, so that no library is imported for it."""
+_REASON_OF_CLASS = {name: reason for reason, names in _REASONS.items() for name in names}
 
 
 class DamagedRecordingError(UnreadableSourceError):
-    """A recording cannot be read, or not beyond some place.
+    """A recording cannot be read, or not beyond some point.
 
     Args:
         where: the file, for the message.
-        reason: what is wrong, as a clause without its full stop.
+        reason: what is wrong, as a clause without full stop.
     """
 
     def __init__(self, where: str, reason: str) -> None:
@@ -50,7 +46,7 @@ class DamagedRecordingError(UnreadableSourceError):
 
 @contextmanager
 def damage_named(where: str) -> Iterator[None]:
-    """Turn whatever a library raises on damaged bytes into one sentence.
+    """Turn any error of a library into one sentence.
 
     Raises:
         DamagedRecordingError: the block failed.
@@ -64,8 +60,8 @@ def damage_named(where: str) -> Iterator[None]:
 
 
 def reason_of(error: Exception) -> str:
-    """What a library's exception says, as a clause in one line."""
+    """Return the meaning of a library's exception, as a clause in one line."""
     text = " ".join(str(error).split()).rstrip(".")
     if "database disk image is malformed" in text:
         return "the file ends too early or was overwritten"
-    return _REASONS.get(type(error).__name__) or text or type(error).__name__
+    return _REASON_OF_CLASS.get(type(error).__name__) or text or type(error).__name__

@@ -1,30 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The hash that tells whether two runs read the same input."""
-
-from __future__ import annotations
+"""The hash of an input."""
 
 import hashlib
 import os
 from collections.abc import Sequence
 
-from multilica.ingest.remote_file import RemoteFile, SourceFile
+from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 
 __all__ = ["WHOLE_FILE_BYTES", "sha256_of_files"]
 
 WHOLE_FILE_BYTES = 256 << 20
-"""Larger files are hashed by their size, their beginning and their end."""
+"""Of larger files, only the size, the beginning and the end are hashed."""
 _EDGE_BYTES = 64 << 20
 _REMOTE_EDGE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
 
 
 def sha256_of_files(files: Sequence[SourceFile]) -> str:
-    """SHA-256, hexadecimal.
+    """Return the SHA-256 in hexadecimal.
 
-    Of one file: what `sha256sum` prints. Of several: the hash over the lines ``<hash>  <name>`` that `sha256sum` would
-    print for them, sorted by path. A file of more than 256 MiB counts as its size in ASCII digits, its first and its
-    last 64 MiB, so that a log of 30 GB takes no longer than what is read of it; a remote one of more than 2 MiB as its
-    size, its first and its last 1 MiB, where an MCAP file has its index.
+    One file: as `sha256sum`. Several files: the hash of the lines ``<hash>  <name>`` of `sha256sum`, sorted by path.
+    For files above 256 MiB, the hash is that of the size in ASCII digits and the first and last 64 MiB, so that a log
+    of 30 GB takes no longer than the data that is read of it; for remote files above 2 MiB, the first and last 1 MiB,
+    where an MCAP file has its index.
     """
     if len(files) == 1:
         return _sha256_of_file(files[0])

@@ -1,44 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The adapter of each format."""
+"""The opening of a source with the readers of its files."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from contextlib import ExitStack, closing
-from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.cloud_files import open_frames
-from multilica.ingest.detect import PACKED, TITLES, detect_format
-from multilica.ingest.downloaded import open_on_disk
-from multilica.ingest.joined_recording import JoinedRecording
-from multilica.ingest.ouster_recording import with_turns
-from multilica.ingest.packed_file import open_packed
+from multilica.ingest.containers.joined_recording import JoinedRecording
+from multilica.ingest.containers.ouster_recording import with_turns
+from multilica.ingest.containers.split_recording import SplitRecording
+from multilica.ingest.formats import Content, FileFormat, detect_format
+from multilica.ingest.locate import Source, locate
+from multilica.ingest.point_files.cloud_files import open_frames
 from multilica.ingest.recording import Recording
-from multilica.ingest.remote_file import SourceFile
-from multilica.ingest.source import Source, locate
-from multilica.ingest.split_recording import SplitRecording
+from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
 
 __all__ = ["open_source"]
-
-_ADAPTERS = {
-    "mcap": "multilica.ingest.mcap_file",
-    "sqlite3": "multilica.ingest.ros2_sqlite",
-    "ros1": "multilica.ingest.ros1_bag",
-}
-"""Format -> module whose `open_file` opens it; imported when such a file is opened."""
-_READ_BY_RANGES = {"mcap"}
-"""Formats that are read in place, wherever the file is."""
 
 
 def open_source(source: Source) -> Recording:
     """Open the files of a source as one recording.
 
     Raises:
-        UnreadableSourceError: not one of the files can be read.
+        UnreadableSourceError: none of the files can be read.
     """
     if source.frames:
         return open_frames(source.frames)
@@ -50,19 +35,23 @@ def open_source(source: Source) -> Recording:
 
 
 def _open_file(file: SourceFile) -> Recording:
-    name = detect_format(file)
-    if name == PACKED:
-        return open_on_disk(file, "a compressed file", partial(open_packed, open_file=_open_unpacked))
-    adapter = import_module(_ADAPTERS[name])
-    if name in _READ_BY_RANGES:
-        return cast(Callable[[SourceFile], Recording], adapter.open_file)(file)
-    return open_on_disk(file, TITLES[name], cast(Callable[[Path], Recording], adapter.open_file))
+    found = detect_format(file)
+    reader = _reader(found)
+    if found.content is Content.FILE:
+        return cast(Recording, reader.open_packed(path_on_disk(file, "a compressed file"), str(file), _open_unpacked))
+    path = file if found.reads_ranges else path_on_disk(file, found.title)
+    return cast(Recording, reader.open_file(path, str(file)))
 
 
-def _open_unpacked(path: Path) -> Recording:
-    if detect_format(path) not in _ADAPTERS:
-        raise UnreadableSourceError(f"{path.name} was compressed and is no recording; unpack it with `zstd -d`.")
-    return _open_file(path)
+def _open_unpacked(path: Path, where: str) -> Recording:
+    found = detect_format(path)
+    if found.content is not Content.RECORDING:
+        raise UnreadableSourceError(f"{where} does not unpack to a recording; unpack it with `zstd -d`.")
+    return cast(Recording, _reader(found).open_file(path, where))
+
+
+def _reader(found: FileFormat) -> Any:  # noqa: ANN401 - a module
+    return import_module(f"multilica.ingest.{found.reader}")
 
 
 def _open_recorders(sources: tuple[Source, ...]) -> Recording:

@@ -1,48 +1,70 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every format offers to the reader."""
+"""The interface of an open recording, the same for every format."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Collection, Generator, Iterable
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
 
-__all__ = ["Message", "MessageObserver", "Messages", "Recording", "Span", "Topic", "joint_span", "normal_type"]
+__all__ = [
+    "MessageObserver",
+    "Messages",
+    "RawMessage",
+    "Recording",
+    "Span",
+    "Topic",
+    "WrappedRecording",
+    "joint_span",
+    "joint_topics",
+    "normal_type",
+    "sanitize_text",
+]
 
 Span = tuple[int, int]
 """Log times of the first and the last message, in nanoseconds."""
 MessageObserver = Callable[[str, int], None]
-"""Told of a topic of a running vehicle, and of the number of its messages so far."""
+"""Called with a topic of a running vehicle and the number of its messages so far."""
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One stream of messages of one type.
+    """A stream of messages of one type.
 
     Args:
-        name: topic, or for point files the name of the file or folder.
+        name: topic; for point files, the name of the file or folder.
         message_type: ROS 2 notation, ``package/msg/Name``, also for ROS 1.
-        encoding: how the bytes are to be read: ``cdr``, ``ros1``, ``pcd``, ``ply``, or another that nobody here reads.
+        encoding: of the messages' bytes, for instance ``cdr``, ``ros1`` or ``pcd``.
         count: number of messages.
-        lidar: what the recording itself calls the LiDAR; empty: to be named after its frame id.
+        lidar: the LiDAR's name in the recording; empty to name it after its frame id.
     """
 
     name: str
     message_type: str
     encoding: str
-    count: int
+    count: int = 0
     lidar: str = ""
+
+    def message(self, log_time_ns: int, data: bytes | memoryview, source: object, *, fault: str = "") -> RawMessage:
+        """Return a message on this topic.
+
+        Args:
+            source: the file, for error messages.
+        """
+        origin = f"In {source}, a scan of '{self.name}'"
+        return RawMessage(self.name, self.message_type, self.encoding, log_time_ns, data, origin, self.lidar, fault)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Message:
-    """One message as it lies in the recording, not unpacked yet.
+class RawMessage:
+    """One message as stored in the recording, not decoded yet.
 
     Args:
-        log_time_ns: when it was recorded; 0 where the format has no time.
-        origin: what a sentence about this very message begins with, for instance its file.
-        lidar: as of `Topic`.
-        fault: why its data could not even be read, as a predicate; empty if they could.
+        log_time_ns: when it was recorded; 0 if the format has no time.
+        origin: start of a sentence about this message, for instance its file.
+        lidar: as in `Topic`.
+        fault: why its data cannot be read, as a predicate; empty if they can.
     """
 
     topic: str
@@ -54,14 +76,9 @@ class Message:
     lidar: str = ""
     fault: str = ""
 
-    @property
-    def topic_alone(self) -> Topic:
-        """The topic, no messages counted."""
-        return Topic(self.topic, self.message_type, self.encoding, 0, self.lidar)
 
-
-Messages: TypeAlias = Generator[Message, None, None]
-"""An iterator that lets go of its file when it is closed."""
+Messages: TypeAlias = Generator[RawMessage, None, None]
+"""Messages; closing the generator releases the file."""
 
 
 class Recording(Protocol):
@@ -69,7 +86,7 @@ class Recording(Protocol):
 
     @property
     def format(self) -> str:
-        """What the user calls the format, for instance ``MCAP``."""
+        """The format's name for the user, for instance ``MCAP``."""
 
     @property
     def topics(self) -> tuple[Topic, ...]:
@@ -77,33 +94,78 @@ class Recording(Protocol):
 
     @property
     def damage(self) -> str:
-        """Why less can be read than was recorded ("the file ends too early"); empty if nothing is known."""
+        """Why part of the recording is missing ("the file ends too early"); empty if nothing is known."""
 
     @property
     def is_indexed(self) -> bool:
-        """Messages from some time on can be had without reading those before."""
+        """Whether messages from some time on can be read without those before."""
 
     def span_ns(self, topics: Collection[str]) -> Span | None:
-        """When these topics begin and end; None without messages, or where the format has no time."""
+        """Return when these topics begin and end; None without messages or without time."""
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """The messages on these topics that were logged at `start_ns` or later, oldest first.
+        """Yield the messages on these topics that were logged at `start_ns` or later, oldest first.
 
         Raises:
-            DamagedRecordingError: nothing more can be read; what came before is good.
+            DamagedRecordingError: nothing more can be read; what came before is valid.
         """
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Close the files."""
+
+
+class WrappedRecording:
+    """A recording that passes everything on to another one; subclasses change part of it.
+
+    Args:
+        recording: closed together with this one.
+    """
+
+    def __init__(self, recording: Recording) -> None:
+        self._recording = recording
+        self.format = recording.format
+        self.topics = recording.topics
+        self.damage = recording.damage
+        self.is_indexed = recording.is_indexed
+
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Return when these topics begin and end."""
+        return self._recording.span_ns(topics)
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """Yield the messages of the wrapped recording."""
+        yield from self._recording.messages(topics, start_ns)
+
+    def close(self) -> None:
+        """Close the wrapped recording."""
+        self._recording.close()
 
 
 def normal_type(message_type: str) -> str:
-    """``package/msg/Name`` for ROS 1's ``package/Name``; other names as they are."""
+    """Return ``package/msg/Name`` for ROS 1's ``package/Name``; other names unchanged."""
     package, slash, name = message_type.partition("/")
     return f"{package}/msg/{name}" if slash and "/" not in name else message_type
 
 
-def joint_span(spans: Mapping[str, Span], topics: Collection[str]) -> Span | None:
-    """From the first message of any of these topics to the last; None if there is none."""
-    chosen = [span for name, span in spans.items() if name in topics]
-    return (min(first for first, _ in chosen), max(last for _, last in chosen)) if chosen else None
+def joint_span(spans: Iterable[Span | None]) -> Span | None:
+    """Return the span from the earliest beginning to the latest end; None if there is none."""
+    known = [span for span in spans if span is not None]
+    return (min(first for first, _ in known), max(last for _, last in known)) if known else None
+
+
+def joint_topics(counts: Iterable[tuple[Topic, int]]) -> tuple[Topic, ...]:
+    """Add up messages by topic, sorted by name.
+
+    Args:
+        counts: a topic, whose own count is ignored, and a number of its messages.
+    """
+    totals: Counter[Topic] = Counter()
+    for topic, count in counts:
+        totals[replace(topic, count=0)] += count
+    found = (replace(topic, count=count) for topic, count in totals.items())
+    return tuple(sorted(found, key=lambda topic: (topic.name, topic.message_type, topic.encoding, topic.lidar)))
+
+
+def sanitize_text(value: object) -> str:
+    """Return the value as valid UTF-8 text; lone surrogates, as in JSON or file names, become question marks."""
+    return str(value).encode("utf-8", "replace").decode("utf-8")

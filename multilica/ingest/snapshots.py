@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which sources are snapshots of their own."""
-
-from __future__ import annotations
+"""The split of sources into snapshots, with checks of what a calibration needs."""
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -10,23 +8,24 @@ from dataclasses import dataclass
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.ingest.choice import choose_topics
+from multilica.ingest.locate import PathLike, find_source, locate, require_distinct
 from multilica.ingest.opening import open_source
-from multilica.ingest.reading import DEFAULT_CONFIG, assemble_snapshot
-from multilica.ingest.remote_file import SourceFile
-from multilica.ingest.source import PathLike, find_source, locate
-from multilica.ingest.window import collect_frames
+from multilica.ingest.remote.remote_file import SourceFile
+from multilica.ingest.selection.topics import choose_topics
+from multilica.ingest.selection.window import collect_frames
+from multilica.ingest.snapshot_reader import assemble_snapshot
+from multilica.snapshot import Snapshot
 
-__all__ = ["SnapshotSource", "find_snapshots", "require_lidar"]
+__all__ = ["SnapshotSource", "find_snapshots", "require_calibratable", "require_lidar"]
 
 
 @dataclass(frozen=True, slots=True)
 class SnapshotSource:
-    """What `read_snapshot` takes for one snapshot.
+    """The sources of one snapshot, for `read_snapshot`.
 
     Args:
-        name: after the recording, unique among those found together; fit for a folder's name.
-        lidars: names of its LiDARs; empty where it is the only snapshot, or has none.
+        name: of the recording, unique among those found together; valid as a folder's name.
+        lidars: names of its LiDARs; empty if it is the only snapshot, or has none.
     """
 
     name: str
@@ -34,41 +33,37 @@ class SnapshotSource:
     lidars: tuple[str, ...] = ()
 
 
-def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig = DEFAULT_CONFIG) -> tuple[SnapshotSource, ...]:
-    """Several recordings, or folders with a bag each, are several snapshots of one rig; all else is one snapshot.
+def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig | None = None) -> tuple[SnapshotSource, ...]:
+    """Split sources into snapshots of one rig.
 
-    Point files stay one snapshot, with a file or a folder per LiDAR; so do recordings of which no two share a LiDAR's
-    name, as of a recorder per LiDAR.
+    Several recordings, or folders with a bag each, are several snapshots if they share LiDAR names. Recordings without
+    a common LiDAR, as from one recorder per LiDAR, are one snapshot; so are point files.
+
+    Args:
+        config: `IngestConfig()` if None.
 
     Raises:
-        SourceNotFoundError: nothing at one of the paths.
-        UnreadableSourceError: a recording that cannot be read.
-        UsageError: recordings of which only some share a LiDAR's name, or one that is given more than once.
-        UnknownNameError: a topic that none of the recordings has.
+        SourceNotFoundError: nothing exists at one of the paths.
+        UnreadableSourceError: a recording cannot be read.
+        UsageError: only some of the recordings share a LiDAR name, or one is given more than once.
+        UnknownNameError: none of the recordings has a topic.
     """
+    config = config or IngestConfig()
     paths = tuple(locate(source) for source in sources)
     if len(paths) < 2 or not all(find_source(path).recordings for path in paths):
         return (SnapshotSource(paths[0].stem if paths else "", paths),)
-    repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
-    if repeated:
-        raise UsageError(f"{repeated[0]} is given more than once.")
+    require_distinct(paths)
     whole = config.model_copy(update={"topics": {}, "only": ()})
     lidars = [_lidars(path, whole) for path in paths]
-    if _no_name_twice(lidars):
+    names = [name for each in lidars for name in each]
+    if len(names) == len(set(names)):
         return (SnapshotSource(paths[0].stem, paths),)
     if config != whole:
         lidars = [_lidars(path, config) for path in paths]
-    found = tuple(
-        SnapshotSource(name, (path,), names) for name, path, names in zip(_names(paths), paths, lidars, strict=True)
-    )
+    named = zip(_names(paths), paths, lidars, strict=True)
+    found = tuple(SnapshotSource(name, (path,), each) for name, path, each in named)
     _require_shared({str(source.paths[0]): source.lidars for source in found if source.lidars})
     return found
-
-
-def _no_name_twice(lidars: Sequence[tuple[str, ...]]) -> bool:
-    """Whether no LiDAR is in two of the recordings, whichever of their topics are asked for."""
-    names = [name for each in lidars for name in each]
-    return len(names) == len(set(names))
 
 
 def require_lidar(name: str, sources: Sequence[SnapshotSource]) -> None:
@@ -82,8 +77,27 @@ def require_lidar(name: str, sources: Sequence[SnapshotSource]) -> None:
         raise UnknownNameError("LiDAR", name, lidars, ", ".join(str(path) for each in sources for path in each.paths))
 
 
+def require_calibratable(snapshot: Snapshot) -> None:
+    """Check that at least two LiDARs have points.
+
+    Raises:
+        UnfitSnapshotError: fewer have.
+    """
+    source = snapshot.source or "The snapshot"
+    if len(snapshot.lidars) < 2:
+        only = f"only one LiDAR ({snapshot.names[0]})" if snapshot.names else "no LiDAR"
+        raise UnfitSnapshotError(f"{source} has {only}; calibration needs at least two.")
+    empty = [lidar.name for lidar in snapshot.lidars if lidar.points_count == 0]
+    filled = [lidar.name for lidar in snapshot.lidars if lidar.points_count > 0]
+    if len(filled) < 2:
+        raise UnfitSnapshotError(
+            f"{source} has finite points of {', '.join(filled) or 'no LiDAR'} only, none of {', '.join(empty)}; "
+            "calibration needs at least two LiDARs with points."
+        )
+
+
 def _lidars(path: SourceFile, config: IngestConfig) -> tuple[str, ...]:
-    """Names of the LiDARs; none where nothing can be calibrated, which reading the snapshot will explain."""
+    """Return the names of the LiDARs; none if reading the snapshot will fail."""
     found = find_source(path)
     first = config.model_copy(update={"frames": 1})
     with closing(open_source(found)) as recording:
@@ -92,7 +106,7 @@ def _lidars(path: SourceFile, config: IngestConfig) -> tuple[str, ...]:
             window = collect_frames(recording, given.keys(), first, found.label)
         except UnfitSnapshotError:
             return ()
-        return assemble_snapshot(found.label, given, window, ((), ())).names
+        return assemble_snapshot(found.label, given, window).names
 
 
 def _require_shared(lidars: Mapping[str, tuple[str, ...]]) -> None:
@@ -101,8 +115,8 @@ def _require_shared(lidars: Mapping[str, tuple[str, ...]]) -> None:
         if others and not {*names} & {*others}:
             raise UsageError(
                 f"{path} has the LiDARs {', '.join(names)}, and none of those of the other recordings "
-                f"({', '.join(others)}); several recordings are several snapshots of one rig and share LiDAR names "
-                "(--topic renames): put the topics of one moment into one recording."
+                f"({', '.join(others)}); several recordings are several snapshots of one rig and must share LiDAR "
+                "names (--topic renames): put the topics of one moment into one recording."
             )
 
 
@@ -112,6 +126,5 @@ def _names(paths: Sequence[SourceFile]) -> list[str]:
     for path in paths:
         absolute = path.resolve()
         name = absolute.stem if stems[absolute.stem] == 1 else f"{absolute.parent.name}_{absolute.stem}"
-        taken = names.count(name)
-        names.append(f"{name}_{len(names) + 1}" if taken else name)
+        names.append(f"{name}_{len(names) + 1}" if name in names else name)
     return names

@@ -1,9 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each stage finds: one frozen type per stage."""
+"""Results of the stages, each a frozen type."""
 
-from __future__ import annotations
-
-from multilica.results.calibration import CalibrationResult, Status
+from multilica.results.calibration import LEVEL_FRAME, CalibrationResult, Status
 from multilica.results.clouds import FeatureCloud, PreprocessedCloud, SensorHealth
 from multilica.results.hypotheses import (
     PRIOR,
@@ -15,24 +13,33 @@ from multilica.results.hypotheses import (
     PairKey,
     hypothesis_label,
 )
-from multilica.results.merging import EdgeResidual, MergeCandidate, MergeDecision, Refinement
-from multilica.results.placements import GroundPlane, LidarPlacement, SigmaOrigin, Spread
-from multilica.results.reason import Reason
-from multilica.results.registrations import Assessment, FineStep, Hold, PairRegistration, Verdict
+from multilica.results.merging import Group, MergeCandidate, MergeDecision, PairResidual, Refinement
+from multilica.results.placements import ContestedPlace, GroundPlane, LidarPlacement, SigmaOrigin, Spread
+from multilica.results.registrations import (
+    GicpStep,
+    PairRegistration,
+    Reason,
+    Registration,
+    Stability,
+    Verdict,
+    connected,
+)
 from multilica.results.snapshots import Refusal, SnapshotDeviation, SnapshotReport
+from multilica.results.visibility_score import BeamLabel, VisibilityScore
 
 __all__ = [
+    "LEVEL_FRAME",
     "PRIOR",
-    "Assessment",
+    "BeamLabel",
     "BoolArray",
     "CalibrationResult",
     "CoarseResult",
+    "ContestedPlace",
     "Correspondences",
-    "EdgeResidual",
     "FeatureCloud",
-    "FineStep",
+    "GicpStep",
     "GroundPlane",
-    "Hold",
+    "Group",
     "Hypothesis",
     "IndexArray",
     "LidarPlacement",
@@ -40,16 +47,21 @@ __all__ = [
     "MergeDecision",
     "PairKey",
     "PairRegistration",
+    "PairResidual",
     "PreprocessedCloud",
     "Reason",
     "Refinement",
     "Refusal",
+    "Registration",
     "SensorHealth",
     "SigmaOrigin",
     "SnapshotDeviation",
     "SnapshotReport",
     "Spread",
+    "Stability",
     "Status",
     "Verdict",
+    "VisibilityScore",
+    "connected",
     "hypothesis_label",
 ]

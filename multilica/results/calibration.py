@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """The outcome of a calibration."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from multilica.geometry import RigidTransform
 from multilica.results.clouds import SensorHealth
 from multilica.results.merging import MergeDecision, Refinement
 from multilica.results.placements import GroundPlane, LidarPlacement
 from multilica.results.registrations import PairRegistration
 from multilica.results.snapshots import Refusal, SnapshotReport
 
-__all__ = ["CalibrationResult", "Status"]
+__all__ = ["LEVEL_FRAME", "CalibrationResult", "Status"]
+
+LEVEL_FRAME = "level"
 
 Status = Literal["complete", "partial", "failed"]
 
@@ -34,6 +35,7 @@ class CalibrationResult:
         refusal: None unless the snapshot was not fit.
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
         snapshots: what each snapshot contributed; empty where there is only one.
+        level: pose of the target in a frame with z up, for pictures; None without a ground plane.
     """
 
     target: str
@@ -48,6 +50,7 @@ class CalibrationResult:
     refusal: Refusal | None = None
     trusted: tuple[PairRegistration, ...] = ()
     snapshots: tuple[SnapshotReport, ...] = ()
+    level: RigidTransform | None = None
 
     @property
     def status(self) -> Status:
@@ -58,7 +61,7 @@ class CalibrationResult:
         return "partial" if placed > 1 else "failed"
 
     def __getitem__(self, lidar: str) -> LidarPlacement:
-        """The placement of that LiDAR; KeyError if the rig has none of that name."""
+        """Return the placement of that LiDAR; KeyError if the rig has none of that name."""
         for placement in self.placements:
             if placement.lidar == lidar:
                 return placement

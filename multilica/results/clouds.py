@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of each LiDAR by itself."""
-
-from __future__ import annotations
+"""Clouds of single LiDARs after each stage."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from multilica.geometry import FloatArray
-from multilica.results.reason import Reason
+from multilica.results.registrations import Reason
 
 __all__ = ["FeatureCloud", "PreprocessedCloud", "SensorHealth"]
 
 
 @dataclass(frozen=True, slots=True)
 class SensorHealth:
-    """What a LiDAR's returns say of the LiDAR itself.
+    """Condition of a LiDAR, derived from its returns.
 
     Args:
         returns: finite returns over all frames.
-        near_share: share of them that is too near to be used: the vehicle's body, or dirt.
+        near_share: share of them that is too near to use: the vehicle's body, or dirt.
         soiled_share: share of the field of view that ends on the window.
-        reasons: `dead` or `dirty`; none for a LiDAR that is well.
+        reasons: `dead` or `dirty`; none for a healthy LiDAR.
     """
 
     lidar: str

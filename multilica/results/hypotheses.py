@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The matches of a pair, with the poses that they suggest."""
+"""Matches of a pair and the hypotheses that they support."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -26,7 +26,8 @@ BoolArray = npt.NDArray[np.bool_]
 PairKey = tuple[str, str]
 """(target, source): names of the two LiDARs."""
 PRIOR = "prior"
-"""Origin and name of the hypothesis that was known beforehand."""
+"""Origin and name of the hypothesis that the prior gives."""
+_NO_INLIERS = np.zeros(0, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +52,7 @@ class Correspondences:
         return len(self.target_points_m)
 
     def subset(self, index: IndexArray) -> Correspondences:
-        """The matches of those indices."""
+        """Select the matches of those indices."""
         return Correspondences(
             self.target,
             self.source,
@@ -65,31 +66,37 @@ class Correspondences:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """A pose that a set of matches agrees on.
+    """A proposed pose of a pair.
 
     Args:
-        inliers: (M,) which matches agree; all False where the solver does not tell.
+        inliers: (M,) which matches agree with it; empty where it does not come from matches.
         score: number of agreeing matches; the order in which hypotheses are tried.
-        origin: the solver, or `PRIOR`.
+        origin: the solver, or `PRIOR`; "" if the pose came from other pairs.
+        index: place among the pair's hypotheses, which derived poses share; -1 if the pose came from other pairs.
+        evidence: of its visibility score, where that is known.
     """
 
     T_target_source: RigidTransform
-    inliers: BoolArray
-    score: float
-    origin: str
+    inliers: BoolArray = field(default_factory=lambda: _NO_INLIERS)
+    score: float = 0.0
+    origin: str = ""
+    index: int = -1
+    evidence: float | None = None
 
 
 def hypothesis_label(index: int, origin: str) -> str:
-    """How a hypothesis is called wherever people read it: by its index, or as the prior."""
-    return PRIOR if origin == PRIOR else str(index)
+    """Name a hypothesis for people: by its index, as the prior, or as implied by other pairs."""
+    if origin == PRIOR:
+        return PRIOR
+    return str(index) if index >= 0 else "implied"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoarseResult:
-    """The hypotheses of a pair, the solver's best first; empty if the matches agree on nothing and nothing is known.
+    """The hypotheses of a pair, the solver's best first; empty if the matches support none and there is no prior.
 
     Args:
-        hypotheses: that of the prior, if there is one, comes last, so that it changes no other's index.
+        hypotheses: that of the prior, if there is one, comes last.
         graph_nodes, graph_edges: size of the consistency graph; 0 where the solver builds none.
     """
 

@@ -1,11 +1,48 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How registered pairs became one rig."""
+"""Merge decisions, groups of placed LiDARs and the joint refinement."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-__all__ = ["EdgeResidual", "MergeCandidate", "MergeDecision", "Refinement"]
+from multilica.geometry import RigidTransform
+
+__all__ = ["Group", "MergeCandidate", "MergeDecision", "PairResidual", "Refinement"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """LiDARs whose poses relative to each other are known.
+
+    Args:
+        root: the member whose frame is the group's.
+        poses: per member ``T_root_member``, the root with the identity.
+    """
+
+    root: str
+    poses: Mapping[str, RigidTransform]
+
+    @classmethod
+    def of_one(cls, name: str) -> Group:
+        """Create the group of a single LiDAR."""
+        return cls(name, {name: RigidTransform.identity(name, name)})
+
+    @property
+    def members(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(sorted(self.poses))
+
+    def joined(self, other: Group, T_root_other: RigidTransform) -> Group:
+        """Return this group with another one's members added."""
+        added = {name: T_root_other @ pose for name, pose in other.poses.items()}
+        return Group(self.root, {**self.poses, **added})
+
+    def pose_of(self, other: Group, known: RigidTransform) -> RigidTransform:
+        """Return the pose of the other group's root in this one's, from a pose between two of their members."""
+        if known.target in other.poses:
+            known = known.inverse()
+        return self.poses[known.target] @ known @ other.poses[known.source].inverse()
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +78,12 @@ class MergeDecision:
 
 
 @dataclass(frozen=True, slots=True)
-class EdgeResidual:
-    """By how much the poses of a rig disagree with one of its pairs, before and after the joint adjustment.
+class PairResidual:
+    """Disagreement of the rig's poses with one registered pair, before and after the joint refinement.
 
     Args:
-        weight: what the pair counted for in the end, from 1 down to 0 for an outlier.
-        snapshot: the snapshot that the pair is of; empty where there is only one.
+        weight: final weight of the pair, from 1 down to 0 for an outlier.
+        snapshot: name of the pair's snapshot; empty where there is only one.
     """
 
     target: str
@@ -61,22 +98,22 @@ class EdgeResidual:
 
 @dataclass(frozen=True, slots=True)
 class Refinement:
-    """What the joint adjustment did; without loops nothing is left to adjust."""
+    """Residuals of the joint refinement; without loops there is nothing to adjust."""
 
-    edges: tuple[EdgeResidual, ...] = ()
+    pairs: tuple[PairResidual, ...] = ()
 
     @property
     def cycle_error_m(self) -> tuple[float, float]:
         """Largest disagreement in metres before and after."""
         return (
-            max((edge.before_m for edge in self.edges), default=0.0),
-            max((edge.after_m for edge in self.edges), default=0.0),
+            max((pair.before_m for pair in self.pairs), default=0.0),
+            max((pair.after_m for pair in self.pairs), default=0.0),
         )
 
     @property
     def cycle_error_deg(self) -> tuple[float, float]:
         """Largest disagreement in degrees before and after."""
         return (
-            max((edge.before_deg for edge in self.edges), default=0.0),
-            max((edge.after_deg for edge in self.edges), default=0.0),
+            max((pair.before_deg for pair in self.pairs), default=0.0),
+            max((pair.after_deg for pair in self.pairs), default=0.0),
         )

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where each LiDAR ended."""
-
-from __future__ import annotations
+"""Placements of LiDARs and of the ground."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,8 +7,10 @@ from typing import Literal
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.results.hypotheses import PairKey
+from multilica.results.registrations import Registration
 
-__all__ = ["GroundPlane", "LidarPlacement", "SigmaOrigin", "Spread"]
+__all__ = ["ContestedPlace", "GroundPlane", "LidarPlacement", "SigmaOrigin", "Spread"]
 
 SigmaOrigin = Literal["residuals", "snapshots"]
 """What a covariance rests on: the residuals of the registrations, or those widened to the spread over snapshots."""
@@ -36,10 +36,10 @@ class GroundPlane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """How far the snapshots of one rig scatter in where they place a LiDAR.
+    """Scatter of a LiDAR's pose over the snapshots of one rig.
 
     Args:
-        snapshots: how many place it.
+        snapshots: number of snapshots that place it.
         xyz_m, rotation_deg: (3,) sample standard deviations along and about the target's axes; None below two.
     """
 
@@ -49,14 +49,33 @@ class Spread:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ContestedPlace:
+    """Two accepted pairs that put one LiDAR at different places.
+
+    Args:
+        pair, other: (target, source) of the pairs, the one with more evidence first.
+        distance_m, angle_rad: between the two places.
+        competing: the pose of `pair` that follows from `other`, scored but not registered; None where verification is
+            off.
+    """
+
+    pair: PairKey
+    other: PairKey
+    distance_m: float
+    angle_rad: float
+    competing: Registration | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LidarPlacement:
-    """Where one LiDAR ended, or why it did not.
+    """The pose of one LiDAR, or why it has none.
 
     Args:
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
         T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
         sigma_from: what the covariance rests on.
         spread: over the snapshots of a joint result; None where there is only one snapshot.
+        contested: why accepted pairs did not place it; None where no two contradict each other.
     """
 
     lidar: str
@@ -69,6 +88,7 @@ class LidarPlacement:
     T_target_source_prior: RigidTransform | None = None
     sigma_from: SigmaOrigin = "residuals"
     spread: Spread | None = None
+    contested: ContestedPlace | None = None
 
     @property
     def prior_deviation(self) -> tuple[float, float] | None:

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pair after GICP, with the verdict on it."""
+"""Registrations of pairs with their verdicts."""
 
-from __future__ import annotations
-
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -10,20 +9,19 @@ import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import hypothesis_label
-from multilica.results.reason import Reason
-from multilica.testimony import Testimony
+from multilica.results.visibility_score import VisibilityScore
 
-__all__ = ["Assessment", "FineStep", "Hold", "PairRegistration", "Verdict"]
+__all__ = ["GicpStep", "PairRegistration", "Reason", "Registration", "Stability", "Verdict", "connected"]
 
 
 @dataclass(frozen=True, slots=True)
-class Hold:
-    """How firmly the points of both clouds hold a registered pose. Turns count as arcs 10 m away.
+class Stability:
+    """How far a registered pose moves when it is disturbed. Rotations count as arcs at `LEVER_ARM_M`.
 
     Args:
         sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where
             too few points match.
-        push_m: how far the pose was pushed along its weakest direction, either way.
+        push_m: how far the pose was pushed along its weakest direction, to both sides.
         pushed_off_m: how far from the pose the registration ends when it starts from there.
         thinned_off_m: how far from the pose the registration of fewer points ends.
     """
@@ -36,61 +34,90 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Assessment:
-    """One hypothesis after GICP, judged by visibility.
+class Registration:
+    """One hypothesis after GICP, with its visibility score.
 
     Args:
-        hypothesis: index into the pair's hypotheses; -1 if it came from other pairs during merging.
+        hypothesis: index of the pair's hypothesis that it started from; -1 if the pose came from other pairs.
         origin: of that hypothesis; "" if it came from other pairs.
-        weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m: near zero where
-            the pose can slide without the fit getting worse.
-        probes_m: (N, 3) judged points of the source, in its own frame, to which `testimony.labels` belong.
-        target_probes_m: (M, 3) judged points of the target, in its own frame, as `testimony.target_labels`.
-        hold: what holds the pose; None where that is beyond doubt, or does not matter any more.
+        fitness, rmse_m, weakest_curvature: NaN for a pose that was scored but never registered.
+        weakest_curvature: smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by `LEVER_ARM_M`: near
+            zero where the pose can slide without a worse fit.
+        probes_m: (N, 3) scored points of the source, in its own frame, to which `visibility.labels` belong.
+        target_probes_m: (M, 3) scored points of the target, in its own frame, as `visibility.target_labels`.
+        stability: None where it was not tested.
     """
 
     hypothesis: int
     T_target_source: RigidTransform
-    testimony: Testimony
+    visibility: VisibilityScore
     fitness: float
     rmse_m: float
     weakest_curvature: float
     probes_m: FloatArray
     origin: str = ""
     target_probes_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    hold: Hold | None = None
+    stability: Stability | None = None
 
     @property
     def label(self) -> str:
-        """How its hypothesis is called wherever people read it."""
+        """Name of its hypothesis for people."""
         return hypothesis_label(self.hypothesis, self.origin)
 
     @property
     def evidence(self) -> float:
-        """See `Testimony.evidence`."""
-        return self.testimony.evidence
+        """See `VisibilityScore.evidence`."""
+        return self.visibility.evidence
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a registration was not accepted, or a sensor not trusted.
+
+    Args:
+        code: stable name, for programs.
+        value, limit: the figure and the limit that it exceeds or misses.
+        text: the same for people.
+        competing: the pose that casts the doubt, where one does.
+    """
+
+    code: str
+    value: float
+    limit: float
+    text: str
+    competing: Registration | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether a registration is believed; `accept` has no reasons."""
+    """Whether a registration is accepted; `accept` has no reasons."""
 
     outcome: Literal["accept", "undecided", "reject"]
     reasons: tuple[Reason, ...] = ()
 
     @property
     def accepted(self) -> bool:
-        """Whether it may be merged."""
+        """Whether the registration may be merged."""
         return self.outcome == "accept"
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of the reasons, in order."""
+        return tuple(reason.code for reason in self.reasons)
+
+    @property
+    def text(self) -> str:
+        """All reasons in one line; empty if accepted."""
+        return "; ".join(reason.text for reason in self.reasons)
 
 
 @dataclass(frozen=True, slots=True)
-class FineStep:
+class GicpStep:
     """One observed moment of GICP.
 
     Args:
         iteration: iterations done since the start.
-        error: the engine's objective; nan where it does not tell.
+        error: the engine's objective; NaN where the engine does not report it.
         translation_step_m, rotation_step_rad: movement since the last observed moment.
     """
 
@@ -104,20 +131,20 @@ class FineStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairRegistration:
-    """GICP's result for a pair.
+    """The result of registering two LiDARs, or two groups of them.
 
     Args:
-        target, source: LiDARs, or during merging the LiDAR and the group it was registered against.
+        target, source: LiDARs, or roots of groups during merging.
         fitness: source points within `fine.fitness_distance_m` of the target cloud, as a share of all source points.
         rmse_m: root mean square distance of those points to their nearest target point.
-        converged: whether GICP did with each of its correspondence distances.
+        converged: whether GICP converged with each of its correspondence distances.
         hessian: (6, 6) of the objective, order rotation xyz, translation xyz about the source frame; None where the
-            engine does not tell.
+            engine does not report it.
         information: (6, 6) inverse covariance of the pose, order rotation (rad), translation (m) along the target's
             axes, the rotation about the source's origin; None where too few points match.
-        hypothesis: index into the pair's hypotheses that this started from; -1 if it started from a merged pose.
+        hypothesis: index of the pair's hypothesis that this started from; -1 if the pose came from other pairs.
         steps: progress, for the recording.
-        assessments: the finely registered answers, the chosen one first; empty where verification is off.
+        registrations: the distinct finalists, the chosen one first; empty where verification is off.
     """
 
     target: str
@@ -132,16 +159,37 @@ class PairRegistration:
     hypothesis: int = 0
     hessian: FloatArray | None = None
     information: FloatArray | None = None
-    steps: tuple[FineStep, ...] = ()
-    assessments: tuple[Assessment, ...] = ()
+    steps: tuple[GicpStep, ...] = ()
+    registrations: tuple[Registration, ...] = ()
     verdict: Verdict = Verdict("accept")
 
     @property
+    def lidars(self) -> frozenset[str]:
+        """Target and source, without order."""
+        return frozenset((self.target, self.source))
+
+    @property
     def start_label(self) -> str:
-        """How the hypothesis that it started from is called."""
-        return self.assessments[0].label if self.assessments else str(self.hypothesis)
+        """Name of the hypothesis that it started from, for people."""
+        return self.registrations[0].label if self.registrations else str(self.hypothesis)
 
     @property
     def evidence(self) -> float:
-        """Of the pose that was chosen; the fitness where nothing was verified."""
-        return self.assessments[0].evidence if self.assessments else self.fitness
+        """Evidence of the chosen pose; the fitness where verification is off."""
+        return self.registrations[0].evidence if self.registrations else self.fitness
+
+    @property
+    def competing(self) -> Registration | None:
+        """The pose that makes the chosen one doubtful; None if no pose does."""
+        return next((reason.competing for reason in self.verdict.reasons if reason.competing is not None), None)
+
+
+def connected(root: str, pairs: Iterable[PairRegistration]) -> set[str]:
+    """Return the LiDARs that a chain of pairs connects to the root, which is one of them."""
+    pairs = list(pairs)
+    reached = {root}
+    for _ in pairs:
+        for pair in pairs:
+            if pair.lidars & reached:
+                reached |= pair.lidars
+    return reached

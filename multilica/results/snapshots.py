@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What became of each snapshot."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 __all__ = ["Refusal", "SnapshotDeviation", "SnapshotReport"]
@@ -46,7 +44,7 @@ class SnapshotReport:
 
     Args:
         deviations: of the LiDARs that it places, in name order.
-        disputed: LiDARs on which it contradicts other snapshots and no majority settles who is right.
+        disputed: LiDARs on which it contradicts other snapshots without a majority.
         refusal: why the whole snapshot was left out; empty if it was not.
     """
 
@@ -70,7 +68,7 @@ class SnapshotReport:
         parts = [
             f"OUTLIER: {each.lidar} is off by {each.text} where the other snapshots agree" for each in self.outliers
         ]
-        parts += [f"contradicts other snapshots on {lidar}, and no majority settles it" for lidar in self.disputed]
+        parts += [f"contradicts other snapshots on {lidar}, without a majority" for lidar in self.disputed]
         if parts:
             return "; ".join(parts)
         if not self.deviations:

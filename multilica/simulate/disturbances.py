@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong while a snapshot is taken, by name."""
+"""Disturbances of a snapshot, by name."""
 
-from __future__ import annotations
-
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
-from multilica.errors import UnknownNameError, UsageError
+import numpy as np
 
-__all__ = ["DISTURBANCES", "Disturbances", "parse_disturbances"]
+from multilica.errors import UnknownNameError, UsageError
+from multilica.geometry import FloatArray
+from multilica.simulate.sensors import SensorModel
+
+__all__ = ["DISTURBANCES", "add_dirt", "add_rain", "blocked_beams", "require_known"]
 
 DISTURBANCES: Mapping[str, str] = MappingProxyType(
     {
@@ -22,48 +23,44 @@ DISTURBANCES: Mapping[str, str] = MappingProxyType(
         "truck": "a truck beside the vehicle blocks about half of one LiDAR's view",
     }
 )
-_PER_LIDAR = ("dead", "dirty")
-_ONLY_CHAIN = "low_overlap"
+_RAIN_SHARE = 0.02
+_DIRT_ECHO_SHARE = 0.3
+_DIRT_ECHO_M = (0.3, 0.95)
 
 
-@dataclass(frozen=True, slots=True)
-class Disturbances:
-    """The disturbances of one simulation.
-
-    Args:
-        general: names of those that concern the whole snapshot.
-        dead, dirty: names of LiDARs.
-    """
-
-    general: frozenset[str] = frozenset()
-    dead: frozenset[str] = frozenset()
-    dirty: frozenset[str] = frozenset()
-
-
-def parse_disturbances(texts: Iterable[str], rig: str, lidars: Collection[str]) -> Disturbances:
-    """Read names as `DISTURBANCES` lists them.
-
-    Args:
-        rig: the rig that they are meant for.
-        lidars: names of its LiDARs.
+def require_known(disturbances: Collection[str], rig: str, lidars: Collection[str]) -> None:
+    """Check that a rig with these LiDARs can have these disturbances.
 
     Raises:
         UnknownNameError: no such disturbance, or no such LiDAR.
         UsageError: the rig cannot have this disturbance.
     """
-    found: dict[str, set[str]] = {"general": set(), **{kind: set() for kind in _PER_LIDAR}}
-    for text in texts:
+    for text in disturbances:
         kind, _, lidar = text.partition(":")
-        if kind in _PER_LIDAR:
+        if kind in ("dead", "dirty"):
             if lidar not in lidars:
-                raise UnknownNameError("LiDAR", lidar, lidars, f"rig '{rig}', of which disturbance '{text}' speaks")
-            found[kind].add(lidar)
-        elif text in DISTURBANCES:
-            found["general"].add(text)
-        else:
+                raise UnknownNameError("LiDAR", lidar, lidars, f"rig '{rig}' for disturbance '{text}'")
+        elif text not in DISTURBANCES:
             raise UnknownNameError("disturbance", text, DISTURBANCES)
-    if _ONLY_CHAIN in found["general"] and rig != "chain":
-        raise UsageError(
-            f"Disturbance '{_ONLY_CHAIN}' was given with rig '{rig}', but only rig 'chain' has it; leave it out."
-        )
-    return Disturbances(*(frozenset(found[kind]) for kind in ("general", *_PER_LIDAR)))
+    if "low_overlap" in disturbances and rig != "chain":
+        raise UsageError(f"Disturbance 'low_overlap' exists only for rig 'chain', not for rig '{rig}'; leave it out.")
+
+
+def add_rain(sensor: SensorModel, ranges_m: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Replace some returns by drops at random nearer ranges."""
+    struck = np.isfinite(ranges_m) & (rng.random(len(ranges_m)) < _RAIN_SHARE)
+    drops_m = sensor.min_range_m + rng.random(len(ranges_m)) * (ranges_m - sensor.min_range_m)
+    return np.where(struck, drops_m, ranges_m)
+
+
+def add_dirt(directions: FloatArray, ranges_m: FloatArray, axis: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Block half of the beams: most of these return nothing, the others an echo below one metre."""
+    echo = rng.random(len(ranges_m)) < _DIRT_ECHO_SHARE
+    dirt_m = np.where(echo, rng.uniform(*_DIRT_ECHO_M, size=len(ranges_m)), np.nan)
+    return np.where(blocked_beams(directions, axis), dirt_m, ranges_m)
+
+
+def blocked_beams(directions: FloatArray, axis: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return a mask of the half of the beams (N, 3) closest to the axis (3,): one connected patch of the window."""
+    lean = directions @ axis
+    return np.asarray(lean > np.median(lean))

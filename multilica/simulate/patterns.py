@@ -1,10 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which way the beams of a LiDAR point, frame by frame."""
-
-from __future__ import annotations
+"""Beam patterns of LiDARs in their own frame: x forward, y left, z up."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -13,26 +10,8 @@ from multilica.geometry import FloatArray
 __all__ = ["BeamPattern", "RasterPattern", "RosettePattern", "SpinningPattern", "unit_directions"]
 
 
-class BeamPattern(Protocol):
-    """Beam directions of a LiDAR in its own frame: x forward, y left, z up."""
-
-    @property
-    def horizontal_fov_deg(self) -> float:
-        """Full angle about z."""
-        ...
-
-    @property
-    def elevation_deg(self) -> tuple[float, float]:
-        """Lowest and highest elevation."""
-        ...
-
-    def directions(self, frame: int, rng: np.random.Generator) -> FloatArray:
-        """(N, 3) unit vectors of one frame, in the order in which they are fired."""
-        ...
-
-
 def unit_directions(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:
-    """Unit vectors (N, 3) from angles of a common shape."""
+    """Compute unit vectors (N, 3) from angles of a common shape."""
     azimuth, elevation = np.broadcast_arrays(azimuth_rad, elevation_rad)
     flat = np.cos(elevation)
     return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
@@ -40,7 +19,7 @@ def unit_directions(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> Float
 
 @dataclass(frozen=True, slots=True)
 class SpinningPattern:
-    """Channels that turn about z; each frame starts at a random phase of a column.
+    """Channels that rotate about z; each frame starts at a random phase of a column.
 
     Args:
         columns: firings per turn.
@@ -53,11 +32,11 @@ class SpinningPattern:
 
     @property
     def horizontal_fov_deg(self) -> float:
-        """Full angle about z."""
+        """Return the full angle about z."""
         return 360.0
 
     def directions(self, frame: int, rng: np.random.Generator) -> FloatArray:
-        """(columns * channels, 3) unit vectors of one turn."""
+        """Return (columns * channels, 3) unit vectors of one turn."""
         del frame
         azimuth = 2.0 * np.pi * (np.arange(self.columns) + rng.random()) / self.columns
         elevation = np.deg2rad(np.linspace(*self.elevation_deg, self.channels))
@@ -75,11 +54,11 @@ class RasterPattern:
 
     @property
     def elevation_deg(self) -> tuple[float, float]:
-        """Lowest and highest elevation."""
+        """Return the lowest and highest elevation."""
         return -self.vertical_fov_deg / 2.0, self.vertical_fov_deg / 2.0
 
     def directions(self, frame: int, rng: np.random.Generator) -> FloatArray:
-        """(rows * columns, 3) unit vectors of one frame."""
+        """Return (rows * columns, 3) unit vectors of one frame."""
         del frame
         column = (np.arange(self.columns) + rng.random()) / self.columns - 0.5
         row = (np.arange(self.rows) + rng.random()) / self.rows - 0.5
@@ -90,7 +69,7 @@ class RasterPattern:
 
 @dataclass(frozen=True, slots=True)
 class RosettePattern:
-    """Petals of two counter-rotating prisms, drawn by a stack of lasers; the figure goes on from frame to frame.
+    """Petals of two counter-rotating prisms with a stack of lasers; the figure continues from frame to frame.
 
     Args:
         beams: firings per frame, over all lasers.
@@ -108,11 +87,11 @@ class RosettePattern:
 
     @property
     def elevation_deg(self) -> tuple[float, float]:
-        """Lowest and highest elevation."""
+        """Return the lowest and highest elevation."""
         return -self.vertical_fov_deg / 2.0, self.vertical_fov_deg / 2.0
 
     def directions(self, frame: int, rng: np.random.Generator) -> FloatArray:
-        """(beams, 3) unit vectors of one frame."""
+        """Return (beams, 3) unit vectors of one frame."""
         del rng
         firings = self.beams // self.lasers
         time_s = self.frame_s * (frame + np.arange(firings) / firings)
@@ -124,3 +103,6 @@ class RosettePattern:
         azimuth = np.deg2rad(self.horizontal_fov_deg / 2.0 * sideways)
         elevation = np.deg2rad(swing_deg * upwards[:, None] + stack_deg[None, :])
         return unit_directions(azimuth[:, None], elevation)
+
+
+BeamPattern = SpinningPattern | RasterPattern | RosettePattern

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vehicles with their LiDARs."""
-
-from __future__ import annotations
+"""Simulated vehicles with their LiDARs."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,18 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from multilica.geometry import RigidTransform
-from multilica.simulate.sensors import (
-    AERIES_II,
-    AVIA,
-    FALCON,
-    NARROW,
-    OS1_128,
-    OS2_128,
-    PANDAR_64,
-    SIDE_32,
-    VLP_16,
-    SensorModel,
-)
+from multilica.simulate import sensors
 from multilica.simulate.shapes.mesh import Mesh, merged
 from multilica.simulate.shapes.primitives import tapered_box
 
@@ -42,13 +29,13 @@ class Mount:
     """
 
     name: str
-    sensor: SensorModel
+    sensor: sensors.SensorModel
     xyz_m: tuple[float, float, float]
     rpy_deg: tuple[float, float, float]
 
     @property
     def T_base_lidar(self) -> RigidTransform:  # noqa: N802 - the field's notation
-        """Pose as drawn."""
+        """Return the pose of the drawing."""
         rpy_rad = np.deg2rad(self.rpy_deg).tolist()
         return RigidTransform.from_xyz_rpy(BASE, self.name, self.xyz_m, rpy_rad)
 
@@ -63,18 +50,17 @@ class Rig:
     """
 
     name: str
-    description: str
     mounts: tuple[Mount, ...]
     roof_m: tuple[float, float, float]
 
 
 def as_built(rig: Rig, rng: np.random.Generator) -> dict[str, RigidTransform]:
-    """``T_base_<lidar>`` of one vehicle: every mount is off its drawing by about 2 cm and 1 degree."""
+    """Return ``T_base_<lidar>`` of one vehicle, each about 2 cm and 1 degree away from the drawing."""
     return {mount.name: _disturbed(mount.T_base_lidar, rng, _BUILD_SIGMA_M, _BUILD_SIGMA_RAD) for mount in rig.mounts}
 
 
 def misjudged(T_base_lidar: RigidTransform, rng: np.random.Generator) -> RigidTransform:
-    """The pose that the recording's static transforms claim: off by about 5 cm and 2 degrees."""
+    """Return the pose for the recording's static transforms, which is off by about 5 cm and 2 degrees."""
     return _disturbed(T_base_lidar, rng, _DRAWING_SIGMA_M, _DRAWING_SIGMA_RAD)
 
 
@@ -85,7 +71,7 @@ def _disturbed(pose: RigidTransform, rng: np.random.Generator, sigma_m: float, s
 
 
 def vehicle_body(rig: Rig) -> Mesh:
-    """The rig's own vehicle in the base frame: a hull with a cabin whose roof carries the LiDARs."""
+    """Build the vehicle in the base frame: a hull with a cabin whose roof carries the LiDARs."""
     height_m, length_m, width_m = rig.roof_m
     hull = tapered_box((-2.3, 2.3, -0.9, 0.9), (-2.25, 2.1, -0.88, 0.88), 0.3, 0.55 * height_m)
     foot = (-0.5 * length_m - 0.25, 0.5 * length_m + 0.5, -0.86, 0.86)
@@ -94,60 +80,56 @@ def vehicle_body(rig: Rig) -> Mesh:
 
 
 def fan(overlap_deg: float) -> Rig:
-    """Four narrow LiDARs fanned out over the roof, neighbours overlapping by that angle."""
-    step_deg = NARROW.pattern.horizontal_fov_deg - overlap_deg
-    names = ("right", "front_right", "front_left", "left")
-    mounts = tuple(
-        _outward(name, step_deg * (index - 1.5), 0.3, 1.95, 4.0 + 2.0 * (index % 2)) for index, name in enumerate(names)
-    )
-    return Rig("chain", "four narrow LiDARs, each overlapping only its neighbour", mounts, (1.7, 1.2, 1.1))
+    """Build a rig of four narrow LiDARs on the roof, of which neighbours overlap by that angle."""
+    step_deg = sensors.NARROW.pattern.horizontal_fov_deg - overlap_deg
+    mounts = []
+    for index, name in enumerate(("right", "front_right", "front_left", "left")):
+        yaw_deg = step_deg * (index - 1.5)
+        yaw_rad = np.deg2rad(yaw_deg)
+        xyz_m = (0.3 * float(np.cos(yaw_rad)), 0.3 * float(np.sin(yaw_rad)), 1.95)
+        mounts.append(Mount(name, sensors.NARROW, xyz_m, (0.0, 4.0 + 2.0 * (index % 2), yaw_deg)))
+    return Rig("chain", tuple(mounts), (1.7, 1.2, 1.1))
 
 
-def _outward(name: str, yaw_deg: float, radius_m: float, height_m: float, pitch_deg: float) -> Mount:
-    yaw_rad = np.deg2rad(yaw_deg)
-    xyz_m = (radius_m * float(np.cos(yaw_rad)), radius_m * float(np.sin(yaw_rad)), height_m)
-    return Mount(name, NARROW, xyz_m, (0.0, pitch_deg, yaw_deg))
-
-
+# Two 128-channel spinning LiDARs at the sides and two 120-degree solid-state LiDARs at the ends, all tilted.
 _EDGAR = Rig(
     "edgar",
-    "two 128-channel spinning LiDARs at the sides and two 120-degree solid-state LiDARs at the ends, all tilted",
     (
-        Mount("front", FALCON, (1.45, 0.0, 2.12), (1.0, 6.0, 0.0)),
-        Mount("left", OS1_128, (0.15, 0.72, 2.14), (2.0, 18.0, 88.0)),
-        Mount("rear", FALCON, (-1.45, 0.0, 2.12), (-1.0, 8.0, 180.0)),
-        Mount("right", OS1_128, (0.15, -0.72, 2.14), (-3.0, 17.0, -91.0)),
+        Mount("front", sensors.FALCON, (1.45, 0.0, 2.12), (1.0, 6.0, 0.0)),
+        Mount("left", sensors.OS1_128, (0.15, 0.72, 2.14), (2.0, 18.0, 88.0)),
+        Mount("rear", sensors.FALCON, (-1.45, 0.0, 2.12), (-1.0, 8.0, 180.0)),
+        Mount("right", sensors.OS1_128, (0.15, -0.72, 2.14), (-3.0, 17.0, -91.0)),
     ),
     (1.95, 2.7, 1.5),
 )
+# 128-channel spinning, 16-channel spinning, rosette and frequency-modulated solid-state LiDARs, close together.
 _HELIPR = Rig(
     "helipr",
-    "128-channel spinning, 16-channel spinning, rosette and frequency-modulated solid-state LiDARs, close together",
     (
-        Mount("aeva", AERIES_II, (0.65, -0.22, 1.95), (0.5, 1.0, -1.0)),
-        Mount("livox", AVIA, (0.75, 0.25, 2.10), (-0.5, 1.0, 1.5)),
-        Mount("ouster", OS2_128, (0.0, 0.0, 2.20), (0.5, 0.5, 0.0)),
-        Mount("velodyne", VLP_16, (-0.45, 0.05, 2.05), (0.0, -1.0, 2.0)),
+        Mount("aeva", sensors.AERIES_II, (0.65, -0.22, 1.95), (0.5, 1.0, -1.0)),
+        Mount("livox", sensors.AVIA, (0.75, 0.25, 2.10), (-0.5, 1.0, 1.5)),
+        Mount("ouster", sensors.OS2_128, (0.0, 0.0, 2.20), (0.5, 0.5, 0.0)),
+        Mount("velodyne", sensors.VLP_16, (-0.45, 0.05, 2.05), (0.0, -1.0, 2.0)),
     ),
     (1.72, 1.7, 1.4),
 )
+# A 64-channel LiDAR on the roof and two 32-channel LiDARs at the sides, tilted by 45 degrees.
 _SIDES = Rig(
     "sides",
-    "a 64-channel LiDAR on the roof and two 32-channel LiDARs at the sides, tilted by 45 degrees",
     (
-        Mount("left", SIDE_32, (0.01, 0.57, 1.65), (-4.2, 45.1, 91.8)),
-        Mount("right", SIDE_32, (-0.03, -0.56, 1.62), (-0.5, 45.8, -86.1)),
-        Mount("top", PANDAR_64, (0.0, 0.0, 2.05), (0.0, 0.0, 0.0)),
+        Mount("left", sensors.SIDE_32, (0.01, 0.57, 1.65), (-4.2, 45.1, 91.8)),
+        Mount("right", sensors.SIDE_32, (-0.03, -0.56, 1.62), (-0.5, 45.8, -86.1)),
+        Mount("top", sensors.ROOF_64, (0.0, 0.0, 2.05), (0.0, 0.0, 0.0)),
     ),
     (1.52, 1.2, 1.0),
 )
+# Two narrow LiDARs that overlap, with a third that looks away from both.
 _BLIND = Rig(
     "blind",
-    "two narrow LiDARs that overlap, with a third that looks away from both",
     (
-        Mount("front_left", NARROW, (1.0, 0.35, 1.9), (0.0, 5.0, 18.0)),
-        Mount("front_right", NARROW, (1.0, -0.35, 1.9), (0.0, 6.0, -18.0)),
-        Mount("rear", NARROW, (-1.0, 0.0, 1.9), (0.0, 6.0, 180.0)),
+        Mount("front_left", sensors.NARROW, (1.0, 0.35, 1.9), (0.0, 5.0, 18.0)),
+        Mount("front_right", sensors.NARROW, (1.0, -0.35, 1.9), (0.0, 6.0, -18.0)),
+        Mount("rear", sensors.NARROW, (-1.0, 0.0, 1.9), (0.0, 6.0, 180.0)),
     ),
     (1.7, 1.2, 1.1),
 )

@@ -1,39 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LiDAR models after real products."""
-
-from __future__ import annotations
+"""LiDAR models with the data of real products."""
 
 from dataclasses import dataclass
 
 from multilica.simulate.patterns import BeamPattern, RasterPattern, RosettePattern, SpinningPattern
 
-__all__ = [
-    "AERIES_II",
-    "AVIA",
-    "FALCON",
-    "NARROW",
-    "OS1_128",
-    "OS2_128",
-    "PANDAR_64",
-    "SIDE_32",
-    "VLP_16",
-    "SensorModel",
-]
+__all__ = ["AERIES_II", "AVIA", "FALCON", "NARROW", "OS1_128", "OS2_128", "ROOF_64", "SIDE_32", "VLP_16", "SensorModel"]
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """How a LiDAR measures.
+    """Measuring properties of a LiDAR.
 
     Args:
-        pattern: where its beams point.
+        pattern: directions of its beams.
         min_range_m, max_range_m: returns outside are not reported.
         range_noise_m: standard deviation of a range.
         dropout: probability that a beam on a surface facing it does not return.
         grazing_cosine: cosine of the incidence angle at which 63 % of the beams return; below, they fade away.
     """
 
-    label: str
     pattern: BeamPattern
     max_range_m: float
     min_range_m: float = 0.4
@@ -42,12 +28,12 @@ class SensorModel:
     grazing_cosine: float = 0.05
 
 
-OS1_128 = SensorModel("Ouster OS1-128", SpinningPattern(128, 1024, (-22.5, 22.5)), 90.0, 0.3)
-OS2_128 = SensorModel("Ouster OS2-128", SpinningPattern(128, 1024, (-11.25, 11.25)), 120.0, 0.8)
-VLP_16 = SensorModel("Velodyne VLP-16", SpinningPattern(16, 1800, (-15.0, 15.0)), 90.0, 0.4, 0.015)
-PANDAR_64 = SensorModel("64-channel roof LiDAR", SpinningPattern(64, 1800, (-25.0, 15.0)), 110.0, 0.5, 0.015)
-SIDE_32 = SensorModel("32-channel side LiDAR", SpinningPattern(32, 900, (-32.0, 48.0)), 60.0, 0.3, 0.02, 0.03)
-FALCON = SensorModel("Seyond Falcon", RasterPattern(104, 640, 120.0, 25.0), 120.0, 0.5, 0.02, 0.02)
-AVIA = SensorModel("Livox Avia", RosettePattern(24_000, 70.4, 77.2), 100.0, 0.5, 0.02, 0.03)
-AERIES_II = SensorModel("Aeva Aeries II", RasterPattern(64, 800, 120.0, 19.2), 120.0, 0.8, 0.016, 0.03)
-NARROW = SensorModel("narrow solid-state LiDAR", RasterPattern(120, 400, 70.0, 30.0), 90.0, 0.4, 0.018, 0.02)
+OS1_128 = SensorModel(SpinningPattern(128, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-128
+OS2_128 = SensorModel(SpinningPattern(128, 1024, (-11.25, 11.25)), 120.0, 0.8)  # Ouster OS2-128
+VLP_16 = SensorModel(SpinningPattern(16, 1800, (-15.0, 15.0)), 90.0, 0.4, 0.015)  # Velodyne VLP-16
+ROOF_64 = SensorModel(SpinningPattern(64, 1800, (-25.0, 15.0)), 110.0, 0.5, 0.015)  # 64-channel roof LiDAR
+SIDE_32 = SensorModel(SpinningPattern(32, 900, (-32.0, 48.0)), 60.0, 0.3, 0.02, 0.03)  # 32-channel side LiDAR
+FALCON = SensorModel(RasterPattern(104, 640, 120.0, 25.0), 120.0, 0.5, 0.02, 0.02)  # Seyond Falcon
+AVIA = SensorModel(RosettePattern(24_000, 70.4, 77.2), 100.0, 0.5, 0.02, 0.03)  # Livox Avia
+AERIES_II = SensorModel(RasterPattern(64, 800, 120.0, 19.2), 120.0, 0.8, 0.016, 0.03)  # Aeva Aeries II
+NARROW = SensorModel(RasterPattern(120, 400, 70.0, 30.0), 90.0, 0.4, 0.018, 0.02)  # narrow solid-state LiDAR

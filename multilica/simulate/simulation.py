@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A snapshot that a rig would take in a scene, with its truth."""
+"""Simulation of a snapshot of a rig in a scene."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,13 +8,12 @@ import numpy as np
 from multilica.errors import UnknownNameError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.corruption import soiled, with_rain
-from multilica.simulate.disturbances import Disturbances, parse_disturbances
-from multilica.simulate.raycast import Surroundings, cast, measure, nearer, returned_points
+from multilica.simulate.disturbances import add_dirt, add_rain, require_known
+from multilica.simulate.raycast import Surroundings, measure, nearer, returned_points
 from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, fan, misjudged, vehicle_body
-from multilica.simulate.scenes import SCENES, Scene
+from multilica.simulate.scenes import SCENES
 from multilica.simulate.shapes.mesh import merged
-from multilica.simulate.traffic import Walker, pedestrians, random_walkers, truck_beside
+from multilica.simulate.traffic import pedestrians, random_walkers, truck_beside
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 __all__ = ["Simulation", "simulate_snapshot"]
@@ -33,7 +29,7 @@ class Simulation:
     """A simulated snapshot.
 
     Args:
-        snapshot: what the rig saw; its static transforms claim poses that are off by about 5 cm and 2 degrees.
+        snapshot: its static transforms are off by about 5 cm and 2 degrees.
         truth: ``T_base_<lidar>``, exact; base is ISO 8855, on the ground below the vehicle's middle.
         description: the request in one line.
     """
@@ -41,24 +37,6 @@ class Simulation:
     snapshot: Snapshot
     truth: Extrinsics
     description: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _World:
-    """Everything that beams can meet."""
-
-    scene: Scene
-    fixed: Surroundings
-    vehicle: Surroundings
-    walkers: tuple[Walker, ...]
-    speed_m_s: float
-
-    def pose(self, time_s: float) -> RigidTransform:
-        """``T_world_base`` at a time after the first frame."""
-        yaw_rad, way_m = self.scene.vehicle_yaw_rad, self.speed_m_s * time_s
-        x_m = self.scene.vehicle_xy_m[0] + way_m * float(np.cos(yaw_rad))
-        y_m = self.scene.vehicle_xy_m[1] + way_m * float(np.sin(yaw_rad))
-        return self.scene.terrain.standing_pose(x_m, y_m, yaw_rad)
 
 
 def simulate_snapshot(
@@ -70,7 +48,7 @@ def simulate_snapshot(
     disturbances: tuple[str, ...] = (),
     build_seed: int | None = None,
 ) -> Simulation:
-    """Cast the beams of a rig into a scene; the same arguments give the same bits.
+    """Simulate what a rig sees in a scene; the same arguments give the same bits.
 
     The surroundings depend on scene and seed only, the mounting on rig and build seed only.
 
@@ -80,94 +58,89 @@ def simulate_snapshot(
         seed: any whole number from 0.
         frames: per LiDAR, at 10 Hz.
         disturbances: any of `DISTURBANCES`, for instance ``("rain", "dead:left")``.
-        build_seed: which vehicle it is; None: one of its own for each seed. The same vehicle has the same truth and the
-            same static transforms wherever it stands.
+        build_seed: chooses the vehicle; None: `seed`. A vehicle has the same truth and the same static transforms
+            in every scene.
 
     Raises:
         UnknownNameError: no such rig, scene, disturbance, or LiDAR of a disturbance.
         UsageError: a negative seed, no frame, or a disturbance that the rig cannot have.
     """
     built = seed if build_seed is None else build_seed
-    _check(rig, scene, min(seed, built), frames)
-    lidars = [mount.name for mount in RIGS[rig].mounts]
-    asked = parse_disturbances(disturbances, rig, lidars)
-    chosen = fan(_LOW_OVERLAP_DEG) if "low_overlap" in asked.general else RIGS[rig]
-    label = f"{rig}/{scene}/seed {seed}"
-    poses = as_built(chosen, _stream(rig, "mounting", built))
-    world = _build_world(chosen, scene, seed, poses, asked)
-    scans = tuple(_lidar_scans(world, mount, poses[mount.name], frames, asked, label) for mount in chosen.mounts)
-    priors = _stream(rig, "prior", built)
-    static = tuple(misjudged(pose, priors) for pose in poses.values())
-    vehicle = "" if build_seed is None else f", vehicle {build_seed}"
-    description = f"simulation {label}{vehicle}" + (f" with {', '.join(disturbances)}" if disturbances else "")
-    return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses), description)
-
-
-def _check(rig: str, scene: str, seed: int, frames: int) -> None:
     for kind, name, available in (("rig", rig, RIGS), ("scene", scene, SCENES)):
         if name not in available:
             raise UnknownNameError(kind, name, available)
-    if seed < 0 or frames < 1:
+    if min(seed, built) < 0 or frames < 1:
         raise UsageError(
-            f"A simulation needs a seed of at least 0 and at least one frame, found seed {seed} and {frames} frames."
+            f"A simulation needs seeds of at least 0 and at least one frame, found seed {min(seed, built)} "
+            f"and {frames} frames."
         )
+    require_known(disturbances, rig, [mount.name for mount in RIGS[rig].mounts])
+    chosen = fan(_LOW_OVERLAP_DEG) if "low_overlap" in disturbances else RIGS[rig]
+    poses = as_built(chosen, _stream(rig, "mounting", built))
+    world = _World(chosen, scene, seed, poses, disturbances)
+    scans = tuple(world.scans(mount, frames) for mount in chosen.mounts)
+    priors = _stream(rig, "prior", built)
+    static = tuple(misjudged(pose, priors) for pose in poses.values())
+    vehicle = "" if build_seed is None else f", vehicle {build_seed}"
+    description = f"simulation {world.label}{vehicle}" + (f" with {', '.join(disturbances)}" if disturbances else "")
+    return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses), description)
 
 
 def _stream(*keys: object) -> np.random.Generator:
-    """Random numbers of their own for each purpose, so that one more draw in one place moves nothing elsewhere."""
+    """Return random numbers for one purpose: another draw for one purpose does not change the others."""
     return np.random.default_rng(list("/".join(map(str, keys)).encode()))
 
 
-def _build_world(
-    rig: Rig, scene_name: str, seed: int, poses: Mapping[str, RigidTransform], asked: Disturbances
-) -> _World:
-    scene = SCENES[scene_name](_stream(scene_name, seed))
-    meshes = [scene.mesh]
-    if "truck" in asked.general:
-        lorries = _stream("truck", rig.name, scene_name, seed)
-        mount = rig.mounts[int(lorries.integers(len(rig.mounts)))]
-        meshes.append(truck_beside(scene, mount, poses[mount.name], lorries))
-    fixed = Surroundings.of("world", merged(meshes))
-    walkers: tuple[Walker, ...] = ()
-    if "pedestrians" in asked.general:
-        walkers = random_walkers(scene, fixed, _stream("pedestrians", scene_name, seed))
-    speed_m_s = _SPEED_M_S if "moving" in asked.general else 0.0
-    return _World(scene, fixed, Surroundings.of(BASE, vehicle_body(rig)), walkers, speed_m_s)
+class _World:
+    """Surfaces that beams can hit, fixed and moving."""
 
+    def __init__(
+        self, rig: Rig, scene: str, seed: int, poses: dict[str, RigidTransform], disturbances: tuple[str, ...]
+    ) -> None:
+        self.label = f"{rig.name}/{scene}/seed {seed}"
+        self._poses, self._disturbances = poses, disturbances
+        self._scene = SCENES[scene](_stream(scene, seed))
+        meshes = [self._scene.mesh]
+        if "truck" in disturbances:
+            lorries = _stream("truck", rig.name, scene, seed)
+            mount = rig.mounts[int(lorries.integers(len(rig.mounts)))]
+            meshes.append(truck_beside(self._scene, mount, poses[mount.name], lorries))
+        self._fixed = Surroundings(merged(meshes))
+        self._vehicle = Surroundings(vehicle_body(rig))
+        walkers = _stream("pedestrians", scene, seed)
+        self._walkers = random_walkers(self._scene, self._fixed, walkers) if "pedestrians" in disturbances else ()
 
-def _lidar_scans(
-    world: _World, mount: Mount, T_base_lidar: RigidTransform, frames: int, asked: Disturbances, label: str
-) -> LidarScans:
-    dirt_axis = _stream(label, mount.name, "dirt").normal(size=3)
-    scans = []
-    for frame in range(frames):
-        rng = _stream(label, mount.name, frame)
-        directions = mount.sensor.pattern.directions(frame, rng)
-        ranges = _ranges(world, mount, T_base_lidar, directions, frame, rng)
-        weather = _stream(label, mount.name, frame, "weather")
-        if "rain" in asked.general:
-            ranges = with_rain(mount.sensor, ranges, weather)
-        if mount.name in asked.dirty:
-            ranges = soiled(directions, ranges, dirt_axis, weather)
-        if mount.name in asked.dead:
-            ranges = np.full_like(ranges, np.nan)
-        stamp_ns = _FIRST_STAMP_NS + round(frame * _FRAME_S * 1e9)
-        scans.append(Scan(returned_points(directions, ranges), stamp_ns))
-    return LidarScans(mount.name, tuple(scans), topic=f"/lidar/{mount.name}/points")
+    def scans(self, mount: Mount, frames: int) -> LidarScans:
+        """Take the scans of one LiDAR."""
+        dirt_axis = _stream(self.label, mount.name, "dirt").normal(size=3)
+        scans = []
+        for frame in range(frames):
+            rng = _stream(self.label, mount.name, frame)
+            directions = mount.sensor.pattern.directions(frame, rng)
+            ranges = self._ranges(mount, directions, frame * _FRAME_S, rng)
+            weather = _stream(self.label, mount.name, frame, "weather")
+            if "rain" in self._disturbances:
+                ranges = add_rain(mount.sensor, ranges, weather)
+            if f"dirty:{mount.name}" in self._disturbances:
+                ranges = add_dirt(directions, ranges, dirt_axis, weather)
+            if f"dead:{mount.name}" in self._disturbances:
+                ranges = np.full_like(ranges, np.nan)
+            stamp_ns = _FIRST_STAMP_NS + round(frame * _FRAME_S * 1e9)
+            scans.append(Scan(returned_points(directions, ranges), stamp_ns))
+        return LidarScans(mount.name, tuple(scans), topic=f"/lidar/{mount.name}/points")
 
+    def _ranges(self, mount: Mount, directions: FloatArray, time_s: float, rng: np.random.Generator) -> FloatArray:
+        T_base_lidar = self._poses[mount.name]
+        T_world_lidar = self._pose(time_s) @ T_base_lidar
+        hits = nearer(self._fixed.cast(T_world_lidar, directions), self._vehicle.cast(T_base_lidar, directions))
+        if self._walkers:
+            people = Surroundings(pedestrians(self._scene, self._walkers, time_s))
+            hits = nearer(hits, people.cast(T_world_lidar, directions))
+        return measure(mount.sensor, hits, rng)
 
-def _ranges(
-    world: _World,
-    mount: Mount,
-    T_base_lidar: RigidTransform,
-    directions: FloatArray,
-    frame: int,
-    rng: np.random.Generator,
-) -> FloatArray:
-    time_s = frame * _FRAME_S
-    T_world_lidar = world.pose(time_s) @ T_base_lidar
-    hits = nearer(cast(world.fixed, T_world_lidar, directions), cast(world.vehicle, T_base_lidar, directions))
-    if world.walkers:
-        people = Surroundings.of("world", pedestrians(world.scene, world.walkers, time_s))
-        hits = nearer(hits, cast(people, T_world_lidar, directions))
-    return measure(mount.sensor, hits, rng)
+    def _pose(self, time_s: float) -> RigidTransform:
+        """Return ``T_world_base`` at a time after the first frame."""
+        scene, way_m = self._scene, _SPEED_M_S * time_s if "moving" in self._disturbances else 0.0
+        x_m = scene.vehicle_xy_m[0] + way_m * float(np.cos(scene.vehicle_yaw_rad))
+        y_m = scene.vehicle_xy_m[1] + way_m * float(np.sin(scene.vehicle_yaw_rad))
+        return scene.terrain.standing_pose(x_m, y_m, scene.vehicle_yaw_rad)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What becomes of the events of a calibration: files that people and programs open."""
+"""Sinks that turn the events of a calibration into files."""

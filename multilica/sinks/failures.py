@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which LiDARs were not placed, at which stage, in which comparison."""
-
-from __future__ import annotations
+"""LiDARs that were not placed."""
 
 from dataclasses import dataclass
 
 from multilica.config import Stage
-from multilica.explanation import Comparison, Missing, explain
+from multilica.diagnosis import DecisivePair, Missing, explain
 from multilica.results import PairKey
-from multilica.sinks.run_document import run_document
-from multilica.sinks.run_story import RunStory
+from multilica.sinks.files.run_document import run_document
+from multilica.sinks.run_state import RunState
 
 __all__ = ["Failure", "decisive_failure", "failures"]
 
@@ -19,9 +17,9 @@ class Failure:
     """A LiDAR that was not placed.
 
     Args:
-        stage: the last stage that it passed only in part, or not at all.
-        pair: the comparison that came closest to placing it, as it was matched; None if there was none.
-        elsewhere: the one that puts it at another place, where both were accepted; else None.
+        stage: the stage at which it failed.
+        pair: the decisive pair, as it was matched; None if there was none.
+        elsewhere: the other accepted pair, which puts it at another place.
     """
 
     lidar: str
@@ -30,52 +28,37 @@ class Failure:
     elsewhere: PairKey | None = None
 
 
-def failures(story: RunStory) -> tuple[Failure, ...]:
-    """Every LiDAR that was not placed; none if the run was refused, or stopped before it could place any."""
-    document = run_document(story)
-    if story.result is None or document is None:
+def failures(state: RunState) -> tuple[Failure, ...]:
+    """Return every LiDAR that was not placed; none for a run without a result."""
+    document = run_document(state)
+    if state.result is None or document is None:
         return ()
-    return tuple(_failure(story, missing) for missing in explain(document).missing)
+    return tuple(_failure(state, missing) for missing in explain(document).missing)
 
 
-def decisive_failure(story: RunStory) -> Failure | None:
-    """The one to look at first: the first that the explanation tells of which a registered pair can be seen.
-
-    Where there is none, the first with matches, else the first of all.
-    """
+def decisive_failure(state: RunState) -> Failure | None:
+    """Return the first failure with a registered pair, else the first with any pair, else the first."""
     return min(
-        failures(story), key=lambda each: (each.pair not in story.registrations, each.pair is None), default=None
+        failures(state), key=lambda each: (each.pair not in state.registrations, each.pair is None), default=None
     )
 
 
-def _failure(story: RunStory, missing: Missing) -> Failure:
-    """The pair is the one that the explanation calls decisive, so that what is seen fits what is read beside it."""
+def _failure(state: RunState, missing: Missing) -> Failure:
+    """Return the failure with the pair that the explanation calls decisive: both are shown side by side."""
     if missing.cause in ("dead_sensor", "no_returns_in_range"):
         return Failure(missing.lidar, "preprocess", None)
     if missing.decisive is not None:
         stage: Stage = "fine" if missing.decisive.codes else "merge"
-        elsewhere = None if missing.elsewhere is None else _as_matched(story, missing.elsewhere)
-        return Failure(missing.lidar, stage, _as_matched(story, missing.decisive), elsewhere)
-    if not story.matches:
+        elsewhere = None if missing.elsewhere is None else _as_matched(state, missing.elsewhere)
+        return Failure(missing.lidar, stage, _as_matched(state, missing.decisive), elsewhere)
+    if not state.matches:
         return Failure(missing.lidar, "merge", None)
-    own = [pair for pair in story.pairs if missing.lidar in pair]
-    pair = max(own, key=lambda pair: _nearness(story, pair), default=None)
-    return Failure(missing.lidar, "coarse" if pair is not None and _matched(story, pair) else "correspond", pair)
+    own = [pair for pair in state.pairs if missing.lidar in pair]
+    pair = max(own, key=lambda pair: (state.progress_of(pair), pair), default=None)
+    return Failure(missing.lidar, "coarse" if pair is not None and state.matches.get(pair) else "correspond", pair)
 
 
-def _as_matched(story: RunStory, comparison: Comparison) -> PairKey | None:
-    """None where the story knows nothing of the pair, as in a joint result."""
-    sides = {comparison.target, comparison.source}
-    return next((pair for pair in story.registrations if set(pair) == sides), None)
-
-
-def _matched(story: RunStory, pair: PairKey) -> int:
-    return len(story.matches.get(pair, ()))
-
-
-def _nearness(story: RunStory, pair: PairKey | None) -> tuple[bool, float, int, PairKey]:
-    """Orders pairs by how near they came to being merged."""
-    if pair is None:
-        return (False, 0.0, -1, ("", ""))
-    found = story.registrations.get(pair)
-    return (found is not None, found.evidence if found is not None else 0.0, _matched(story, pair), pair)
+def _as_matched(state: RunState, pair: DecisivePair) -> PairKey | None:
+    """Return None for a pair that is not in the state, as in a joint result."""
+    sides = {pair.target, pair.source}
+    return next((key for key in state.registrations if set(key) == sides), None)

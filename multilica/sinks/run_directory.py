@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The directory that a run leaves behind."""
-
-from __future__ import annotations
+"""Output directory of a run."""
 
 import json
 import os
@@ -13,15 +11,15 @@ from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.errors import UsageError
 from multilica.events import Observer
-from multilica.sinks.atomic import begun_files, partial_path, write_text_atomically
+from multilica.sinks.files.atomic import begun_files, partial_path, write_text_atomically
+from multilica.sinks.files.result_files import CALIBRATION_TOML, RESULT_JSON, ResultFiles
+from multilica.sinks.files.toml_text import toml_text
+from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.report.report_file import REPORT_HTML, ReportFile
-from multilica.sinks.rerun_recording import RerunRecording
-from multilica.sinks.result_files import CALIBRATION_TOML, RESULT_JSON, ResultFiles
-from multilica.sinks.result_mcap import ResultMcap
-from multilica.sinks.run_story import RunStory
-from multilica.sinks.toml_text import toml_text
+from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.run_state import RunState
 
-__all__ = ["Run", "open_run"]
+__all__ = ["RunDirectory", "open_run"]
 
 _CONFIG = "config.toml"
 _RECORDING = "recording.rrd"
@@ -30,64 +28,58 @@ _ATTACHED = (CALIBRATION_TOML, RESULT_JSON, REPORT_HTML)
 _CONFIG_HEADER = "# The resolved configuration of a multilica run; give it to --config to run the same again.\n"
 
 
-class Run:
-    """An observer that hands each event to every sink.
+class RunDirectory:
+    """An observer that passes each event to every sink.
 
-    What an earlier run left is removed when this one starts; a result among it only once the new snapshot has proved
-    fit, which it has when its clouds are preprocessed. Until then events wait.
+    The files of an earlier run are removed first. If they include a result, events are queued until the clouds of the
+    new snapshot are preprocessed: a refused snapshot does not replace an earlier result.
 
     Args:
-        directory: where they write.
+        directory: output directory of the sinks.
         config: written as `config.toml` when the calibration starts.
-        sinks: in the order in which they are told.
+        sinks: called in this order.
+
+    Attributes:
+        started: whether anything of this run is on disk.
     """
 
     def __init__(self, directory: Path, config: CalibrationConfig, sinks: Sequence[Observer]) -> None:
         self.directory = directory
+        self.started = False
         self._config = config
         self._sinks = tuple(sinks)
-        self._waiting: list[events.Event] = []
-        self._started = False
+        self._queue: list[events.Event] = []
 
     def __call__(self, event: events.Event) -> None:
-        """Tell every sink, at once or when the snapshot has proved fit."""
-        if self._started:
-            self._tell(event)
+        """Pass the event to every sink, at once or when the clouds are preprocessed."""
+        self._queue.append(event)
+        if not self.started and not self._may_start(event):
             return
-        self._waiting.append(event)
-        if self._may_start(event):
-            self._start()
-
-    @property
-    def started(self) -> bool:
-        """Whether anything of this run is on disk."""
-        return self._started
+        if not self.started:
+            self.clear()
+            text = _CONFIG_HEADER + toml_text(self._config.model_dump(mode="json"))
+            write_text_atomically(self.directory / _CONFIG, text)
+            self.started = True
+        queued, self._queue = self._queue, []
+        for each in queued:
+            for sink in self._sinks:
+                sink(each)
 
     @property
     def keeps_earlier(self) -> bool:
-        """Whether the directory holds the result of an earlier run."""
-        return not self._started and _holds_result(self.directory)
+        """Return whether the directory has the result of an earlier run."""
+        return not self.started and _holds_result(self.directory)
 
     def _may_start(self, event: events.Event) -> bool:
-        if isinstance(event, events.CalibrationFinished):
-            return event.result.refusal is None or not self.keeps_earlier
-        return _proves_fit(event) or not self.keeps_earlier
-
-    def _start(self) -> None:
-        self.clear()
-        text = _CONFIG_HEADER + toml_text(self._config.model_dump(mode="json"))
-        write_text_atomically(self.directory / _CONFIG, text)
-        self._started = True
-        for event in self._waiting:
-            self._tell(event)
-        self._waiting.clear()
-
-    def _tell(self, event: events.Event) -> None:
-        for sink in self._sinks:
-            sink(event)
+        match event:
+            case events.StageFinished("preprocess"):
+                return True
+            case events.CalibrationFinished(result) if result.refusal is None:
+                return True
+        return not self.keeps_earlier
 
     def clear(self) -> None:
-        """Remove what an earlier run left, also what it was writing when it was killed."""
+        """Remove the files of an earlier run, including partly written ones of a killed run."""
         for path in _outputs(self.directory):
             path.unlink(missing_ok=True)
             for begun in begun_files(path):
@@ -95,16 +87,16 @@ class Run:
 
     @property
     def written(self) -> tuple[Path, ...]:
-        """What is there now, the extrinsics first; complete once the `with` block has ended."""
+        """Return the files so far, the extrinsics first; complete after the `with` block."""
         return tuple(path for path in _outputs(self.directory) if path.exists())
 
 
 @contextmanager
-def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove") -> Iterator[Run]:
-    """Everything that a calibration leaves on disk, as one observer.
+def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove") -> Iterator[RunDirectory]:
+    """Open the output directory of a run as one observer.
 
-    What an earlier run left in the directory under the same names is removed, so that files of two runs never lie side
-    by side; a snapshot that is refused leaves an earlier result as it was.
+    Files of an earlier run in the directory are removed; a refused snapshot leaves an earlier result unchanged. An
+    exception that ends the run gets a note that says what the directory has.
 
     Args:
         out_dir: created if it is missing.
@@ -112,31 +104,35 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
         encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
 
     Raises:
-        UsageError: the directory cannot be written to, or holds a `config.toml` of someone else's.
+        UsageError: the directory is not writable, or has a `config.toml` that is not of multilica.
         UnknownNameError: no such encoding.
     """
     _prepare(out_dir)
-    story, attached = RunStory(), [out_dir / name for name in _ATTACHED]
+    state, attached = RunState(), [out_dir / name for name in _ATTACHED]
     with ExitStack() as stack:
         # Entered first, so closed last: it attaches what the others wrote.
-        mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding, attached, story))
-        report = stack.enter_context(ReportFile(out_dir, story))
-        recording = stack.enter_context(RerunRecording(out_dir / _RECORDING, story))
-        files = stack.enter_context(ResultFiles(out_dir, story))
-        yield Run(out_dir, config, (recording, mcap, files, report))
+        mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding, attached, state))
+        report = stack.enter_context(ReportFile(out_dir, state))
+        recording = stack.enter_context(RerunRecording(out_dir / _RECORDING, state))
+        files = stack.enter_context(ResultFiles(out_dir, state))
+        run = RunDirectory(out_dir, config, (recording, mcap, files, report))
+        try:
+            yield run
+        except BaseException as error:
+            if run.started:
+                error.add_note(f"The recording so far is in {out_dir}; see `multilica explain {out_dir}`.")
+            elif run.keeps_earlier:
+                error.add_note(f"The earlier result in {out_dir} is unchanged.")
+            raise
 
 
 def _holds_result(directory: Path) -> bool:
-    """Whether an earlier run ended there with an outcome that is more than a refusal."""
+    """Return whether an earlier run left a result that is not a refusal."""
     try:
         document = json.loads((directory / RESULT_JSON).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
     return isinstance(document, dict) and document.get("refusal") is None
-
-
-def _proves_fit(event: events.Event) -> bool:
-    return isinstance(event, events.StageFinished) and event.stage == "preprocess"
 
 
 def _outputs(directory: Path) -> tuple[Path, ...]:
@@ -155,7 +151,7 @@ def _prepare(directory: Path) -> None:
     if not os.access(directory, os.W_OK | os.X_OK):
         raise _refused(directory, "permission denied")
     if foreign:
-        raise _refused(directory, f"its {_CONFIG} is not of a multilica run and would be lost")
+        raise _refused(directory, f"its {_CONFIG} is not of a multilica run and would be overwritten")
 
 
 def _is_foreign(config: Path) -> bool:

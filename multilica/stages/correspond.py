@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Match points of two LiDARs by their descriptors."""
-
-from __future__ import annotations
+"""Matches of two LiDARs' points by their descriptors."""
 
 import numpy as np
 import open3d as o3d
@@ -11,15 +9,15 @@ from multilica.results import Correspondences, FeatureCloud, IndexArray
 
 __all__ = ["match_features"]
 
-_DRAW_SEED = 0
+_SAMPLE_SEED = 0
 
 
 def match_features(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
-    """Pair each descriptor with its nearest, the closest pairs first.
+    """Match each descriptor of the source with the nearest of the target, the closest matches first.
 
-    With `mutual`, a pair counts only if each is the other's nearest neighbour in descriptor space.
+    With `mutual`, a match is kept only if each is the other's nearest neighbour in descriptor space.
     """
-    target, source = (_evenly(cloud, config.max_keypoints) for cloud in (target, source))
+    target, source = (_sample(cloud, config.max_keypoints) for cloud in (target, source))
     pairs = _nearest_pairs(target, source, mutual=config.mutual)
     distances = np.linalg.norm(source.descriptors[pairs[:, 0]] - target.descriptors[pairs[:, 1]], axis=1)
     best = np.lexsort((pairs[:, 0], distances))[: config.max_matches]
@@ -35,11 +33,11 @@ def match_features(target: FeatureCloud, source: FeatureCloud, config: Correspon
     )
 
 
-def _evenly(cloud: FeatureCloud, most: int) -> FeatureCloud:
-    """At most so many descriptors, drawn without regard to where they are."""
+def _sample(cloud: FeatureCloud, most: int) -> FeatureCloud:
+    """Draw at most so many descriptors."""
     if len(cloud.points_m) <= most:
         return cloud
-    kept = np.sort(np.random.default_rng(_DRAW_SEED).permutation(len(cloud.points_m))[:most])
+    kept = np.sort(np.random.default_rng(_SAMPLE_SEED).permutation(len(cloud.points_m))[:most])
     return FeatureCloud(cloud.lidar, cloud.points_m[kept], cloud.normals[kept], cloud.descriptors[kept])
 
 

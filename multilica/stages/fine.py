@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Register the most believable poses of a pair, or of two groups, to the last millimetre."""
-
-from __future__ import annotations
+"""Fine registration of a pair's finalists, or of two groups."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,289 +7,285 @@ from functools import cached_property
 
 import numpy as np
 
-from multilica.config import FineConfig, RefineConfig, VerifyConfig
-from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import Assessment, PairRegistration
-from multilica.stages.decide import hopeless_below, standing_rivals
-from multilica.stages.gicp import fitness_and_rmse, register, register_narrower
-from multilica.stages.observability import (
+from multilica.acceptance.accept import competing_poses, hopeless_below, is_firm
+from multilica.config import (
+    AcceptanceConfig,
+    CalibrationConfig,
+    FineConfig,
+)
+from multilica.geometry import FloatArray
+from multilica.registration.gicp import fitness_and_rmse, register, register_narrower
+from multilica.registration.plane_fit import fit_planes, pose_information
+from multilica.registration.poses import is_distinct, slid, within_baseline
+from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
+from multilica.registration.stability import (
     arc_between_m,
-    examine_hold,
+    check_stability,
     pushed_ends,
     weakest_curvature,
     weakest_sigmas,
 )
-from multilica.stages.plane_fit import fit_planes, pose_information
-from multilica.stages.poses import is_distinct, slid, within_reach
-from multilica.stages.registration_cloud import RegistrationCloud, prepare_registration_cloud
-from multilica.stages.witness import PlacedWitness, judge
+from multilica.results import Hypothesis, PairRegistration, Registration
+from multilica.visibility.sensor_view import PlacedView, score_visibility
 
-__all__ = ["Candidate", "Side", "hopeful", "prepare_side", "register_best"]
+__all__ = ["Side", "prepare_side", "register_best", "select_finalists"]
 
-
-# What is surer than half of what is still accepted needs no examination of what holds it.
-_UNSURE_SHARE = 0.5
+# A sigma below half of the limit needs no test of stability.
+_UNCERTAIN_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One side of a registration: a LiDAR, or a group whose poses are known.
+    """One side of a registration: a LiDAR, or a group with known poses.
 
     Args:
         name: the LiDAR, or the group's root.
         cloud: the points of all members in the frame of that name.
-        witnesses: the members with their poses; empty where verification is off.
-        drafting, threads: how `draft` is prepared and registered.
+        views: the members with their poses; empty where verification is off.
+        finalist_gicp, threads: how `thinned` is prepared and registered.
     """
 
     name: str
     cloud: RegistrationCloud
-    witnesses: tuple[PlacedWitness, ...]
-    drafting: FineConfig
+    views: tuple[PlacedView, ...]
+    finalist_gicp: FineConfig
     threads: int
 
     @cached_property
-    def draft(self) -> RegistrationCloud:
-        """The cloud with fewer points: enough to tell finalists apart."""
-        if len(self.cloud.points_m) <= self.drafting.max_points:
+    def thinned(self) -> RegistrationCloud:
+        """The cloud with fewer points, enough to compare finalists."""
+        if len(self.cloud.points_m) <= self.finalist_gicp.max_points:
             return self.cloud
-        return prepare_registration_cloud(self.name, self.cloud.points_m, self.drafting, self.threads)
+        return prepare_registration_cloud(self.name, self.cloud.points_m, self.finalist_gicp, self.threads)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidate:
-    """A pose to start from, with index and origin of the hypothesis behind it, and its evidence where that is known."""
-
-    T_target_source: RigidTransform
-    hypothesis: int
-    origin: str = ""
-    evidence: float | None = None
-
-
-def prepare_side(
-    name: str,
-    points_m: FloatArray,
-    witnesses: Sequence[PlacedWitness],
-    verify: VerifyConfig,
-    fine: FineConfig,
-    threads: int,
-) -> Side:
-    """Thin the points (N, 3) of a LiDAR or of a group, given in the frame of that name, for GICP."""
+def prepare_side(name: str, points_m: FloatArray, views: Sequence[PlacedView], config: CalibrationConfig) -> Side:
+    """Prepare the points (N, 3) of a LiDAR or a group, given in the frame of that name, for GICP."""
+    fine, threads = config.fine, config.runtime.threads
     cloud = prepare_registration_cloud(name, points_m, fine, threads)
-    drafting = fine.model_copy(
-        update={"max_points": verify.finalist_points, "max_iterations": min(verify.max_iterations, fine.max_iterations)}
-    )
-    return Side(name, cloud, tuple(witnesses), drafting, threads)
+    iterations = min(config.verify.max_iterations, fine.max_iterations)
+    finalist_gicp = fine.model_copy(update={"max_points": fine.finalist_max_points, "max_iterations": iterations})
+    return Side(name, cloud, tuple(views), finalist_gicp, threads)
 
 
 def register_best(
-    target: Side,
-    source: Side,
-    candidates: Sequence[Candidate],
-    verify: VerifyConfig,
-    fine: FineConfig,
-    refine: RefineConfig,
-    threads: int,
-    *,
-    fit: bool = True,
+    target: Side, source: Side, hypotheses: Sequence[Hypothesis], config: CalibrationConfig, *, fit: bool = True
 ) -> PairRegistration:
-    """GICP on the finalists among the candidates; the one with the most evidence is registered on all points.
+    """Register the finalists by GICP, and the one with the most evidence on all points.
 
-    What GICP makes of it is then fitted to the planes that both sides have in common.
-    A pose that slides may have slid from one that the scene holds: GICP falls into a notch from one side only, so it
-    is started all along the slide, and what it finds is taken if it has more evidence. One that stopped short of where
-    it is held is taken there.
+    The result of GICP is fitted to the planes that both sides share. A pose that slides may have left a constrained
+    one, into which GICP falls from one side only: GICP is started all along the slide, and the result with the most
+    evidence is taken. A pose that stopped short of a constrained one is moved there.
 
     Args:
-        candidates: at least one, the most believable first.
+        hypotheses: at least one, the most promising first.
         fit: off: without the fit to planes, and so without information.
 
     Returns:
-        The narrower side is the source. `assessments` holds the distinct finalists, the best first; what holds the best
-        is examined if it has enough evidence, and few points hold it in its weakest direction, or its sigma is more
-        than half of what is accepted, or a rival stands.
+        The narrower side is the source. `registrations` holds the distinct finalists, the best first. Its stability
+        is tested if it has enough evidence, and is not firm, or is uncertain, or has a competing pose.
     """
-    if not target.witnesses:
-        first = candidates[0]
-        registered = register_narrower(target.cloud, source.cloud, first.T_target_source, fine, threads)
-        if refine.enabled:
-            clouds = {side.name: side.cloud for side in (target, source)}
-            ordered = clouds[registered.target], clouds[registered.source]
-            information = pose_information(*ordered, registered.T_target_source, refine, threads)
-            registered = replace(registered, information=information)
-        return replace(registered, hypothesis=first.hypothesis)
+    if not target.views:
+        return _register_first(target, source, hypotheses[0], config)
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
-        candidates = [replace(each, T_target_source=each.T_target_source.inverse()) for each in candidates]
-    final = _Final(target, source, verify, fine, refine, threads, fit)
-    finalists = _finalists(target, source, candidates, verify)
-    drafted = len(finalists) > 1
-    tried = final.drafted(finalists) if drafted else [final.registered(finalists[0])]
-    best = final.examined(tried, drafted=drafted)
-    if _slides(best.assessments[0], verify):
-        hypothesis, origin = best.hypothesis, best.assessments[0].origin
-        starts = [Candidate(pose, hypothesis, origin) for pose in slid(best.assessments[0], verify)]
-        beside = final.drafted(starts, beside=[*tried, best])
-        if any(each.evidence > best.evidence for each in beside):
-            return max(best, final.examined([*tried, *beside], drafted=True), key=lambda each: each.evidence)
+        hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
+    pair = _Pair(target, source, config, fit)
+    finalists = pair.finalists(hypotheses)
+    several = len(finalists) > 1
+    registered = pair.register_thinned(finalists) if several else [pair.register(finalists[0])]
+    best = pair.best_of(registered, thinned=several)
+    if not _slides(best.registrations[0], config):
+        return best
+    found, verify = best.registrations[0], config.verify
+    poses = slid(
+        found.T_target_source,
+        found.visibility.slide_direction,
+        verify.slide_step_m,
+        verify.slide_steps,
+        config.acceptance.max_baseline_m,
+    )
+    starts = [Hypothesis(pose, origin=found.origin, index=best.hypothesis) for pose in poses]
+    beside = pair.register_thinned(starts, beside=[*registered, best])
+    if any(each.evidence > best.evidence for each in beside):
+        return max(best, pair.best_of([*registered, *beside], thinned=True), key=lambda each: each.evidence)
     return best
 
 
-def hopeful(evidence: Sequence[float], verify: VerifyConfig) -> list[int]:
-    """Indices of the answers that may still turn out to be the best, which they are judged to be now first."""
-    ranked = sorted(range(len(evidence)), key=lambda index: -evidence[index])[: verify.finalists]
+def select_finalists(evidence: Sequence[float], config: AcceptanceConfig, most: int) -> list[int]:
+    """Return the indices of the poses that may still win, the best first."""
+    ranked = sorted(range(len(evidence)), key=lambda index: -evidence[index])[:most]
     if not ranked:
         return []
-    needed = hopeless_below(evidence[ranked[0]], verify)
+    needed = hopeless_below(evidence[ranked[0]], config)
     return [index for index in ranked if index == ranked[0] or evidence[index] > needed]
 
 
+def _register_first(target: Side, source: Side, first: Hypothesis, config: CalibrationConfig) -> PairRegistration:
+    """Register the first hypothesis only, as the paper does."""
+    threads = config.runtime.threads
+    found = register_narrower(target.cloud, source.cloud, first.T_target_source, config.fine, threads)
+    if config.refine.enabled:
+        clouds = {side.name: side.cloud for side in (target, source)}
+        information = pose_information(
+            clouds[found.target], clouds[found.source], found.T_target_source, config.refine, threads
+        )
+        found = replace(found, information=information)
+    return replace(found, hypothesis=first.index)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class _Final:
-    """What the registrations of one pair, or of two groups, have in common."""
+class _Pair:
+    """Both sides of a registration with the configuration."""
 
     target: Side
     source: Side
-    verify: VerifyConfig
-    fine: FineConfig
-    refine: RefineConfig
-    threads: int
+    config: CalibrationConfig
     fit: bool
 
-    def drafted(
-        self, candidates: Sequence[Candidate], beside: Sequence[PairRegistration] = ()
+    @property
+    def threads(self) -> int:
+        return self.config.runtime.threads
+
+    @property
+    def clouds(self) -> tuple[RegistrationCloud, RegistrationCloud]:
+        return self.target.cloud, self.source.cloud
+
+    def finalists(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Select the distinct hypotheses that may win."""
+        distinct: list[Hypothesis] = []
+        for hypothesis in hypotheses:
+            if is_distinct(hypothesis.T_target_source, [other.T_target_source for other in distinct]):
+                distinct.append(hypothesis)
+        if len(distinct) == 1:
+            return distinct
+        evidence = [self._evidence(hypothesis) for hypothesis in distinct]
+        kept = select_finalists(evidence, self.config.acceptance, self.config.fine.max_finalists)
+        return [distinct[index] for index in kept]
+
+    def _evidence(self, hypothesis: Hypothesis) -> float:
+        if hypothesis.evidence is not None:
+            return hypothesis.evidence
+        limits = self.config.visibility
+        tolerances = limits.tolerance_m, limits.tolerance_deg
+        return score_visibility(self.target.views, self.source.views, hypothesis.T_target_source, *tolerances).evidence
+
+    def register_thinned(
+        self, hypotheses: Sequence[Hypothesis], beside: Sequence[PairRegistration] = ()
     ) -> list[PairRegistration]:
-        """Where GICP of fewer points takes the candidates: what is distinct from each other, and from others beside.
+        """Register on fewer points; keep what is distinct from each other, and from others beside.
 
-        The right ones come from a short GICP, and need few iterations. What creeps on is left unless it may win.
+        Good hypotheses come from a short GICP and need few iterations. What has not converged then goes on only if it
+        may win.
         """
-        begun = [self._drafted(candidate, self.target.drafting) for candidate in candidates]
-        needed = hopeless_below(max(each.evidence for each in (*begun, *beside)), self.verify)
-        drafts: list[PairRegistration] = []
-        for candidate, start in zip(candidates, begun, strict=True):
-            draft = start
+        begun = [self._register_thinned(hypothesis, self.target.finalist_gicp) for hypothesis in hypotheses]
+        needed = hopeless_below(max(each.evidence for each in (*begun, *beside)), self.config.acceptance)
+        kept: list[PairRegistration] = []
+        for hypothesis, start in zip(hypotheses, begun, strict=True):
+            found = start
             if not start.converged and start.evidence > needed:
-                draft = self._drafted(replace(candidate, T_target_source=start.T_target_source), self.fine)
-            if is_distinct(draft.T_target_source, [other.T_target_source for other in (*beside, *drafts)]):
-                drafts.append(draft)
-        return drafts
+                further = replace(hypothesis, T_target_source=start.T_target_source)
+                found = self._register_thinned(further, self.config.fine)
+            if is_distinct(found.T_target_source, [other.T_target_source for other in (*beside, *kept)]):
+                kept.append(found)
+        return kept
 
-    def _drafted(self, candidate: Candidate, gicp: FineConfig) -> PairRegistration:
-        return self._judged(self.target.draft, self.source.draft, candidate, gicp)
+    def _register_thinned(self, hypothesis: Hypothesis, gicp: FineConfig) -> PairRegistration:
+        return self._register(self.target.thinned, self.source.thinned, hypothesis, gicp)
 
-    def registered(self, candidate: Candidate) -> PairRegistration:
-        """Where GICP of all points takes it."""
-        return self._judged(self.target.cloud, self.source.cloud, candidate, self.fine)
+    def register(self, hypothesis: Hypothesis) -> PairRegistration:
+        """Register on all points."""
+        return self._register(*self.clouds, hypothesis, self.config.fine)
 
-    def examined(self, tried: Sequence[PairRegistration], *, drafted: bool) -> PairRegistration:
-        """The one with the most evidence, registered on all points, with what holds it; the others behind it.
+    def _register(
+        self, target: RegistrationCloud, source: RegistrationCloud, hypothesis: Hypothesis, gicp: FineConfig
+    ) -> PairRegistration:
+        found = register(target, source, hypothesis.T_target_source, gicp, self.threads)
+        scored = self._scored(found, hypothesis.index, hypothesis.origin)
+        return replace(found, hypothesis=hypothesis.index, registrations=(scored,))
+
+    def best_of(self, registered: Sequence[PairRegistration], *, thinned: bool) -> PairRegistration:
+        """Return the one with the most evidence, on all points and with its stability; the others follow it.
 
         Args:
-            drafted: the registrations tried are of fewer points.
+            thinned: the registrations are of fewer points.
         """
-        reach_m = self.verify.rival_reach_m
-        ranked = sorted(within_reach([each.assessments[0] for each in tried], reach_m), key=lambda each: -each.evidence)
-        best, *others = ranked
-        registered = next(each for each in tried if each.assessments[0] is best)
-        if best.evidence > 0.0 and drafted:
-            registered = self.registered(Candidate(best.T_target_source, best.hypothesis, best.origin))
-            best = registered.assessments[0]
-        if best.evidence >= self.verify.min_evidence:
-            held = registered
-            registered = self._fitted(held) if self.fit else held
-            best = registered.assessments[0]
-            if self._is_in_doubt(registered, best, others):
-                registered = self._examined(held, registered)
-                best = registered.assessments[0]
+        acceptance = self.config.acceptance
+        found = within_baseline([each.registrations[0] for each in registered], acceptance.max_baseline_m)
+        best, *others = sorted(found, key=lambda each: -each.evidence)
+        result = next(each for each in registered if each.registrations[0] is best)
+        if best.evidence > 0.0 and thinned:
+            result = self.register(Hypothesis(best.T_target_source, origin=best.origin, index=best.hypothesis))
+            best = result.registrations[0]
+        if best.evidence >= acceptance.min_evidence:
+            by_gicp = result
+            result = self._fitted(by_gicp) if self.fit else by_gicp
+            best = result.registrations[0]
+            if self._needs_stability(result, best, others):
+                result = self._with_stability(by_gicp, result)
+                best = result.registrations[0]
                 others = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source])]
-        return replace(registered, hypothesis=best.hypothesis, assessments=(best, *others))
+        return replace(result, hypothesis=best.hypothesis, registrations=(best, *others))
 
-    def _fitted(self, registered: PairRegistration) -> PairRegistration:
-        """With the pose fitted to planes and judged again, and its information."""
-        clouds, (before,) = (self.target.cloud, self.source.cloud), registered.assessments[:1]
-        fit = fit_planes(*clouds, registered.T_target_source, self.refine, self.threads)
-        pose = fit.T_target_source
-        fitness, rmse_m, inliers = fitness_and_rmse(*clouds, pose, self.fine.fitness_distance_m, self.threads)
-        moved = replace(registered, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers)
-        assessment = _assess(self.target, self.source, moved, before.hypothesis, before.origin, self.verify)
-        return replace(moved, information=fit.information, assessments=(assessment,))
+    def _fitted(self, found: PairRegistration) -> PairRegistration:
+        """Fit the pose to planes, score it again, and add its information."""
+        fit = fit_planes(*self.clouds, found.T_target_source, self.config.refine, self.threads)
+        distance_m, pose = self.config.fine.fitness_distance_m, fit.T_target_source
+        fitness, rmse_m, inliers = fitness_and_rmse(*self.clouds, pose, distance_m, self.threads)
+        moved = replace(found, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers)
+        before = found.registrations[0]
+        scored = self._scored(moved, before.hypothesis, before.origin)
+        return replace(moved, information=fit.information, registrations=(scored,))
 
-    def _judged(
-        self, target: RegistrationCloud, source: RegistrationCloud, candidate: Candidate, gicp: FineConfig
-    ) -> PairRegistration:
-        registered = register(target, source, candidate.T_target_source, gicp, self.threads)
-        assessment = _assess(self.target, self.source, registered, candidate.hypothesis, candidate.origin, self.verify)
-        return replace(registered, hypothesis=candidate.hypothesis, assessments=(assessment,))
-
-    def _is_in_doubt(self, registered: PairRegistration, best: Assessment, others: Sequence[Assessment]) -> bool:
-        """Whether it may slide: few points hold it, it is not sure, or a rival stands, which may be the slide's end."""
-        loose = best.testimony.held_by < self.verify.firmly_held_by
-        sigma_m, sigma_rad = weakest_sigmas(registered.information)
-        limits = (self.verify.max_sigma_m, np.deg2rad(self.verify.max_sigma_deg))
-        unsure = any(
-            sigma is not None and sigma > _UNSURE_SHARE * limit
+    def _needs_stability(self, found: PairRegistration, best: Registration, others: Sequence[Registration]) -> bool:
+        """Tell whether the pose may slide: not firm, uncertain, or with a competing pose."""
+        acceptance = self.config.acceptance
+        sigma_m, sigma_rad = weakest_sigmas(found.information)
+        limits = (acceptance.max_sigma_m, np.deg2rad(acceptance.max_sigma_deg))
+        uncertain = any(
+            sigma is not None and sigma > _UNCERTAIN_SHARE * limit
             for sigma, limit in zip((sigma_m, sigma_rad), limits, strict=True)
         )
-        return loose or unsure or bool(standing_rivals([best, *others], self.verify))
+        loose = not is_firm(best.visibility, acceptance)
+        return loose or uncertain or bool(competing_poses([best, *others], acceptance))
 
-    def _examined(self, registered: PairRegistration, fitted: PairRegistration) -> PairRegistration:
-        """The fitted one with what holds it. One that ends at the same other pose from both sides had stopped short.
+    def _with_stability(self, by_gicp: PairRegistration, fitted: PairRegistration) -> PairRegistration:
+        """Test the stability; a pose that ends at the same other pose from both sides has stopped short of that.
 
         Args:
-            registered: where GICP ended, which is what comes back to where it was when it is pushed.
+            by_gicp: where GICP ended, which is what a pushed registration returns to.
         """
-        clouds, drafts = (self.target.cloud, self.source.cloud), (self.target.draft, self.source.draft)
-        thinned = None if drafts == clouds else drafts
-        push_m, limit_m = self.verify.push_m, self.verify.max_pushed_off_m
+        thinned_clouds = (self.target.thinned, self.source.thinned)
+        thinned = None if thinned_clouds == self.clouds else thinned_clouds
+        fine, limits = self.config.fine, self.config.stability
         for last in (False, True):
-            best, pose = registered.assessments[0], registered.T_target_source
-            weakest = best.testimony.weakest_direction
-            ends = pushed_ends(clouds, pose, weakest, push_m, self.fine, self.threads)
-            hold = examine_hold(thinned, pose, fitted.information, ends, push_m, self.fine, self.threads)
-            if last or hold.pushed_off_m <= limit_m or arc_between_m(*ends) > limit_m or is_distinct(ends[0], [pose]):
+            best, pose = by_gicp.registrations[0], by_gicp.T_target_source
+            ends = pushed_ends(self.clouds, pose, best.visibility.weakest_direction, limits.push_m, fine, self.threads)
+            stability = check_stability(thinned, pose, fitted.information, ends, limits.push_m, fine, self.threads)
+            apart = arc_between_m(*ends) > limits.max_pushed_off_m
+            if last or stability.pushed_off_m <= limits.max_pushed_off_m or apart or is_distinct(ends[0], [pose]):
                 break
-            further = self.registered(Candidate(ends[0], best.hypothesis, best.origin))
+            further = self.register(Hypothesis(ends[0], origin=best.origin, index=best.hypothesis))
             if further.evidence < best.evidence:
                 break
-            registered, fitted = further, self._fitted(further) if self.fit else further
-        return replace(fitted, assessments=(replace(fitted.assessments[0], hold=hold),))
+            by_gicp, fitted = further, self._fitted(further) if self.fit else further
+        return replace(fitted, registrations=(replace(fitted.registrations[0], stability=stability),))
+
+    def _scored(self, found: PairRegistration, hypothesis: int, origin: str) -> Registration:
+        limits = self.config.visibility
+        tolerances = limits.fine_tolerance_m, limits.fine_tolerance_deg
+        return Registration(
+            hypothesis=hypothesis,
+            T_target_source=found.T_target_source,
+            visibility=score_visibility(self.target.views, self.source.views, found.T_target_source, *tolerances),
+            fitness=found.fitness,
+            rmse_m=found.rmse_m,
+            weakest_curvature=weakest_curvature(found),
+            probes_m=self.source.views[0][1].probes_m,
+            origin=origin,
+            target_probes_m=self.target.views[0][1].probes_m,
+        )
 
 
-def _slides(best: Assessment, verify: VerifyConfig) -> bool:
-    return best.hold is not None and best.hold.pushed_off_m > verify.max_pushed_off_m
-
-
-def _finalists(target: Side, source: Side, candidates: Sequence[Candidate], verify: VerifyConfig) -> list[Candidate]:
-    distinct: list[Candidate] = []
-    for candidate in candidates:
-        if is_distinct(candidate.T_target_source, [other.T_target_source for other in distinct]):
-            distinct.append(candidate)
-    if len(distinct) == 1:
-        return distinct
-    evidence = [_evidence(target, source, candidate, verify) for candidate in distinct]
-    return [distinct[index] for index in hopeful(evidence, verify)]
-
-
-def _evidence(target: Side, source: Side, candidate: Candidate, verify: VerifyConfig) -> float:
-    if candidate.evidence is not None:
-        return candidate.evidence
-    pose = candidate.T_target_source
-    return judge(target.witnesses, source.witnesses, pose, verify.tolerance_m, verify.tolerance_deg).evidence
-
-
-def _assess(
-    target: Side, source: Side, registered: PairRegistration, hypothesis: int, origin: str, verify: VerifyConfig
-) -> Assessment:
-    pose = registered.T_target_source
-    testimony = judge(target.witnesses, source.witnesses, pose, verify.final_tolerance_m, verify.final_tolerance_deg)
-    return Assessment(
-        hypothesis=hypothesis,
-        T_target_source=pose,
-        testimony=testimony,
-        fitness=registered.fitness,
-        rmse_m=registered.rmse_m,
-        weakest_curvature=weakest_curvature(registered),
-        probes_m=source.witnesses[0][1].probes_m,
-        origin=origin,
-        target_probes_m=target.witnesses[0][1].probes_m,
-    )
+def _slides(best: Registration, config: CalibrationConfig) -> bool:
+    return best.stability is not None and best.stability.pushed_off_m > config.stability.max_pushed_off_m

@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find the ground under the vehicle."""
+"""Ground plane under the vehicle."""
 
-from __future__ import annotations
+from collections.abc import Mapping
 
 import numpy as np
 import open3d as o3d
 
-from multilica.config import GroundConfig
+from multilica.config import CalibrationConfig, GroundConfig
 from multilica.geometry import FloatArray, RigidTransform, read_only
-from multilica.results import BoolArray, GroundPlane
-from multilica.stages.voxel_grid import thin
+from multilica.registration.voxel_grid import thin
+from multilica.results import LEVEL_FRAME, BoolArray, GroundPlane
 
-__all__ = ["BASE_FRAME", "estimate_ground"]
+__all__ = ["BASE_FRAME", "estimate_ground", "estimate_level"]
 
 BASE_FRAME = "base"
 
+# Well below the size of the ground, well above range noise.
 _VOXEL_SIZE_M = 0.1
 _MIN_POINTS = 100
+_LEVEL_POINTS = 3_000
+# Walls of a hall with its ceiling: the ground is at most the sixth largest plane.
 _MAX_PLANES = 6
+# Reflections and slopes put a few points below the ground.
 _BELOW_DISTANCES = 4.0
 _MAX_SHARE_BELOW = 0.05
 
@@ -25,17 +29,17 @@ _MAX_SHARE_BELOW = 0.05
 def estimate_ground(
     target: str, points_m: FloatArray, config: GroundConfig, seed: int
 ) -> tuple[GroundPlane | None, str]:
-    """Plane by RANSAC on the merged cloud; roll, pitch and z of the target LiDAR (the paper, LiDAR-to-ground).
+    """Fit the ground plane by RANSAC; derive roll, pitch and z of the target LiDAR (the paper, LiDAR-to-ground).
 
     For a plane ``a x + b y + c z + d = 0`` with its normal upwards, the base frame (ISO 8855: x forward, y left, z up)
     differs from the target frame by pitch ``atan2(-a, sqrt(b^2 + c^2))`` and roll ``atan2(b, c)``; the paper's
-    equation gives the pitch up to its sign. x, y and yaw do not show in a plane: they are zero.
+    equation gives the pitch up to its sign. A plane does not determine x, y and yaw: they are zero.
 
     Args:
         target: name of the target LiDAR, whose frame `points_m` (N, 3) are in.
 
     Returns:
-        The plane, or None, and the reason in words.
+        The plane, or None, and a sentence that describes it or says why there is none.
     """
     points_m = thin(points_m[np.linalg.norm(points_m, axis=1) <= config.max_range_m], _VOXEL_SIZE_M)
     if len(points_m) < _MIN_POINTS:
@@ -53,6 +57,28 @@ def estimate_ground(
         f"none of the {_MAX_PLANES} largest planes lies under the rig: tilted by at most {config.max_tilt_deg:g} deg "
         f"against the z axis of {target}, with nothing below it"
     )
+
+
+def estimate_level(
+    target: str, clouds: Mapping[str, FloatArray], poses: Mapping[str, RigidTransform], config: CalibrationConfig
+) -> RigidTransform | None:
+    """Estimate the pose of the target LiDAR in a frame with z up; None without a ground plane.
+
+    Args:
+        clouds: per LiDAR (N, 3) in its own frame.
+        poses: of the placed LiDARs in the target's frame; empty to use the target alone.
+    """
+    known = poses or {target: RigidTransform.identity(target, target)}
+    samples = [pose.apply(_sample(clouds[name], len(known))) for name, pose in known.items() if name in clouds]
+    points_m = np.concatenate([np.empty((0, 3)), *samples])
+    ground, _ = estimate_ground(target, points_m, config.ground, config.runtime.seed)
+    return None if ground is None else RigidTransform(LEVEL_FRAME, target, ground.T_base_target.matrix)
+
+
+def _sample(points_m: FloatArray, clouds: int) -> FloatArray:
+    limit = _LEVEL_POINTS // clouds
+    rows = np.random.default_rng(0).choice(len(points_m), min(limit, len(points_m)), replace=False)
+    return points_m[np.sort(rows)]
 
 
 def _largest_plane(points_m: FloatArray, config: GroundConfig) -> tuple[FloatArray, float, BoolArray]:
@@ -84,7 +110,7 @@ def _plane(
 
 
 def _towards_sensor(coefficients: FloatArray) -> tuple[FloatArray, float]:
-    """The plane's unit normal on the sensor's side: the ground lies below the sensor."""
+    """Return the plane with its unit normal towards the sensor: the ground lies below the sensor."""
     scale = np.linalg.norm(coefficients[:3])
     sign = 1.0 if coefficients[3] >= 0.0 else -1.0
     return coefficients[:3] * sign / scale, float(coefficients[3] * sign / scale)

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clean a LiDAR's accumulated returns."""
-
-from __future__ import annotations
+"""Cleaning of a LiDAR's accumulated returns."""
 
 from dataclasses import replace
 
@@ -9,10 +7,10 @@ import numpy as np
 
 from multilica.config import PreprocessConfig, StillnessConfig
 from multilica.geometry import read_only
+from multilica.registration.voxel_grid import thin
 from multilica.results import PreprocessedCloud
 from multilica.snapshot import LidarScans
-from multilica.stages.moving_points import drop_moving
-from multilica.stages.voxel_grid import thin
+from multilica.visibility.moving_points import drop_moving
 
 __all__ = ["preprocess"]
 
@@ -20,13 +18,13 @@ __all__ = ["preprocess"]
 def preprocess(
     lidar: LidarScans, config: PreprocessConfig, stillness: StillnessConfig | None = None
 ) -> PreprocessedCloud:
-    """Drop what is no measurement of the standing scene, then thin the rest.
+    """Drop returns that do not measure the static scene, and thin the rest.
 
     Args:
-        stillness: None keeps what moves between frames.
+        stillness: None keeps points that move between frames.
 
     Returns:
-        The kept points in the LiDAR's own frame, and the dropped ones by reason.
+        The kept points in the LiDAR's own frame, with the dropped ones by reason.
     """
     moving = np.empty((0, 3))
     if stillness is not None and stillness.enabled:

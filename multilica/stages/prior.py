@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is claimed beforehand of where LiDARs sit."""
-
-from __future__ import annotations
+"""Poses that the user claims beforehand."""
 
 from multilica.config import CalibrationConfig
 from multilica.errors import UsageError
@@ -13,26 +11,26 @@ __all__ = ["known_between", "require_usable"]
 
 
 def known_between(prior: Extrinsics | None, target: str, source: str) -> RigidTransform | None:
-    """``T_target_source`` by the prior; None if there is none that has both LiDARs."""
+    """Return ``T_target_source`` by the prior; None if there is no prior or it lacks one of the LiDARs."""
     if prior is None or not {target, source} <= prior.members:
         return None
     return prior.between(target, source)
 
 
 def require_usable(prior: Extrinsics, snapshot: Snapshot, config: CalibrationConfig) -> None:
-    """Refuse a prior that could not be judged, or says nothing.
+    """Refuse a prior that cannot be checked or has too few LiDARs.
 
     Raises:
         UsageError: verification is off, or fewer than two of the snapshot's LiDARs are in the prior.
     """
     if not config.verify.enabled:
         raise UsageError(
-            f"A prior is judged by stage verify, which is off (verify.enabled=false, preset '{config.preset}'); "
+            f"A prior is checked by stage verify, which is off (verify.enabled=false, preset '{config.preset}'); "
             "leave the prior out, or set verify.enabled=true."
         )
     known = sorted(prior.members & {*snapshot.names})
     if len(known) < 2:
         raise UsageError(
-            f"The prior has poses of {len(known)} of the LiDARs of {snapshot.source or 'the snapshot'} "
+            f"The prior has {len(known)} LiDAR(s) of {snapshot.source or 'the snapshot'} "
             f"({', '.join(known) or 'none'}); it needs two or more of {', '.join(snapshot.names)}."
         )

@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adjust all poses of a rig to all its accepted pairs at once."""
-
-from __future__ import annotations
+"""Joint refinement of all poses of a rig."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,14 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform, skew
-from multilica.results import EdgeResidual, PairRegistration, Refinement
+from multilica.results import PairRegistration, PairResidual, Refinement, connected
 
-__all__ = ["RefinedRig", "linked", "refine"]
+__all__ = ["RefinedRig", "refine", "trusted_pairs"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedRig:
-    """Poses after the adjustment.
+    """Poses of a rig after the joint refinement.
 
     Args:
         poses: per LiDAR ``T_root_lidar``, the root with the identity.
@@ -39,99 +37,99 @@ def refine(
     config: RefineConfig,
     snapshots: Sequence[str] = (),
 ) -> RefinedRig:
-    """Pose graph over all accepted pairs, loops included (the paper's future work).
+    """Optimise the pose graph over all accepted pairs, loops included (the paper's future work).
 
-    Gauss-Newton on the pairs' disagreement with the poses, each weighted with its information; a pair that disagrees
-    by much more than its information allows loses its weight (Cauchy), so that one bad pair does not bend the rig.
+    Gauss-Newton on the pairs' residuals, each weighted with its information. A pair whose residual is much larger than
+    its information allows loses its weight (Cauchy), so that one bad pair does not bend the rig.
 
     Args:
-        root: the LiDAR that stays where it is.
-        poses: where to start, ``T_root_lidar`` of every placed LiDAR.
-        pairs: registrations with `information`; those of LiDARs that are not placed are left out.
-        snapshots: the one that each pair is from, whose scans have noise of their own; all from one if empty.
+        root: the LiDAR whose pose is fixed.
+        poses: initial ``T_root_lidar`` of every placed LiDAR.
+        pairs: registrations; those without `information` or with a LiDAR that is not placed are left out.
+        snapshots: name of the snapshot of each pair, since noise is shared within one; empty if there is only one.
     """
-    told = [
+    used = [
         (pair, snapshot)
         for pair, snapshot in zip(pairs, snapshots or [""] * len(pairs), strict=True)
-        if pair.information is not None and {pair.target, pair.source} <= set(poses)
+        if pair.information is not None and pair.lidars <= set(poses)
     ]
-    edges = [edge for edge, _ in told]
-    free = [name for name in sorted(poses) if name != root]
-    free = [name for name in free if name in linked(root, edges)]
+    used_pairs = [pair for pair, _ in used]
+    free = sorted((set(poses) & connected(root, used_pairs)) - {root})
     current = dict(poses)
     if not free:
         return RefinedRig(current, {}, Refinement())
-    before = [_disagreement(edge, current) for edge in edges]
+    before = [_residual(pair, current) for pair in used_pairs]
     for _ in range(config.max_iterations):
-        normal_matrix, gradient = _normal_equations(edges, current, free, config)
+        normal_matrix, gradient = _normal_equations(used_pairs, current, free, config)
         step = np.asarray(-np.linalg.solve(normal_matrix, gradient), dtype=np.float64)
-        current = _moved(current, free, step)
+        current = _move(current, free, step)
         if np.abs(step).max() < config.epsilon:
             break
-    normal_matrix, _ = _normal_equations(_as_one_by_source(told), current, free, config)
+    normal_matrix, _ = _normal_equations(_with_shared_noise(used), current, free, config)
     joint = np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64)
     covariances = {name: joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(free)}
-    after = [_disagreement(edge, current) for edge in edges]
+    after = [_residual(pair, current) for pair in used_pairs]
     residuals = tuple(
-        EdgeResidual(edge.target, edge.source, *_sizes(start), *_sizes(end), _weight(edge, end, config))
-        for edge, start, end in zip(edges, before, after, strict=True)
+        PairResidual(pair.target, pair.source, *_sizes(start), *_sizes(end), _weight(pair, end, config))
+        for pair, start, end in zip(used_pairs, before, after, strict=True)
     )
     return RefinedRig(current, covariances, Refinement(residuals))
 
 
-def _as_one_by_source(told: Sequence[tuple[PairRegistration, str]]) -> list[PairRegistration]:
-    """With their information shared out: the noise of a scan's points is the same in all pairs that it is source of."""
-    count = Counter((edge.source, snapshot) for edge, snapshot in told)
+def trusted_pairs(
+    registrations: Iterable[PairRegistration], merges: Iterable[PairRegistration]
+) -> list[PairRegistration]:
+    """Select the accepted pairs of single LiDARs, with the merges of groups that no such pair connects."""
+    trusted = [pair for pair in registrations if pair.verdict.accepted]
+    for merge in merges:
+        if merge.source not in connected(merge.target, trusted):
+            trusted.append(merge)
+    return trusted
+
+
+def _with_shared_noise(used: Sequence[tuple[PairRegistration, str]]) -> list[PairRegistration]:
+    """Divide the information of pairs with the same source: the noise of its scan is the same in all of them."""
+    count = Counter((pair.source, snapshot) for pair, snapshot in used)
     return [
-        replace(edge, information=np.asarray(edge.information) / count[edge.source, snapshot])
-        for edge, snapshot in told
+        replace(pair, information=np.asarray(pair.information) / count[pair.source, snapshot])
+        for pair, snapshot in used
     ]
 
 
-def linked(root: str, edges: Sequence[PairRegistration]) -> set[str]:
-    """The LiDARs that chains of pairs lead to from the root, itself included."""
-    reached = {root}
-    for _ in edges:
-        for edge in edges:
-            if {edge.target, edge.source} & reached:
-                reached |= {edge.target, edge.source}
-    return reached
+def _residual(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> FloatArray:
+    """Return the offset (6,) of the poses from the pair: rotation, translation along the target's axes."""
+    return (poses[pair.target].inverse() @ poses[pair.source]).offset_from(pair.T_target_source)
 
 
-def _disagreement(edge: PairRegistration, poses: Mapping[str, RigidTransform]) -> FloatArray:
-    """(6,) by which the poses place the source otherwise than the pair: rotation, translation in the target's axes."""
-    return (poses[edge.target].inverse() @ poses[edge.source]).offset_from(edge.T_target_source)
+def _sizes(residual: FloatArray) -> tuple[float, float]:
+    return float(np.linalg.norm(residual[3:])), float(np.rad2deg(np.linalg.norm(residual[:3])))
 
 
-def _sizes(disagreement: FloatArray) -> tuple[float, float]:
-    return float(np.linalg.norm(disagreement[3:])), float(np.rad2deg(np.linalg.norm(disagreement[:3])))
-
-
-def _weight(edge: PairRegistration, disagreement: FloatArray, config: RefineConfig) -> float:
-    squared = float(disagreement @ edge.information @ disagreement)  # type: ignore[operator]
+def _weight(pair: PairRegistration, residual: FloatArray, config: RefineConfig) -> float:
+    squared = float(residual @ pair.information @ residual)  # type: ignore[operator]
     return 1.0 / (1.0 + squared / (6.0 * config.outlier_sigma**2))
 
 
 def _normal_equations(
-    edges: Sequence[PairRegistration], poses: Mapping[str, RigidTransform], free: Sequence[str], config: RefineConfig
+    pairs: Sequence[PairRegistration], poses: Mapping[str, RigidTransform], free: Sequence[str], config: RefineConfig
 ) -> tuple[FloatArray, FloatArray]:
     normal_matrix, gradient = np.zeros((6 * len(free), 6 * len(free))), np.zeros(6 * len(free))
-    for edge in edges:
-        error = _disagreement(edge, poses)
-        information = edge.information * _weight(edge, error, config)  # type: ignore[operator]
+    for pair in pairs:
+        residual = _residual(pair, poses)
+        information = pair.information * _weight(pair, residual, config)  # type: ignore[operator]
         jacobian = np.zeros((6, 6 * len(free)))
-        for name, block in zip((edge.target, edge.source), _jacobians(edge, poses), strict=True):
+        for name, block in zip((pair.target, pair.source), _jacobians(pair, poses), strict=True):
             if name in free:
                 start = 6 * free.index(name)
                 jacobian[:, start : start + 6] = block
         normal_matrix += jacobian.T @ information @ jacobian
-        gradient += jacobian.T @ information @ error
+        gradient += jacobian.T @ information @ residual
     return normal_matrix, gradient
 
 
-def _jacobians(edge: PairRegistration, poses: Mapping[str, RigidTransform]) -> tuple[FloatArray, FloatArray]:
-    """Of the disagreement, by a turn and shift along the root's axes of the target's and of the source's pose."""
-    target, source = poses[edge.target], poses[edge.source]
+def _jacobians(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of the residual by motions of the target and of the source along the root's axes."""
+    target, source = poses[pair.target], poses[pair.source]
     to_target = target.rotation.T
     apart = skew(source.xyz_m - target.xyz_m)
     zero = np.zeros((3, 3))
@@ -140,7 +138,7 @@ def _jacobians(edge: PairRegistration, poses: Mapping[str, RigidTransform]) -> t
     return by_target, by_source
 
 
-def _moved(poses: Mapping[str, RigidTransform], free: Sequence[str], step: FloatArray) -> dict[str, RigidTransform]:
+def _move(poses: Mapping[str, RigidTransform], free: Sequence[str], step: FloatArray) -> dict[str, RigidTransform]:
     moved = dict(poses)
     for i, name in enumerate(free):
         turn, shift = step[6 * i : 6 * i + 3], step[6 * i + 3 : 6 * i + 6]

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a LiDAR sees out of its window."""
-
-from __future__ import annotations
+"""Check for dead and dirty LiDARs."""
 
 import numpy as np
 from scipy.ndimage import binary_opening
@@ -15,26 +13,26 @@ __all__ = ["examine_sensor"]
 
 _CELL_RAD = float(np.deg2rad(5.0))
 _ROWS, _COLUMNS = 36, 72
-# Three directions determine a plane; a few more tell whether there is one.
+# Three directions determine a plane; a few more show whether there is one.
 _MIN_ECHOES = 5
 # Range noise is about 2 cm; specks on a window return from anywhere within its near field.
 _SURFACE_M = 0.06
 
 
 def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> SensorHealth:
-    """Measure which part of a LiDAR's field of view ends on its own window.
+    """Measure the share of a LiDAR's field of view that ends on its own window.
 
-    The directions of all returns make the field of view, in cells of 5 degrees. A cell is soiled if no beam in it gets
-    farther than `near_m` and its near echoes lie on no surface: the vehicle's own body is one, dirt is not. Only
-    blocks of at least 2 x 2 cells count. Directions without any return say nothing: the sky has none, nor has a body
-    that the driver cuts out.
+    The field of view is the directions of all returns, in cells of 5 degrees. A cell is soiled if no beam in it gets
+    farther than `near_m` and its near echoes lie on no surface (the vehicle's own body is a surface, dirt is not).
+    Only blocks of at least 2 x 2 cells count. Directions without returns are ignored: the sky has none, and drivers
+    cut out the vehicle's body.
 
     Args:
-        near_m: nearer returns are not used for calibration.
+        near_m: the calibration ignores nearer returns.
     """
     points_m = _finite(lidar.points_m)
     if len(points_m) == 0:
-        text = "it returned nothing at all"
+        text = "it has no returns"
         return SensorHealth(lidar.name, 0, 0.0, 0.0, (Reason("dead", 0.0, 1.0, text),))
     range_m = np.linalg.norm(points_m, axis=1)
     near = range_m < near_m
@@ -52,8 +50,8 @@ def _reasons(soiled_share: float, near_m: float, config: HealthConfig) -> tuple[
     if soiled_share <= config.max_soiled_share:
         return ()
     text = (
-        f"{soiled_share:.0%} of its field of view ends in scattered echoes nearer than {near_m:g} m, as dirt on the "
-        f"window makes them; at most {config.max_soiled_share:.0%} is harmless"
+        f"{soiled_share:.0%} of its field of view ends in scattered echoes nearer than {near_m:g} m, as from dirt on "
+        f"the window (limit {config.max_soiled_share:.0%})"
     )
     return (Reason("dirty", soiled_share, config.max_soiled_share, text),)
 
@@ -71,7 +69,7 @@ def _cells(points_m: FloatArray, range_m: FloatArray) -> IndexArray:
 
 
 def _off_surfaces(directions: FloatArray, range_m: FloatArray, cells: IndexArray) -> BoolArray:
-    """Per cell whether its echoes lie on no plane: on one, the inverse range is linear in the direction."""
+    """Mark the cells whose echoes lie on no plane: on one, the inverse range is linear in the direction."""
     scattered = np.zeros(_ROWS * _COLUMNS, dtype=np.bool_)
     order = np.argsort(cells, kind="stable")
     for members in np.split(order, np.flatnonzero(np.diff(cells[order])) + 1):
@@ -84,7 +82,7 @@ def _off_surfaces(directions: FloatArray, range_m: FloatArray, cells: IndexArray
 
 
 def _blocks(cells: BoolArray) -> BoolArray:
-    """The cells that belong to a full block of 2 x 2; azimuth wraps around."""
+    """Select the cells that belong to a full block of 2 x 2; azimuth wraps around."""
     image = np.pad(cells.reshape(_ROWS, _COLUMNS), ((0, 0), (1, 1)), mode="wrap")
     return np.asarray(binary_opening(image, structure=np.ones((2, 2)))[:, 1:-1].ravel())
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a LiDAR moved between its frames."""
-
-from __future__ import annotations
+"""Check that the vehicle stood still."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -11,32 +9,32 @@ import small_gicp
 from scipy.spatial.transform import Rotation
 
 from multilica.config import StillnessConfig
-from multilica.geometry import FloatArray
+from multilica.geometry import LEVER_ARM_M, FloatArray
+from multilica.registration.voxel_grid import thin
 from multilica.snapshot import Scan
-from multilica.stages.voxel_grid import thin
 
 __all__ = ["Motion", "detect_motion", "explain_motion"]
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """How a LiDAR moved between its first and its last frame, as far as the scene shows it.
+    """Motion of a LiDAR between its first and last frame.
 
     Args:
-        shift_m, turn_rad: in the directions that surfaces hold; 0 in those that nothing holds.
+        shift_m, turn_rad: in the directions that surfaces constrain; 0 in the others.
         significance: size of the motion in standard deviations of the registration.
-        can_tell: surfaces hold all directions, or the motion shows in those that they hold.
-        moving: it shows, larger than the configuration allows.
+        observable: surfaces constrain all directions, or motion was detected in those that they constrain.
+        moving: motion was detected, larger than the configuration allows.
     """
 
     shift_m: float = 0.0
     turn_rad: float = 0.0
     significance: float = 0.0
-    can_tell: bool = False
+    observable: bool = False
     moving: bool = False
 
 
-# A vehicle's own body turns with the LiDAR: it would vote for standing still.
+# The vehicle's own body moves with the LiDAR, which hides the motion.
 _BODY_M = 2.5
 # Beyond, neighbouring beams are too far apart to show a surface's orientation.
 _FAR_M = 40.0
@@ -45,25 +43,24 @@ _NEIGHBOURS = 15
 _MIN_POINTS = 100
 # A car at 50 km/h goes 1.4 m in a frame.
 _REACHES_M = (1.5, 0.75, 0.4)
-_LEVER_ARM_M = 10.0
 # small_gicp flattens covariances to 1e-3 along the normal, for each of the two clouds.
 _NORMAL_VARIANCE_M2 = 2e-3
 # Along a tunnel the noise of normals alone makes a tenth of a percent of the points face the motion.
 _MIN_FACING_SHARE = 0.005
 # The Hessian takes neighbouring points for independent; chance reached 4.3 on a flat field.
 _MIN_SIGNIFICANCE = 8.0
-# Where surfaces tell no other LiDAR anything, they tell the one little: a rosette before a fence reached 18.
+# Limit where only one LiDAR sees enough surfaces: a rosette scan of a fence reached 18 at rest.
 _ALONE_SIGNIFICANCE = 25.0
 
 
 def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
-    """Register the last frame of one LiDAR onto its first, by way of the one in the middle.
+    """Detect motion by registering the last frame of a LiDAR to its first, through the middle one.
 
     Args:
         scans: frames of one LiDAR, oldest first.
 
     Returns:
-        The motion in the directions that surfaces hold: along a tunnel, or over a plane, a LiDAR cannot tell.
+        The motion in the directions that surfaces constrain; along a tunnel or over a plane it is not observable.
     """
     chosen = sorted({0, (len(scans) - 1) // 2, len(scans) - 1}) if scans else []
     clouds_m = [_surroundings(scans[index]) for index in chosen]
@@ -75,7 +72,7 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
         # At constant speed it has gone about twice as far by the last frame as by the middle one.
         result = _register(first, structure, pose @ pose)
         pose = result.T_target_source
-    return _judged(result, config)
+    return _motion(result, config)
 
 
 def _surroundings(scan: Scan) -> FloatArray:
@@ -86,7 +83,7 @@ def _surroundings(scan: Scan) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Structure:
-    """Points with the orientation of the surface that each lies on, in the engine's types."""
+    """Points with surface orientations, as types of small_gicp."""
 
     cloud: small_gicp.PointCloud
     tree: small_gicp.KdTree
@@ -121,34 +118,34 @@ def _align(target: _Structure, source: _Structure, start: FloatArray, reach_m: f
     )
 
 
-def _judged(result: small_gicp.RegistrationResult, config: StillnessConfig) -> Motion:
+def _motion(result: small_gicp.RegistrationResult, config: StillnessConfig) -> Motion:
     rotation, shift_m = result.T_target_source[:3, :3], result.T_target_source[:3, 3]
-    twist_m = np.concatenate([_LEVER_ARM_M * Rotation.from_matrix(rotation).as_rotvec(), rotation.T @ shift_m])
-    scale = np.repeat([1.0 / _LEVER_ARM_M, 1.0], 3)
+    twist_m = np.concatenate([LEVER_ARM_M * Rotation.from_matrix(rotation).as_rotvec(), rotation.T @ shift_m])
+    scale = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
     hessian = result.H * np.outer(scale, scale)
     stiffness, directions = np.linalg.eigh(hessian)
     facing = stiffness * _NORMAL_VARIANCE_M2 / max(1, result.num_inliers)
-    held = directions[:, facing >= _MIN_FACING_SHARE]
-    shown_m = held @ (held.T @ twist_m)
-    turn_rad, shown_shift_m = float(np.linalg.norm(shown_m[:3])) / _LEVER_ARM_M, float(np.linalg.norm(shown_m[3:]))
+    constrained = directions[:, facing >= _MIN_FACING_SHARE]
+    shown_m = constrained @ (constrained.T @ twist_m)
+    turn_rad, shown_shift_m = float(np.linalg.norm(shown_m[:3])) / LEVER_ARM_M, float(np.linalg.norm(shown_m[3:]))
     significance = float(np.sqrt(shown_m @ hessian @ shown_m))
     large = bool(shown_shift_m > config.max_shift_m or turn_rad > np.deg2rad(config.max_turn_deg))
     moving = large and significance > _MIN_SIGNIFICANCE
-    return Motion(shown_shift_m, turn_rad, significance, moving or held.shape[1] == 6, moving)
+    return Motion(shown_shift_m, turn_rad, significance, moving or constrained.shape[1] == 6, moving)
 
 
 def explain_motion(motions: Mapping[str, Motion], source: str = "") -> str:
-    """Why a snapshot cannot be used, in one sentence; empty if it can.
+    """Explain in one sentence why a snapshot cannot be used; return "" if it can.
 
     Args:
         motions: per LiDAR name.
         source: what the snapshot was read from.
     """
     moving = {name: motion for name, motion in motions.items() if motion.moving}
-    telling = sum(motion.can_tell for motion in motions.values())
-    if 2 * len(moving) <= telling:
+    observable = sum(motion.observable for motion in motions.values())
+    if 2 * len(moving) <= observable:
         return ""
-    if telling == 1 < len(motions) and all(motion.significance < _ALONE_SIGNIFICANCE for motion in moving.values()):
+    if observable == 1 < len(motions) and all(motion.significance < _ALONE_SIGNIFICANCE for motion in moving.values()):
         return ""
     evidence = ", ".join(
         f"{name} by {motion.shift_m:.2f} m and {np.rad2deg(motion.turn_rad):.1f} deg"
@@ -156,6 +153,6 @@ def explain_motion(motions: Mapping[str, Motion], source: str = "") -> str:
     )
     return (
         f"The vehicle moves{' in ' + source if source else ''}: {evidence} between its first and last frame "
-        f"({len(moving)} of the {telling} LiDARs that can tell); record while it stands still, "
+        f"({len(moving)} of {observable} LiDARs that can detect motion); record while it stands still, "
         "or choose another window with --start or --window auto."
     )

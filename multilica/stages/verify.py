@@ -1,32 +1,49 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Judge the hypotheses of a pair by what the beams of both sensors prove."""
-
-from __future__ import annotations
+"""Verification of a pair's hypotheses by free space."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-import numpy as np
-
-from multilica.config import FineConfig, VerifyConfig
+from multilica.acceptance.accept import hopeless_below, is_firm, max_violation_share
+from multilica.config import AcceptanceConfig, FineConfig, VerifyConfig, VisibilityConfig
 from multilica.geometry import RigidTransform
-from multilica.results import PRIOR, Assessment, CoarseResult, Hypothesis
-from multilica.stages.decide import hopeless_below, max_violation_share
-from multilica.stages.gicp import register_narrower
-from multilica.stages.observability import weakest_curvature
-from multilica.stages.poses import is_distinct, slid, within_reach
-from multilica.stages.registration_cloud import RegistrationCloud
-from multilica.stages.rivals import turned_rivals
-from multilica.stages.witness import Witness, judge
-from multilica.testimony import Testimony
+from multilica.registration.gicp import register_narrower
+from multilica.registration.poses import is_distinct, slid, within_baseline
+from multilica.registration.registration_cloud import RegistrationCloud
+from multilica.registration.stability import weakest_curvature
+from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration, VisibilityScore
+from multilica.visibility.sensor_view import SensorView, score_visibility
+from multilica.visibility.symmetric_poses import symmetric_poses
 
-__all__ = ["assess_hypotheses", "short_gicp"]
+__all__ = ["PreparedLidar", "VerifySettings", "short_gicp", "verify_hypotheses"]
 
-# Rivals come from plans with cells of half a metre, or are steps of one metre apart.
-_RIVAL_TOLERANCE_M = 0.6
+# Symmetric poses come from plans with cells of 0.5 m, slid ones from steps of 1 m.
+_COMPETING_TOLERANCE_M = 0.6
+# With a curvature well above the limit the best pose is not replaced by a further hypothesis.
+_SETTLED_CURVATURES = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class VerifySettings:
+    """The sections of the configuration that the stage uses, with the settings of `short_gicp`."""
+
+    verify: VerifyConfig
+    visibility: VisibilityConfig
+    acceptance: AcceptanceConfig
+    gicp: FineConfig
+    threads: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PreparedLidar:
+    """A LiDAR's view with its thinned cloud for the short GICP."""
+
+    view: SensorView
+    cloud: RegistrationCloud
 
 
 def short_gicp(config: VerifyConfig, fine: FineConfig) -> FineConfig:
-    """The settings of the short GICP: coarse grid, few iterations, loose convergence."""
+    """Return the settings of the short GICP: coarse grid, few iterations, loose convergence."""
     return fine.model_copy(
         update={
             "engine": "small_gicp",
@@ -41,156 +58,137 @@ def short_gicp(config: VerifyConfig, fine: FineConfig) -> FineConfig:
     )
 
 
-def assess_hypotheses(
-    target: tuple[Witness, RegistrationCloud],
-    source: tuple[Witness, RegistrationCloud],
-    coarse: CoarseResult,
-    config: VerifyConfig,
-    gicp: FineConfig,
-    threads: int,
-) -> tuple[Assessment, ...]:
-    """Give each hypothesis a short GICP, then ask the beams of both sensors.
+def verify_hypotheses(
+    target: PreparedLidar, source: PreparedLidar, coarse: CoarseResult, settings: VerifySettings
+) -> tuple[Registration, ...]:
+    """Register each hypothesis by a short GICP and score it by the beams of both sensors.
 
-    A beam that returned from 20 m proves that the 20 m before it are empty: points that a pose puts there violate,
-    points that it puts on measured surfaces agree, points behind surfaces say nothing. Hypotheses that start where
-    an earlier one ended are the same answer and cost nothing; the rest is left out once one is clearly right. Rivals
-    of the best are tried as well: turned by right angles, and along its weakest direction if it is not firmly held.
+    A beam that returned from 20 m proves that the 20 m before it are empty: points that a pose puts there violate it,
+    points on measured surfaces agree, points behind surfaces prove nothing. Hypotheses near an earlier result are
+    skipped, and so is the rest once one pose is clearly correct. Poses that may compete with the best are tested as
+    well: turned by right angles, and shifted along its weakest direction if it is not firm.
 
-    The prior has no say in which of the others are tried: where a scene looks alike both ways, a
-    wrong prior could else end the search before the true pose has its turn.
-
-    Args:
-        target, source: what both sensors testify, with a thinned cloud each for GICP.
-        gicp: the settings of `short_gicp`.
+    The prior does not influence which hypotheses are tested: in a symmetric scene a wrong prior could otherwise end
+    the search before the true pose is tested.
 
     Returns:
-        The distinct answers, the one with the most evidence first.
+        The distinct poses, the one with the most evidence first.
     """
-    claimed: list[Assessment] = []
-    found: list[Assessment] = []
-    for index, hypothesis in enumerate(coarse.hypotheses):
-        tried = claimed if hypothesis.origin == PRIOR else found
-        if tried is found and _is_settled(found, config):
+    max_baseline_m = settings.acceptance.max_baseline_m
+    from_prior: list[Registration] = []
+    found: list[Registration] = []
+    for hypothesis in coarse.hypotheses:
+        known = from_prior if hypothesis.origin == PRIOR else found
+        if known is found and _is_settled(found, settings):
             continue
-        if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in tried)):
+        if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in known)):
             continue
-        for assessment in _tried(target, source, index, hypothesis, config, gicp, threads):
-            if is_distinct(assessment.T_target_source, (other.T_target_source for other in tried)):
-                tried.append(assessment)
-    for assessment in claimed:
-        found = _joined(found, assessment)
-    for index, hypothesis, settings in _rivals(target[0], source[0], found, config, gicp):
+        for registration in _registered(target, source, hypothesis, settings):
+            if is_distinct(registration.T_target_source, (other.T_target_source for other in known)):
+                known.append(registration)
+    for registration in from_prior:
+        found = _joined(found, registration)
+    for hypothesis, gicp in _competing_hypotheses(target.view, source.view, found, settings):
         pose = hypothesis.T_target_source
-        if is_distinct(pose, (other.T_target_source for other in found)) and _may_win(
-            _testimony(target[0], source[0], pose, _RIVAL_TOLERANCE_M, config.tolerance_deg), found, config
-        ):
-            found = _joined(found, _assess(target, source, index, hypothesis, config, settings, threads))
-    return tuple(sorted(within_reach(found, config.rival_reach_m), key=lambda assessment: -assessment.evidence))
+        if not is_distinct(pose, (other.T_target_source for other in found)):
+            continue
+        rough = _score(target.view, source.view, pose, _COMPETING_TOLERANCE_M, settings.visibility.tolerance_deg)
+        best = max(each.evidence for each in within_baseline(found, max_baseline_m))
+        if rough.evidence > hopeless_below(best, settings.acceptance):
+            found = _joined(found, _register(target, source, hypothesis, gicp, settings))
+    return tuple(sorted(within_baseline(found, max_baseline_m), key=lambda each: -each.evidence))
 
 
-def _joined(found: Sequence[Assessment], further: Assessment) -> list[Assessment]:
-    """The answers with one more: an answer of its own, or the better one of those that are the same."""
+def _joined(found: Sequence[Registration], further: Registration) -> list[Registration]:
+    """Add a registration: as a pose of its own, or in place of a worse one of the same pose."""
     same = [other for other in found if not is_distinct(further.T_target_source, [other.T_target_source])]
     if any(other.evidence >= further.evidence for other in same):
         return list(found)
     return [further, *(other for other in found if other not in same)]
 
 
-def _rivals(
-    target: Witness, source: Witness, found: Sequence[Assessment], config: VerifyConfig, gicp: FineConfig
-) -> list[tuple[int, Hypothesis, FineConfig]]:
-    """Poses that may look as good as the best one: turned in a scene of right angles, or slid along if held loosely.
+def _competing_hypotheses(
+    target: SensorView, source: SensorView, found: Sequence[Registration], settings: VerifySettings
+) -> list[tuple[Hypothesis, FineConfig]]:
+    """Return poses that may score as well as the best, with their GICP: turned, or slid if it is not firm.
 
-    With the settings of their GICP: a turned pose is off by less than a cell, one that slides finds back from afar.
+    A turned pose is off by less than a cell; a slid one needs the longest correspondence distance.
     """
-    best = max(within_reach(found, config.rival_reach_m), key=lambda assessment: assessment.evidence, default=None)
-    if best is None or best.testimony.agree < config.min_agree:
+    verify, acceptance, gicp = settings.verify, settings.acceptance, settings.gicp
+    max_baseline_m = acceptance.max_baseline_m
+    best = max(within_baseline(found, max_baseline_m), key=lambda each: each.evidence, default=None)
+    if best is None or best.visibility.agree < acceptance.min_agreeing_points:
         return []
-    up = best.testimony.commonest_normal
+    pose, up = best.T_target_source, best.visibility.commonest_normal
     near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
-    turned = turned_rivals(target, source, best.T_target_source, up, config.rival_reach_m, config.rivals)
-    along = slid(best, config) if best.testimony.held_by < config.firmly_held_by else []
-    nothing = np.zeros(0, dtype=bool)
+    turned = symmetric_poses(target, source, pose, up, max_baseline_m, verify.max_symmetric_poses)
+    along: list[RigidTransform] = []
+    if not is_firm(best.visibility, acceptance):
+        direction = best.visibility.slide_direction
+        along = slid(pose, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
     return [
-        (best.hypothesis, Hypothesis(pose, nothing, 0.0, best.origin), settings)
-        for poses, settings in ((turned, near), (along, gicp))
-        for pose in poses
+        (Hypothesis(each, origin=best.origin, index=best.hypothesis), settings_of)
+        for poses, settings_of in ((turned, near), (along, gicp))
+        for each in poses
     ]
 
 
-def _tried(
-    target: tuple[Witness, RegistrationCloud],
-    source: tuple[Witness, RegistrationCloud],
-    index: int,
-    hypothesis: Hypothesis,
-    config: VerifyConfig,
-    gicp: FineConfig,
-    threads: int,
-) -> list[Assessment]:
-    """The hypothesis after GICP; for one that GICP carried off also where a second try among near points is better.
+def _registered(
+    target: PreparedLidar, source: PreparedLidar, hypothesis: Hypothesis, settings: VerifySettings
+) -> list[Registration]:
+    """Register a hypothesis; one that GICP carried away is registered among near points as well.
 
-    Narrow views share few points: of those within 2 m most may be no matches, and draw even the true pose away.
+    Narrow views share few points: most points within 2 m may be no matches, and draw even the true pose away.
     """
-    far = _assess(target, source, index, hypothesis, config, gicp, threads)
+    far = _register(target, source, hypothesis, settings.gicp, settings)
     if not is_distinct(far.T_target_source, [hypothesis.T_target_source]):
         return [far]
-    nearest_only = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[-1:]})
-    near = _assess(target, source, index, hypothesis, config, nearest_only, threads)
+    distances_m = settings.gicp.max_correspondence_distances_m[-1:]
+    nearest_only = settings.gicp.model_copy(update={"max_correspondence_distances_m": distances_m})
+    near = _register(target, source, hypothesis, nearest_only, settings)
     return [near, far] if near.evidence > max(far.evidence, 0.0) else [far]
 
 
-def _assess(
-    target: tuple[Witness, RegistrationCloud],
-    source: tuple[Witness, RegistrationCloud],
-    index: int,
-    hypothesis: Hypothesis,
-    config: VerifyConfig,
-    gicp: FineConfig,
-    threads: int,
-) -> Assessment:
+def _register(
+    target: PreparedLidar, source: PreparedLidar, hypothesis: Hypothesis, gicp: FineConfig, settings: VerifySettings
+) -> Registration:
     start = hypothesis.T_target_source
-    registration = register_narrower(target[1], source[1], start, gicp, threads)
-    forth = registration.target == start.target
-    pose = registration.T_target_source if forth else registration.T_target_source.inverse()
-    testimony = _testimony(target[0], source[0], pose, config.tolerance_m, config.tolerance_deg)
-    return Assessment(
-        hypothesis=index,
+    registration = register_narrower(target.cloud, source.cloud, start, gicp, settings.threads)
+    pose = registration.T_target_source.with_target(start.target)
+    tolerances = settings.visibility.tolerance_m, settings.visibility.tolerance_deg
+    return Registration(
+        hypothesis=hypothesis.index,
         T_target_source=pose,
-        testimony=testimony,
+        visibility=_score(target.view, source.view, pose, *tolerances),
         fitness=registration.fitness,
         rmse_m=registration.rmse_m,
         weakest_curvature=weakest_curvature(registration),
-        probes_m=source[0].probes_m,
+        probes_m=source.view.probes_m,
         origin=hypothesis.origin,
-        target_probes_m=target[0].probes_m,
+        target_probes_m=target.view.probes_m,
     )
 
 
-def _testimony(
-    target: Witness, source: Witness, pose: RigidTransform, tolerance_m: float, tolerance_deg: float
-) -> Testimony:
+def _score(
+    target: SensorView, source: SensorView, pose: RigidTransform, tolerance_m: float, tolerance_deg: float
+) -> VisibilityScore:
     here = [(RigidTransform.identity(pose.target, pose.target), target)]
     there = [(RigidTransform.identity(pose.source, pose.source), source)]
-    return judge(here, there, pose, tolerance_m, tolerance_deg)
+    return score_visibility(here, there, pose, tolerance_m, tolerance_deg)
 
 
-def _may_win(roughly: Testimony, found: Sequence[Assessment], config: VerifyConfig) -> bool:
-    """Whether a pose that is off by no more than the tolerance it was judged with can come near the best."""
-    best = max(assessment.evidence for assessment in within_reach(found, config.rival_reach_m))
-    return roughly.evidence > hopeless_below(best, config)
-
-
-def _is_settled(found: Sequence[Assessment], config: VerifyConfig) -> bool:
-    """Whether one answer stands out so far that the hypotheses left, which have fewer matches, need no trial."""
-    found = within_reach(found, config.rival_reach_m)
+def _is_settled(found: Sequence[Registration], settings: VerifySettings) -> bool:
+    """Tell whether one pose leads so clearly that the other hypotheses, which have fewer matches, are skipped."""
+    verify, acceptance = settings.verify, settings.acceptance
+    found = within_baseline(found, acceptance.max_baseline_m)
     if len(found) < 2:
         return False
-    best, second = sorted(found, key=lambda assessment: -assessment.evidence)[:2]
-    firm = best.testimony.held_by >= config.firmly_held_by
+    best, second = sorted(found, key=lambda each: -each.evidence)[:2]
+    firm = is_firm(best.visibility, acceptance)
     return (
-        len(found) >= (config.settled_after_firm if firm else config.settled_after)
+        len(found) >= (verify.settled_after_firm if firm else verify.settled_after)
         and best.evidence > 0
-        and second.evidence <= config.settled_ratio * best.evidence
-        and best.testimony.violation_share <= max_violation_share(best.testimony, config)
-        and best.weakest_curvature >= 2.0 * config.min_curvature
+        and second.evidence <= verify.settled_ratio * best.evidence
+        and best.visibility.violation_share <= max_violation_share(best.visibility, acceptance)
+        and best.weakest_curvature >= _SETTLED_CURVATURES * acceptance.min_curvature
     )

@@ -23,7 +23,7 @@ ON_REQUEST = ("paper", "fuzz")
 
 
 def main(names: list[str]) -> int:
-    """Print each measurement under its name; 1 if a claim does not hold."""
+    """Print each measurement under its name; 1 if a claim does not stability."""
     available = (*MEASUREMENTS, *ON_REQUEST)
     unknown = [name for name in names if name not in available]
     if unknown:

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections import Counter
 
 from multilica.config import CalibrationConfig
-from tests.bench.cases import Case, LidarOutcome, run_case
-from tests.bench.claims import Claim, print_claims, print_table
 from tests.bench.simulated import SCENES, print_details
-from tests.bench.workers import run_all
+from tests.bench.support.cases import Case, LidarOutcome, run_case
+from tests.bench.support.claims import Claim, print_claims, print_table
+from tests.bench.support.workers import run_all
 
 __all__ = ["main"]
 

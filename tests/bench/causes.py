@@ -8,15 +8,15 @@ import re
 from contextlib import suppress
 from dataclasses import dataclass
 
+from multilica.diagnosis import Explanation, explain
 from multilica.errors import UnfitSnapshotError
-from multilica.explanation import Explanation, explain
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.pipeline import calibrate
 from multilica.simulate import simulate_snapshot
-from multilica.sinks.run_document import run_document
-from multilica.sinks.run_story import RunStory
-from tests.bench.claims import Claim, print_claims, print_table
+from multilica.sinks.files.run_document import run_document
+from multilica.sinks.run_state import RunState
+from tests.bench.support.claims import Claim, print_claims, print_table
 
 SEEDS = (3, 4)
 FRAMES = 3
@@ -67,10 +67,10 @@ def main() -> bool:
 
 def _explained(case: Case, seed: int) -> Explanation:
     simulation = simulate_snapshot(case.rig, case.scene, seed, frames=FRAMES, disturbances=case.disturbances)
-    story = RunStory()
+    state = RunState()
     with suppress(UnfitSnapshotError):
-        calibrate(simulation.snapshot, None, story, _turned(simulation.truth, case.turned) if case.turned else None)
-    document = run_document(story)
+        calibrate(simulation.snapshot, None, state, _turned(simulation.truth, case.turned) if case.turned else None)
+    document = run_document(state)
     if document is None:
         raise RuntimeError(f"{case.name} left no document")
     return explain(document)

@@ -18,9 +18,9 @@ from mcap.reader import make_reader
 
 from multilica.config import STAGES
 from multilica.errors import MultilicaError
-from multilica.fleet.explain_run import explain_run
-from multilica.fleet.run_documents import read_run_document
-from tests.bench.claims import Claim, print_claims, print_table
+from multilica.runs.explain_run import explain_run
+from multilica.runs.run_documents import read_run_document
+from tests.bench.support.claims import Claim, print_claims, print_table
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
@@ -117,7 +117,7 @@ def _last_stage(out: Path, names: Sequence[str], told: str, faults: list[str]) -
         return ""
     try:
         explain_run(file)
-        finished = read_run_document(file).document["progress"]["finished"]
+        finished = read_run_document(file).document.progress.finished
     except MultilicaError as error:
         faults += [str(error)] if told else []
         return ""

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.ingest.mutations import SEEDS, mutated, read_or_refuse, write_seed
+from tests.ingest.support.mutations import SEEDS, mutated, read_or_refuse, write_seed
 
 MUTATIONS = int(os.environ.get("MULTILICA_MUTATIONS", "20000"))
 MEMORY_BYTES = 1 << 30

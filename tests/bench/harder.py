@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from multilica.config import CalibrationConfig
-from tests.bench.cases import NEW_SEEDS, Case, LidarOutcome, run_case
-from tests.bench.claims import Claim, print_claims, print_table
 from tests.bench.simulated import print_details
-from tests.bench.workers import run_all
+from tests.bench.support.cases import NEW_SEEDS, Case, LidarOutcome, run_case
+from tests.bench.support.claims import Claim, print_claims, print_table
+from tests.bench.support.workers import run_all
 
 __all__ = ["EXPECTED", "main"]
 
@@ -43,7 +43,7 @@ _LITTLE = ("too_little_overlap", "too_little_evidence", "not_observable")
 _WEDGE = (
     "neighbours share a wedge of 9 deg: what stands in it decides, or else too little does, or it is like another wedge"
 )
-_HALF = "the free half of the view and the truck itself decide"
+_HALF = "the free half of the view and the truck itself accept"
 _STRAYS = "stray returns lie on no surface, so they neither agree nor violate"
 _WALKERS = "what moves is dropped, the scene behind decides"
 _TUNNEL = "every cross-section is the same: nothing holds the position along it"

@@ -20,10 +20,10 @@ from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode
 
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from tests.bench.claims import Claim, print_claims, print_table
-from tests.bench.point_files import POINT_FILES
-from tests.ingest.format_writers import livox_messages, write_foxglove_json, write_foxglove_sdk, write_raw_mcap
-from tests.ingest.recording_writers import (
+from tests.bench.support.claims import Claim, print_claims, print_table
+from tests.bench.support.point_files import POINT_FILES
+from tests.ingest.support.format_writers import livox_messages, write_foxglove_json, write_foxglove_sdk, write_raw_mcap
+from tests.ingest.support.recording_writers import (
     CLOUD,
     PERIOD_NS,
     START_NS,
@@ -164,7 +164,7 @@ def _throughput_row(name: str, path: Path) -> tuple[tuple[str, ...], float, floa
 def _window(folder: Path) -> list[Claim]:
     path = folder / "large.mcap"
     _write_large(path)
-    command = [sys.executable, "-m", "tests.bench.window_read", str(path)]
+    command = [sys.executable, "-m", "tests.bench.support.window_read", str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     cost = json.loads(ended.stdout)
     print(f"Ten frames of two LiDARs from the middle of an MCAP file of {path.stat().st_size / 1e9:.2f} GB:\n")
@@ -235,7 +235,7 @@ def _fastest(readers: Sequence[str], path: Path) -> list[_Reading]:
 
 
 def _reading(reader: str, path: Path) -> _Reading:
-    command = [sys.executable, "-m", "tests.bench.reader_speed", reader, str(path)]
+    command = [sys.executable, "-m", "tests.bench.support.reader_speed", reader, str(path)]
     return _Reading(**json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
 
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 from itertools import product
 
 from multilica.config import preset
-from tests.bench.cases import NEW_SEEDS, Case, LidarOutcome, run_case
-from tests.bench.claims import print_table
 from tests.bench.simulated import COLUMNS, RIGS, figures
-from tests.bench.workers import run_all
+from tests.bench.support.cases import NEW_SEEDS, Case, LidarOutcome, run_case
+from tests.bench.support.claims import print_table
+from tests.bench.support.workers import run_all
 
 __all__ = ["main"]
 

@@ -9,12 +9,12 @@ from math import degrees
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multilica.fleet import PoseError, Tolerances
 from multilica.geometry import FloatArray
 from multilica.pipeline import calibrate
 from multilica.results import LidarPlacement
-from tests.bench.claims import Claim, print_claims, print_table
-from tests.bench.workers import run_all
+from multilica.runs import PoseError, Tolerances
+from tests.bench.support.claims import Claim, print_claims, print_table
+from tests.bench.support.workers import run_all
 from tests.opencalib import CONFIG, DATA, MISSING, SOURCES, TRUTH, is_true, read_clouds, turned_snapshot, unturned
 
 __all__ = ["judged", "main"]

@@ -18,7 +18,7 @@ from multilica.ingest import read_snapshot
 from multilica.pipeline import calibrate
 from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
-from tests.bench.claims import Claim, print_claims, print_table
+from tests.bench.support.claims import Claim, print_claims, print_table
 
 __all__ = ["Turn", "claim", "main"]
 

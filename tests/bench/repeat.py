@@ -14,8 +14,8 @@ from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import Snapshot
-from tests.bench.claims import Claim, print_claims, print_table
-from tests.bench.workers import run_all
+from tests.bench.support.claims import Claim, print_claims, print_table
+from tests.bench.support.workers import run_all
 from tests.opencalib import DATA, read_clouds, turned_snapshot
 
 __all__ = ["Difference", "Run", "difference", "main"]
@@ -59,7 +59,7 @@ class Difference:
 
 
 def main() -> bool:
-    """Print per input what differs between runs, and whether the claims hold."""
+    """Print per input what differs between runs, and whether the claims stability."""
     inputs = [*([_REAL] if DATA.is_dir() else []), *_SIMULATED]
     cases = list(product(inputs, _THREADS, range(_RUNS)))
     runs = dict(zip(cases, run_all(_run, cases, fresh=True), strict=True))
@@ -130,7 +130,7 @@ def _numbers(result: CalibrationResult) -> Iterator[bytes]:
         yield _bits(None if each.T_target_source is None else each.T_target_source.matrix)
         yield _bits(each.covariance)
     for pair in result.pairs:
-        yield repr((pair.fitness, pair.rmse_m, pair.evidence, pair.verdict)).encode()
+        yield repr((pair.fitness, pair.rmse_m, pair.evidence, pair.verdict.outcome, pair.verdict.text)).encode()
         yield _bits(pair.T_target_source.matrix)
         yield _bits(pair.hessian)
 

@@ -11,9 +11,9 @@ from math import degrees
 import numpy as np
 
 from multilica.config import CalibrationConfig
-from tests.bench.cases import NEW_SEEDS, Case, LidarOutcome, run_case
-from tests.bench.claims import Claim, figure, print_claims, print_table
-from tests.bench.workers import run_all
+from tests.bench.support.cases import NEW_SEEDS, Case, LidarOutcome, run_case
+from tests.bench.support.claims import Claim, figure, print_claims, print_table
+from tests.bench.support.workers import run_all
 
 __all__ = ["COLUMNS", "RIGS", "SCENES", "claims", "figures", "main", "print_details"]
 
@@ -34,7 +34,7 @@ SCENES = ("street", "parking", "garage", "open_field")
 
 
 def main() -> bool:
-    """Print figures per rig, every LiDAR that is not good, and whether the claims hold."""
+    """Print figures per rig, every LiDAR that is not good, and whether the claims stability."""
     cases = [Case(*each) for each in product(RIGS, SCENES, NEW_SEEDS)]
     lidars = [lidar for found in run_all(_run, cases) for lidar in found]
     per_rig = [(rig, [each for each in lidars if each.case.rig == rig]) for rig in RIGS]

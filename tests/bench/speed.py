@@ -16,8 +16,8 @@ from multilica.config import preset, with_overrides
 from multilica.pipeline import calibrate
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import Snapshot
-from tests.bench.claims import Claim, print_claims, print_table
-from tests.bench.workers import run_all
+from tests.bench.support.claims import Claim, print_claims, print_table
+from tests.bench.support.workers import run_all
 from tests.opencalib import DATA, MISSING, read_clouds, turned_snapshot
 
 __all__ = ["Lap", "claim", "main"]
@@ -40,7 +40,7 @@ class Lap:
 
 
 def main() -> bool:
-    """Print the times, and whether the ratios hold."""
+    """Print the times, and whether the ratios stability."""
     claims = []
     if DATA.is_dir():
         claims.append(_measured(_REAL, limit=0.7, repeats=3))

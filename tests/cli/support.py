@@ -11,7 +11,7 @@ import numpy as np
 
 from multilica.extrinsics import read_extrinsics
 from multilica.geometry import RigidTransform
-from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica_cli.sample import find_sample
 

@@ -11,7 +11,6 @@ import pytest
 
 from multilica import read_extrinsics
 from multilica_cli.failures import ExitCode
-from multilica_cli.run import default_out_dir
 from tests.cli.support import (
     Invoke,
     command_of_process,
@@ -110,11 +109,3 @@ def test_a_closed_pipe_ends_the_command_in_silence(two_lidars: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == ""
     assert process.returncode == ExitCode.BROKEN
-
-
-@pytest.mark.parametrize(
-    ("source", "expected"),
-    [("drive.mcap", "drive"), ("logs/bag_dir", "bag_dir"), ("a/b.c/x.pcd", "x")],
-)
-def test_results_go_to_a_directory_named_after_the_source(source: str, expected: str) -> None:
-    assert default_out_dir([Path(source), Path("other.pcd")]) == Path("recordings/runs") / expected

@@ -21,11 +21,10 @@ def runs(invoke: Invoke, two_lidars: Path) -> tuple[Path, Path]:
 
 
 def test_two_runs_are_told_apart(runs: tuple[Path, Path], invoke: Invoke) -> None:
-    outcome = invoke("diff", *runs, "--recording", "both.rrd")
+    outcome = invoke("diff", *runs)
     assert outcome.code == ExitCode.DIFFERENT
     assert "MOVED" in outcome.out
     assert "The runs first differ at: config\n  fine.voxel_size_m: 0.15 -> 0.4\nafter it: fine, merge" in outcome.out
-    assert outcome.out.endswith("wrote both.rrd\n")
     assert invoke("diff", *runs, "--within-m", "1", "--within-deg", "10").code == ExitCode.DONE
     document = json.loads(invoke("diff", *runs, "--json").out)
     assert document["moves"]["right"]["moved"] is True
@@ -37,10 +36,6 @@ def test_two_runs_are_told_apart(runs: tuple[Path, Path], invoke: Invoke) -> Non
 
 def test_a_missing_run_is_refused(invoke: Invoke) -> None:
     assert_one_sentence(invoke("diff", "nowhere", "nowhere"), ExitCode.INPUT)
-
-
-def test_a_recording_of_another_name_is_refused(invoke: Invoke) -> None:
-    assert_one_sentence(invoke("diff", "a", "b", "--recording", "both.mcap"), ExitCode.USAGE)
 
 
 def test_what_neither_run_placed_is_told(invoke: Invoke, tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.support import Invoke, assert_one_sentence
-from tests.fleet.made_runs import write_run, write_truth
+from tests.runs.made_runs import entry, made_result, write_run, write_truth
 
 GOOD = ((0.003, 0.004, 0.0), (0.0, 0.0, 0.05))
 BAD = ((0.3, 0.4, 0.0), (0.0, 0.0, 5.0))
@@ -28,7 +28,7 @@ def test_tables_for_people(invoke: Invoke) -> None:
     assert ["a", "left", "within", "3.0", "4.0", "0.0", "5.0", "0.000", "0.000", "0.050", "0.050", "-"] in rows
     assert any(row[:3] == ["rear", "FALSE", "ACCEPT"] for row in rows)
     assert ["all", "4", "2", "(50.0%)", "0", "(0.0%)", "1", "(25.0%)", "1", "(25.0%)"] in rows
-    assert "runs with every compared LiDAR within: 0 of 2" in outcome.out
+    assert "runs with every compared LiDAR within tolerance: 0 of 2" in outcome.out
     assert outcome.out.splitlines()[-1] == "wrote table.csv"
     assert Path("table.csv").is_file()
 
@@ -71,7 +71,7 @@ def test_what_is_left_out_is_said(invoke: Invoke) -> None:
 def test_many_lidars_list_only_what_is_not_within(invoke: Invoke) -> None:
     runs = [write_run(Path(f"many/{index}"), {"left": GOOD}) for index in range(41)]
     outcome = invoke("evaluate", *runs, "runs/a", "--truth", "t.toml")
-    assert "(42 LiDARs within are not listed)" in outcome.out
+    assert "; 42 LiDARs within tolerance are not listed" in outcome.out
     assert sum("FALSE ACCEPT" in line for line in outcome.out.splitlines()) == 1
 
 
@@ -90,7 +90,7 @@ def test_quiet_says_nothing(invoke: Invoke) -> None:
         (["other.json", "--truth", "t.toml"], 3, "has schema 'other/1'; expected 'multilica/result/1'"),
         (["list.json", "--truth", "t.toml"], 3, "has schema None"),
         (["bent.json", "--truth", "t.toml"], 3, "not a whole result"),
-        (["poseless.json", "--truth", "t.toml"], 3, "LiDAR 'left' is placed, yet without a pose"),
+        (["poseless.json", "--truth", "t.toml"], 3, "`lidars` has a placed LiDAR without a pose"),
         (["runs/a", "--truth", "none.toml"], 3, "No extrinsics file at none.toml"),
         (["runs/a", "runs/b", "runs/a", "--truth", "t.toml"], 2, "given more than once"),
         (["runs/a", "--truth", "t.toml", "--truth", "t.toml"], 2, "Found 2 truths for 1 run"),
@@ -101,14 +101,13 @@ def test_quiet_says_nothing(invoke: Invoke) -> None:
     ],
 )
 def test_failures_are_one_sentence(arguments: list[str], code: int, words: str, invoke: Invoke) -> None:
-    schema = {"schema": "multilica/result/1", "target": "front"}
-    entry = {"placed": True, "T_target_source": None, "fitness": 1.0, "reason": "made"}
+    singular = {**entry(None), "covariance": [[0.0] * 6] * 6}
     documents = {
         "other": {"schema": "other/1"},
         "list": [1],
-        "bent": {**schema, "lidars": [1]},
-        "singular": {**schema, "lidars": {"left": {**entry, "placed": False, "covariance": [[0.0] * 6] * 6}}},
-        "poseless": {**schema, "lidars": {"left": entry}},
+        "bent": {"schema": "multilica/result/1", "target": "front", "lidars": [1]},
+        "singular": made_result("front", {"left": singular}),
+        "poseless": made_result("front", {"left": {**entry(None), "placed": True}}),
     }
     for name, document in documents.items():
         Path(f"{name}.json").write_text(json.dumps(document), encoding="utf-8")

@@ -20,11 +20,11 @@ def run_of_a_dead_lidar(invoke: Invoke, two_lidars: Path) -> tuple[Path, str]:
     return Path("run"), invoke("calibrate", "scans", "--out", "run", "--target", "left").out
 
 
-def test_calibrate_explain_and_the_bare_recording_name_the_same_cause(
+def test_all_files_of_a_run_explain_the_same_cause(
     run_of_a_dead_lidar: tuple[Path, str], invoke: Invoke, tmp_path: Path
 ) -> None:
     run, printed = run_of_a_dead_lidar
-    cause = "rear is not placed: it returned nothing at all (a dead sensor, or an empty topic)."
+    cause = "rear is not placed: it returned nothing (dead sensor or empty topic)."
     assert cause in printed.splitlines()[-3:]
     told = invoke("explain", run)
     assert told.code == ExitCode.DONE
@@ -71,7 +71,7 @@ def test_a_refused_snapshot_leaves_an_earlier_result_as_it_was(invoke: Invoke, t
     before = {path.name: path.read_bytes() for path in Path("run").iterdir()}
     outcome = invoke("calibrate", moving(two_lidars, Path("drive")), "--out", "run", "--quiet")
     assert_one_sentence(outcome, ExitCode.INPUT)
-    assert "The earlier result in run is left as it was." in outcome.err
+    assert "The earlier result in run is unchanged." in outcome.err
     assert {path.name: path.read_bytes() for path in Path("run").iterdir()} == before
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from multilica.errors import InputError, MultilicaError, UnknownNameError
 from multilica_cli import main
-from multilica_cli.failures import ExitCode, explain
+from multilica_cli.failures import ExitCode, describe_failure
 from multilica_cli.interruption import Interrupted
 from tests.cli.support import Invoke, assert_one_sentence
 
@@ -22,14 +22,14 @@ from tests.cli.support import Invoke, assert_one_sentence
         (Interrupted(signal.SIGINT), 130, "SIGINT"),
         (OSError(28, "No space left on device", "run/result.json"), ExitCode.BROKEN, "No space left on device (run"),
         (ImportError("libGL.so.1: cannot open shared object file"), ExitCode.BROKEN, "apt-get install"),
-        (MemoryError(), ExitCode.BROKEN, "Memory"),
+        (MemoryError(), ExitCode.BROKEN, "Out of memory"),
         (ValueError("no\nway"), ExitCode.BROKEN, "ValueError"),
         (ImportError("cannot import name 'x'"), ExitCode.BROKEN, "bug in multilica"),
         (BrokenPipeError(), ExitCode.BROKEN, ""),
     ],
 )
 def test_each_failure_has_its_code_and_sentence(failure: BaseException, code: int, told: str) -> None:
-    found_code, sentence = explain(failure)
+    found_code, sentence = describe_failure(failure)
     assert found_code == code
     assert told in sentence
 
@@ -37,7 +37,7 @@ def test_each_failure_has_its_code_and_sentence(failure: BaseException, code: in
 def test_a_note_of_what_remains_is_part_of_the_sentence() -> None:
     interrupted = Interrupted(signal.SIGTERM)
     interrupted.add_note("The recording is in run.")
-    assert explain(interrupted)[1] == "Stopped by SIGTERM. The recording is in run."
+    assert describe_failure(interrupted)[1] == "Stopped by SIGTERM. The recording is in run."
 
 
 @pytest.fixture

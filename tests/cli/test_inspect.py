@@ -12,7 +12,7 @@ from multilica.snapshot import Snapshot
 from multilica_cli.failures import ExitCode
 from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence, write_pcd
-from tests.ingest.recording_writers import make_snapshot, write_mcap
+from tests.ingest.support.recording_writers import make_snapshot, write_mcap
 
 
 def test_the_sample_is_described(invoke: Invoke) -> None:

@@ -13,8 +13,8 @@ from multilica import read_snapshot
 from multilica_cli.failures import ExitCode
 from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence
-from tests.ingest.processes import served
-from tests.ingest.recording_writers import make_snapshot, write_mcap
+from tests.ingest.support.processes import served
+from tests.ingest.support.recording_writers import make_snapshot, write_mcap
 
 
 @pytest.fixture(scope="module")

@@ -11,16 +11,15 @@ import pytest
 
 from multilica import read_extrinsics
 from multilica_cli.failures import ExitCode
-from multilica_cli.run import default_out_dir
 from multilica_cli.sample import find_sample
 from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose
 
-SCHEMA = json.loads((ROOT / "tests" / "sinks" / "result.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((ROOT / "docs" / "result.schema.json").read_text(encoding="utf-8"))
 WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "result.json", "result.mcap"}
-FEWER = ("--set", "verify.finalists=2")
+FEWER = ("--set", "fine.max_finalists=2")
 
 
-def test_an_outlier_and_a_refused_snapshot_are_named_and_the_rest_decides(invoke: Invoke, snapshots: Path) -> None:
+def test_an_outlier_and_a_refused_snapshot_are_named(invoke: Invoke, snapshots: Path) -> None:
     sources = [snapshots / f"{name}.mcap" for name in ("first", "turned", "alone", "second")]
     outcome = invoke("calibrate", *sources, "--target", "right", "--out", "run", *FEWER)
     assert outcome.code == ExitCode.DONE, outcome.err
@@ -46,7 +45,7 @@ def test_an_outlier_and_a_refused_snapshot_are_named_and_the_rest_decides(invoke
     assert [row["outcome"] for row in evaluated["lidars"]] == ["within", "false_accept"]
 
 
-def test_a_run_without_a_usable_snapshot_leaves_no_older_joint_result(invoke: Invoke, snapshots: Path) -> None:
+def test_without_a_usable_snapshot_no_older_joint_result_is_left(invoke: Invoke, snapshots: Path) -> None:
     Path("run").mkdir()
     Path("run/result.json").write_text("{}", encoding="utf-8")
     sources = [snapshots / "alone.mcap", snapshots / "alone.mcap"]
@@ -82,7 +81,3 @@ def test_an_unknown_target_is_refused_before_any_work(invoke: Invoke, snapshots:
     assert_one_sentence(outcome, ExitCode.USAGE)
     assert "Did you mean 'right'?" in outcome.err
     assert not Path("run").exists()
-
-
-def test_a_joint_run_has_a_place_of_its_own() -> None:
-    assert default_out_dir([Path("a.mcap"), Path("b.mcap")], 2) == Path("recordings/runs/a-and-1-more")

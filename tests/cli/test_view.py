@@ -28,11 +28,25 @@ def run(saved_run: Path, tmp_path: Path) -> Path:
     return Path("run")
 
 
-def test_a_picture_says_who_drew_it(invoke: Invoke, run: Path) -> None:
-    outcome = invoke("view", run, "--png", "rig.png", "--width", 300, "--height", 200, "--renderer", "own")
-    assert (outcome.code, outcome.out) == (ExitCode.DONE, "wrote rig.png\n")
-    assert outcome.err == "drawn by multilica's own renderer\n"
-    assert Path("rig.png").read_bytes().startswith(b"\x89PNG")
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A viewer that draws at once."""
+    monkeypatch.setattr("multilica.runs.run_picture.viewer_picture", lambda *_: b"\x89PNG")
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_picture_is_written(invoke: Invoke, run: Path) -> None:
+    outcome = invoke("view", run, "--png", "rig.png", "--width", 300, "--height", 200)
+    assert (outcome.code, outcome.out, outcome.err) == (ExitCode.DONE, "wrote rig.png\n", "")
+    assert Path("rig.png").read_bytes() == b"\x89PNG"
+
+
+def test_without_a_driver_the_package_is_named(invoke: Invoke, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
+        monkeypatch.setenv(name, "nowhere.json")
+    outcome = invoke("view", run, "--png", "rig.png")
+    assert_one_sentence(outcome, ExitCode.BROKEN)
+    assert "mesa-vulkan-drivers" in outcome.err
 
 
 def test_without_a_screen_the_way_out_is_named(invoke: Invoke, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -59,11 +73,10 @@ def test_a_report_is_made_anew_but_never_over_that_of_the_run(invoke: Invoke, ru
         (["view", "nowhere"], ExitCode.INPUT, "nowhere"),
         (["report", "nowhere"], ExitCode.INPUT, "nowhere"),
         (["view", "run", "--png", "rig.png", "--width", "7"], ExitCode.USAGE, "64 to 8192"),
-        (["view", "run", "--png", "rig.png", "--renderer", "gnuplot"], ExitCode.USAGE, "gnuplot"),
-        (["view", "run", "--png", "no/such/rig.png", "--renderer", "own"], ExitCode.BROKEN, "rig.png"),
+        (["view", "run", "--png", "no/such/rig.png"], ExitCode.BROKEN, "rig.png"),
     ],
 )
-@pytest.mark.usefixtures("run")
+@pytest.mark.usefixtures("run", "drawn")
 def test_what_a_user_gets_wrong_is_one_sentence(
     arguments: list[str], code: ExitCode, named: str, invoke: Invoke
 ) -> None:

@@ -17,11 +17,12 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest import chunked, inspect_source, packed_file, read_snapshot
-from multilica.ingest.unpacking import MAX_UNPACKED_BYTES, unpack, unpack_zstd_message
+from multilica.ingest import inspect_source, read_snapshot
+from multilica.ingest.containers import chunked, packed_file
+from multilica.ingest.decompression import MAX_UNPACKED_BYTES, unpack, unpack_zstd_message
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from tests.ingest.format_writers import write_raw_mcap
-from tests.ingest.recording_writers import (
+from tests.ingest.support.format_writers import write_raw_mcap
+from tests.ingest.support.recording_writers import (
     CLOUD,
     START_NS,
     assert_same_points,
@@ -70,7 +71,7 @@ def test_what_was_packed_comes_back(compression: str) -> None:
     assert bytes(unpack(compression, packed, len(data))) == data
     with pytest.raises(ValueError, match=r"cannot be unpacked|unpacks to \d+ bytes, yet claims 25600"):
         unpack(compression, packed[: len(packed) // 2], len(data))
-    with pytest.raises(ValueError, match=r"claims to unpack to 10000000000 bytes; not more than 536870912"):
+    with pytest.raises(ValueError, match=r"claims to unpack to 10000000000 bytes; the limit is 536870912"):
         unpack(compression, packed, 10**10)
     beginning = unpack(compression, packed[: len(packed) // 2], len(data), partial=True)
     assert bytes(beginning) == data[: len(beginning)]
@@ -88,7 +89,7 @@ def test_a_frame_that_lies_about_its_size() -> None:
         unpack_zstd_message(lying)
     endless = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(100))
     assert zstandard.get_frame_parameters(endless).content_size == zstandard.CONTENTSIZE_UNKNOWN
-    with pytest.raises(ValueError, match="does not say how large it is"):
+    with pytest.raises(ValueError, match="does not state its size"):
         unpack_zstd_message(endless)
 
 
@@ -140,9 +141,7 @@ def test_an_attachment_is_not_loaded_and_its_name_is_no_path(tmp_path: Path) -> 
     assert not (tmp_path / "escaped.txt").exists()
 
 
-def test_chunks_that_all_claim_the_same_time_are_not_kept_together(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_chunks_of_the_same_time_are_not_kept_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chunked, "_MAX_WAITING_BYTES", 5000)
     scans = make_snapshot(lidars=1, frames=20).lidars[0].scans
     alike = [Scan(scan.points_m, START_NS, scan.intensity) for scan in scans]

@@ -10,7 +10,7 @@ import pytest
 
 from multilica.ingest import fingerprint, read_snapshot
 from multilica.ingest.fingerprint import sha256_of_files
-from tests.ingest.recording_writers import make_snapshot, write_mcap
+from tests.ingest.support.recording_writers import make_snapshot, write_mcap
 
 
 def test_one_file_is_hashed_as_sha256sum_does(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from multilica.ingest import unindexed
-from tests.ingest.mutations import SEEDS, mutated, read_or_refuse, write_seed
+from multilica.ingest.containers import unindexed
+from tests.ingest.support.mutations import SEEDS, mutated, read_or_refuse, write_seed
 
 MUTATIONS = 200
 SLOW = {"a.laz": 10, "b.laz": 10, "packed.db3.zstd": 100, "ouster.mcap": 50}

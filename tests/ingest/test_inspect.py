@@ -13,7 +13,7 @@ from multilica.errors import SourceNotFoundError, UnknownNameError
 from multilica.geometry import RigidTransform
 from multilica.ingest import inspect_source
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from tests.ingest.recording_writers import (
+from tests.ingest.support.recording_writers import (
     PERIOD_NS,
     START_NS,
     make_snapshot,

@@ -13,9 +13,9 @@ import pytest
 from multilica.config import IngestConfig
 from multilica.errors import UnreadableSourceError
 from multilica.ingest import read_snapshot
-from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Scan
-from tests.ingest.recording_writers import make_snapshot
+from tests.ingest.support.recording_writers import make_snapshot
 
 STORAGES = {
     "ascii.pcd": {"write_ascii": True},
@@ -101,7 +101,7 @@ def test_pcd_with_padding_doubles_and_wide_fields(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_one(tmp_path / "a.pcd").points_m, np.arange(9.0).reshape(3, 3).T)
 
 
-def test_points_that_are_not_finite_are_dropped_and_order_is_kept(tmp_path: Path) -> None:
+def test_points_that_are_not_finite_are_dropped_in_order(tmp_path: Path) -> None:
     points = np.arange(30, dtype=np.float32).reshape(10, 3)
     points[[0, 4], [1, 2]] = np.nan
     points[9, 0] = np.inf
@@ -159,8 +159,8 @@ BROKEN = {
         (header(4, "binary") + b"\0" * 47, "ends after 3 of its 4 points"),
         (header(10**15, "binary") + b"\0" * 48, "ends after 4 of its 1000000000000000 points"),
         (header(10**15, "ascii") + b"1 2 3\n", "ends after 1 of its 1000000000000000 points"),
-        (header(4, "ascii") + b"1 2 3\n4 5 six\n7 8 9\n1 1 1\n", "has text that is no table of points"),
-        (header(4, "ascii") + b"1 2 3\n4 5\n7 8 9\n1 1 1\n", "has text that is no table of points"),
+        (header(4, "ascii") + b"1 2 3\n4 5 six\n7 8 9\n1 1 1\n", "has text that is not a table of points"),
+        (header(4, "ascii") + b"1 2 3\n4 5\n7 8 9\n1 1 1\n", "has text that is not a table of points"),
         (header(4, "binary_compressed") + b"\0\0", "ends before its compressed data begin"),
         (header(4, "binary_compressed") + b"\x09\0\0\0\x30\0\0\0\0\0", "ends after 2 of its 9 compressed bytes"),
         (
@@ -176,7 +176,7 @@ BROKEN = {
         (header(4, "binary", "x y i") + b"\0" * 48, "has no field z; its fields are: x, y, i"),
         (header(4, "binary", kind="F F Q") + b"\0" * 48, "has field z of the unknown datatype"),
         (header(4, "binary", size="4 4") + b"\0" * 48, "missing or differ in length"),
-        (PCD.replace(b"WIDTH 4", b"WIDTH 5"), "claims 4 points in its header, yet 5 x 1"),
+        (PCD.replace(b"WIDTH 4", b"WIDTH 5"), "claims 4 points in its header, but 5 x 1"),
         (PCD.replace(b"WIDTH 4", b"WIDTH -4"), "header line 'WIDTH -4'"),
         (PCD.replace(b"DATA binary\n", b""), "has no line DATA"),
         (b"", "is empty"),

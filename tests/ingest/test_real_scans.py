@@ -11,9 +11,9 @@ import open3d as o3d
 import pytest
 
 from multilica.ingest import read_snapshot, require_calibratable
-from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Snapshot
-from tests.ingest.recording_writers import (
+from tests.ingest.support.recording_writers import (
     assert_same_points,
     write_mcap,
     write_mcap_ros2,

@@ -13,9 +13,9 @@ from rosbags.highlevel import AnyReader
 
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
-from multilica.sinks.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from tests.ingest.recording_writers import START_NS, make_snapshot
+from tests.ingest.support.recording_writers import START_NS, make_snapshot
 
 
 @pytest.fixture

@@ -12,10 +12,10 @@ from mcap.writer import Writer
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.ingest import read_snapshot
-from multilica.ingest.live import listen
-from tests.ingest.format_writers import livox_messages, write_raw_mcap
-from tests.ingest.processes import served
-from tests.ingest.recording_writers import START_NS, make_snapshot
+from multilica.ingest.live.listen import listen
+from tests.ingest.support.format_writers import livox_messages, write_raw_mcap
+from tests.ingest.support.processes import served
+from tests.ingest.support.recording_writers import START_NS, make_snapshot
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ def test_packets_of_several_lidars_are_one_note(tmp_path: Path) -> None:
     packets = [(f"/lidar_{number}/packets", "nebula_msgs/msg/NebulaPackets", "cdr", b"\0" * 40) for number in (1, 2)]
     _write_mixed(tmp_path / "a.mcap", [*packets, *known])
     (note,) = read_snapshot(tmp_path / "a.mcap").notes
-    assert note.startswith("'/lidar_1/packets', '/lidar_2/packets' hold packets as Autoware's Nebula records them")
+    assert note.startswith("'/lidar_1/packets', '/lidar_2/packets' hold packets of Autoware's Nebula driver")
 
 
 def test_point_clouds_in_an_encoding_of_nobody_here_are_told(tmp_path: Path) -> None:

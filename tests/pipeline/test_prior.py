@@ -25,20 +25,20 @@ def _rig(name):
 
 
 def _two(rig, *names):
-    """Two LiDARs of a rig with half of their returns, and what the recording claims of them."""
+    """Two LiDARs of a rig with half of their returns, and the recording's transforms."""
     whole = _rig(rig).snapshot
     lidars = tuple(LidarScans(name, (Scan(whole[name].scans[0].points_m[::2]),)) for name in names)
     return Snapshot(lidars, "two", static_transforms=whole.static_transforms)
 
 
 def _claim(xyz_m=(0.0, 0.0, 0.0), rpy_deg=(0.0, 0.0, 0.0)):
-    """A prior whose left LiDAR is moved and turned in its own frame, off the truth by so much."""
+    """Make a prior whose left LiDAR is moved and turned in its own frame."""
     off = RigidTransform.from_xyz_rpy("left", "left", xyz_m, np.deg2rad(rpy_deg).tolist())
     return Extrinsics("top", {"left": _rig("sides").truth.between("top", "left") @ off})
 
 
 def _calibrated(prior, *settings, snapshot=None):
-    config = with_overrides(CalibrationConfig(target="top"), ["verify.finalists=2", *settings])
+    config = with_overrides(CalibrationConfig(target="top"), ["fine.max_finalists=2", *settings])
     seen = []
     return calibrate(snapshot or _two("sides", "left", "top"), config, seen.append, prior), seen
 
@@ -59,7 +59,7 @@ def _assert_same(one, other, metres=_SAME_M, radians=_SAME_RAD):
     [_claim(rpy_deg=(0, 0, 180)), _claim((0.3, -0.4, 0.0), (3, 0, 4)), _claim((500.0, 0.0, 0.0))],
     ids=["backwards", "half a metre and 5 degrees off", "in millimetres"],
 )
-def test_whatever_the_prior_says_the_result_is_that_without_it(claim, without):
+def test_a_wrong_prior_does_not_change_the_result(claim, without):
     result, _ = _calibrated(claim)
     assert (result.status, result.target) == (without.status, without.target) == ("complete", "top")
     _assert_same(result["left"].T_target_source, without["left"].T_target_source)
@@ -94,18 +94,18 @@ def test_a_wrong_prior_alone_places_nothing():
     assert result.pairs[0].verdict.outcome == "reject"
 
 
-def test_a_right_prior_does_not_make_up_for_surfaces_that_nobody_shares():
+def test_a_right_prior_does_not_place_what_shares_no_surface():
     simulation = _rig("blind")
     snapshot = _two("blind", "front_left", "rear")
     names = ("front_left", "rear")
     prior = Extrinsics("base", {name: simulation.truth.T_target_source[name] for name in names})
     result, seen = _calibrated(prior, "target=front_left", snapshot=snapshot)
     assert not result["rear"].placed
-    (assessed,) = (event.assessments for event in seen if isinstance(event, events.HypothesesAssessed))
-    assert PRIOR in [assessment.origin for assessment in assessed]
+    (verified,) = (event.registrations for event in seen if isinstance(event, events.HypothesesVerified))
+    assert PRIOR in [each.origin for each in verified]
 
 
-def test_the_recordings_own_transforms_are_a_prior_and_the_result_tells_how_far_off_they_are():
+def test_the_transforms_of_a_recording_are_a_prior():
     snapshot = _two("sides", "left", "top")
     claimed = {pose.source: pose for pose in snapshot.static_transforms}
     result, seen = _calibrated(read_prior("tf", snapshot).extrinsics, snapshot=snapshot)
@@ -140,19 +140,19 @@ def test_a_lidar_that_the_prior_lacks_is_calibrated_without_one():
 
 
 @pytest.mark.parametrize(
-    ("config", "prior", "told"),
+    ("config", "prior", "message"),
     [
-        (preset("paper"), _claim, r"judged by stage verify, which is off \(verify.enabled=false, preset 'paper'\)"),
+        (preset("paper"), _claim, r"checked by stage verify, which is off \(verify.enabled=false, preset 'paper'\)"),
         (
             CalibrationConfig(),
             lambda: Extrinsics("base", {"left": RigidTransform.identity("base", "left")}),
-            r"poses of 1 of the LiDARs of two \(left\); it needs two or more of left, top",
+            r"has 1 LiDAR\(s\) of two \(left\); it needs two or more of left, top",
         ),
-        (CalibrationConfig(), lambda: Extrinsics("base", {}), r"poses of 0 of the LiDARs of two \(none\)"),
+        (CalibrationConfig(), lambda: Extrinsics("base", {}), r"has 0 LiDAR\(s\) of two \(none\)"),
     ],
 )
-def test_a_prior_that_cannot_help_is_refused_before_any_work(config, prior, told):
+def test_a_prior_that_cannot_help_is_refused_before_any_work(config, prior, message):
     seen = []
-    with pytest.raises(UsageError, match=told):
+    with pytest.raises(UsageError, match=message):
         calibrate(_two("sides", "left", "top"), config, seen.append, prior())
     assert seen == []

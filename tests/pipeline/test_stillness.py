@@ -35,12 +35,12 @@ def _as_rows(points_m: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> set
     return {row.tobytes() for row in points_m.astype(np.float32)}
 
 
-def test_a_moving_vehicle_is_refused_with_the_evidence() -> None:
-    with pytest.raises(UnfitSnapshotError, match=r"vehicle moves.*left by 0\.9\d m.*3 of the 3.*--start"):
+def test_a_moving_vehicle_is_refused_with_its_motion() -> None:
+    with pytest.raises(UnfitSnapshotError, match=r"vehicle moves.*left by 0\.9\d m.*3 of 3.*--start"):
         calibrate(_snapshot("moving"))
 
 
-def test_a_refusal_is_an_outcome_that_sinks_are_told_of() -> None:
+def test_a_refusal_is_a_result_that_observers_get() -> None:
     seen: list[events.Event] = []
     with pytest.raises(UnfitSnapshotError) as raised:
         calibrate(_snapshot("moving"), None, seen.append)
@@ -52,7 +52,7 @@ def test_a_refusal_is_an_outcome_that_sinks_are_told_of() -> None:
     assert not any(place.placed for place in last.result.placements)
 
 
-def test_sensors_that_are_not_well_are_in_the_result() -> None:
+def test_dead_and_dirty_sensors_are_in_the_result() -> None:
     snapshot = _snapshot("dead:left", "dirty:right")
     result = calibrate(snapshot, with_overrides(CalibrationConfig(), ["until=preprocess"]))
     found = {health.lidar: [reason.code for reason in health.reasons] for health in result.health}

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.cloud import Cloud, decode_cloud
-from multilica.ingest.recording import Message
+from multilica.ingest.messages.cloud import Cloud, decode_cloud
+from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import PointCloud2
-from tests.ingest.recording_writers import CLOUD, header, ros1_types, ros2_types
+from tests.ingest.support.recording_writers import CLOUD, header, ros1_types, ros2_types
 from tests.property.test_pointcloud2 import Case, clouds, expected
 
 STAMP_NS = 1_700_000_000_123_456_789
@@ -28,7 +28,7 @@ STORES = {"cdr": ros2_types(), "ros1": ros1_types()}
 
 
 def decoded(message_type: str, encoding: str, data: bytes) -> Cloud:
-    return decode_cloud(Message("/a", message_type, encoding, 5, memoryview(data), "A scan"))
+    return decode_cloud(RawMessage("/a", message_type, encoding, 5, memoryview(data), "A scan"))
 
 
 def assert_found(found: Cloud, case: Case) -> None:
@@ -89,7 +89,7 @@ def test_an_impossible_number_of_fields(encoding: str) -> None:
     place = {"cdr": 32, "ros1": 29}[encoding]
     assert message[place : place + 4] == b"\0\0\0\0"
     message[place : place + 4] = b"\xff" * 4
-    with pytest.raises(UnreadableSourceError, match="claims points of 4294967295 fields; not more than 1024"):
+    with pytest.raises(UnreadableSourceError, match="claims points of 4294967295 fields; the limit is 1024"):
         decoded(CLOUD, encoding, bytes(message))
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from multilica.geometry import RigidTransform, skew
+from multilica.geometry import RigidTransform, fixed_sign, largest_index, skew
 
 _coordinate = st.floats(-100.0, 100.0)
 _angle = st.floats(-np.pi, np.pi)
@@ -84,3 +84,22 @@ def test_refuses_what_is_no_rigid_transform(matrix):
 def test_the_matrix_cannot_be_written_to():
     with pytest.raises(ValueError, match="read-only"):
         RigidTransform.identity("a", "b").matrix[0, 0] = 2.0
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("rounding_rad", [-1e-12, 0.0, 1e-12])
+def test_a_half_turn_is_written_the_same_despite_rounding(axis, rounding_rad):
+    turned = Rotation.from_rotvec((np.pi + rounding_rad) * np.eye(3)[axis]).as_matrix()
+    pose = RigidTransform.from_rotation_translation("a", "b", turned, np.zeros(3))
+    assert pose.quaternion_xyzw == pytest.approx([*np.eye(3)[axis], 0.0], abs=1e-9)
+    about_z_or_x = pose.rpy_rad[[0, 2]]
+    assert np.all((np.abs(about_z_or_x) < 1e-9) | (np.abs(about_z_or_x - np.pi) < 1e-9))
+
+
+@pytest.mark.parametrize("rounding", [-1e-15, 0.0, 1e-15])
+def test_of_equal_components_the_first_counts(rounding):
+    direction = np.array([0.1, -0.5 - rounding, 0.5])
+    assert largest_index(direction) == 1
+    assert fixed_sign(direction) == pytest.approx([-0.1, 0.5, -0.5])
+    assert fixed_sign(-direction) == pytest.approx([-0.1, 0.5, -0.5])
+    assert largest_index(np.array([0.5, 0.6])) == 1

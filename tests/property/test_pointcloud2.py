@@ -131,8 +131,8 @@ XYZ = tuple(PointField(name, 4 * index, 7) for index, name in enumerate("xyz"))
 @pytest.mark.parametrize(
     ("cloud", "sentence"),
     [
-        (PointCloud2(XYZ, 10, 1, 12, 120, b"\0" * 119), "takes 120 bytes, yet holds 119"),
-        (PointCloud2(XYZ, 2**32 - 1, 2**32 - 1, 2**32 - 1, 0, b"\0" * 64), "yet holds 64"),
+        (PointCloud2(XYZ, 10, 1, 12, 120, b"\0" * 119), "takes 120 bytes, but has 119"),
+        (PointCloud2(XYZ, 2**32 - 1, 2**32 - 1, 2**32 - 1, 0, b"\0" * 64), "but has 64"),
         (PointCloud2(XYZ, 1, 1, 8, 8, b"\0" * 8), "field z at byte 8 of points of 8 bytes"),
         (PointCloud2(XYZ, 5, 1, 0, 0, b""), "of points of 0 bytes"),
         (PointCloud2(XYZ, 2, 2, 12, 20, b"\0" * 96), "a row step of 20 bytes"),

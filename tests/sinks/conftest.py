@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, sync_playwright
 
-from multilica.sinks.rerun_recording import RerunRecording
+from multilica.sinks.rerun.recording import RerunRecording
 from tests.sinks.made_events import made_events
 
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")

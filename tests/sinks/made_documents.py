@@ -8,21 +8,26 @@ from functools import cache
 from typing import Any
 
 from multilica.config import Stage
-from multilica.sinks.run_document import run_document
-from multilica.sinks.run_story import RunStory
+from multilica.results.document import ResultDocument
+from multilica.sinks.files.run_document import run_document
+from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import made_events
 
 
 def made_document(outcome: str = "complete", stop_after: int | None = None, until: Stage = "ground") -> dict[str, Any]:
-    """A document of one's own; of the first events only if a number of them is given."""
+    """Plain values to change; of the first events only if a number of them is given."""
     return copy.deepcopy(_made(outcome, stop_after, until))
+
+
+def parsed(values: dict[str, Any]) -> ResultDocument:
+    return ResultDocument.model_validate(values)
 
 
 @cache
 def _made(outcome: str, stop_after: int | None, until: Stage) -> dict[str, Any]:
-    story = RunStory()
+    state = RunState()
     for event in list(made_events(outcome, until))[:stop_after]:
-        story(event)
-    document = run_document(story)
+        state(event)
+    document = run_document(state)
     assert document is not None
-    return document
+    return document.model_dump(mode="json")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The events of a small made-up calibration, in the order in which the pipeline tells them."""
+"""Events of a small made-up calibration, in the order of the pipeline."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import (
     PRIOR,
-    Assessment,
     CalibrationResult,
     CoarseResult,
     Correspondences,
-    EdgeResidual,
     FeatureCloud,
-    FineStep,
+    GicpStep,
     GroundPlane,
     Hypothesis,
     LidarPlacement,
     MergeCandidate,
     MergeDecision,
     PairRegistration,
+    PairResidual,
     PreprocessedCloud,
     Reason,
     Refinement,
+    Registration,
     Verdict,
 )
+from multilica.results.visibility_score import VisibilityScore
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from multilica.testimony import Testimony
 
 __all__ = ["LIDARS", "STAMP_NS", "TRUTH", "UNPLACED", "made_events"]
 
@@ -59,7 +59,7 @@ def made_events(
     With a prior, every registration starts from it.
     """
     settings = CalibrationConfig(target=TARGET, until=until, ground={"enabled": True}, **config)
-    run = _Run(outcome, prior)
+    run = _MadeRun(outcome, prior)
     yield events.CalibrationStarted(run.snapshot, settings, prior)
     for stage in STAGES[: STAGES.index(until) + 1]:
         yield events.StageStarted(stage, 0)
@@ -68,7 +68,7 @@ def made_events(
     yield events.CalibrationFinished(run.result(until))
 
 
-class _Run:
+class _MadeRun:
     def __init__(self, outcome: str, prior: Extrinsics | None) -> None:
         self.outcome = outcome
         self.prior = prior
@@ -148,43 +148,45 @@ class _Run:
     def verify(self):
         for target, source in self.pairs():
             hypotheses = self._coarse_result(target, source, 80).hypotheses
-            assessments = tuple(self._assessment(source, index, one) for index, one in enumerate(hypotheses))
-            yield events.HypothesesAssessed(target, source, assessments)
+            scored_poses = tuple(self._assessment(source, index, one) for index, one in enumerate(hypotheses))
+            yield events.HypothesesVerified(target, source, scored_poses)
 
-    def _assessment(self, source: str, index: int, hypothesis: Hypothesis) -> Assessment:
+    def _assessment(self, source: str, index: int, hypothesis: Hypothesis) -> Registration:
         target = hypothesis.T_target_source.target
         probes, target_probes = (self.points[name][:: 5 + LIDARS.index(name)] for name in (source, target))
         labels, target_labels = ((np.arange(len(each)) % 4).astype(np.uint8) for each in (probes, target_probes))
         counts = (90, 1, 5, 5) if index == 0 else (20, 60, 5, 5)
-        testimony = Testimony(*counts, np.eye(6), labels, target_labels=target_labels)
+        visibility = VisibilityScore(*counts, np.eye(6), labels, target_labels=target_labels)
         pose, fitness = hypothesis.T_target_source, 0.8 - 0.3 * index
-        return Assessment(
-            index, pose, testimony, fitness, 0.05, 1.0, probes, hypothesis.origin, target_probes_m=target_probes
+        return Registration(
+            index, pose, visibility, fitness, 0.05, 1.0, probes, hypothesis.origin, target_probes_m=target_probes
         )
 
     def fine(self):
         for target, source in self.pairs():
             if not self._coarse_result(target, source, 80).hypotheses:
                 continue
-            # The pipeline registers the sparser cloud against the denser one, whichever way round they were matched.
+            # The pipeline registers the sparser cloud against the denser one, in either order of matching.
             swap = (target, source) == self.pairs()[0]
             pair = (source, target) if swap else (target, source)
             self.registrations[pair] = self._registration(*pair, hypothesis=0 if self.prior is None else 2)
             yield events.PairRegistered(self.registrations[pair])
+            if self.registrations[pair].verdict.reasons:
+                yield events.VerdictChanged(self.registrations[pair])
         yield events.SearchWidened(tuple(self.pairs()[-1:]), 0.5)
 
-    def _registration(self, target: str, source: str, hypothesis: int) -> PairRegistration:
-        refused = bool(self.refused & {target, source})
+    def _registration(self, target: str, source: str, hypothesis: int, *, refused: bool = False) -> PairRegistration:
+        refused = refused or bool(self.refused & {target, source})
         fitness = 0.1 if refused else 0.8
-        best, other = finalists = self._finalists(target, source, hypothesis)
+        best, other = registrations = self._registrations(target, source, hypothesis)
         share = max(0.0, other.evidence / best.evidence)
         doubts = (
             Reason("too_little_overlap", 12.0, 50.0, "only 12 points lie on surfaces; expected 50"),
-            Reason("ambiguous", share, 0.7, f"another pose, 3.00 m and 180 deg away, has {share:.0%} of the evidence"),
-            Reason("not_observable", 0.04, 0.1, "the pose can slide along y: 0.04 points hold it"),
+            Reason("ambiguous", share, 0.7, f"a pose 3.00 m and 180 deg away fits as well ({share:.0%})", other),
+            Reason("not_observable", 0.04, 0.1, "the scene does not constrain y (curvature 0.04, limit 0.1)"),
         )
         steps = tuple(
-            FineStep(3 * (k + 1), 2.0 / (k + 1), 100 + k, 10.0 / (k + 1), 0.1 / (k + 1), 0.01) for k in range(4)
+            GicpStep(3 * (k + 1), 2.0 / (k + 1), 100 + k, 10.0 / (k + 1), 0.1 / (k + 1), 0.01) for k in range(4)
         )
         return PairRegistration(
             target,
@@ -199,11 +201,11 @@ class _Run:
             hypothesis=hypothesis,
             hessian=np.eye(6),
             steps=steps,
-            assessments=finalists,
+            registrations=registrations,
             verdict=Verdict("reject", doubts) if refused else Verdict("accept"),
         )
 
-    def _finalists(self, target: str, source: str, hypothesis: int) -> tuple[Assessment, ...]:
+    def _registrations(self, target: str, source: str, hypothesis: int) -> tuple[Registration, ...]:
         origin = PRIOR if self.prior is not None and hypothesis >= 0 else ""
         truth = self.truth(target, source)
         turned = RigidTransform.from_xyz_rpy(target, target, (0.0, 0.0, 0.0), (0.0, 0.0, np.pi)) @ truth
@@ -214,11 +216,11 @@ class _Run:
         )
 
     def merge(self):
-        yield events.TargetChosen(TARGET, "as asked for")
+        yield events.TargetChosen(TARGET, "set by --target")
         placed = [TARGET]
         for step, name in enumerate(sorted(set(LIDARS) - {TARGET} - self.refused)):
             if step:
-                yield events.PairRegistered(self._registration(TARGET, name, hypothesis=-1))
+                yield events.GroupsRegistered(self._registration(TARGET, name, hypothesis=-1))
             placed.append(name)
             chosen = MergeCandidate(TARGET, name, 0.8, 0.06, passes=True)
             yield self._merge_step(step, chosen, placed)
@@ -227,20 +229,20 @@ class _Run:
 
     def _merge_step(self, step: int, chosen: MergeCandidate | None, placed: list[str]) -> events.MergeStepTaken:
         left = sorted(set(LIDARS) - set(placed))
-        others = tuple(
-            MergeCandidate(TARGET, name, 0.1, float("inf"), passes=False, reason="too little overlap") for name in left
-        )
-        candidates = (*((chosen,) if chosen else ()), *others)
+        refusal = "too little overlap"
+        others = tuple(MergeCandidate(TARGET, name, 0.1, np.inf, passes=False, reason=refusal) for name in left)
+        pairs = (*((chosen,) if chosen else ()), *others)
         reason = f"merged {chosen.source} into top" if chosen else "stopped: the best has fitness 0.100, below 0.2"
         groups = (tuple(sorted(placed)), *((name,) for name in left))
-        self.decisions.append(MergeDecision(step, candidates, chosen, reason, groups))
+        self.decisions.append(MergeDecision(step, pairs, chosen, reason, groups))
         poses = tuple(TRUTH[name] for name in sorted(placed)) if chosen else ()
         return events.MergeStepTaken(self.decisions[-1], poses)
 
     def refine(self):
-        edge = EdgeResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9)
+        yield events.LoopRegistered(self._registration(*self.pairs()[0], hypothesis=-1, refused=True))
+        residual = PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9)
         placed = tuple(pose for name, pose in TRUTH.items() if name not in self.refused)
-        yield events.RigRefined(Refinement((edge,)), placed)
+        yield events.RigRefined(Refinement((residual,)), placed)
 
     def ground(self):
         base = RigidTransform.from_xyz_rpy("base", TARGET, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0))
@@ -286,14 +288,13 @@ def _world(random: np.random.Generator) -> np.ndarray:
     return np.concatenate([ground, left, right, poles])
 
 
+def _scans(cloud: np.ndarray, stamp_ns: int) -> tuple[Scan, Scan]:
+    return Scan(cloud[::2], stamp_ns), Scan(cloud[1::2], STAMP_NS + 10**8)
+
+
 def _snapshot(points: dict[str, np.ndarray]) -> Snapshot:
     lidars = tuple(
-        LidarScans(
-            name,
-            (Scan(cloud[::2], STAMP_NS + 1000 * index), Scan(cloud[1::2], STAMP_NS + 10**8)),
-            f"{name}_frame",
-            f"/{name}",
-        )
+        LidarScans(name, _scans(cloud, STAMP_NS + 1000 * index), f"{name}_frame", f"/{name}")
         for index, (name, cloud) in enumerate(points.items())
     )
     return Snapshot(lidars, "drive.mcap", "c0ffee" * 10 + "abcd", notes=("12 of 20 scans, then the file ends",))

@@ -46,7 +46,7 @@ def test_an_unknown_preset_is_named_with_those_that_exist():
         preset("papr")
 
 
-def test_a_file_changes_what_it_names_and_keeps_the_rest_of_its_preset(tmp_path):
+def test_a_file_overrides_its_preset(tmp_path):
     path = _written(tmp_path, 'preset = "paper"\ntarget = "top"\n[fine]\nmax_iterations = 7\n')
     config = load_config(path)
     assert (config.preset, config.target, config.fine.max_iterations) == ("paper", "top", 7)
@@ -68,7 +68,7 @@ def test_an_empty_file_is_the_default(tmp_path):
         ("fine = 3\n", r"fine is 3: "),
         ("[fine]\nmax_correspondence_distances_m = []\n", r"fine\.max_correspondence_distances_m is \[\]"),
         ("[merge]\nfitness_threshold = 1.5\n", r"merge\.fitness_threshold is 1\.5"),
-        ("[fine\n", "not a TOML file that can be read"),
+        ("[fine\n", "is not a readable TOML file"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named_with_the_file(tmp_path, text, message):
@@ -82,10 +82,10 @@ def test_what_is_wrong_in_a_file_is_named_with_the_file(tmp_path, text, message)
 def test_a_file_that_is_missing_a_folder_or_no_text(tmp_path):
     with pytest.raises(ConfigError, match=r"There is no configuration file at .*none\.toml"):
         load_config(tmp_path / "none.toml")
-    with pytest.raises(ConfigError, match="not a TOML file that can be read"):
+    with pytest.raises(ConfigError, match="is not a readable TOML file"):
         load_config(tmp_path)
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ConfigError, match="not a TOML file that can be read"):
+    with pytest.raises(ConfigError, match="is not a readable TOML file"):
         load_config(tmp_path / "binary.toml")
 
 

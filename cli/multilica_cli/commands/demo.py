@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`multilica demo`: the main job on the recording that comes with multilica."""
-
-from __future__ import annotations
+"""`multilica demo`: calibration of the embedded sample."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,30 +7,25 @@ from typing import Annotated
 import typer
 
 from multilica_cli.options import Quiet
-from multilica_cli.outcome import print_explanation, print_placements, print_written
-from multilica_cli.run import calibrate_sources, exit_code_of
-from multilica_cli.terminal import stdout_console
+from multilica_cli.outcome import exit_code, print_run
 
 __all__ = ["demo"]
 
 
 def demo(
     *,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where results go.")] = Path("recordings/runs/demo"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Directory for the results.")] = Path("recordings/runs/demo"),
     quiet: Quiet = False,
 ) -> int:
-    """Calibrate the embedded sample, and show what was found beside the truth."""
+    """Calibrate the embedded sample and compare the result with the ground truth."""
     from multilica.config import preset
     from multilica.extrinsics import read_extrinsics
+    from multilica.run import run_calibration
+    from multilica_cli.progress import show_progress
     from multilica_cli.sample import find_sample
-    from multilica_cli.tables import truth_table
 
     sample = find_sample()
-    config = preset("default")
-    run = calibrate_sources([sample.recording], out, config, quiet=quiet)
-    console = stdout_console(quiet=quiet)
-    print_placements(run, console)
-    console.print(truth_table(run.result, read_extrinsics(sample.truth)))
-    print_written(run, console)
-    print_explanation(run, console)
-    return exit_code_of(run.result, config)
+    with show_progress(quiet=quiet) as observe:
+        run = run_calibration(sample.recording, out, preset("default"), observe=observe)
+    print_run(run, read_extrinsics(sample.truth), quiet=quiet)
+    return exit_code(run)

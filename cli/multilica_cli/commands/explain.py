@@ -1,9 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`multilica explain`: what came of a run, and why."""
+"""`multilica explain`: explanation of a run's outcome."""
 
-from __future__ import annotations
-
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +8,7 @@ from typing import Annotated
 import typer
 
 from multilica_cli.options import Json
-from multilica_cli.terminal import stdout_console
+from multilica_cli.terminal import print_json, stdout_console
 
 __all__ = ["explain"]
 
@@ -21,19 +18,19 @@ def explain(
         Path,
         typer.Argument(
             metavar="RUN",
-            help="A run directory, its result.json, a recording (.rrd), also one cut off, or its result.mcap.",
+            help="Run directory, its result.json, its result.mcap, or a recording (.rrd), complete or not.",
             show_default=False,
         ),
     ],
     *,
     as_json: Json = False,
 ) -> None:
-    """Tell what a run placed and how sure, what it did not place, why, and what would help."""
-    from multilica.fleet.explain_run import explain_run
+    """Explain a run: which LiDARs are placed and how accurately, which are not and why, and what would help."""
+    from multilica.runs.explain_run import explain_run
 
     explanation = explain_run(run)
     if as_json:
-        typer.echo(json.dumps(asdict(explanation), indent=2, ensure_ascii=False, allow_nan=False))
+        print_json(asdict(explanation))
         return
     console = stdout_console()
     for line in explanation.lines:

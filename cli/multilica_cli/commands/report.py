@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`multilica report`: the page of a run that did not come to write it."""
-
-from __future__ import annotations
+"""`multilica report`: report of a run that ended before it wrote one."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,23 +16,21 @@ __all__ = ["report"]
 def report(
     run: Annotated[
         Path,
-        typer.Argument(
-            metavar="RUN", help="A run directory or a recording (.rrd), also one that was cut off.", show_default=False
-        ),
+        typer.Argument(metavar="RUN", help="Run directory or recording (.rrd), complete or not.", show_default=False),
     ],
     *,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The page to write.", show_default="RUN/report.html")
+        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="RUN/report.html")
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Make report.html from what a run left; `calibrate` writes a fuller one itself, unless it is killed."""
-    from multilica.fleet.run_report import report_of_run
-    from multilica.sinks.atomic import write_text_atomically
+    """Create report.html for a run that was killed before it wrote one."""
+    from multilica.runs.run_report import report_of_run
+    from multilica.sinks.files.atomic import write_text_atomically
     from multilica.sinks.report.report_file import REPORT_HTML
 
     file = out or (run if run.is_dir() else run.parent) / REPORT_HTML
     if out is None and file.exists():
-        raise UsageError(f"{file} is there, and may show more than one made anew; give --out FILE for another.")
+        raise UsageError(f"{file} already exists and may show more than a new one; give --out FILE.")
     write_text_atomically(file, report_of_run(run))
     stdout_console(quiet=quiet).print(f"wrote {file}")

@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """`multilica view`: a run to look at."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from multilica_cli.options import Quiet
-from multilica_cli.terminal import stderr_console, stdout_console
+from multilica_cli.terminal import stdout_console
 
 __all__ = ["view"]
 
@@ -27,25 +25,17 @@ def view(
     ] = None,
     width_px: Annotated[int, typer.Option("--width", metavar="PX", help="Width of the picture.")] = 1600,
     height_px: Annotated[int, typer.Option("--height", metavar="PX", help="Height of the picture.")] = 900,
-    renderer: Annotated[
-        Literal["auto", "rerun", "own"],
-        typer.Option(
-            metavar="auto|rerun|own",
-            help="Who draws: Rerun's viewer, or multilica itself from above; auto takes what works here.",
-        ),
-    ] = "auto",
     quiet: Quiet = False,
 ) -> None:
     """Open the recording of a run in Rerun's viewer, or draw it into a file."""
-    from multilica.fleet.run_picture import picture_of_run, recording_of_run
-    from multilica.sinks.atomic import atomic_file
-    from multilica.sinks.rerun_viewer import show_recording
+    from multilica.runs.run_picture import picture_of_run, recording_of_run
+    from multilica.sinks.files.atomic import atomic_file
+    from multilica.sinks.rerun.viewer import show_recording
 
     if png is None:
         show_recording(recording_of_run(run))
         return
-    picture = picture_of_run(run, (width_px, height_px), renderer)
+    picture = picture_of_run(run, (width_px, height_px))
     with atomic_file(png) as file:
-        file.write(picture.png)
-    stderr_console(quiet=quiet).print(f"drawn by {picture.drawn_by}")
+        file.write(picture)
     stdout_console(quiet=quiet).print(f"wrote {png}")

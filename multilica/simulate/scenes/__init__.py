@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Procedural surroundings, by name."""
-
-from __future__ import annotations
+"""Procedural scenes, by name."""
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Open land."""
-
-from __future__ import annotations
+"""Scenes of open land."""
 
 import numpy as np
 
@@ -20,7 +18,7 @@ _SECTORS = 12
 
 
 def open_field(rng: np.random.Generator) -> Scene:
-    """Rolling ground with trees, bushes, a shed, bales, a fence far away; something in every direction."""
+    """Build rolling ground with trees, bushes, a shed, bales and a distant fence, in all directions."""
     terrain = Terrain(
         rng.uniform(-0.02, 0.02),
         rng.uniform(-0.02, 0.02),
@@ -54,14 +52,13 @@ def _growth(rng: np.random.Generator) -> Mesh:
 
 
 def _farm(rng: np.random.Generator, terrain: Terrain) -> list[Mesh]:
-    """The shed with a trailer or car beside it, bales in the stubble, the pasture fence."""
+    """Build a shed with a car beside it, bales, a pasture fence and a sign."""
     azimuth_rad, range_m = rng.uniform(-np.pi, np.pi), rng.uniform(14.0, 30.0)
     x_m, y_m = range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad)
     turn_rad = rng.uniform(-np.pi, np.pi)
     parts = [terrain.place(shed(rng), x_m, y_m, turn_rad, 0.1)]
-    parts.append(
-        terrain.place(random_car(rng), x_m + 7.0 * np.cos(turn_rad), y_m + 7.0 * np.sin(turn_rad), turn_rad + 0.4)
-    )
+    car_x_m, car_y_m = x_m + 7.0 * np.cos(turn_rad), y_m + 7.0 * np.sin(turn_rad)
+    parts.append(terrain.place(random_car(rng), car_x_m, car_y_m, turn_rad + 0.4))
     spots = rng.uniform(-40.0, 40.0, size=(int(rng.integers(4, 10)), 2)).tolist()
     far = [(x, y) for x, y in spots if np.hypot(x, y) > 9.0]
     parts += [terrain.place(hay_bale(rng), x, y, rng.uniform(0.0, np.pi)) for x, y in far]
@@ -72,7 +69,7 @@ def _farm(rng: np.random.Generator, terrain: Terrain) -> list[Mesh]:
 
 
 def fence_field(rng: np.random.Generator) -> Scene:
-    """A flat field with one straight seamless fence: nothing fixes the position along it."""
+    """Build a flat field with one straight seamless fence, along which the position is not observable."""
     edges = np.array([-200.0, 200.0])
     field = FLAT.surface(edges, edges)
     line = fence(-200.0, 200.0, rng.uniform(1.2, 2.0)).moved(0.0, rng.uniform(5.0, 12.0))

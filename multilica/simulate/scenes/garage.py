@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Underground car parks: columns on a grid between a floor and a ceiling."""
-
-from __future__ import annotations
+"""Scenes of underground car parks."""
 
 from dataclasses import dataclass
 
@@ -17,8 +15,8 @@ __all__ = ["garage", "symmetric_garage"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Frame:
-    """The load-bearing frame, the same when turned by 180 degrees about the origin.
+class _GarageFrame:
+    """The load-bearing frame, symmetric under a turn of 180 degrees about the origin.
 
     Args:
         bays_x, bays_y: number of bays; the middle row along x is the aisle that the vehicle stands in.
@@ -45,15 +43,15 @@ class _Frame:
 
     @property
     def slots(self) -> list[tuple[float, float, float]]:
-        """(x, y, yaw) of the parking slots in the rows with y < 0."""
+        """Return (x, y, yaw) of the parking slots in the rows with y < 0."""
         columns_x = np.arange(-self.half_x_m + 1.6, self.half_x_m - 1.0, 2.6)
-        rows_y = [-self.bay_y_m * (0.5 + row) - side for row in range(self.bays_y // 2) for side in (2.7,)]
+        rows_y = [-self.bay_y_m * (0.5 + row) - 2.7 for row in range(self.bays_y // 2)]
         return [(float(x), float(y), np.pi / 2.0) for y in rows_y for x in columns_x]
 
 
-def _random_frame(rng: np.random.Generator) -> _Frame:
+def _random_frame(rng: np.random.Generator) -> _GarageFrame:
     beam_m = rng.uniform(0.2, 0.45)
-    return _Frame(
+    return _GarageFrame(
         bays_x=int(rng.integers(5, 9)),
         bays_y=int(rng.choice([3, 5])),
         bay_x_m=rng.uniform(5.0, 8.2),
@@ -65,51 +63,37 @@ def _random_frame(rng: np.random.Generator) -> _Frame:
     )
 
 
-def _structure(frame: _Frame) -> list[Mesh]:
-    """Floor, ceiling, outer walls, columns, beams."""
+def _structure(frame: _GarageFrame) -> list[Mesh]:
+    """Build floor, ceiling, outer walls, columns and beams."""
     x, y, z = frame.half_x_m, frame.half_y_m, frame.height_m
     shell = box((-x, -y, 0.0), (x, y, z))
     lines_x = np.arange(1, frame.bays_x) * frame.bay_x_m - x
     lines_y = np.arange(1, frame.bays_y) * frame.bay_y_m - y
-    columns = [_column(frame).moved(cx, cy) for cx in lines_x for cy in lines_y]
     half = frame.column_m / 2.0
+    column = cylinder(half, 0.0, z, sides=16) if frame.round else box((-half, -half, 0.0), (half, half, z))
+    columns = [column.moved(cx, cy) for cx in lines_x for cy in lines_y]
     beams = [box((bx - half, -y, z - frame.beam_m), (bx + half, y, z)) for bx in lines_x]
     pilasters = [box((px - half, s * y - 0.2, 0.0), (px + half, s * y + 0.2, z)) for px in lines_x for s in (-1.0, 1.0)]
     return [shell, *columns, *beams, *pilasters]
 
 
-def _column(frame: _Frame) -> Mesh:
-    half = frame.column_m / 2.0
-    if frame.round:
-        return cylinder(half, 0.0, frame.height_m, sides=16)
-    return box((-half, -half, 0.0), (half, half, frame.height_m))
-
-
-def _half_cars(rng: np.random.Generator, frame: _Frame, occupancy: float) -> list[Mesh]:
-    """Cars in the slots with y < 0."""
+def _half_cars(rng: np.random.Generator, frame: _GarageFrame, occupancy: float) -> list[Mesh]:
+    """Park cars in the slots with y < 0 that no column stands in."""
     cars = []
     for x_m, y_m, yaw_rad in frame.slots:
-        if rng.random() < occupancy and not _blocked(frame, x_m):
+        phase_m = (x_m + frame.half_x_m) % frame.bay_x_m
+        if rng.random() < occupancy and min(phase_m, frame.bay_x_m - phase_m) >= 1.3:
             jitter = rng.normal(scale=[0.1, 0.2, 0.03])
             cars.append(random_car(rng).moved(x_m + jitter[0], y_m + jitter[1], 0.0, yaw_rad + jitter[2]))
     return cars
 
 
-def _blocked(frame: _Frame, x_m: float) -> bool:
-    """Whether a column stands in the slot."""
-    phase_m = (x_m + frame.half_x_m) % frame.bay_x_m
-    return min(phase_m, frame.bay_x_m - phase_m) < 1.3
-
-
-def _turned(meshes: list[Mesh]) -> list[Mesh]:
-    return [mesh.moved(yaw_rad=np.pi) for mesh in meshes]
-
-
 def garage(rng: np.random.Generator) -> Scene:
-    """A garage that looks nearly the same from both ends: only cars, pipes, walls and the ramp tell them apart."""
+    """Build a garage whose ends differ only in cars, pipes, walls and the ramp."""
     frame = _random_frame(rng)
     occupancy = rng.uniform(0.25, 0.7)
-    cars = _half_cars(rng, frame, occupancy) + _turned(_half_cars(rng, frame, occupancy))
+    cars = _half_cars(rng, frame, occupancy)
+    cars += [mesh.moved(yaw_rad=np.pi) for mesh in _half_cars(rng, frame, occupancy)]
     fittings = [*_pipes(rng, frame), *_rooms(rng, frame), _ramp(rng, frame)]
     yaw_rad = float(rng.choice([0.0, np.pi])) + rng.normal(scale=0.08)
     stand = (rng.uniform(-1.5, 1.5), rng.uniform(-0.6, 0.6))
@@ -117,28 +101,25 @@ def garage(rng: np.random.Generator) -> Scene:
     return Scene(merged([*_structure(frame), *cars, *fittings]), FLAT, stand, yaw_rad, headroom_m)
 
 
-def _pipes(rng: np.random.Generator, frame: _Frame) -> list[Mesh]:
-    """Pipes and a cable tray under the ceiling, a duct across."""
+def _pipes(rng: np.random.Generator, frame: _GarageFrame) -> list[Mesh]:
+    """Build pipes under the ceiling, a duct across and drains at the walls."""
     runs = []
     for _ in range(int(rng.integers(2, 6))):
-        y_m, z_m, radius_m = (
-            rng.uniform(-0.9, 0.9) * frame.half_y_m,
-            frame.height_m - frame.beam_m - 0.15,
-            rng.uniform(0.04, 0.14),
-        )
+        y_m, z_m = rng.uniform(-0.9, 0.9) * frame.half_y_m, frame.height_m - frame.beam_m - 0.15
+        radius_m = rng.uniform(0.04, 0.14)
         start_m = rng.uniform(-1.0, 0.2) * frame.half_x_m
         runs.append(tube((start_m, y_m, z_m), (frame.half_x_m, y_m, z_m), radius_m))
     x_m, low_m = rng.uniform(-0.7, 0.7) * frame.half_x_m, frame.height_m - frame.beam_m - 0.3
     duct = box((x_m, -frame.half_y_m, low_m), (x_m + 0.7, rng.uniform(-0.2, 1.0) * frame.half_y_m, low_m + 0.3))
-    drains = [
-        tube((x, s * (frame.half_y_m - 0.12), 0.0), (x, s * (frame.half_y_m - 0.12), frame.height_m), 0.06)
-        for x, s in zip(rng.uniform(-0.9, 0.9, 3) * frame.half_x_m, rng.choice([-1.0, 1.0], 3), strict=True)
-    ]
+    drains_x_m = rng.uniform(-0.9, 0.9, 3) * frame.half_x_m
+    drains_y_m = rng.choice([-1.0, 1.0], 3) * (frame.half_y_m - 0.12)
+    corners = zip(drains_x_m, drains_y_m, strict=True)
+    drains = [tube((x, y, 0.0), (x, y, frame.height_m), 0.06) for x, y in corners]
     return [*runs, duct, *drains]
 
 
-def _rooms(rng: np.random.Generator, frame: _Frame) -> list[Mesh]:
-    """A stair core on one side, a plant room in a corner, a partition between some columns."""
+def _rooms(rng: np.random.Generator, frame: _GarageFrame) -> list[Mesh]:
+    """Build a stair core at one side, a plant room in a corner and a partition between two columns."""
     y, z = frame.half_y_m, frame.height_m
     core_x_m, core_w_m = rng.uniform(-0.6, 0.3) * frame.half_x_m, rng.uniform(2.5, 5.0)
     side = float(rng.choice([-1.0, 1.0]))
@@ -156,8 +137,8 @@ def _between(a_m: tuple[float, float, float], b_m: tuple[float, float, float]) -
     return box([low for low, _ in pairs], [high for _, high in pairs])
 
 
-def _ramp(rng: np.random.Generator, frame: _Frame) -> Mesh:
-    """A ramp that rises along an outer wall towards one end."""
+def _ramp(rng: np.random.Generator, frame: _GarageFrame) -> Mesh:
+    """Build a ramp that rises along an outer wall towards one end."""
     end = float(rng.choice([-1.0, 1.0]))
     x0, x1 = end * (frame.half_x_m - 11.0), end * frame.half_x_m
     y0, y1 = frame.half_y_m - 4.5, frame.half_y_m
@@ -168,13 +149,12 @@ def _ramp(rng: np.random.Generator, frame: _Frame) -> Mesh:
 
 
 def symmetric_garage(rng: np.random.Generator) -> Scene:
-    """A garage that is exactly the same after half a turn about the vehicle."""
+    """Build a garage that is exactly the same after half a turn about the vehicle."""
     frame = _random_frame(rng)
     half = _half_cars(rng, frame, rng.uniform(0.25, 0.7))
-    half += [
-        tube((-frame.half_x_m, y, frame.height_m - 0.2), (frame.half_x_m, y, frame.height_m - 0.2), 0.08)
-        for y in rng.uniform(0.1, 0.9, 2) * frame.half_y_m
-    ]
+    x_m, z_m = frame.half_x_m, frame.height_m - 0.2
+    half += [tube((-x_m, y, z_m), (x_m, y, z_m), 0.08) for y in rng.uniform(0.1, 0.9, 2) * frame.half_y_m]
     yaw_rad = float(rng.choice([0.0, np.pi])) + rng.normal(scale=0.08)
     headroom_m = frame.height_m - frame.beam_m - 0.1
-    return Scene(merged([*_structure(frame), *half, *_turned(half)]), FLAT, (0.0, 0.0), yaw_rad, headroom_m)
+    turned = [mesh.moved(yaw_rad=np.pi) for mesh in half]
+    return Scene(merged([*_structure(frame), *half, *turned]), FLAT, (0.0, 0.0), yaw_rad, headroom_m)

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An open car park."""
-
-from __future__ import annotations
+"""Scene of an open car park."""
 
 import numpy as np
 
@@ -20,7 +18,7 @@ _SLOT_M = 2.5
 
 
 def parking(rng: np.random.Generator) -> Scene:
-    """Rows of cars with gaps, islands with trees, lamp posts, hedges, a building beyond."""
+    """Build rows of cars with gaps, islands with trees, lamp posts, hedges and a building behind them."""
     terrain = Terrain(rng.uniform(-0.02, 0.02), rng.uniform(-0.02, 0.02), rolling_waves(rng, 2, (40.0, 90.0), 0.001))
     aisle_m = rng.uniform(6.0, 7.5)
     pitch_m = aisle_m + 10.0
@@ -36,7 +34,7 @@ def parking(rng: np.random.Generator) -> Scene:
 
 
 def _double_row(rng: np.random.Generator, terrain: Terrain, middle_y_m: float, occupancy: float) -> list[Mesh]:
-    """Two rows of slots back to back, with an island of green in places."""
+    """Build two rows of slots back to back, some of them replaced by green islands."""
     parts: list[Mesh] = []
     for x_m in np.arange(-35.0, 35.0, _SLOT_M):
         if rng.random() < 0.08:
@@ -63,7 +61,7 @@ def _island(rng: np.random.Generator, terrain: Terrain, x_m: float, y_m: float) 
 
 
 def _border(rng: np.random.Generator, terrain: Terrain, reach_m: float) -> list[Mesh]:
-    """Hedges and trees round the site, each side with its own."""
+    """Build hedges and trees around the site, different on each side."""
     parts = []
     for turn in (0.0, np.pi / 2.0, -np.pi / 2.0):
         start_m, length_m = rng.uniform(-38.0, -10.0), rng.uniform(20.0, 50.0)
@@ -76,7 +74,7 @@ def _border(rng: np.random.Generator, terrain: Terrain, reach_m: float) -> list[
 
 
 def _market(rng: np.random.Generator, terrain: Terrain, front_y_m: float) -> list[Mesh]:
-    """The shop that the car park belongs to, perhaps a neighbour, signs, trolleys."""
+    """Build a shop with signs and trolleys, sometimes with another building."""
     width_m = rng.uniform(30.0, 55.0)
     x_m = rng.uniform(-40.0, -10.0)
     entrance_m = rng.uniform(0.2, 0.7) * width_m

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a scene builder returns."""
-
-from __future__ import annotations
+"""Result of a scene builder."""
 
 from dataclasses import dataclass
 
@@ -14,7 +12,7 @@ __all__ = ["Scene"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Surroundings, with the place where the vehicle stands in them.
+    """A scene with the pose of the vehicle in it.
 
     Args:
         mesh: all surfaces in the world frame, metres, z up.
@@ -32,5 +30,5 @@ class Scene:
 
     @property
     def T_world_base(self) -> RigidTransform:  # noqa: N802 - the field's notation
-        """Pose of the vehicle's base frame in the world frame."""
+        """Return the pose of the vehicle's base frame in the world frame."""
         return self.terrain.standing_pose(*self.vehicle_xy_m, self.vehicle_yaw_rad)

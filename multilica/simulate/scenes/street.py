@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A street between facades."""
-
-from __future__ import annotations
+"""Scene of a street between facades."""
 
 from dataclasses import dataclass
 
@@ -23,8 +21,8 @@ _KERB_M = 0.13
 
 
 @dataclass(frozen=True, slots=True)
-class _Side:
-    """One side of the street, built along +x with its houses towards +y, turned by `yaw_rad` into place."""
+class _StreetSide:
+    """One side of the street, built along +x with its houses towards +y, then rotated by `yaw_rad`."""
 
     terrain: Terrain
     yaw_rad: float
@@ -40,11 +38,11 @@ class _Side:
 
 
 def street(rng: np.random.Generator) -> Scene:
-    """Houses of many kinds, side streets, parked cars, trees, posts, on a road that slopes a little."""
+    """Build a sloping road with houses of many kinds, side streets, parked cars, trees and posts."""
     waves = rolling_waves(rng, 1, (60.0, 140.0), 0.002)
     terrain = Terrain(rng.uniform(-0.03, 0.03), rng.uniform(-0.012, 0.012), waves)
     half_road_m = rng.uniform(4.2, 6.0)
-    sides = [_Side(terrain, yaw, half_road_m, half_road_m + rng.uniform(2.0, 5.0)) for yaw in (0.0, np.pi)]
+    sides = [_StreetSide(terrain, yaw, half_road_m, half_road_m + rng.uniform(2.0, 5.0)) for yaw in (0.0, np.pi)]
     road = terrain.surface(np.linspace(-_REACH_M, _REACH_M, 56), np.array([-half_road_m, 0.0, half_road_m]))
     parts = [road]
     for side in sides:
@@ -54,18 +52,14 @@ def street(rng: np.random.Generator) -> Scene:
     return Scene(merged(parts), terrain, (rng.uniform(-3.0, 3.0), lane_y_m), yaw_rad)
 
 
-def _pavement(side: _Side) -> list[Mesh]:
-    profile = [
-        [side.kerb_y_m, 0.0],
-        [side.kerb_y_m + 0.02, _KERB_M],
-        [side.front_y_m, _KERB_M + 0.04],
-        [side.front_y_m + 40.0, _KERB_M + 0.05],
-    ]
+def _pavement(side: _StreetSide) -> list[Mesh]:
+    kerb_m, front_m = side.kerb_y_m, side.front_y_m
+    profile = [[kerb_m, 0.0], [kerb_m + 0.02, _KERB_M], [front_m, _KERB_M + 0.04], [front_m + 40.0, _KERB_M + 0.05]]
     starts = np.arange(-_REACH_M, _REACH_M, 4.0)
     return [side.drape(extrusion(profile, x, x + 4.0)) for x in starts]
 
 
-def _houses(rng: np.random.Generator, side: _Side) -> list[Mesh]:
+def _houses(rng: np.random.Generator, side: _StreetSide) -> list[Mesh]:
     houses = []
     x_m = -_REACH_M + rng.uniform(0.0, 10.0)
     while x_m < _REACH_M:
@@ -78,20 +72,20 @@ def _houses(rng: np.random.Generator, side: _Side) -> list[Mesh]:
     return houses + backs
 
 
-def _parked_cars(rng: np.random.Generator, side: _Side) -> list[Mesh]:
+def _parked_cars(rng: np.random.Generator, side: _StreetSide) -> list[Mesh]:
+    """Park cars at the kerb, not quite in line."""
     share = rng.uniform(0.2, 0.75)
     taken_x_m = [x for x in np.arange(-60.0, 60.0, 6.0) if rng.random() < share]
-    return [_parked_car(rng, side, x) for x in taken_x_m]
+    cars = []
+    for x_m in taken_x_m:
+        y_m = side.kerb_y_m - 1.1 - abs(rng.normal(scale=0.08))
+        car = random_car(rng).moved(yaw_rad=rng.normal(scale=0.02))
+        cars.append(side.place(car, x_m + rng.normal(scale=0.3), y_m))
+    return cars
 
 
-def _parked_car(rng: np.random.Generator, side: _Side, x_m: float) -> Mesh:
-    """A car at the kerb, not quite in line."""
-    y_m = side.kerb_y_m - 1.1 - abs(rng.normal(scale=0.08))
-    return side.place(random_car(rng).moved(yaw_rad=rng.normal(scale=0.02)), x_m + rng.normal(scale=0.3), y_m)
-
-
-def _furniture(rng: np.random.Generator, side: _Side) -> list[Mesh]:
-    """Lamp posts at even distances; trees, signs, bins, benches where they happen to stand."""
+def _furniture(rng: np.random.Generator, side: _StreetSide) -> list[Mesh]:
+    """Place lamp posts at even distances, and trees, signs, bins and benches at random."""
     edge_m, pitch_m = side.kerb_y_m + 0.5, rng.uniform(18.0, 30.0)
     lamps_x_m = np.arange(-70.0 + rng.uniform(0.0, pitch_m), 70.0, pitch_m)
     lamps = [side.place(lamp_post(rng.uniform(5.0, 8.0), 1.2).moved(yaw_rad=-np.pi / 2), x, edge_m) for x in lamps_x_m]
@@ -103,6 +97,6 @@ def _furniture(rng: np.random.Generator, side: _Side) -> list[Mesh]:
 
 
 def _spots(rng: np.random.Generator, reach_m: float, counts: tuple[int, int]) -> list[float]:
-    """Places along the street, in a random number between the two counts."""
+    """Draw positions along the street; their number lies between the two counts."""
     count = int(rng.integers(counts[0], counts[1] + 1))
     return [float(x) for x in rng.uniform(-reach_m, reach_m, size=count)]

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A long straight road tunnel."""
-
-from __future__ import annotations
+"""Scene of a long straight road tunnel."""
 
 import numpy as np
 
@@ -15,7 +13,7 @@ _HALF_LENGTH_M = 250.0
 
 
 def tunnel(rng: np.random.Generator) -> Scene:
-    """A smooth vault over a road with walkways: every cross-section is the same, so x is not observable."""
+    """Build a vault over a road with walkways; all cross-sections are equal, so x is not observable."""
     half_m, wall_m = rng.uniform(4.5, 6.5), rng.uniform(2.5, 4.0)
     walkway_m, kerb_m = rng.uniform(0.8, 1.3, size=2), rng.uniform(0.15, 0.3)
     angles = np.linspace(0.0, np.pi, 25)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Building blocks that the scenes are made of."""
+"""Building blocks of scenes."""

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Facades with relief, and the houses behind them."""
-
-from __future__ import annotations
+"""Buildings with facades that have relief."""
 
 from dataclasses import dataclass
 
@@ -11,7 +9,7 @@ from multilica.geometry import FloatArray
 from multilica.simulate.shapes.mesh import Mesh, merged, quads
 from multilica.simulate.shapes.primitives import box, tube
 
-__all__ = ["FacadeStyle", "building", "facade", "pitched_roof", "random_style", "shed", "wall"]
+__all__ = ["FacadeStyle", "building", "shed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +34,8 @@ class FacadeStyle:
     cornice_m: float
 
 
-def random_style(rng: np.random.Generator) -> FacadeStyle:
-    """A style such as a European street has them."""
+def _random_style(rng: np.random.Generator) -> FacadeStyle:
+    """Draw the style of a European town house."""
     return FacadeStyle(
         bay_m=rng.uniform(2.0, 4.2),
         storey_m=rng.uniform(2.7, 3.6),
@@ -49,8 +47,8 @@ def random_style(rng: np.random.Generator) -> FacadeStyle:
     )
 
 
-def wall(x_cuts_m: FloatArray, z_cuts_m: FloatArray, recess_m: FloatArray) -> Mesh:
-    """A wall in the plane y = 0, its cells pushed to +y by `recess_m`, with the reveals between cells.
+def _wall(x_cuts_m: FloatArray, z_cuts_m: FloatArray, recess_m: FloatArray) -> Mesh:
+    """Build a wall in the plane y = 0, its cells pushed to +y by `recess_m`, with the reveals between cells.
 
     Args:
         x_cuts_m: (X + 1,) borders of the columns; z_cuts_m: (Z + 1,) borders of the rows.
@@ -72,8 +70,8 @@ def _stack(*corners: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
     return np.stack([np.stack(corner, axis=-1) for corner in corners], axis=-2).reshape(-1, 4, 3)
 
 
-def facade(rng: np.random.Generator, style: FacadeStyle, width_m: float, storeys: int) -> Mesh:
-    """A street front in the plane y = 0 from x = 0 to the width, looking towards -y."""
+def _facade(rng: np.random.Generator, style: FacadeStyle, width_m: float, storeys: int) -> Mesh:
+    """Build a street front in the plane y = 0 from x = 0 to the width, looking towards -y."""
     bays = max(1, int(width_m / style.bay_m))
     pitch_m = width_m / bays
     opening_m = min(style.window_m[0], 0.8 * pitch_m)
@@ -85,7 +83,7 @@ def facade(rng: np.random.Generator, style: FacadeStyle, width_m: float, storeys
     z_cuts = np.concatenate([[-1.5], np.column_stack([sills, heads]).ravel(), [floors[-1]]])
     recess = np.zeros((len(x_cuts) - 1, len(z_cuts) - 1))
     recess[1::2, 1::2] = style.recess_m * rng.choice([0.0, 1.0, 1.0, 1.0, 1.0, 2.0], size=(bays, storeys))
-    parts = [wall(x_cuts, z_cuts, recess)]
+    parts = [_wall(x_cuts, z_cuts, recess)]
     parts += [_balcony(x, floors[s]) for s in range(1, storeys) for x in starts if rng.random() < style.balcony_share]
     if style.cornice_m > 0.0:
         parts += [box((0.0, -style.cornice_m, z - 0.25), (width_m, 0.05, z)) for z in floors[1:]]
@@ -101,16 +99,15 @@ def _balcony(x_m: float, floor_m: float) -> Mesh:
 
 
 def _doorway(x_m: float, width_m: float) -> Mesh:
-    """Two steps, and a canopy above them."""
-    steps = [
-        box((x_m - 0.2, -depth, -0.5), (x_m + width_m + 0.2, 0.0, top)) for depth, top in ((0.7, 0.15), (0.35, 0.3))
-    ]
+    """Build two steps with a canopy above them."""
+    sizes = ((0.7, 0.15), (0.35, 0.3))
+    steps = [box((x_m - 0.2, -depth, -0.5), (x_m + width_m + 0.2, 0.0, top)) for depth, top in sizes]
     canopy = box((x_m - 0.3, -0.9, 2.6), (x_m + width_m + 0.3, 0.0, 2.75))
     return merged([*steps, canopy])
 
 
-def pitched_roof(width_m: float, depth_m: float, eaves_m: float, rise_m: float, overhang_m: float) -> Mesh:
-    """A gable roof whose ridge runs along x, over the rectangle from the origin to (width, depth)."""
+def _pitched_roof(width_m: float, depth_m: float, eaves_m: float, rise_m: float, overhang_m: float) -> Mesh:
+    """Build a gable roof whose ridge runs along x, over the rectangle from the origin to (width, depth)."""
     y0, y1, middle = -overhang_m, depth_m + overhang_m, depth_m / 2.0
     ridge = eaves_m + rise_m
     slopes = [
@@ -121,29 +118,28 @@ def pitched_roof(width_m: float, depth_m: float, eaves_m: float, rise_m: float, 
 
 
 def building(rng: np.random.Generator, width_m: float, depth_m: float) -> Mesh:
-    """A house with its front in the plane y = 0, looking towards -y, from x = 0 to the width."""
-    style, storeys = random_style(rng), int(rng.integers(2, 7))
+    """Build a house with its front in the plane y = 0, looking towards -y, from x = 0 to the width."""
+    style, storeys = _random_style(rng), int(rng.integers(2, 7))
     height_m = style.ground_storey_m + style.storey_m * (storeys - 1)
-    front = facade(rng, style, width_m, storeys)
-    back = facade(rng, style, width_m, storeys).moved(width_m, depth_m, 0.0, np.pi)
-    sides = [
-        quads([[[x, 0, -1.5], [x, depth_m, -1.5], [x, depth_m, height_m], [x, 0, height_m]]]) for x in (0.0, width_m)
-    ]
-    roof = pitched_roof(width_m, depth_m, height_m, rng.uniform(0.3, 4.5), rng.uniform(0.1, 0.7))
+    front = _facade(rng, style, width_m, storeys)
+    back = _facade(rng, style, width_m, storeys).moved(width_m, depth_m, 0.0, np.pi)
+    ends_m = (0.0, width_m)
+    sides = quads([[[x, 0, -1.5], [x, depth_m, -1.5], [x, depth_m, height_m], [x, 0, height_m]] for x in ends_m])
+    roof = _pitched_roof(width_m, depth_m, height_m, rng.uniform(0.3, 4.5), rng.uniform(0.1, 0.7))
     pipe_x_m = float(rng.choice([0.15, width_m - 0.15]))
     downpipe = tube((pipe_x_m, -0.08, -0.5), (pipe_x_m, -0.08, height_m), 0.06, sides=6)
     chimney_m = rng.uniform(0.2, 0.8) * width_m
     chimney = box((chimney_m, depth_m * 0.4, height_m), (chimney_m + 0.8, depth_m * 0.4 + 0.6, height_m + 5.0))
-    return merged([front, back, *sides, roof, downpipe, chimney])
+    return merged([front, back, sides, roof, downpipe, chimney])
 
 
 def shed(rng: np.random.Generator) -> Mesh:
-    """A wooden shed with a door, a lean-to, a woodpile."""
+    """Build a wooden shed with a door, a lean-to, a woodpile."""
     width_m, depth_m, height_m = rng.uniform(4.0, 9.0), rng.uniform(3.0, 6.0), rng.uniform(2.3, 3.5)
     body = box((0.0, 0.0, -0.5), (width_m, depth_m, height_m))
     door_m = rng.uniform(0.1, 0.5) * width_m
     door = box((door_m, -0.1, 0.0), (door_m + 1.2, 0.1, 2.0))
-    roof = pitched_roof(width_m, depth_m, height_m, rng.uniform(0.8, 2.0), 0.4)
+    roof = _pitched_roof(width_m, depth_m, height_m, rng.uniform(0.8, 2.0), 0.4)
     lean_to = box((width_m, 0.4, -0.5), (width_m + rng.uniform(1.5, 3.0), depth_m - 0.5, height_m * 0.6))
     pile = box((-1.4, 0.3, -0.3), (-0.3, 0.7 * depth_m, rng.uniform(0.8, 1.5)))
     return merged([body, door, roof, lean_to, pile]).moved(-width_m / 2.0, -depth_m / 2.0)

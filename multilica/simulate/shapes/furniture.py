@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small things that stand about outdoors."""
-
-from __future__ import annotations
+"""Small outdoor objects."""
 
 import numpy as np
 
@@ -12,7 +10,7 @@ __all__ = ["bench", "fence", "hay_bale", "lamp_post", "post_fence", "refuse_bin"
 
 
 def lamp_post(height_m: float, arm_m: float) -> Mesh:
-    """A tapering post whose arm with the lamp reaches along x."""
+    """Build a tapering post whose arm with the lamp reaches along x."""
     post = cylinder(0.09, -0.3, height_m, top_radius_m=0.05)
     arm = tube((0.0, 0.0, height_m - 0.1), (arm_m, 0.0, height_m + 0.2), 0.04)
     lamp = box((arm_m - 0.3, -0.15, height_m + 0.12), (arm_m + 0.4, 0.15, height_m + 0.25))
@@ -21,14 +19,14 @@ def lamp_post(height_m: float, arm_m: float) -> Mesh:
 
 
 def sign(rng: np.random.Generator) -> Mesh:
-    """A traffic sign on its post, its plate across x."""
+    """Build a traffic sign on its post, its plate across x."""
     height_m, half_m = rng.uniform(2.2, 3.2), rng.uniform(0.25, 0.5)
     plate = box((-0.02, -half_m, height_m - 2.0 * half_m), (0.02, half_m, height_m))
     return merged([cylinder(0.035, -0.3, height_m, sides=8), plate])
 
 
 def bench() -> Mesh:
-    """A park bench along x."""
+    """Build a park bench along x."""
     seat = box((-0.8, -0.22, 0.40), (0.8, 0.22, 0.47))
     back = box((-0.8, 0.20, 0.47), (0.8, 0.26, 0.90))
     legs = [box((x, -0.2, -0.2), (x + 0.08, 0.25, 0.4)) for x in (-0.7, 0.62)]
@@ -36,45 +34,41 @@ def bench() -> Mesh:
 
 
 def refuse_bin(rng: np.random.Generator) -> Mesh:
-    """A wheeled refuse bin."""
+    """Build a wheeled refuse bin."""
     height_m = rng.uniform(0.95, 1.3)
     half_m = rng.uniform(0.28, 0.6)
-    return merged(
-        [
-            box((-half_m, -0.3, 0.08), (half_m, 0.3, height_m)),
-            box((-half_m, -0.36, height_m), (half_m, 0.34, height_m + 0.08)),
-        ]
-    )
+    lid = box((-half_m, -0.36, height_m), (half_m, 0.34, height_m + 0.08))
+    return merged([box((-half_m, -0.3, 0.08), (half_m, 0.3, height_m)), lid])
 
 
 def fence(x0_m: float, x1_m: float, height_m: float) -> Mesh:
-    """A seamless board fence along x: every part of it looks like every other."""
+    """Build a seamless board fence along x: every part of it looks like every other."""
     boards = box((x0_m, -0.02, 0.05), (x1_m, 0.02, height_m))
     rails = [box((x0_m, -0.08, z), (x1_m, -0.02, z + 0.1)) for z in (0.3, height_m - 0.35)]
     return merged([boards, *rails])
 
 
 def post_fence(rng: np.random.Generator, length_m: float) -> Mesh:
-    """A pasture fence along x: uneven posts with two rails."""
-    spots = np.arange(0.0, length_m, 2.5) + rng.normal(scale=0.15, size=len(np.arange(0.0, length_m, 2.5)))
+    """Build a pasture fence along x: uneven posts with two rails."""
+    even_m = np.arange(0.0, length_m, 2.5)
+    spots = even_m + rng.normal(scale=0.15, size=len(even_m))
     posts = [cylinder(0.07, -0.4, rng.uniform(1.1, 1.4), sides=6).moved(x, rng.normal(scale=0.03)) for x in spots]
     rails = [box((0.0, -0.03, z), (length_m, 0.03, z + 0.12)) for z in (0.45, 0.95)]
     return merged([*posts, *rails])
 
 
 def hay_bale(rng: np.random.Generator) -> Mesh:
-    """A round bale that lies on its side, axis along y."""
+    """Build a round bale that lies on its side, axis along y."""
     radius_m, half_m = rng.uniform(0.55, 0.85), rng.uniform(0.5, 0.75)
     return tube((0.0, -half_m, radius_m), (0.0, half_m, radius_m), radius_m, sides=20)
 
 
 def trolley_shelter(rng: np.random.Generator) -> Mesh:
-    """A roofed stand for shopping trolleys along x."""
+    """Build a roofed stand for shopping trolleys along x."""
     length_m = rng.uniform(4.0, 7.0)
     posts = [cylinder(0.05, -0.2, 2.3, sides=8).moved(x, y) for x in (0.0, length_m) for y in (-1.0, 1.0)]
     roof = box((-0.3, -1.3, 2.3), (length_m + 0.3, 1.3, 2.38))
     pane = box((0.0, 0.98, 0.2), (length_m, 1.02, 2.0))
-    trolleys = [
-        box((x, -0.3, 0.25), (x + 0.35, 0.3, 1.0)) for x in np.arange(0.3, rng.uniform(1.0, length_m - 0.5), 0.45)
-    ]
+    trolleys_x_m = np.arange(0.3, rng.uniform(1.0, length_m - 0.5), 0.45)
+    trolleys = [box((x, -0.3, 0.25), (x + 0.35, 0.3, 1.0)) for x in trolleys_x_m]
     return merged([*posts, roof, pane, *trolleys])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Triangle meshes that can be moved about."""
+"""Triangle meshes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ IndexArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """A bag of triangles; surfaces may cross each other and need not be closed.
+    """Triangles; surfaces may intersect and need not be closed.
 
     Args:
         vertices_m: (V, 3).
@@ -34,21 +34,21 @@ class Mesh:
         object.__setattr__(self, "triangles", read_only(np.reshape(self.triangles, (-1, 3)), np.int64))
 
     def moved(self, x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, yaw_rad: float = 0.0) -> Mesh:
-        """The mesh turned about its own z axis, then shifted."""
+        """Rotate the mesh about its z axis, then shift it."""
         return self.rotated((0.0, 0.0, yaw_rad), (x_m, y_m, z_m))
 
     def rotated(self, rpy_rad: tuple[float, float, float], xyz_m: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Mesh:
-        """The mesh turned by extrinsic roll, pitch, yaw, then shifted."""
+        """Rotate the mesh by extrinsic roll, pitch, yaw, then shift it."""
         rotation = Rotation.from_euler("xyz", rpy_rad).as_matrix()
         return Mesh(self.vertices_m @ rotation.T + np.asarray(xyz_m), self.triangles)
 
     def transformed(self, T_target_source: RigidTransform) -> Mesh:
-        """The mesh, given in the source frame, in the target frame."""
+        """Transform the mesh from the source to the target frame."""
         return Mesh(T_target_source.apply(self.vertices_m), self.triangles)
 
 
 def merged(meshes: Iterable[Mesh]) -> Mesh:
-    """One mesh with the triangles of all, in order."""
+    """Merge meshes into one, keeping the order of their triangles."""
     parts = list(meshes)
     if not parts:
         return Mesh(np.empty((0, 3)), np.empty((0, 3), dtype=np.int64))
@@ -58,7 +58,7 @@ def merged(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def quads(corners_m: npt.ArrayLike) -> Mesh:
-    """Quadrilaterals from corners (Q, 4, 3) that go round each of them."""
+    """Build quadrilaterals from their corners (Q, 4, 3) in circular order."""
     corners = np.asarray(corners_m, dtype=np.float64).reshape(-1, 4, 3)
     first = 4 * np.arange(len(corners))[:, None, None]
     triangles = first + np.array([[0, 1, 2], [0, 2, 3]])
@@ -66,6 +66,6 @@ def quads(corners_m: npt.ArrayLike) -> Mesh:
 
 
 def facing_quads(loop_a_m: FloatArray, loop_b_m: FloatArray) -> Mesh:
-    """The band between two polylines (K, 3) of equal length, one quadrilateral per segment."""
+    """Build the band between two polylines (K, 3), one quadrilateral per segment."""
     corners = np.stack([loop_a_m[:-1], loop_a_m[1:], loop_b_m[1:], loop_b_m[:-1]], axis=1)
     return quads(corners)

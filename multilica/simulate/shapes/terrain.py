@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ground that everything stands on."""
-
-from __future__ import annotations
+"""Terrain below a scene."""
 
 from dataclasses import dataclass
 
@@ -16,7 +14,7 @@ __all__ = ["FLAT", "Terrain", "Wave", "rolling_waves"]
 
 @dataclass(frozen=True, slots=True)
 class Wave:
-    """One ripple of the ground: ``amplitude_m * sin(kx * x + ky * y + phase_rad)``."""
+    """One wave of the ground: ``amplitude_m * sin(kx * x + ky * y + phase_rad)``."""
 
     amplitude_m: float
     kx_rad_per_m: float
@@ -26,7 +24,7 @@ class Wave:
 
 @dataclass(frozen=True, slots=True)
 class Terrain:
-    """A plane through the origin with ripples on it.
+    """A plane through the origin with waves on it.
 
     Args:
         slope_x, slope_y: rise per metre.
@@ -37,32 +35,29 @@ class Terrain:
     waves: tuple[Wave, ...] = ()
 
     def height_m(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
-        """Height of the ground at points of any common shape."""
+        """Return the height of the ground at points of any common shape."""
         height = self.slope_x * np.asarray(x_m) + self.slope_y * np.asarray(y_m)
         for wave in self.waves:
             phase = wave.kx_rad_per_m * x_m + wave.ky_rad_per_m * y_m + wave.phase_rad
             height = height + wave.amplitude_m * np.sin(phase)
         return np.asarray(height)
 
-    def at(self, x_m: float, y_m: float) -> float:
-        """Height of the ground at one point."""
-        return float(self.height_m(np.asarray(x_m), np.asarray(y_m)))
-
     def place(self, mesh: Mesh, x_m: float, y_m: float, yaw_rad: float = 0.0, sunk_m: float = 0.0) -> Mesh:
-        """The mesh set upright on the ground at a point, its foot `sunk_m` below."""
-        return mesh.moved(x_m, y_m, self.at(x_m, y_m) - sunk_m, yaw_rad)
+        """Place the mesh upright on the ground, its origin `sunk_m` below it."""
+        ground_m = float(self.height_m(np.asarray(x_m), np.asarray(y_m)))
+        return mesh.moved(x_m, y_m, ground_m - sunk_m, yaw_rad)
 
     def drape(self, mesh: Mesh) -> Mesh:
-        """The mesh with each vertex lifted by the ground below it: kerbs, hedges, fences."""
+        """Raise each vertex by the height of the ground below it: kerbs, hedges, fences."""
         lift = self.height_m(mesh.vertices_m[:, 0], mesh.vertices_m[:, 1])
         return Mesh(mesh.vertices_m + np.column_stack([0.0 * lift, 0.0 * lift, lift]), mesh.triangles)
 
-    def surface(self, x_m: FloatArray, y_m: FloatArray, raised_m: float = 0.0) -> Mesh:
-        """The ground itself over the grid of x (X,) and y (Y,)."""
-        return sheet(x_m, y_m, lambda x, y: self.height_m(x, y) + raised_m)
+    def surface(self, x_m: FloatArray, y_m: FloatArray) -> Mesh:
+        """Build the ground over the grid of x (X,) and y (Y,)."""
+        return sheet(x_m, y_m, self.height_m)
 
     def standing_pose(self, x_m: float, y_m: float, yaw_rad: float) -> RigidTransform:
-        """``T_world_base`` of a vehicle that stands there on its four wheels."""
+        """Return ``T_world_base`` of a vehicle that stands there on its four wheels."""
         wheels = np.array([[a, b] for a in (-1.4, 1.4) for b in (-0.8, 0.8)])
         turn = np.array([[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]])
         contacts = wheels @ turn.T + [x_m, y_m]
@@ -81,7 +76,7 @@ FLAT = Terrain()
 def rolling_waves(
     rng: np.random.Generator, count: int, lengths_m: tuple[float, float], steepness: float
 ) -> tuple[Wave, ...]:
-    """Ripples of random direction whose height goes with their length.
+    """Draw waves of random direction whose height is proportional to their length.
 
     Args:
         lengths_m: shortest and longest wave.

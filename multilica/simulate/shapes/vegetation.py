@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trees, bushes, hedges."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from multilica.geometry import FloatArray
@@ -13,7 +11,7 @@ __all__ = ["bush", "hedge", "tree"]
 
 
 def tree(rng: np.random.Generator, height_m: float) -> Mesh:
-    """A trunk, some branches, and a crown of leaf-sized facets that lets part of the beams through."""
+    """Build a trunk, some branches, and a crown of leaf-sized facets that lets part of the beams through."""
     trunk_top_m = height_m * rng.uniform(0.3, 0.45)
     radius_m = 0.03 * height_m * rng.uniform(0.6, 1.1)
     lean = rng.normal(scale=0.03, size=2)
@@ -27,7 +25,7 @@ def tree(rng: np.random.Generator, height_m: float) -> Mesh:
 
 
 def _crown_points(rng: np.random.Generator, count: int, radii_m: FloatArray) -> FloatArray:
-    """Points in an ellipsoid with lumps, denser near its surface."""
+    """Draw points in an ellipsoid with lumps, denser near its surface."""
     directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     lumps = rng.normal(size=(6, 3))
@@ -36,15 +34,16 @@ def _crown_points(rng: np.random.Generator, count: int, radii_m: FloatArray) -> 
 
 
 def bush(rng: np.random.Generator, radius_m: float) -> Mesh:
-    """A low dome of facets."""
+    """Build a low dome of facets."""
     radii = radius_m * rng.uniform(0.7, 1.2, size=3)
     points = _crown_points(rng, 160, radii)
     points[:, 2] = np.abs(points[:, 2])
     return facets(points, 0.1 + 0.04 * radius_m, rng)
 
 
-def hedge(rng: np.random.Generator, length_m: float, height_m: float, width_m: float = 0.9) -> Mesh:
-    """A trimmed hedge along x from the origin, rough on all sides."""
+def hedge(rng: np.random.Generator, length_m: float, height_m: float) -> Mesh:
+    """Build a trimmed hedge along x from the origin, rough on all sides."""
+    width_m = 0.9
     core = box((0.0, -width_m / 2.0 + 0.12, 0.0), (length_m, width_m / 2.0 - 0.12, height_m - 0.12))
     count = int(70 * length_m * height_m)
     points = rng.uniform([0.0, -0.5, 0.0], [length_m, 0.5, height_m], size=(count, 3))

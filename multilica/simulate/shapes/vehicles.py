@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Cars, trucks, pedestrians."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from multilica.simulate.shapes.mesh import Mesh, merged
-from multilica.simulate.shapes.primitives import box, cylinder, sphere, tapered_box, tube
+from multilica.simulate.shapes.primitives import Rectangle, box, cylinder, sphere, tapered_box, tube
 
 __all__ = ["CAR_SHAPES", "CarShape", "car", "pedestrian", "random_car", "truck"]
 
@@ -42,28 +40,20 @@ CAR_SHAPES = {
 
 
 def car(shape: CarShape) -> Mesh:
-    """A car on its wheels, heading along x, its middle over the origin."""
+    """Build a car on its wheels, heading along x, its middle over the origin."""
     half_x, half_y = shape.length_m / 2.0, shape.width_m / 2.0
     waist_m = 0.55
-    sill = tapered_box(
-        (-half_x + 0.10, half_x - 0.15, -half_y + 0.08, half_y - 0.08),
-        (-half_x, half_x, -half_y, half_y),
-        0.22,
-        waist_m,
-    )
-    bonnet = tapered_box(
-        (-half_x, half_x, -half_y, half_y),
-        (-half_x + 0.08, half_x - 0.45, -half_y + 0.06, half_y - 0.06),
-        waist_m,
-        shape.belt_m,
-    )
-    cabin = tapered_box(
-        (*shape.cabin_m, -half_y + 0.07, half_y - 0.07),
-        (*shape.roof_m, -half_y + 0.24, half_y - 0.24),
-        shape.belt_m,
-        shape.height_m,
-    )
+    waist = _rectangle(-half_x, half_x, half_y)
+    sill = tapered_box(_rectangle(-half_x + 0.10, half_x - 0.15, half_y - 0.08), waist, 0.22, waist_m)
+    belt = _rectangle(-half_x + 0.08, half_x - 0.45, half_y - 0.06)
+    bonnet = tapered_box(waist, belt, waist_m, shape.belt_m)
+    foot, roof = _rectangle(*shape.cabin_m, half_y - 0.07), _rectangle(*shape.roof_m, half_y - 0.24)
+    cabin = tapered_box(foot, roof, shape.belt_m, shape.height_m)
     return merged([sill, bonnet, cabin, *_wheels(shape.length_m * 0.29, half_y), *_mirrors(shape, half_y)])
+
+
+def _rectangle(rear_m: float, front_m: float, half_y_m: float) -> Rectangle:
+    return rear_m, front_m, -half_y_m, half_y_m
 
 
 def _wheels(axle_m: float, half_y_m: float) -> list[Mesh]:
@@ -76,14 +66,12 @@ def _wheels(axle_m: float, half_y_m: float) -> list[Mesh]:
 
 def _mirrors(shape: CarShape, half_y_m: float) -> list[Mesh]:
     x_m, z_m = shape.cabin_m[1] - 0.45, shape.belt_m + 0.02
-    return [
-        box((x_m, side * (half_y_m + 0.07) - 0.1, z_m), (x_m + 0.12, side * (half_y_m + 0.07) + 0.1, z_m + 0.14))
-        for side in (-1.0, 1.0)
-    ]
+    sides_y_m = (side * (half_y_m + 0.07) for side in (-1.0, 1.0))
+    return [box((x_m, y_m - 0.1, z_m), (x_m + 0.12, y_m + 0.1, z_m + 0.14)) for y_m in sides_y_m]
 
 
 def random_car(rng: np.random.Generator) -> Mesh:
-    """A car of random shape, a few per cent larger or smaller than its kind, heading either way."""
+    """Build a car of random shape and size, heading along x or against it."""
     shape = CAR_SHAPES[rng.choice(sorted(CAR_SHAPES))]
     body = car(shape)
     scale = rng.normal(1.0, [0.03, 0.02, 0.03]).clip(0.92, 1.08)
@@ -91,15 +79,11 @@ def random_car(rng: np.random.Generator) -> Mesh:
 
 
 def truck(length_m: float, height_m: float) -> Mesh:
-    """A lorry with a box body and a cab, heading along x, its middle over the origin."""
+    """Build a lorry with a box body and a cab, heading along x, its middle over the origin."""
     half_x, half_y = length_m / 2.0, 1.25
     body = box((-half_x, -half_y, 1.0), (half_x - 2.6, half_y, height_m))
-    cab = tapered_box(
-        (half_x - 2.3, half_x, -half_y, half_y),
-        (half_x - 2.2, half_x - 0.25, -half_y + 0.1, half_y - 0.1),
-        0.5,
-        min(height_m, 3.1),
-    )
+    foot, roof = _rectangle(half_x - 2.3, half_x, half_y), _rectangle(half_x - 2.2, half_x - 0.25, half_y - 0.1)
+    cab = tapered_box(foot, roof, 0.5, min(height_m, 3.1))
     chassis = box((-half_x + 0.3, -0.5, 0.55), (half_x - 0.4, 0.5, 1.0))
     axles = [-half_x + 1.5, -half_x + 2.8, half_x - 1.4]
     wheels = [tube((x, s * 0.85, 0.5), (x, s * 1.2, 0.5), 0.5, sides=14) for x in axles for s in (-1.0, 1.0)]
@@ -107,7 +91,7 @@ def truck(length_m: float, height_m: float) -> Mesh:
 
 
 def pedestrian(height_m: float, stride_rad: float) -> Mesh:
-    """Someone walking along x, legs and arms apart by the stride angle."""
+    """Build a person who walks along x, legs and arms apart by the stride angle."""
     hip_m, shoulder_m = 0.5 * height_m, 0.82 * height_m
     reach_m = float(np.tan(stride_rad)) * hip_m
     legs = [tube((s * reach_m, s * 0.1, 0.0), (0.0, s * 0.1, hip_m), 0.08) for s in (-1.0, 1.0)]

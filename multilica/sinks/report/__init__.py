@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`report.html`: a calibration on one page."""
+"""Report of a calibration as one HTML page."""

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Point clouds as pictures, drawn without a graphics card."""
-
-from __future__ import annotations
+"""Pictures of point clouds, drawn without a graphics card."""
 
 import io
 from collections.abc import Sequence
@@ -13,8 +11,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.sinks.palette import Rgb
-from multilica.sinks.thinning import every_nth
+from multilica.sinks.drawing.palette import Rgb
+from multilica.sinks.drawing.thinning import every_nth
 
 __all__ = ["GROUND_COLOUR", "Layer", "View", "draw_clouds", "png_bytes", "side_view", "top_view"]
 
@@ -39,9 +37,9 @@ class View:
     """A parallel projection along an axis.
 
     Args:
-        right, up: which coordinate grows to the right, and which upwards.
-        centre_m: (2,) those coordinates in the middle of the picture.
-        width_m: from the left edge to the right one.
+        right, up: indices of the coordinates that point right and up.
+        centre_m: (2,) these coordinates at the centre of the picture.
+        width_m: of the picture.
         size_px: width and height.
     """
 
@@ -53,11 +51,16 @@ class View:
 
     @property
     def pixels_per_m(self) -> float:
-        """The scale."""
+        """Return the scale."""
         return self.size_px[0] / self.width_m
 
+    @property
+    def text_px(self) -> int:
+        """Return the height of text."""
+        return max(12, self.size_px[0] // 55)
+
     def project(self, points_m: FloatArray) -> FloatArray:
-        """Pixel coordinates (N, 2), to the right and downwards, of points (N, 3)."""
+        """Return pixel coordinates (N, 2), right and down, of points (N, 3)."""
         offset_m = points_m[:, (self.right, self.up)] - self.centre_m
         middle_px = np.array(self.size_px) / 2.0
         return np.asarray(middle_px + self.pixels_per_m * offset_m * (1.0, -1.0))
@@ -69,10 +72,10 @@ class Layer:
 
     Args:
         points_m: (N, 3) in the picture's frame.
-        strength: of the points' colour, from 0 to 1; the label has all of it.
-        dot_px: side of the square that a point becomes.
-        sensor: where to draw the sensor's frame; None to draw none.
-        label: beside the sensor.
+        strength: brightness of the points, from 0 to 1.
+        dot_px: side of the square drawn for a point.
+        sensor: pose of the sensor's axes; None to draw none.
+        label: drawn beside the sensor.
     """
 
     points_m: FloatArray
@@ -84,7 +87,7 @@ class Layer:
 
 
 def top_view(points_m: FloatArray, size_px: tuple[int, int], sensors_m: Sequence[FloatArray] = ()) -> View:
-    """From above, x to the right, wide enough for nearly all points (N, 3) with the origin and these sensors."""
+    """Return a view from above, x to the right, of nearly all points (N, 3), the origin and these sensors."""
     low_m, high_m = _extent_m(points_m)
     corners_m = np.stack([low_m, high_m, *sensors_m])
     low_m, high_m = corners_m.min(axis=0), corners_m.max(axis=0)
@@ -95,7 +98,7 @@ def top_view(points_m: FloatArray, size_px: tuple[int, int], sensors_m: Sequence
 
 
 def side_view(points_m: FloatArray, width_px: int) -> View:
-    """From the right side, x to the right, z up; as high as the points (N, 3) need."""
+    """Return a view from the right side, x to the right, z up, of nearly all points (N, 3)."""
     low_m, high_m = _extent_m(points_m)
     width_m = max(_MARGIN * (high_m[0] - low_m[0]), _LEAST_WIDTH_M)
     height_m = float(np.clip(_MARGIN * (high_m[2] - low_m[2]), width_m / 6.0, width_m / 2.0))
@@ -104,7 +107,7 @@ def side_view(points_m: FloatArray, width_px: int) -> View:
 
 
 def _extent_m(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(3,) lowest and highest coordinates of nearly all points; the origin, where the target sits, is among them."""
+    """Return the lowest and highest coordinates (3,) of nearly all points and the origin."""
     if len(points_m) == 0:
         return np.zeros(3), np.zeros(3)
     low_m, high_m = np.quantile(every_nth(points_m, _ENOUGH_POINTS), _NEARLY_ALL, axis=0)
@@ -112,7 +115,7 @@ def _extent_m(points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def draw_clouds(view: View, layers: Sequence[Layer]) -> Image.Image:
-    """All layers through one another, none hides the others; then the sensors with their labels, and a scale."""
+    """Draw all layers blended, so that none hides another; then sensors, labels and a scale."""
     image = Image.fromarray(_blend(view, layers))
     pen = ImageDraw.Draw(image)
     for layer in layers:
@@ -124,7 +127,7 @@ def draw_clouds(view: View, layers: Sequence[Layer]) -> Image.Image:
 
 
 def png_bytes(image: Image.Image) -> bytes:
-    """The picture as PNG with a palette: less than half of the size."""
+    """Encode as PNG with a palette, which halves the size."""
     buffer = io.BytesIO()
     palette = image.quantize(_PALETTE_SIZE, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
     palette.save(buffer, "PNG", compress_level=4)
@@ -132,7 +135,7 @@ def png_bytes(image: Image.Image) -> bytes:
 
 
 def _blend(view: View, layers: Sequence[Layer]) -> npt.NDArray[np.uint8]:
-    """(H, W, 3): each pixel the mean colour of its points, the more opaque the more they are."""
+    """Return pixels (H, W, 3) in the mean colour of their points, more opaque with more points."""
     width, height = view.size_px
     cells = [_cells(view, layer) for layer in layers]
     counts = np.array([len(each) for each in cells], dtype=np.int64)
@@ -150,7 +153,7 @@ def _blend(view: View, layers: Sequence[Layer]) -> npt.NDArray[np.uint8]:
 
 
 def _cells(view: View, layer: Layer) -> npt.NDArray[np.int64]:
-    """(K,) which pixel, of those row by row, each point colours; one several times where several points do."""
+    """Return the flat pixel index (K,) of every dot, with repetitions."""
     width, height = view.size_px
     x, y = np.floor(view.project(layer.points_m)).T
     steps = np.arange(layer.dot_px) - layer.dot_px // 2
@@ -170,20 +173,20 @@ def _draw_axes(pen: ImageDraw.ImageDraw, view: View, sensor: RigidTransform) -> 
 
 
 def _draw_labels(pen: ImageDraw.ImageDraw, view: View, layers: Sequence[Layer]) -> None:
-    """Names in a column beside the sensors, each with a line to its own: sensors of a vehicle lie close together."""
+    """Draw names in a column beside the sensors, with leader lines: sensors of a vehicle are close together."""
     labelled = [layer for layer in layers if layer.sensor is not None and layer.label]
     if not labelled:
         return
-    font = _font(view)
+    font = ImageFont.load_default(view.text_px)
     places = view.project(np.array([layer.sensor.xyz_m for layer in labelled if layer.sensor is not None]))
-    order = np.argsort(places[:, 1], kind="stable")
-    spacing = 1.3 * _text_px(view)
+    order = np.argsort(np.round(places[:, 1], 3), kind="stable")  # sensors at one height: by name
+    spacing = 1.3 * view.text_px
     top = float(np.clip(places[:, 1].mean() - spacing * (len(order) - 1) / 2.0, spacing, view.size_px[1]))
     column = places[:, 0].max() + 2.5 * spacing
     for row, index in enumerate(order):
         layer, y = labelled[index], top + row * spacing
         pen.line([tuple(places[index]), (column - 4, y)], fill=layer.colour, width=1)
-        text = shorten(layer.label, _MAX_LABEL)  # a name may hold line breaks, which no label can
+        text = shorten(layer.label, _MAX_LABEL)  # a name may have line breaks
         pen.text((column, y), text, layer.colour, font, anchor="lm", stroke_width=3, stroke_fill=GROUND_COLOUR)
 
 
@@ -192,15 +195,5 @@ def _draw_scale(pen: ImageDraw.ImageDraw, view: View) -> None:
     x, y = _MARGIN_PX, view.size_px[1] - _MARGIN_PX
     end = x + length_m * view.pixels_per_m
     pen.line([(x, y), (end, y)], fill=_TEXT_COLOUR, width=2)
-    font = _font(view)
-    pen.text(
-        (end + 6, y), f"{length_m:g} m", _TEXT_COLOUR, font, anchor="ls", stroke_width=2, stroke_fill=GROUND_COLOUR
-    )
-
-
-def _font(view: View) -> ImageFont.FreeTypeFont | ImageFont.ImageFont:
-    return ImageFont.load_default(_text_px(view))
-
-
-def _text_px(view: View) -> int:
-    return max(12, view.size_px[0] // 55)
+    font, text = ImageFont.load_default(view.text_px), f"{length_m:g} m"
+    pen.text((end + 6, y), text, _TEXT_COLOUR, font, anchor="ls", stroke_width=2, stroke_fill=GROUND_COLOUR)

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The pictures of a report."""
-
-from __future__ import annotations
+"""Pictures of a report."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -10,19 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import PairKey
-from multilica.sinks.palette import AGREE, OCCLUDED, VIOLATE, Rgb, distinct_colours
+from multilica.results import BeamLabel, PairKey
+from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, Rgb
 from multilica.sinks.report.cloud_picture import Layer, View, draw_clouds, png_bytes, side_view, top_view
-from multilica.sinks.report.contents import JudgedPoints, ReportContents
-from multilica.stages.beam_image import BeamLabel
+from multilica.sinks.report.contents import ReportContents, ScoredPoints
 
-__all__ = ["Figure", "pair_figures", "rig_figures", "rig_picture"]
+__all__ = ["Figure", "pair_figures", "rig_figures"]
 
 _SIZE_PX = (1080, 720)
 _PAIR_SIZE_PX = (900, 640)
-_JUDGED_DOT_PX = 4
+_SCORED_DOT_PX = 4
 _DIMMED = 0.6
-_JUDGEMENTS: tuple[tuple[BeamLabel, Rgb], ...] = (
+_LABEL_COLOURS: tuple[tuple[BeamLabel, Rgb], ...] = (
     (BeamLabel.OCCLUDED, OCCLUDED),
     (BeamLabel.AGREE, AGREE),
     (BeamLabel.VIOLATE, VIOLATE),
@@ -31,13 +28,7 @@ _JUDGEMENTS: tuple[tuple[BeamLabel, Rgb], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture with its words.
-
-    Args:
-        png: the file.
-        alternative: what it shows, for those who do not see it.
-        caption: what to look at.
-    """
+    """A PNG picture with its alternative text and caption."""
 
     png: bytes
     size_px: tuple[int, int]
@@ -46,20 +37,20 @@ class Figure:
 
     @property
     def address(self) -> str:
-        """The picture itself as a `data:` address."""
+        """Return the picture as a `data:` URL."""
         return f"data:image/png;base64,{base64.b64encode(self.png).decode('ascii')}"
 
 
 def rig_figures(contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb]) -> dict[str, Figure]:
-    """Top and side view of all clouds, each as recorded and as placed: `top_before`, `top_after`, `side_...`."""
+    """Draw top and side views of all clouds before and after: `top_before`, `top_after`, `side_...`."""
     before = _rig_layers(contents, level, colours, placed=False)
     after = _rig_layers(contents, level, colours, placed=True)
     points_m = _all_points(after or before)
     views = {"top": top_view(points_m, _SIZE_PX), "side": side_view(points_m, _SIZE_PX[0])}
     axes = {"top": "Seen from above: x to the right, y up", "side": "Seen from the side: x to the right, z up"}
     words = {
-        "before": ("as recorded", "Before: each cloud in its own LiDAR's frame, the frames laid on one another."),
-        "after": ("as placed", "After: each cloud where its LiDAR was placed."),
+        "before": ("as recorded", "Before: each cloud in the frame of its own LiDAR, all frames at the origin."),
+        "after": ("as placed", "After: each cloud at the pose of its LiDAR."),
     }
     figures = {}
     for side, view in views.items():
@@ -72,17 +63,10 @@ def rig_figures(contents: ReportContents, level: RigidTransform, colours: Mappin
     return figures
 
 
-def rig_picture(contents: ReportContents, level: RigidTransform, size_px: tuple[int, int]) -> bytes:
-    """PNG of the calibrated clouds from above; as recorded where fewer than two LiDARs are placed."""
-    placed = len(contents.placed_poses()) > 1
-    layers = _rig_layers(contents, level, distinct_colours(contents.names), placed=placed)
-    return png_bytes(draw_clouds(top_view(_all_points(layers), size_px), layers))
-
-
 def _rig_layers(
     contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], *, placed: bool
 ) -> list[Layer]:
-    """A layer per LiDAR with returns, in the level frame; as `placed`, those without a pose are left out."""
+    """Return a layer per LiDAR with returns, in the level frame; if `placed`, without unplaced LiDARs."""
     same = {name: RigidTransform.identity(contents.target, name) for name in contents.names}
     poses = contents.placed_poses() if placed else same
     return [
@@ -95,52 +79,53 @@ def _rig_layers(
 def pair_figures(
     contents: ReportContents, pair: PairKey, level: RigidTransform, colours: Mapping[str, Rgb]
 ) -> list[Figure]:
-    """A pair from above: the pose that was found, and the other one where two are as good."""
-    words = ("at the best pose that was found", "at another pose that is about as good")
+    """Draw a pair from above: the best pose, then the competing one, if any."""
+    words = ("at the best pose", "at a competing pose that fits about as well")
     if _accepted(contents, pair):
-        words = ("where this pair puts it", "where another accepted pair puts it")
-    shown = zip(contents.judged.get(pair, ()), words, strict=False)
+        words = ("at the pose of this pair", "at the pose that another accepted pair implies")
+    shown = zip(contents.scored.get(pair, ()), words, strict=False)
     return [_pair_figure(contents, one, level, colours, how) for one, how in shown]
 
 
 def _accepted(contents: ReportContents, pair: PairKey) -> bool:
-    known = {(one["target"], one["source"]): one["verdict"]["outcome"] for one in contents.document["pairs"]}
-    return known.get(pair) == "accept"
+    return any(one.key == pair and one.verdict.accepted for one in contents.document.pairs)
 
 
 def _pair_figure(
-    contents: ReportContents, judged: JudgedPoints, level: RigidTransform, colours: Mapping[str, Rgb], words: str
+    contents: ReportContents, scored: ScoredPoints, level: RigidTransform, colours: Mapping[str, Rgb], words: str
 ) -> Figure:
-    """Both clouds, dimmed below the judged points of the source where there are any."""
-    target, source = judged.T_target_source.target, judged.T_target_source.source
-    T_level_target = _levelled(contents, judged.T_target_source, level)
-    T_level_source = T_level_target @ judged.T_target_source
-    counts = {label: int((judged.labels == label).sum()) for label, _ in _JUDGEMENTS}
+    """Draw both clouds, dimmed below the scored points of the source."""
+    target, source = scored.T_target_source.target, scored.T_target_source.source
+    T_level_target = _levelled(contents, scored.T_target_source, level)
+    T_level_source = T_level_target @ scored.T_target_source
+    counts = {label: int((scored.labels == label).sum()) for label, _ in _LABEL_COLOURS}
     strength = _DIMMED if any(counts.values()) else 1.0
     layers = [
         Layer(pose.apply(contents.clouds[name]), colours[name], strength, 1, pose, name)
         for name, pose in ((target, T_level_target), (source, T_level_source))
     ]
-    points_m = T_level_source.apply(judged.points_m)
+    points_m = T_level_source.apply(scored.points_m)
     view = top_view(_all_points(layers), _PAIR_SIZE_PX, [T_level_target.xyz_m, T_level_source.xyz_m])
-    layers += [Layer(points_m[judged.labels == label], colour, dot_px=_JUDGED_DOT_PX) for label, colour in _JUDGEMENTS]
+    layers += [
+        Layer(points_m[scored.labels == label], colour, dot_px=_SCORED_DOT_PX) for label, colour in _LABEL_COLOURS
+    ]
     shown = f"{source} on {target} {words}, from above"
-    if len(judged.points_m) == 0:
+    if len(scored.points_m) == 0:
         return _figure(view, layers, f"{shown}.", f"{shown}, each in its colour.")
     if not any(counts.values()):
-        unseen = f"{shown}: no point of one lies in view of the other, so nothing speaks against it."
+        unseen = f"{shown}: neither LiDAR sees a point of the other, so nothing contradicts this pose."
         return _figure(view, layers, unseen, unseen)
     return _figure(
         view,
         layers,
-        f"{shown}: {counts[BeamLabel.AGREE]} points agree, {counts[BeamLabel.VIOLATE]} stand in empty space, "
-        f"{counts[BeamLabel.OCCLUDED]} are hidden.",
-        f"{shown}; the large points are those of {source} that were judged.",
+        f"{shown}: {counts[BeamLabel.AGREE]} points agree, {counts[BeamLabel.VIOLATE]} lie in proven-empty space, "
+        f"{counts[BeamLabel.OCCLUDED]} are occluded.",
+        f"{shown}; large points: points of {source} scored by visibility.",
     )
 
 
 def _levelled(contents: ReportContents, T_target_source: RigidTransform, level: RigidTransform) -> RigidTransform:
-    """The pair's target in the level frame, over whichever of the two is placed; in its own axes if neither is."""
+    """Return the pose of the pair's target in the level frame; its own axes if neither LiDAR is placed."""
     placed, target = contents.placed_poses(), T_target_source.target
     if target in placed:
         return level @ placed[target]

@@ -1,28 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which LiDARs were compared, and what came of it, as a graph."""
-
-from __future__ import annotations
+"""Merge graph of a report."""
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
-from multilica.sinks.palette import Rgb
+from multilica.results.document import PairEntry
+from multilica.sinks.drawing.palette import Rgb, hex_colour
+from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
 from multilica.sinks.report.contents import ReportContents
-from multilica.sinks.report.rig_scene import hex_colour
 
 __all__ = ["GraphEdge", "GraphNode", "MergeGraph", "merge_graph"]
 
 _SIZE = (640.0, 420.0)
 _RADII = (220.0, 150.0)
-_ALONG = 0.4
-"""Where on an edge its figure stands; off the middle, where the diagonals of a square meet."""
 
 
 @dataclass(frozen=True, slots=True)
 class GraphNode:
-    """A LiDAR at its place in the drawing."""
+    """A LiDAR in the drawing."""
 
     name: str
     x: float
@@ -49,10 +45,10 @@ class GraphEdge:
 
     @property
     def label_at(self) -> tuple[float, float]:
-        """Where the figure stands."""
+        """Return the position of the label."""
         return (
-            self.end.x + _ALONG * (self.start.x - self.end.x),
-            self.end.y + _ALONG * (self.start.y - self.end.y),
+            self.end.x + EDGE_LABEL_SHARE * (self.start.x - self.end.x),
+            self.end.y + EDGE_LABEL_SHARE * (self.start.y - self.end.y),
         )
 
 
@@ -66,12 +62,11 @@ class MergeGraph:
 
 
 def merge_graph(contents: ReportContents, colours: Mapping[str, Rgb]) -> MergeGraph:
-    """The drawing of all pairs; those over which the merge went stand out."""
+    """Lay out all pairs as a graph that marks the merged ones."""
     document = contents.document
     nodes = {name: _node(contents, index, colours[name]) for index, name in enumerate(contents.names)}
-    chosen = [decision["chosen"] for decision in document["decisions"] if decision["chosen"] is not None]
-    merged = {frozenset((one["target"], one["source"])) for one in chosen}
-    edges = [_edge(nodes, pair, merged) for pair in document["pairs"]]
+    merged = {decision.chosen.names for decision in document.decisions if decision.chosen is not None}
+    edges = [_edge(nodes, pair, merged) for pair in document.pairs]
     return MergeGraph(_SIZE, tuple(nodes.values()), tuple(edges))
 
 
@@ -83,12 +78,11 @@ def _node(contents: ReportContents, index: int, colour: Rgb) -> GraphNode:
         round(_SIZE[0] / 2.0 + _RADII[0] * math.cos(angle), 1),
         round(_SIZE[1] / 2.0 + _RADII[1] * math.sin(angle), 1),
         hex_colour(colour),
-        placed=contents.document["lidars"][name]["placed"],
+        placed=contents.document.lidars[name].placed,
         target=name == contents.target,
     )
 
 
-def _edge(nodes: Mapping[str, GraphNode], pair: Mapping[str, Any], merged: set[frozenset[str]]) -> GraphEdge:
-    target, source = pair["target"], pair["source"]
-    outcome = "merged" if frozenset((target, source)) in merged else str(pair["verdict"]["outcome"])
-    return GraphEdge(nodes[source], nodes[target], outcome, f"{pair['fitness']:.2f}")
+def _edge(nodes: Mapping[str, GraphNode], pair: PairEntry, merged: set[frozenset[str]]) -> GraphEdge:
+    outcome = "merged" if pair.names in merged else pair.verdict.outcome
+    return GraphEdge(nodes[pair.source], nodes[pair.target], outcome, f"{pair.fitness or 0.0:.2f}")

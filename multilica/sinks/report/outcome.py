@@ -1,33 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The first screen of a report: what came of the run."""
-
-from __future__ import annotations
+"""Outcome of a run for the top of the report."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from multilica.explanation import Cause, Explanation, Missing, explain
+from multilica.diagnosis import Cause, Explanation, Missing, explain
 from multilica.results import PairKey
 from multilica.sinks.report.contents import ReportContents
 
-__all__ = ["Failure", "Outcome", "outcome_of"]
+__all__ = ["Outcome", "UnplacedLidar", "outcome_of"]
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
-    """A LiDAR that is not placed.
-
-    Args:
-        pair: the comparison that came closest, as it was registered; None where there was none.
-    """
+class UnplacedLidar:
+    """A LiDAR that is not placed, with its decisive pair as it was registered."""
 
     missing: Missing
     pair: PairKey | None
 
     @property
     def against(self) -> tuple[str, ...]:
-        """The other LiDAR of the decisive comparison, and the one that puts it elsewhere; none where there was none."""
+        """Return the other LiDAR of the decisive pair, and the one that puts it elsewhere, if any."""
         elsewhere = self.missing.elsewhere
         names = (*(self.pair or ()), *((elsewhere.target, elsewhere.source) if elsewhere else ()))
         others = tuple(name for name in names if name != self.missing.lidar)
@@ -39,11 +33,9 @@ class Outcome:
     """The run in a few sentences.
 
     Args:
-        badge: ``complete``, ``partial``, ``failed``, ``refused``, ``stopped`` as asked, or ``ended early``.
-        details: what else there is to say at once.
-        warnings: what is doubtful although it did not stop the run.
-        known: what a run without a result had found.
-        advice: what would help the whole run.
+        badge: ``complete``, ``partial``, ``failed``, ``refused``, ``stopped`` or ``ended early``.
+        known: findings of a run without a result.
+        advice: for the whole run.
     """
 
     badge: str
@@ -52,14 +44,14 @@ class Outcome:
     warnings: tuple[str, ...] = ()
     known: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
-    failures: tuple[Failure, ...] = ()
+    failures: tuple[UnplacedLidar, ...] = ()
 
 
 _BADGES: Mapping[Cause, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
 
 
 def outcome_of(contents: ReportContents) -> Outcome:
-    """What the report says first."""
+    """Summarise the outcome."""
     document = contents.document
     explanation = explain(document)
     ended_early = (contents.ended_early,) if contents.ended_early else ()
@@ -70,15 +62,14 @@ def outcome_of(contents: ReportContents) -> Outcome:
         )
     failures = tuple(_failure(missing) for missing in explanation.missing)
     headline = _headline(contents, explanation)
-    badge = _BADGES["unfinished"] if ended_early else document["status"]
+    badge = _BADGES["unfinished"] if ended_early else document.status
     return Outcome(badge, headline, (*_target(contents), *ended_early), explanation.warnings, failures=failures)
 
 
 def _target(contents: ReportContents) -> tuple[str, ...]:
-    """Why that one; not where nothing was placed relative to it."""
     if len(contents.placed_poses()) < 2:
         return ()
-    return (f"The target is {contents.target}: {contents.document['target_reason'].rstrip('.')}.",)
+    return (f"Target: {contents.target} ({contents.document.target_reason.rstrip('.')}).",)
 
 
 def _headline(contents: ReportContents, explanation: Explanation) -> str:
@@ -88,13 +79,10 @@ def _headline(contents: ReportContents, explanation: Explanation) -> str:
         return f"All {count} LiDARs are placed."
     if len(missing) == count - 1:
         return f"No LiDAR is placed relative to {contents.target}."
-    return f"{count - len(missing)} of {count} LiDARs are placed; {' and '.join(missing)} {_is(missing)} not."
+    verb = "is" if len(missing) == 1 else "are"
+    return f"{count - len(missing)} of {count} LiDARs are placed; {' and '.join(missing)} {verb} not."
 
 
-def _is(names: list[str]) -> str:
-    return "is" if len(names) == 1 else "are"
-
-
-def _failure(missing: Missing) -> Failure:
+def _failure(missing: Missing) -> UnplacedLidar:
     decisive = missing.decisive
-    return Failure(missing, None if decisive is None else (decisive.target, decisive.source))
+    return UnplacedLidar(missing, None if decisive is None else (decisive.target, decisive.source))

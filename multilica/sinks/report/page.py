@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page itself."""
-
-from __future__ import annotations
+"""HTML page of a report."""
 
 import base64
 import hashlib
@@ -13,33 +11,32 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from multilica.geometry import RigidTransform
-from multilica.sinks.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours
+from multilica.results import LEVEL_FRAME
+from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
+from multilica.sinks.files.toml_text import toml_text
 from multilica.sinks.report.contents import ReportContents
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
-from multilica.sinks.report.level import LEVEL, level_pose
 from multilica.sinks.report.merge_graph import merge_graph
 from multilica.sinks.report.outcome import Outcome, outcome_of
-from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, hex_colour, refused_poses, rig_scene
+from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_scene
 from multilica.sinks.report.tables import matrix_rows, pair_rows, result_rows, snapshot_rows, stage_rows
-from multilica.sinks.toml_text import toml_text
 
 __all__ = ["MAX_BYTES", "report_html"]
 
 MAX_BYTES = 8_000_000
-"""What ticket systems and mail take; the clouds of the 3-D view are thinned until the page fits."""
+"""Limit of ticket systems and mail; the clouds of the 3-D view are thinned until the page fits."""
 
 _MAX_PICTURED = 4
 _SLACK_BYTES = 20_000
-"""For what the page says of the thinning itself."""
+"""Reserve for the text about thinning."""
 _PACKAGE = "multilica.sinks.report"
 
 
 def report_html(contents: ReportContents) -> str:
-    """The report as one page that needs nothing else, of at most `MAX_BYTES` bytes."""
-    level = level_pose(contents)
-    frame = level or RigidTransform.identity(LEVEL, contents.target)
+    """Render the report as one self-contained page of at most `MAX_BYTES` bytes."""
+    frame = contents.level or RigidTransform.identity(LEVEL_FRAME, contents.target)
     colours = distinct_colours(contents.names)
-    context = _context(contents, frame, levelled=level is not None)
+    context = _context(contents, frame)
 
     def page(max_points: int) -> str:
         return _template().render(context | {"scene": rig_scene(contents, frame, colours, max_points)})
@@ -51,8 +48,8 @@ def report_html(contents: ReportContents) -> str:
     return page(max(0, min(MAX_POINTS, spare_points)))
 
 
-def _context(contents: ReportContents, level: RigidTransform, *, levelled: bool) -> dict[str, Any]:
-    """What the template shows, but for the clouds of the 3-D view."""
+def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
+    """Return the variables of the template, except the clouds of the 3-D view."""
     colours = distinct_colours(contents.names)
     outcome = outcome_of(contents)
     return {
@@ -61,13 +58,12 @@ def _context(contents: ReportContents, level: RigidTransform, *, levelled: bool)
         "outcome": outcome,
         "pair_figures": _pair_figures(contents, outcome, level),
         "figures": rig_figures(contents, level, colours),
-        "levelled": levelled,
         "calibrated": len(contents.placed_poses()) > 1,
         "colours": {name: hex_colour(colour) for name, colour in colours.items()},
-        "judged_colours": {
+        "label_colours": {
             "agree": hex_colour(AGREE),
-            "stand in space that beams passed through": hex_colour(VIOLATE),
-            "hidden, say nothing": hex_colour(OCCLUDED),
+            "lie in proven-empty space": hex_colour(VIOLATE),
+            "occluded: no evidence": hex_colour(OCCLUDED),
         },
         "refused": refused_poses(contents),
         "points_total": sum(len(cloud) for cloud in contents.clouds.values()),
@@ -77,15 +73,12 @@ def _context(contents: ReportContents, level: RigidTransform, *, levelled: bool)
         "pair_rows": pair_rows(contents),
         "snapshot_rows": snapshot_rows(contents),
         "stage_rows": stage_rows(contents),
-        "config_toml": toml_text(contents.document["config"]),
+        "config_toml": toml_text(contents.document.config.model_dump(mode="json")),
     }
 
 
 def _pair_figures(contents: ReportContents, outcome: Outcome, level: RigidTransform) -> dict[str, list[Figure]]:
-    """Per LiDAR that is not placed, its decisive comparison; of a large rig the first ones only.
-
-    A comparison that decides for several LiDARs is shown at the first of them.
-    """
+    """Draw the decisive pair of each unplaced LiDAR, of a large rig only the first ones, each pair once."""
     colours = distinct_colours(contents.names)
     first = {failure.pair: failure.missing.lidar for failure in reversed(outcome.failures) if failure.pair is not None}
     shown = [(pair, lidar) for pair, lidar in reversed(first.items()) if pair is not None][:_MAX_PICTURED]
@@ -94,7 +87,7 @@ def _pair_figures(contents: ReportContents, outcome: Outcome, level: RigidTransf
 
 @cache
 def _template() -> Template:
-    """The page, with the style and the script that are ours and the hashes by which nothing else gets in."""
+    """Load the template with its style, its script, and their hashes for the content security policy."""
     environment = Environment(
         loader=PackageLoader(_PACKAGE, ""),
         autoescape=True,
@@ -114,13 +107,13 @@ def _template() -> Template:
 
 
 def _with_code(text: str) -> Markup:
-    """A sentence in which commands stand between backticks."""
+    """Mark text between backticks as code."""
     parts = text.split("`")
     code = Markup("<code>{}</code>")
     return Markup("").join(code.format(part) if index % 2 else part for index, part in enumerate(parts))
 
 
 def _hash(text: str) -> str:
-    """As a content security policy names an inline script or style that may be used."""
+    """Return the hash of an inline script or style for the content security policy."""
     digest = hashlib.sha256(text.encode("utf-8")).digest()
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The calibrated clouds as data of the page's 3-D view."""
-
-from __future__ import annotations
+"""Data of the 3-D view of a report."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -10,17 +8,17 @@ from typing import Any
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.sinks.palette import Rgb
+from multilica.sinks.drawing.palette import Rgb
+from multilica.sinks.drawing.thinning import every_nth, sample_points
 from multilica.sinks.report.contents import ReportContents
-from multilica.sinks.thinning import every_nth, sample_points
 
-__all__ = ["BYTES_PER_POINT", "MAX_POINTS", "hex_colour", "refused_poses", "rig_scene"]
+__all__ = ["BYTES_PER_POINT", "MAX_POINTS", "refused_poses", "rig_scene"]
 
 MAX_POINTS = 300_000
 """More make the view slow on machines without a graphics card."""
 
 BYTES_PER_POINT = 8
-"""Three coordinates of two bytes, written as base64."""
+"""Three coordinates of two bytes each, as base64."""
 
 _STEPS = 65_535
 _REACH_M = 40.0
@@ -30,20 +28,21 @@ _ENOUGH_POINTS = 10_000
 def rig_scene(
     contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], max_points: int
 ) -> dict[str, Any]:
-    """What the script draws, JSON-ready.
+    """Return the data of the view's script, JSON-ready.
 
     Args:
-        level: the target LiDAR in the frame of the view, z up.
+        level: the target LiDAR's pose in the frame of the view, z up.
         max_points: over all clouds; each is thinned at random to its share.
 
     Returns:
-        Per LiDAR its points, each coordinate in 65,536 steps of its cloud's extent, with its pose as it was placed or
-        as it was refused; all matrices column by column.
+        Per LiDAR its points, quantised to 16 bits within its cloud's extent, and its placed or refused pose; matrices
+        are in column-major order.
     """
     clouds = {name: cloud for name, cloud in contents.clouds.items() if len(cloud)}
     share = max_points // max(1, len(clouds))
     placed, refused = contents.placed_poses(), refused_poses(contents)
-    seen_first = {name: pose for name, pose in _seen_first(contents).items() if name in clouds}
+    recorded = {name: RigidTransform.identity(contents.target, name) for name in contents.names}
+    seen_first = {name: pose for name, pose in (placed or recorded).items() if name in clouds}
     return {
         "level": _columns(level.matrix),
         **_camera([(level @ pose).apply(every_nth(clouds[name], _ENOUGH_POINTS)) for name, pose in seen_first.items()]),
@@ -60,31 +59,15 @@ def rig_scene(
     }
 
 
-def _seen_first(contents: ReportContents) -> dict[str, RigidTransform]:
-    """The placed LiDARs; where there are none, all of them as they were recorded, with the target's frame."""
-    placed = contents.placed_poses()
-    return placed or {name: RigidTransform.identity(contents.target, name) for name in contents.names}
-
-
 def refused_poses(contents: ReportContents) -> dict[str, RigidTransform]:
-    """Where the best of the refused registrations with a placed LiDAR would put each LiDAR that is not placed."""
+    """Return the best refused pose of each unplaced LiDAR relative to the placed ones."""
     placed = contents.placed_poses()
     poses: dict[str, RigidTransform] = {}
-    for pair in sorted(contents.document["pairs"], key=_evidence, reverse=True):
-        found = RigidTransform(pair["target"], pair["source"], np.asarray(pair["T_target_source"], dtype=np.float64))
-        for link in (found, found.inverse()):
-            if link.target in placed and link.source not in placed:
-                poses.setdefault(link.source, placed[link.target] @ link)
+    for pair in sorted(contents.document.pairs, key=lambda pair: pair.evidence, reverse=True):
+        for pose in (pair.pose, pair.pose.inverse()):
+            if pose.target in placed and pose.source not in placed:
+                poses.setdefault(pose.source, placed[pose.target] @ pose)
     return poses
-
-
-def _evidence(pair: Mapping[str, Any]) -> float:
-    return float(pair["assessments"][0]["evidence"] if pair["assessments"] else pair["fitness"])
-
-
-def hex_colour(colour: Rgb) -> str:
-    """As HTML writes it."""
-    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def _pose(level: RigidTransform, pose: RigidTransform | None) -> list[float] | None:
@@ -96,7 +79,7 @@ def _columns(matrix: FloatArray) -> list[float]:
 
 
 def _camera(clouds: Sequence[FloatArray]) -> dict[str, Any]:
-    """Where to look at first: the middle of the placed clouds, from so far that most of them is seen."""
+    """Return a camera that shows most of the placed clouds."""
     points_m = np.concatenate([np.zeros((1, 3)), *clouds])
     low, middle, high = np.quantile(points_m, (0.1, 0.5, 0.9), axis=0)
     centre = (*np.clip(middle[:2], -_REACH_M, _REACH_M), 0.0)

@@ -5,15 +5,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page
 
+from multilica.results.document import ResultDocument
 from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.page import report_html
 from multilica.sinks.report.report_file import ReportFile
-from multilica.sinks.run_story import RunStory
+from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import made_events
 
 HOSTILE = "</script><script>window.harmed = 1</script><img src=x onerror='window.harmed = 2'>"
@@ -21,16 +23,22 @@ STOPPED = "Stopped by SIGTERM."
 
 
 def made_contents(outcome: str, **settings) -> ReportContents:
-    story = RunStory()
+    state = RunState()
     for event in made_events(outcome, **settings):
-        story(event)
-    return contents_of(story)
+        state(event)
+    return contents_of(state)
+
+
+def with_values(contents: ReportContents, **values: object) -> ReportContents:
+    """The same run with other parts of its document, given as plain values."""
+    document = contents.document.model_dump(mode="json") | values
+    return replace(contents, document=ResultDocument.model_validate(document))
 
 
 def with_hostile_name(contents: ReportContents, lidar: str) -> ReportContents:
     """The same run, had a LiDAR borne a name that tries to leave the text."""
     inner = json.dumps(HOSTILE)[1:-1]
-    document = json.loads(json.dumps(contents.document).replace(lidar, inner))
+    document = ResultDocument.model_validate_json(contents.document.model_dump_json().replace(lidar, inner))
     clouds = {HOSTILE if name == lidar else name: cloud for name, cloud in contents.clouds.items()}
     return ReportContents(document, clouds, notes=(HOSTILE,))
 

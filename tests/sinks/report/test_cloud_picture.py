@@ -87,3 +87,14 @@ def test_labels_of_sensors_in_one_place_do_not_cover_each_other():
     rows_of = [np.flatnonzero((picture == colour).all(axis=2).sum(axis=1) > 3) for colour in (RED, BLUE)]
     assert all(len(rows) > 0 for rows in rows_of)
     assert rows_of[0].max() < rows_of[1].min()
+
+
+def test_labels_of_sensors_at_one_height_keep_their_order():
+    view = View(0, 1, (0.0, 0.0), 20.0, (600, 300))
+    layers = [
+        Layer(np.empty((0, 3)), colour, label="MMM", sensor=RigidTransform.from_xyz_rpy("level", "a", xyz_m, (0, 0, 0)))
+        for colour, xyz_m in ((RED, (1.0, -1e-12, 0.0)), (BLUE, (-1.0, 1e-12, 0.0)))
+    ]
+    picture = drawn(view, *layers)
+    rows_of = [np.flatnonzero((picture == colour).all(axis=2).sum(axis=1) > 3) for colour in (RED, BLUE)]
+    assert rows_of[0].mean() < rows_of[1].mean()

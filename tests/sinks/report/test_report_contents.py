@@ -1,26 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the report says of a run."""
+"""Contents of reports."""
 
 from __future__ import annotations
 
 import base64
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from multilica.geometry import RigidTransform
-from multilica.sinks.palette import distinct_colours
+from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.report.contents import contents_of
-from multilica.sinks.report.level import level_pose
 from multilica.sinks.report.merge_graph import merge_graph
 from multilica.sinks.report.outcome import outcome_of
 from multilica.sinks.report.page import report_html
 from multilica.sinks.report.rig_scene import refused_poses, rig_scene
 from multilica.sinks.report.tables import matrix_rows, result_rows, snapshot_rows, stage_rows
-from multilica.sinks.run_story import RunStory
+from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
-from tests.sinks.report.conftest import STOPPED, made_contents
+from tests.sinks.report.conftest import STOPPED, made_contents, with_values
 
 LEVEL = RigidTransform.from_xyz_rpy("level", "top", (0.0, 0.0, 2.0), (0.0, 0.1, 0.0))
 
@@ -53,15 +51,15 @@ def test_a_lidar_without_any_pose_failed_in_coarse():
 def test_a_run_that_was_to_stop_has_not_failed():
     outcome = outcome_of(made_contents("complete", until="coarse"))
     assert outcome.badge == "stopped"
-    assert "after stage coarse, as asked" in outcome.headline
+    assert "after stage coarse (--until)" in outcome.headline
     assert outcome.failures == ()
 
 
 def test_a_run_that_ended_early_tells_why_first():
-    story = RunStory()
+    state = RunState()
     for event in list(made_events())[:12]:
-        story(event)
-    outcome = outcome_of(contents_of(story, ended_early=STOPPED))
+        state(event)
+    outcome = outcome_of(contents_of(state, ended_early=STOPPED))
     assert outcome.badge == "ended early"
     assert "in stage features" in outcome.headline
     assert outcome.details == (STOPPED,)
@@ -70,7 +68,7 @@ def test_a_run_that_ended_early_tells_why_first():
 
 def test_a_refused_snapshot_is_named_as_such(partial):
     refusal = {"code": "moving_vehicle", "text": "The vehicle moves in drive.mcap."}
-    outcome = outcome_of(replace(partial, document={**partial.document, "refusal": refusal}))
+    outcome = outcome_of(with_values(partial, refusal=refusal))
     assert outcome.badge == "refused"
     assert "the vehicle moved" in outcome.headline
     assert outcome.known == (refusal["text"],)
@@ -80,16 +78,16 @@ def test_a_refused_snapshot_is_named_as_such(partial):
 def test_a_doubtful_sensor_is_a_warning_even_where_all_is_placed():
     contents = made_contents("complete")
     dirt = {"code": "dirty", "value": 0.4, "limit": 0.1, "text": "40% of its field of view ends nearer than 1 m"}
-    lidars = contents.document["lidars"]
-    lidars["rear"] = {**lidars["rear"], "health": {"reasons": [dirt]}}
-    (warning,) = outcome_of(contents).warnings
+    lidars = contents.document.model_dump(mode="json")["lidars"]
+    lidars["rear"]["health"] = {"returns": 9, "near_share": 0.4, "soiled_share": 0.4, "reasons": [dirt]}
+    (warning,) = outcome_of(with_values(contents, lidars=lidars)).warnings
     assert "rear" in warning
     assert dirt["text"] in warning
 
 
 def test_nothing_is_reported_before_a_run_has_started():
     with pytest.raises(ValueError, match="before a calibration has started"):
-        contents_of(RunStory())
+        contents_of(RunState())
 
 
 def test_rows_hold_the_figures_of_the_document(partial):
@@ -102,19 +100,27 @@ def test_rows_hold_the_figures_of_the_document(partial):
 
 def test_each_snapshot_of_a_joint_result_has_its_verdict(partial):
     off = [{"lidar": "rear", "distance_m": 0.0021, "angle_deg": 0.05, "outlier": False}]
-    agrees = {"name": "a", "source": "a.mcap", "refusal": None, "outliers": [], "disputed": [], "deviations": off}
+    agrees = {
+        "name": "a",
+        "source": "a.mcap",
+        "sha256": "",
+        "refusal": None,
+        "outliers": [],
+        "disputed": [],
+        "deviations": off,
+    }
     left_out = {**agrees, "name": "b", "refusal": "the vehicle moves", "deviations": []}
     outvoted = {**agrees, "name": "c", "outliers": ["rear"], "disputed": ["top"]}
-    document = {**partial.document, "snapshots": [agrees, left_out, outvoted]}
-    rows = snapshot_rows(replace(partial, document=document))
+    joint = with_values(partial, snapshots=[agrees, left_out, outvoted])
+    rows = snapshot_rows(joint)
     assert [row.verdict for row in rows] == [
         "agrees",
         "left out: the vehicle moves",
-        "outvoted on rear; contradicts others on top, undecided",
+        "outvoted on rear; contradicts others on top (undecided)",
     ]
     assert [row.off for row in rows] == [("2.1", "0.050"), ("-", "-"), ("2.1", "0.050")]
     assert snapshot_rows(partial) == []
-    page = report_html(replace(partial, document=document))
+    page = report_html(joint)
     assert "left out: the vehicle moves" in page
 
 
@@ -126,7 +132,7 @@ def test_the_matrix_has_each_pair_once_and_the_right_way_round(partial):
         for column, cell in enumerate(cells)
         if cell.text
     }
-    expected = {(one["target"], one["source"]): one["verdict"]["outcome"] for one in partial.document["pairs"]}
+    expected = {(one.target, one.source): one.verdict.outcome for one in partial.document.pairs}
     assert filled == expected
 
 
@@ -158,12 +164,3 @@ def test_a_refused_pose_is_taken_from_a_placed_partner(partial):
     poses = refused_poses(partial)
     assert set(poses) == {"rear"}
     assert np.allclose(poses["rear"].matrix, TRUTH["rear"].matrix, atol=1e-6)
-
-
-def test_without_an_estimate_of_the_run_the_ground_is_found_in_the_clouds(partial):
-    unasked = replace(partial, document={**partial.document, "ground": None})
-    level = level_pose(unasked)
-    assert level.xyz_m[2] == pytest.approx(2.0, abs=0.05)
-    assert np.rad2deg(np.arccos(level.rotation[2, 2])) < 2.0
-    blind = replace(unasked, clouds={name: np.empty((0, 3)) for name in partial.names})
-    assert level_pose(blind) is None

@@ -36,7 +36,7 @@ def drag(page: Page, right: int, down: int) -> None:
 
 
 @pytest.mark.parametrize("name", ["failed", "stopped", "ended early"])
-def test_a_run_without_a_result_shows_its_headline_and_its_clouds(name, open_report):
+def test_a_run_without_a_result_shows_headline_and_clouds(name, open_report):
     page = open_report(name)
     expect(page.locator("#rig-view")).to_have_attribute("data-state", "ready")
     expect(page.locator("h1")).to_be_in_viewport()
@@ -91,7 +91,7 @@ def test_a_lidar_can_be_hidden_and_the_recorded_frames_shown(open_report):
 
 def test_a_refused_pose_is_there_to_be_looked_at(open_report):
     page = open_report("partial")
-    box = page.get_by_role("checkbox", name="rear at its refused pose")
+    box = page.get_by_role("checkbox", name="rear refused pose")
     expect(box).not_to_be_checked()
     before = pixels(page)
     box.check()

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from html.parser import HTMLParser
 from importlib.resources import files
 from itertools import pairwise
@@ -15,7 +14,7 @@ import pytest
 from multilica.sinks.report import page
 from multilica.sinks.report.contents import ReportContents
 from multilica.sinks.report.page import report_html
-from tests.sinks.report.conftest import HOSTILE, made_contents, with_hostile_name
+from tests.sinks.report.conftest import HOSTILE, made_contents, with_hostile_name, with_values
 
 
 class Outline(HTMLParser):
@@ -89,14 +88,14 @@ def test_a_hostile_name_stays_a_name(partial):
 
 def test_everything_that_was_found_is_on_it(partial, text):
     words = re.sub(r"<[^>]+>", " ", text)
-    for lidar, entry in partial.document["lidars"].items():
+    for lidar, entry in partial.document.lidars.items():
         assert lidar in words
-        for value in entry["xyz_m"] or ():
+        for value in entry.xyz_m or ():
             assert f"{value:z.3f}" in words
-    for pair in partial.document["pairs"]:
-        for reason in pair["verdict"]["reasons"]:
-            assert reason["text"] in words
-    assert partial.document["input"]["sha256"] in words
+    for pair in partial.document.pairs:
+        for reason in pair.verdict.reasons:
+            assert reason.text in words
+    assert partial.document.input.sha256 in words
     assert partial.notes[0] in words
     assert "max_iterations" in words
     assert f"numpy {np.__version__}" in words
@@ -144,6 +143,6 @@ def test_text_stands_out_from_its_ground(scheme, text, ground):
 
 def test_commands_in_advice_are_set_as_code_and_nothing_else_is(partial: ReportContents) -> None:
     refusal = {"code": "unfit_input", "text": "<b>empty</b>.mcap has `nothing`."}
-    text = report_html(replace(partial, document={**partial.document, "refusal": refusal}))
+    text = report_html(with_values(partial, refusal=refusal))
     assert "see <code>multilica inspect</code></li>" in text
     assert "&lt;b&gt;empty&lt;/b&gt;.mcap has `nothing`." in text

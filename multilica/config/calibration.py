@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole configuration with its presets."""
+
+from collections.abc import Mapping
+from typing import Any, Literal, get_args
+
+from pydantic import Field
+
+from multilica.config.acceptance import AcceptanceConfig
+from multilica.config.coarse import CoarseConfig
+from multilica.config.features import CorrespondConfig, FeaturesConfig
+from multilica.config.fine import FineConfig, StabilityConfig
+from multilica.config.ground import GroundConfig
+from multilica.config.ingest import IngestConfig
+from multilica.config.merge import JointConfig, MergeConfig, RefineConfig
+from multilica.config.preprocess import HealthConfig, PreprocessConfig, StillnessConfig
+from multilica.config.runtime import RecordConfig, RuntimeConfig
+from multilica.config.section import Section
+from multilica.config.verify import VerifyConfig, VisibilityConfig
+
+__all__ = ["PRESETS", "STAGES", "CalibrationConfig", "Stage"]
+
+Stage = Literal[
+    "ingest", "preprocess", "features", "correspond", "coarse", "verify", "fine", "merge", "refine", "ground"
+]
+STAGES: tuple[Stage, ...] = get_args(Stage)
+
+
+class CalibrationConfig(Section):
+    """The whole configuration; one table per stage."""
+
+    preset: Literal["default", "paper"] = Field("default", description="preset that the configuration started from")
+    target: str = Field("", description="name of the target LiDAR; empty: the one with the most overlap")
+    until: Stage = Field("ground", description="the last stage to run")
+    ingest: IngestConfig = IngestConfig()
+    stillness: StillnessConfig = StillnessConfig()
+    preprocess: PreprocessConfig = PreprocessConfig()
+    health: HealthConfig = HealthConfig()
+    features: FeaturesConfig = FeaturesConfig()
+    correspond: CorrespondConfig = CorrespondConfig()
+    coarse: CoarseConfig = CoarseConfig()
+    visibility: VisibilityConfig = VisibilityConfig()
+    verify: VerifyConfig = VerifyConfig()
+    fine: FineConfig = FineConfig()
+    stability: StabilityConfig = StabilityConfig()
+    acceptance: AcceptanceConfig = AcceptanceConfig()
+    merge: MergeConfig = MergeConfig()
+    refine: RefineConfig = RefineConfig()
+    joint: JointConfig = JointConfig()
+    ground: GroundConfig = GroundConfig()
+    runtime: RuntimeConfig = RuntimeConfig()
+    record: RecordConfig = RecordConfig()
+
+
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "default": {"preset": "default"},
+    "paper": {
+        "preset": "paper",
+        "stillness": {"enabled": False},
+        "preprocess": {"voxel_size_m": 0.0, "max_range_m": 1000.0},
+        "features": {"voxel_size_m": 0.35, "feature_radius_voxels": 5.0, "max_range_m": 25.0, "orient_normals": False},
+        "coarse": {"max_hypotheses": 1, "normal_tolerance_deg": 180.0},
+        "verify": {"enabled": False},
+        "acceptance": {"max_baseline_m": 1000.0},
+        "fine": {
+            "engine": "open3d",
+            "voxel_size_m": 0.05,
+            "max_points": 10_000_000,
+            "max_correspondence_distances_m": [1.0],
+            "max_iterations": 100,
+            "gicp_epsilon": 0.005,
+            "relative_fitness": 1e-7,
+            "relative_rmse": 1e-7,
+            "fitness_distance_m": 1.0,
+        },
+        "refine": {"enabled": False},
+        "merge": {"mode": "algorithm1", "fitness_threshold": 0.2},
+    },
+}

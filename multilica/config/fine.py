@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the fine registration."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from multilica.config.section import Count, Positive, PositiveMetres, Section
+
+__all__ = ["FineConfig", "StabilityConfig"]
+
+
+class FineConfig(Section):
+    """GICP of the finalists, and of the best of them on all points."""
+
+    engine: Literal["small_gicp", "open3d"] = Field("small_gicp", description="implementation of GICP")
+    voxel_size_m: PositiveMetres = Field(
+        0.15, description="voxel grid of GICP; on a finer one range noise bends the normals, and so turns the pose"
+    )
+    max_points: Count = Field(50_000, description="a cloud with more points is thinned on a coarser grid")
+    max_correspondence_distances_m: tuple[PositiveMetres, ...] = Field(
+        (0.5, 0.25), min_length=1, description="one GICP run each, from coarse to fine"
+    )
+    max_iterations: Count = Field(30, description="largest number of iterations of each run")
+    rotation_epsilon_rad: Positive = Field(1e-4, description="converged when a step turns by less (small_gicp)")
+    translation_epsilon_m: PositiveMetres = Field(1e-4, description="converged when a step moves by less (small_gicp)")
+    gicp_epsilon: Positive = Field(0.005, description="variance along the normal (open3d)")
+    relative_fitness: Positive = Field(1e-7, description="converged when fitness changes by less (open3d)")
+    relative_rmse: Positive = Field(1e-7, description="converged when the RMSE changes by less (open3d)")
+    neighbours: Count = Field(20, description="points from which a covariance is estimated")
+    fitness_distance_m: PositiveMetres = Field(
+        0.25, description="a point nearer than this to the other cloud is an inlier of fitness and RMSE"
+    )
+    max_finalists: Count = Field(16, description="distinct hypotheses per pair that are registered finely")
+    finalist_max_points: Count = Field(10_000, description="points per LiDAR with which finalists are compared")
+
+
+class StabilityConfig(Section):
+    """Test whether a registration returns to its pose."""
+
+    push_m: PositiveMetres = Field(0.3, description="push along the weakest direction; rotations count as arcs at 10 m")
+    max_pushed_off_m: PositiveMetres = Field(
+        0.01, description="largest distance between the pose and where the pushed registration ends"
+    )
+    max_thinned_off_m: PositiveMetres = Field(
+        0.3, description="largest distance between the pose and the registration of fine.finalist_max_points points"
+    )

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Configurations from presets, TOML files and single settings."""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from multilica.config.calibration import PRESETS, CalibrationConfig
+from multilica.config.section import Section
+from multilica.errors import ConfigError, UnknownNameError
+
+__all__ = ["known_keys", "load_config", "preset", "with_overrides"]
+
+
+def preset(name: str) -> CalibrationConfig:
+    """Return the configuration of a preset.
+
+    Raises:
+        UnknownNameError: no such preset.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    return CalibrationConfig.model_validate(PRESETS[name])
+
+
+def load_config(path: Path) -> CalibrationConfig:
+    """Read a TOML file; missing keys come from the preset that it names, else from `default`.
+
+    Raises:
+        ConfigError: no such file, not TOML, an unknown key, or a value out of range.
+        UnknownNameError: no such preset.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"There is no configuration file at {path}.") from error
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ConfigError(f"{path} is not a readable TOML file: {error}.") from error
+    base = preset(str(table.get("preset", "default")))
+    return _merged(base, table, str(path))
+
+
+def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> CalibrationConfig:
+    """Apply ``section.key=value`` settings; a value is read as TOML, else as a bare string.
+
+    Raises:
+        ConfigError: a text without ``=``, an unknown key, or a value out of range.
+    """
+    for override in overrides:
+        key, equals, text = override.partition("=")
+        if not equals or not key.strip():
+            raise ConfigError(
+                f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30."
+            )
+        config = _merged(config, _nested(key.strip().split("."), _toml_value(text.strip())), f"setting '{override}'")
+    return config
+
+
+def _nested(keys: list[str], value: object) -> dict[str, Any]:
+    return {keys[0]: value if len(keys) == 1 else _nested(keys[1:], value)}
+
+
+def _toml_value(text: str) -> object:
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def _merged(base: CalibrationConfig, table: Mapping[str, Any], where: str) -> CalibrationConfig:
+    try:
+        return CalibrationConfig.model_validate(_deep_update(base.model_dump(), table))
+    except ValidationError as error:
+        raise ConfigError(_explain(error, where)) from error
+
+
+def _deep_update(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
+    updated = dict(base)
+    for key, value in table.items():
+        current = updated.get(key)
+        updated[key] = (
+            _deep_update(current, value) if isinstance(current, dict) and isinstance(value, Mapping) else value
+        )
+    return updated
+
+
+def _explain(error: ValidationError, where: str) -> str:
+    first = error.errors()[0]
+    key = ".".join(str(part) for part in first["loc"])
+    if first["type"] != "extra_forbidden":
+        return f"In {where}, {key} is {first['input']!r}: {first['msg'][0].lower()}{first['msg'][1:]}."
+    close = _nearest_key(key)
+    hint = f" Did you mean '{close}'?" if close else " `multilica config` lists them all."
+    return f"In {where}, there is no key '{key}'.{hint}"
+
+
+def _nearest_key(key: str) -> str:
+    keys = known_keys()
+    leaves = {known.rpartition(".")[2]: known for known in keys}
+    by_path = difflib.get_close_matches(key, keys, n=1, cutoff=0.6)
+    by_leaf = difflib.get_close_matches(key.rpartition(".")[2], leaves, n=1, cutoff=0.6)
+    return by_path[0] if by_path else leaves[by_leaf[0]] if by_leaf else ""
+
+
+def known_keys() -> tuple[str, ...]:
+    """List every key of the configuration as ``section.key``."""
+    keys: list[str] = []
+    for name, field in CalibrationConfig.model_fields.items():
+        section = field.annotation
+        if isinstance(section, type) and issubclass(section, Section):
+            keys += [f"{name}.{key}" for key in section.model_fields]
+        else:
+            keys.append(name)
+    return tuple(keys)

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Explanation of a result document."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+from multilica.config import STAGES
+from multilica.diagnosis.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes, step_of
+from multilica.diagnosis.comparisons import (
+    contested_places,
+    crossing_pairs,
+    decisive_pair,
+    group_of,
+    merge_refusal,
+    next_best_sentence,
+)
+from multilica.diagnosis.doubts import warnings_of
+from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed
+from multilica.diagnosis.progress import known_so_far, progress_sentence
+from multilica.results.document import LidarEntry, PairEntry, ResultDocument
+
+__all__ = ["explain"]
+
+_BEFORE_PLACES = STAGES[: STAGES.index("merge")]
+
+
+def explain(document: ResultDocument) -> Explanation:
+    """Explain a run: which LiDARs are placed, which are not, why, and what would help."""
+    if document.refusal is not None:
+        cause: Cause = "moving_vehicle" if document.refusal.code == "moving_vehicle" else "unfit_input"
+        return _without_places(document, f"Nothing was calibrated: {WORDS[cause]}.", cause, (document.refusal.text,))
+    if document.status == "unfinished":
+        return _without_places(document, progress_sentence(document), "unfinished", known_so_far(document))
+    until, target = document.config.until, document.target
+    if until in _BEFORE_PLACES:
+        headline = f"The run stopped after stage {until} (--until); no LiDAR is placed yet."
+        return _without_places(document, headline, "stopped_early", known_so_far(document))
+    missing = tuple(_missing(document, name) for name, entry in document.lidars.items() if not entry.placed)
+    return Explanation(
+        headline=_headline(document, missing),
+        input=_input(document),
+        placed=tuple(
+            _placed(name, entry, target) for name, entry in document.lidars.items() if entry.placed and name != target
+        ),
+        missing=missing,
+        warnings=tuple(warnings_of(document)),
+    )
+
+
+def _without_places(document: ResultDocument, headline: str, cause: Cause, known: Iterable[str]) -> Explanation:
+    return Explanation(
+        headline=headline,
+        input=_input(document),
+        cause=cause,
+        known=tuple(known),
+        advice=ADVICE[cause],
+        warnings=tuple(warnings_of(document)),
+    )
+
+
+def _headline(document: ResultDocument, missing: Sequence[Missing]) -> str:
+    count = len(document.lidars)
+    if not missing:
+        return f"All {count} LiDARs are placed; the target is {document.target}."
+    causes = dict.fromkeys(one.cause for one in missing)
+    parts = [f"{_listed(one.lidar for one in missing if one.cause == cause)}: {WORDS[cause]}" for cause in causes]
+    return f"{len(missing)} of {count} LiDARs {'is' if len(missing) == 1 else 'are'} not placed. {'; '.join(parts)}."
+
+
+def _listed(names: Iterable[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} and {last}" if others else last
+
+
+def _input(document: ResultDocument) -> str:
+    counts = ", ".join(
+        f"{name} {entry.points:,} points in {entry.frames} frame{'s' * (entry.frames != 1)}"
+        for name, entry in document.input.lidars.items()
+    )
+    return f"Input: {document.input.source or 'in memory'} ({counts})."
+
+
+def _placed(name: str, entry: LidarEntry, target: str) -> Placed:
+    if entry.sigma_xyz_m is None or entry.sigma_rotation_deg is None:
+        return Placed(name, None, None, f"{name} is placed relative to {target}; no uncertainty available.")
+    sigma_m, sigma_deg = max(entry.sigma_xyz_m), max(entry.sigma_rotation_deg)
+    sigmas = f"sigma {1e3 * sigma_m:.1f} mm, {sigma_deg:.3f} deg"
+    return Placed(name, sigma_m, sigma_deg, f"{name} is placed relative to {target}: {sigmas}.")
+
+
+def _missing(document: ResultDocument, name: str) -> Missing:
+    pairs = crossing_pairs(document, name)
+    decisive = decisive_pair(pairs[0]) if pairs else None
+    if document.snapshots:
+        return _missing_jointly(document, name, pairs, decisive)
+    if decisive is not None and not decisive.codes:
+        return _missing_from_rig(document, name, pairs, decisive)
+    if decisive is not None and name not in (decisive.target, decisive.source):
+        other = decisive.source if decisive.source in group_of(document, name) else decisive.target
+        sentence = f"{name} fits {other}, which is not placed; {decisive.sentence}"
+        cause = _sensor_fault(document, name) or "not_joined"
+        return _missing_by(document, name, cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
+    return _missing_by(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
+
+
+def _missing_by(
+    document: ResultDocument, name: str, cause: Cause, decisive: DecisivePair | None, next_best: str
+) -> Missing:
+    had_prior = document.lidars[name].prior is not None
+    advice = tuple(one for one in ADVICE[cause] if not (had_prior and one == PRIOR_ADVICE))
+    step = step_of(cause, None if decisive is None else decisive.codes)
+    return Missing(name, cause, _not_placed(name, cause), step, decisive, next_best=next_best, advice=advice)
+
+
+def _missing_from_rig(
+    document: ResultDocument, name: str, pairs: Sequence[PairEntry], decisive: DecisivePair
+) -> Missing:
+    """Explain a LiDAR with an accepted pair, which the merge refused."""
+    refusal = merge_refusal(document, name)
+    fault, places = _sensor_fault(document, name), contested_places(document, name)
+    if places is not None:
+        missing = _missing_by(document, name, fault or "two_places", places[0], f"{refusal}." if refusal else "")
+        return replace(missing, elsewhere=places[1])
+    cause: Cause = "not_joined" if len(group_of(document, name)) > 1 else "not_in_rig" if refusal else "unknown"
+    sentence = f"{decisive.sentence.rstrip('.')}; {refusal}." if refusal else decisive.sentence
+    return _missing_by(document, name, fault or cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
+
+
+def _missing_jointly(
+    document: ResultDocument, name: str, pairs: Sequence[PairEntry], decisive: DecisivePair | None
+) -> Missing:
+    """Explain a LiDAR of several snapshots; the pairs are those of one, so an accepted one decides nothing."""
+    if decisive is not None and decisive.codes:
+        return _missing_by(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
+    disputed = any(snapshot.disputed for snapshot in document.snapshots)
+    unplaced: Cause = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
+    cause = _sensor_fault(document, name) or unplaced
+    by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
+    step = step_of(cause, None)
+    return Missing(name, cause, _not_placed(name, cause), step, by_snapshot=by_snapshot, advice=ADVICE[cause])
+
+
+def _not_placed(name: str, cause: Cause) -> str:
+    return f"{name} is not placed: {WORDS[cause]}."
+
+
+def _cause(document: ResultDocument, name: str, decisive: DecisivePair | None) -> Cause:
+    """Return the fault of the sensor, from which that of its pairs may follow, else the fault of the pair."""
+    fault = _sensor_fault(document, name)
+    if fault is not None:
+        return fault
+    return "no_overlap" if decisive is None else cause_of_codes(decisive.codes)
+
+
+def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
+    health, given = document.lidars[name].health, document.input.lidars.get(name)
+    codes = {reason.code for reason in health.reasons} if health is not None else set()
+    silent = given is not None and given.points == 0
+    if "dead" in codes or (silent and not document.snapshots):
+        return "dead_sensor"
+    if "dirty" in codes:
+        return "dirty_sensor"
+    cleaned = (document.stages.preprocess or {}).get(name) if document.stages is not None else None
+    # Of several snapshots, the one that is shown may lack the LiDAR.
+    return "no_returns_in_range" if cleaned is not None and cleaned.points == 0 and not silent else None

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Progress of a run that has placed nothing."""
+
+from collections.abc import Iterator, Mapping
+
+from multilica.results.document import ResultDocument
+from multilica.results.document.stages import MergeFigures, VerifyFigures
+
+__all__ = ["known_so_far", "progress_sentence"]
+
+
+def progress_sentence(document: ResultDocument) -> str:
+    """Return where the run ended."""
+    progress = document.progress
+    after = f"after stage {progress.finished[-1]}" if progress and progress.finished else "before any stage finished"
+    during = f", in stage {progress.running}" if progress and progress.running else ""
+    return f"The run was cut off {after}{during}; no LiDAR is placed yet."
+
+
+def known_so_far(document: ResultDocument) -> Iterator[str]:
+    """Yield the figures of the last stage of pairs and the merge steps; before there are pairs, those per LiDAR."""
+    stages = document.stages
+    if stages is None:
+        return
+    if stages.fine is not None:
+        for pair, fine in stages.fine.items():
+            yield f"{pair}: {fine.verdict}, fitness {fine.fitness or 0.0:.2f}."
+    elif stages.verify is not None:
+        yield from _verified(stages.verify)
+    elif stages.coarse is not None:
+        for pair, coarse in stages.coarse.items():
+            yield f"{pair}: {coarse.hypotheses} hypotheses."
+    elif stages.correspond is not None:
+        for pair, matched in stages.correspond.items():
+            yield f"{pair}: {matched.matches} matches."
+    else:
+        for name, cloud in (stages.preprocess or {}).items():
+            yield f"{name}: {cloud.points:,} points after preprocessing."
+    yield from _merged(stages.merge or {})
+
+
+def _verified(pairs: Mapping[str, VerifyFigures]) -> Iterator[str]:
+    for pair, figures in pairs.items():
+        best = f"{figures.agree} points agree, {figures.violate} are in empty space"
+        yield (
+            f"{pair}: {figures.distinct} distinct poses; at the best {best}."
+            if figures.distinct
+            else f"{pair}: no pose."
+        )
+
+
+def _merged(steps: Mapping[str, MergeFigures]) -> Iterator[str]:
+    for step, figures in steps.items():
+        yield f"merge {step}: merged {figures.chosen or 'nothing'}; groups {figures.groups}."

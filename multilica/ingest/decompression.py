@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Decompression with limits."""
+
+import bz2
+
+import lz4.frame
+import numpy as np
+import zstandard
+from isal.isal_zlib import crc32 as crc32_of
+
+__all__ = [
+    "MAX_RECORDS",
+    "MAX_UNPACKED_BYTES",
+    "UNCOMPRESSED",
+    "ZSTD_MAGIC",
+    "require_checksum",
+    "unpack",
+    "unpack_zstd_message",
+]
+
+MAX_UNPACKED_BYTES = 512 << 20
+"""Limit of a chunk or message; no real recording has larger ones."""
+MAX_RECORDS = 1 << 20
+"""Limit of the records in a chunk."""
+UNCOMPRESSED = ("", "none")
+"""Names of compressions that mean none."""
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: bool = False) -> memoryview:
+    """Decompress data to exactly `size` bytes, and never to more.
+
+    Args:
+        compression: ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` if nothing is compressed.
+        partial: accept data that end too early, and return what they hold.
+
+    Raises:
+        ValueError: the size is impossible, or not that of the data; the text is a clause.
+    """
+    if size > MAX_UNPACKED_BYTES:
+        raise ValueError(f"a record claims to unpack to {size} bytes; the limit is {MAX_UNPACKED_BYTES}")
+    try:
+        unpacked = _unpacked(compression, packed, size, partial=partial)
+    except (zstandard.ZstdError, RuntimeError, OSError, EOFError) as error:
+        raise ValueError("compressed data cannot be unpacked") from error
+    if len(unpacked) != size and not partial:
+        raise ValueError(f"a record unpacks to {len(unpacked)} bytes, yet claims {size}")
+    return unpacked
+
+
+def unpack_zstd_message(packed: bytes | memoryview) -> memoryview:
+    """Decompress a zstd frame that states its own size.
+
+    Raises:
+        ValueError: it is too large, states no size, or is broken; the text is a clause.
+    """
+    size = _stated_size(packed)
+    if size < 0:
+        raise ValueError("a compressed message does not state its size")
+    return unpack("zstd", packed, size)
+
+
+def require_checksum(data: bytes | memoryview, crc32: int) -> None:
+    """Check data against their CRC-32; 0 means that there is none.
+
+    Raises:
+        ValueError: they differ; the text is a clause.
+    """
+    if crc32 and crc32_of(data) != crc32:
+        raise ValueError("a checksum does not match its data")
+
+
+def _unpacked(compression: str, packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
+    if compression in UNCOMPRESSED:
+        return memoryview(packed)
+    if size == 0:
+        return memoryview(b"")
+    if compression == "zstd":
+        return _unpacked_zstd(packed, size, partial=partial)
+    if compression == "lz4":
+        # The class around this function would copy `packed`.
+        context = lz4.frame.create_decompression_context()
+        return memoryview(lz4.frame.decompress_chunk(context, packed, max_length=size)[0])
+    if compression == "bz2":
+        return memoryview(bz2.BZ2Decompressor().decompress(packed, max_length=size))
+    raise ValueError(f"a record is compressed with '{compression[:16]}'; expected zstd, lz4 or bz2")
+
+
+def _unpacked_zstd(packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
+    stated_size = _stated_size(packed)
+    if stated_size not in (-1, size) and not partial:
+        raise ValueError(f"a record unpacks to {stated_size} bytes, yet claims {size}")
+    unpacked = np.empty(size, np.uint8).data
+    stream = zstandard.ZstdDecompressor().stream_reader(packed)
+    length = stream.readinto(unpacked)
+    if not partial and stream.read(1):
+        raise ValueError(f"a record unpacks to more than the {size} bytes that it claims")
+    return unpacked[:length]
+
+
+def _stated_size(packed: bytes | memoryview) -> int:
+    """Return the size in the header of a zstd frame; -1 if it states none."""
+    try:
+        return int(zstandard.frame_content_size(packed))
+    except zstandard.ZstdError as error:
+        raise ValueError("compressed data cannot be unpacked") from error

@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of a source."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
+from multilica.ingest.formats import FORMATS, Content, detect_format, name_unpacked, named_format
+from multilica.ingest.point_files.cloud_files import FrameFiles
+from multilica.ingest.remote.address import require_readable, scheme_of
+from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
+
+__all__ = ["PathLike", "Source", "find_source", "locate", "require_distinct"]
+
+PathLike = str | SourceFile
+
+_LISTED = 5
+_METADATA = "metadata.yaml"
+_PART = re.compile(r"\s*-\s+[\"']?(.+?)[\"']?\s*")
+_NUSCENES = ".pcd.bin"
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The files of a source: of one bag, point files, or a bag per recorder.
+
+    Args:
+        label: the source as the user named it.
+        recordings: the files of one bag, oldest first.
+        frames: the point files of each LiDAR.
+        recorders: bags of the same moment with different LiDARs.
+        missing: files of the bag that do not exist.
+    """
+
+    label: str
+    recordings: tuple[SourceFile, ...] = ()
+    frames: tuple[FrameFiles, ...] = ()
+    recorders: tuple[Source, ...] = ()
+    missing: tuple[str, ...] = ()
+
+    @property
+    def files(self) -> tuple[SourceFile, ...]:
+        """Every file, in order."""
+        frames = tuple(path for lidar in self.frames for path in lidar.files)
+        return self.recordings + frames + tuple(path for source in self.recorders for path in source.files)
+
+
+def find_source(source: PathLike | Sequence[PathLike]) -> Source:
+    """Find the files by their names, and by their first bytes where the names do not tell.
+
+    Raises:
+        SourceNotFoundError: nothing exists at one of the paths.
+        UnreadableSourceError: a file is empty, of an unknown format, or not accessible.
+        UnfitSnapshotError: a folder has nothing to read.
+        UsageError: no source, several recordings in a folder, or an address of an unknown kind.
+    """
+    given = [source] if isinstance(source, PathLike) else list(source)
+    paths = [locate(path) for path in given]
+    if not paths:
+        raise UsageError("No source was given; expected a recording, a folder or point files.")
+    try:
+        return _find(paths)
+    except OSError as error:
+        raise UnreadableSourceError(f"{error.filename} cannot be opened: {error.strerror}.") from error
+
+
+def locate(source: PathLike) -> SourceFile:
+    """Return a source as a path on disk or a remote file; it need not exist.
+
+    Raises:
+        UsageError: an address of an unknown kind.
+    """
+    if isinstance(source, RemoteFile):
+        return source
+    require_readable(source)
+    return RemoteFile(str(source)) if scheme_of(source) else Path(source).expanduser()
+
+
+def require_distinct(paths: Sequence[SourceFile]) -> None:
+    """Check that no path is given twice.
+
+    Raises:
+        UsageError: one is.
+    """
+    repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
+    if repeated:
+        raise UsageError(f"{repeated[0]} is given more than once.")
+
+
+def _find(paths: list[SourceFile]) -> Source:
+    for path in paths:
+        if not path.exists():
+            raise SourceNotFoundError(f"Nothing exists at {path}.")
+    return _several(paths) if len(paths) > 1 else _look_at(paths[0])
+
+
+def _look_at(path: SourceFile) -> Source:
+    return _folder(path) if isinstance(path, Path) and path.is_dir() else _file(path)
+
+
+def _file(path: SourceFile) -> Source:
+    if not path.is_file():
+        raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
+    if detect_format(path).content is not Content.CLOUD:
+        return Source(str(path), recordings=(path,))
+    return Source(str(path), frames=(FrameFiles(path.name, _stem(path), (path,)),))
+
+
+def _several(paths: list[SourceFile]) -> Source:
+    label = ", ".join(str(path) for path in paths[:_LISTED]) + (", ..." if len(paths) > _LISTED else "")
+    require_distinct(paths)
+    sources = [_look_at(path) for path in paths]
+    if all(source.recordings for source in sources):
+        return Source(label, recorders=tuple(sources))
+    names, stems = Counter(path.name for path in paths), Counter(map(_stem, paths))
+    lidars: list[FrameFiles] = []
+    for path, source in zip(paths, sources, strict=True):
+        if source.recordings:
+            raise UsageError(f"{path} is a recording among point files; give recordings alone, or point files alone.")
+        topic = path.name if names[path.name] == 1 else str(path)
+        lidar = _stem(path) if stems[_stem(path)] == 1 else f"{path.parent.name}_{_stem(path)}"
+        lidars.append(FrameFiles(topic, path.name if path.is_dir() else lidar, source.files))
+    return Source(label, frames=tuple(lidars))
+
+
+def _folder(folder: Path) -> Source:
+    entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
+    files = [entry for entry in entries if entry.is_file()]
+    recordings = [path for path in files if _is_recording(path)]
+    frames = _frames(entries)
+    if recordings and frames:
+        raise UsageError(
+            f"{folder} holds recordings ({_names(recordings)}) and point files ({frames[0].topic}, ...); "
+            "give one of them."
+        )
+    if not recordings and not frames:
+        raise UnfitSnapshotError(
+            f"{folder} holds no point clouds; expected point files, folders of them, or a bag, "
+            f"found {_names(entries) or 'nothing'}."
+        )
+    if len(recordings) > 1 and not _are_one_bag(folder, recordings):
+        raise UsageError(
+            f"{folder} holds {len(recordings)} recordings ({_names(recordings)}); give one of them by its name, "
+            "or several of them if each holds another LiDAR."
+        )
+    return Source(str(folder), tuple(recordings), tuple(frames), missing=_missing_parts(folder, recordings))
+
+
+def _frames(entries: list[Path]) -> list[FrameFiles]:
+    clouds = [entry for entry in entries if _is_cloud_file(entry)]
+    stems = Counter(map(_stem, clouds))
+    single = [FrameFiles(path.name, _stem(path) if stems[_stem(path)] == 1 else path.name, (path,)) for path in clouds]
+    folders = [
+        FrameFiles(entry.name, entry.name, files)
+        for entry in entries
+        if entry.is_dir() and (files := tuple(sorted(filter(_is_cloud_file, entry.iterdir()), key=_natural)))
+    ]
+    return single + folders
+
+
+def _stem(path: SourceFile) -> str:
+    """Return the name without its suffix, which has two parts for nuScenes."""
+    return path.name.removesuffix(_NUSCENES) if path.name.endswith(_NUSCENES) else path.stem
+
+
+def _is_recording(path: Path) -> bool:
+    named = named_format(path)
+    return name_unpacked(path.name) != path.name or (named is not None and named.content is Content.RECORDING)
+
+
+def _is_cloud_file(path: Path) -> bool:
+    named = named_format(path)
+    is_named = named is not None and named.content is Content.CLOUD
+    return is_named and not path.name.startswith(".") and path.is_file()
+
+
+def _natural(path: Path) -> tuple[list[int | str], str]:
+    parts = re.split(r"(\d+)", path.name)
+    return [int(part) if index % 2 else part for index, part in enumerate(parts)], path.name
+
+
+def _names(paths: list[Path]) -> str:
+    shown = ", ".join(path.name for path in paths[:_LISTED])
+    return f"{shown}, ..." if len(paths) > _LISTED else shown
+
+
+def _are_one_bag(folder: Path, recordings: Sequence[Path]) -> bool:
+    """Return whether files of a folder are parts of one bag rather than separate recordings."""
+    if any(named_format(path) is FORMATS["ros1"] for path in recordings):
+        return False
+    # The parts of a split bag are NAME_0.db3, NAME_1.db3, ... If the recorder dies, metadata.yaml is missing, and the
+    # last part is not compressed yet where the others are (NAME_0.db3.zstd).
+    stems = {re.sub(r"_\d+$", "", Path(name_unpacked(path.name)).stem) for path in recordings}
+    return (folder / _METADATA).is_file() or len(stems) == 1
+
+
+def _missing_parts(folder: Path, recordings: Sequence[Path]) -> tuple[str, ...]:
+    """Return the files that metadata.yaml names and that do not exist, compressed or not."""
+    try:
+        lines = (folder / _METADATA).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return ()
+    existing = {name_unpacked(path.name) for path in recordings}
+    named = [Path(name).name for name in _named_parts(lines)]
+    return tuple(name for name in named if name_unpacked(name) not in existing)
+
+
+def _named_parts(lines: Sequence[str]) -> list[str]:
+    begins = [number for number, line in enumerate(lines) if line.strip() == "relative_file_paths:"]
+    named: list[str] = []
+    for line in lines[begins[0] + 1 :] if begins else ():
+        found = _PART.fullmatch(line)
+        if found is None:
+            break
+        named.append(found[1])
+    return named

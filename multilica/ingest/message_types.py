@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The registry of message types with points.
+
+To add a message type, write its decoder in `messages/` and add one entry to `MESSAGE_TYPES`.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+
+from multilica.ingest.formats import FORMATS, Content
+
+__all__ = ["MESSAGE_TYPES", "OTHER_PACKETS", "OUSTER", "OUSTER_TURN", "MessageType", "is_installed", "is_packets"]
+
+OUSTER_TURN = "ouster"
+"""Encoding of a message that holds the sensor's metadata and all packets of one turn."""
+OTHER_PACKETS = "ouster, no returns"
+"""Encoding of packets without returns, such as those of the IMU."""
+OUSTER = "ouster.sdk.core:LidarFrame"
+
+
+@dataclass(frozen=True, slots=True)
+class MessageType:
+    """A message type with points and its decoder.
+
+    Args:
+        names: ``package/msg/Name`` in ROS, the name of the schema elsewhere; drivers have several for one layout.
+        encodings: those that the decoder reads.
+        decoder: module in `multilica.ingest` with `decode_cloud(message) -> Cloud`, imported on first use.
+        requires: optional package of the decoder, as ``module`` or ``module:attribute``.
+        packets: what raw packets hold and how to get points of them without a decoder; empty for point clouds.
+        incomplete: the same where the decoder is installed, yet the recording lacks what it needs.
+    """
+
+    names: tuple[str, ...]
+    encodings: tuple[str, ...] = ()
+    decoder: str = ""
+    requires: str = ""
+    packets: str = ""
+    incomplete: str = ""
+
+
+def _driver(packets: str, driver: str) -> str:
+    return f"{packets}, which the driver {driver} turns into point clouds; replay the log through it"
+
+
+_ROS = ("cdr", "ros1")
+MESSAGE_TYPES = {
+    name: entry
+    for entry in (
+        MessageType(("sensor_msgs/msg/PointCloud2",), _ROS, "messages.ros"),
+        MessageType(("foxglove.PointCloud",), ("protobuf", "json"), "messages.foxglove"),
+        MessageType(("livox_ros_driver/msg/CustomMsg",), ("ros1",), "messages.livox"),
+        MessageType(("livox_ros_driver2/msg/CustomMsg",), _ROS, "messages.livox"),
+        MessageType(("livox_interfaces/msg/CustomMsg",), ("cdr",), "messages.livox"),
+        MessageType(
+            ("velodyne_msgs/msg/VelodyneScan",),
+            _ROS,
+            "messages.velodyne_packets",
+            requires="velodyne_decoder",
+            packets="packets of Velodyne; `pip install 'multilica[velodyne]'`, or replay the log through the driver "
+            "velodyne_pointcloud",
+        ),
+        MessageType(
+            ("ouster_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"),
+            (OUSTER_TURN,),
+            "messages.ouster_packets",
+            requires=OUSTER,
+            packets="packets of Ouster; `pip install --no-deps 'ouster-sdk>=1.0'`, or replay the log through the "
+            "driver ouster_ros",
+            incomplete="packets of Ouster without the topic 'metadata' of its driver, which is needed to decode them; "
+            "replay the log through the driver ouster_ros with the sensor's metadata file",
+        ),
+        MessageType(("hesai_lidar/msg/PandarScan",), packets=_driver("packets of Hesai", "HesaiLidar_General_ROS")),
+        MessageType(("hesai_ros_driver/msg/UdpFrame",), packets=_driver("packets of Hesai", "HesaiLidar_ROS_2.0")),
+        MessageType(
+            ("nebula_msgs/msg/NebulaPackets",), packets=_driver("packets of Autoware's Nebula driver", "nebula_ros")
+        ),
+        MessageType(
+            ("pandar_msgs/msg/PandarScan",),
+            packets=_driver("packets of Hesai", "nebula_ros, or pandar_pointcloud of ROS 1,"),
+        ),
+        MessageType(("rslidar_msg/msg/RslidarPacket",), packets=_driver("packets of RoboSense", "rslidar_sdk")),
+        MessageType(("rslidar_msgs/msg/rslidarScan",), packets=_driver("packets of RoboSense", "ros_rslidar")),
+        *(
+            MessageType((file.name.upper(),), (file.name,), file.reader)
+            for file in FORMATS.values()
+            if file.content is Content.CLOUD
+        ),
+    )
+    for name in entry.names
+}
+"""Name of the message type -> entry; point files count as messages, too."""
+
+
+def is_packets(message_type: str) -> bool:
+    """Return whether messages of this type are raw packets of a LiDAR."""
+    return message_type in MESSAGE_TYPES and bool(MESSAGE_TYPES[message_type].packets)
+
+
+@cache
+def is_installed(requires: str) -> bool:
+    """Return whether the optional package of a decoder can be imported in a version that has what is needed.
+
+    Args:
+        requires: as in `MessageType`; empty if nothing is required.
+    """
+    module, _, attribute = requires.partition(":")
+    try:
+        return not requires or hasattr(import_module(module), attribute or "__name__")
+    except ImportError:
+        return False

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The values in a serialised ROS message."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from functools import cache
+
+from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
+from multilica.ingest.recording import RawMessage
+
+__all__ = ["WireReader", "message_bytes"]
+
+_layout = cache(struct.Struct)
+_CUT_OFF = "cannot be unpacked: it ends too early"
+_ENCAPSULATION_BYTES = 4
+_SEQUENCE_BYTES = 4
+
+
+@dataclass(slots=True)
+class WireReader:
+    """A reader of one value after the other, without copies.
+
+    Every read raises ValueError, with a predicate as its text, if the message ends before.
+
+    Args:
+        order: byte order, as in `struct`.
+        alignment: of numbers of four bytes; 1 if nothing is aligned.
+        start: position that alignment counts from.
+        place: position of the next value.
+    """
+
+    data: memoryview
+    order: str
+    alignment: int
+    start: int
+    place: int
+
+    @classmethod
+    def of_message(cls, message: RawMessage) -> WireReader:
+        """Start at the beginning of a message.
+
+        Raises:
+            ValueError: the message is too short, or its compression broken; the text is a predicate.
+        """
+        data = message_bytes(message)
+        if message.encoding == "ros1":
+            return cls(data, "<", 1, 0, 0)
+        if len(data) < _ENCAPSULATION_BYTES:
+            raise ValueError(_CUT_OFF)
+        return cls(data, "<" if data[1] & 1 else ">", 4, _ENCAPSULATION_BYTES, _ENCAPSULATION_BYTES)
+
+    @property
+    def remaining(self) -> int:
+        """Number of bytes left; negative beyond the end."""
+        return len(self.data) - self.place
+
+    def numbers(self, codes: str) -> tuple[int, ...]:
+        """Read numbers without gaps by their codes of `struct`."""
+        layout = _layout(self.order + codes)
+        try:
+            found = layout.unpack_from(self.data, self.place)
+        except struct.error as error:
+            raise ValueError(_CUT_OFF) from error
+        self.place += layout.size
+        return found
+
+    def header(self) -> tuple[int, str]:
+        """Read stamp in nanoseconds and frame id of a ``std_msgs/Header``."""
+        is_ros1 = self.alignment == 1
+        if is_ros1:
+            self.skip(_SEQUENCE_BYTES)
+        seconds, nanoseconds = self.numbers("II" if is_ros1 else "iI")
+        return seconds * 10**9 + nanoseconds, self.text().strip("/")
+
+    def uint32(self) -> int:
+        """Read an aligned number of four bytes."""
+        self.align(4)
+        return self.numbers("I")[0]
+
+    def text(self) -> str:
+        """Read a string."""
+        return str(self.octets(), "utf-8", "replace").rstrip("\0")
+
+    def octets(self) -> memoryview:
+        """Read a sequence of bytes."""
+        length = self.uint32()
+        begin, self.place = self.place, self.place + length
+        if self.place > len(self.data):
+            raise ValueError(_CUT_OFF)
+        return self.data[begin : self.place]
+
+    def align(self, size: int) -> None:
+        """Skip the padding before a number of `size` bytes."""
+        if self.alignment > 1:
+            self.place += (self.start - self.place) % size
+
+    def skip(self, size: int) -> None:
+        """Skip `size` bytes."""
+        self.place += size
+
+
+def message_bytes(message: RawMessage) -> memoryview:
+    """Return the serialised message, unpacked if the bag has message compression.
+
+    Raises:
+        ValueError: it is lost, or cannot be unpacked; the text is a predicate.
+    """
+    if message.fault:
+        raise ValueError(message.fault)
+    # Only the bag's metadata.yaml announces message compression, but a serialised message never begins like this.
+    if message.data[:4] != ZSTD_MAGIC:
+        return memoryview(message.data)
+    try:
+        return unpack_zstd_message(message.data)
+    except ValueError as error:
+        raise ValueError(f"cannot be unpacked: {error}") from error

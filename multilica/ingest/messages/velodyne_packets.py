@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The decoder of Velodyne's packets, with `velodyne_decoder`."""
+
+from typing import Any
+
+import numpy as np
+import velodyne_decoder
+
+from multilica.ingest.damage import reason_of
+from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.messages.ros import deserialize
+from multilica.ingest.recording import RawMessage
+from multilica.pointcloud2 import finite_points
+from multilica.snapshot import Float32Array, Scan
+
+__all__ = ["decode_cloud"]
+
+
+def decode_cloud(message: RawMessage) -> Cloud:
+    """Decode one turn of a Velodyne, whose model is in the packets.
+
+    Raises:
+        ValueError: the message is broken; the text is a predicate.
+    """
+    scan = deserialize(message)
+    packets = [
+        velodyne_decoder.VelodynePacket(packet.stamp.sec + packet.stamp.nanosec * 1e-9, bytes(packet.data))
+        for packet in scan.packets
+    ]
+    points_m, intensity = finite_points(*_decoded(packets)[:, :4].T)
+    stamp_ns = scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec
+    return Cloud(Scan(points_m, stamp_ns or message.log_time_ns, intensity), scan.header.frame_id.strip("/"))
+
+
+def _decoded(packets: list[Any]) -> Float32Array:
+    """Return x, y, z, intensity and more (N, 4+)."""
+    if not packets:
+        return np.empty((0, 4), np.float32)
+    # A decoder keeps the model of its first packet.
+    decoder = velodyne_decoder.ScanDecoder(velodyne_decoder.Config())
+    try:
+        _, table = decoder.decode(velodyne_decoder.PacketVector(packets))
+    except (RuntimeError, ValueError) as error:
+        raise ValueError(f"cannot be unpacked: {reason_of(error)}") from error
+    return np.asarray(table, np.float32)

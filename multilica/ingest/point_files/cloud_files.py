@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point files as a recording: one file per LiDAR, or a folder of frames per LiDAR."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import zip_longest
+
+from multilica.errors import UnreadableSourceError
+from multilica.ingest.damage import damage_named
+from multilica.ingest.formats import detect_format, named_format
+from multilica.ingest.recording import Messages, RawMessage, Topic
+from multilica.ingest.remote.remote_file import SourceFile
+
+__all__ = ["CloudFiles", "FrameFiles", "open_frames"]
+
+_MAX_FILE_BYTES = 1 << 30
+"""A file with thirty million points is a map, not a scan."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFiles:
+    """The files of one LiDAR.
+
+    Args:
+        topic: name of the file or folder.
+        lidar: name of the LiDAR.
+        files: its frames, oldest first.
+    """
+
+    topic: str
+    lidar: str
+    files: tuple[SourceFile, ...]
+
+
+def open_frames(lidars: Sequence[FrameFiles]) -> CloudFiles:
+    """Open point files.
+
+    Raises:
+        UnreadableSourceError: a LiDAR's first file is empty or not a point file.
+    """
+    encodings = [_encoding(lidar.files[0]) for lidar in lidars]
+    topics = [
+        Topic(lidar.topic, encoding.upper(), encoding, len(lidar.files), lidar.lidar)
+        for lidar, encoding in zip(lidars, encodings, strict=True)
+    ]
+    files = {lidar.topic: lidar.files for lidar in lidars}
+    return CloudFiles(tuple(sorted(topics, key=lambda topic: topic.name)), files)
+
+
+class CloudFiles:
+    """Point files as a recording whose topics are files or folders."""
+
+    format = "point files"
+    damage = ""
+    is_indexed = True
+
+    def __init__(self, topics: tuple[Topic, ...], files: dict[str, tuple[SourceFile, ...]]) -> None:
+        self.topics = topics
+        self._files = files
+
+    def span_ns(self, topics: Collection[str]) -> None:
+        """Return None: point files have no time."""
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """Yield the first frame of each topic, then the second of each; `start_ns` is ignored."""
+        del start_ns
+        chosen = [topic for topic in self.topics if topic.name in topics]
+        for row in zip_longest(*(self._files[topic.name] for topic in chosen)):
+            for topic, path in zip(chosen, row, strict=True):
+                if path is not None:
+                    yield _message(topic, path)
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+
+def _encoding(path: SourceFile) -> str:
+    return (named_format(path) or detect_format(path)).name
+
+
+def _message(topic: Topic, path: SourceFile) -> RawMessage:
+    with damage_named(str(path)):
+        size = path.stat().st_size
+        if size > _MAX_FILE_BYTES:
+            raise UnreadableSourceError(
+                f"{path} has {size} bytes; expected one scan of at most {_MAX_FILE_BYTES} bytes."
+            )
+        encoding = _encoding(path)
+        return RawMessage(topic.name, encoding.upper(), encoding, 0, path.read_bytes(), str(path))

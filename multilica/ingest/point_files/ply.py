@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The decoder of PLY files.
+
+Open3D turns broken files into empty clouds and drops the intensity; `plyfile` is under the GPL.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from multilica.ingest.formats import FORMATS, require_format
+from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.point_files.ascii_table import read_columns
+from multilica.ingest.recording import RawMessage
+from multilica.pointcloud2 import DATATYPES, PointCloud2, PointField, decode_points, finite_points, point_dtype
+from multilica.snapshot import Float32Array, Scan
+
+__all__ = ["decode_cloud"]
+
+_MAX_HEADER_BYTES = 1 << 16
+_STORAGES = ("ascii", "binary_little_endian", "binary_big_endian")
+_TYPES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+_DATATYPE_OF = {name: datatype for datatype, name in DATATYPES.items()}
+_ALIASES = {"scalar_Intensity": "intensity", "scalar_intensity": "intensity", "Intensity": "intensity"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    """A table of the file, with `fields` in the order of its columns."""
+
+    name: str
+    rows: int
+    fields: tuple[PointField, ...] = ()
+    row_bytes: int = 0
+    has_list: bool = False
+
+
+def decode_cloud(message: RawMessage) -> Cloud:
+    """Decode the vertices of a PLY file with ascii or binary data.
+
+    Raises:
+        ValueError: the file is broken; the text is a predicate.
+    """
+    data = memoryview(message.data)
+    require_format(data, FORMATS["ply"])
+    storage, elements, start = _read_header(bytes(data[:_MAX_HEADER_BYTES]))
+    before, vertices = _find_vertices(elements)
+    if vertices.rows == 0:
+        points_m, intensity = finite_points(*np.empty((3, 0), np.float32))
+    elif storage == "ascii":
+        points_m, intensity = _read_ascii(vertices, sum(element.rows for element in before), bytes(data[start:]))
+    else:
+        skipped = sum(element.rows * element.row_bytes for element in before)
+        points_m, intensity = _read_binary(vertices, data[start + skipped :], big_endian=storage.endswith("big_endian"))
+    return Cloud(Scan(points_m, message.log_time_ns, intensity))
+
+
+def _read_header(head: bytes) -> tuple[str, list[_Element], int]:
+    storage, start = "", 0
+    elements: list[_Element] = []
+    for line in head.splitlines(keepends=True):
+        start += len(line)
+        match line.decode("latin1").split():
+            case ["format", name, *_]:
+                storage = name
+            case ["element", name, rows]:
+                elements.append(_Element(name, _whole_number(rows)))
+            case ["property", *words] if elements:
+                elements[-1] = _with_property(elements[-1], words)
+            case ["end_header"]:
+                if storage not in _STORAGES:
+                    raise ValueError(f"has format '{storage}'; expected {', '.join(_STORAGES)}")
+                return storage, elements, start
+    raise ValueError("has no line end_header")
+
+
+def _whole_number(word: str) -> int:
+    if not (word.isascii() and word.isdigit()):
+        raise ValueError(f"has '{word}' in its header where the number of rows is expected")
+    return int(word)
+
+
+def _with_property(element: _Element, words: list[str]) -> _Element:
+    match words:
+        case ["list", _, _, _]:
+            return replace(element, has_list=True)
+        case [kind, name] if kind in _TYPES:
+            dtype = np.dtype(_TYPES[kind])
+            field = PointField(_ALIASES.get(name, name), element.row_bytes, _DATATYPE_OF[_TYPES[kind]])
+            return replace(element, fields=(*element.fields, field), row_bytes=element.row_bytes + dtype.itemsize)
+        case _:
+            raise ValueError(f"has the unknown property '{' '.join(words)}' in its header")
+
+
+def _find_vertices(elements: list[_Element]) -> tuple[list[_Element], _Element]:
+    names = [element.name for element in elements]
+    if "vertex" not in names:
+        raise ValueError(f"has no element vertex; its elements are: {', '.join(names) or 'none'}")
+    index = names.index("vertex")
+    if any(element.has_list for element in elements[: index + 1]):
+        raise ValueError("has lists among its vertices or before them, which cannot be read")
+    return elements[:index], elements[index]
+
+
+def _read_ascii(vertices: _Element, skip: int, body: bytes) -> tuple[Float32Array, Float32Array | None]:
+    needed = point_dtype(vertices.fields, vertices.row_bytes, big_endian=False).names or ()
+    names = [field.name for field in vertices.fields]
+    return finite_points(*read_columns(body, [names.index(name) for name in needed], vertices.rows, skip))
+
+
+def _read_binary(vertices: _Element, body: memoryview, *, big_endian: bool) -> tuple[Float32Array, Float32Array | None]:
+    if vertices.rows * vertices.row_bytes > len(body):
+        raise ValueError(f"ends after {len(body) // vertices.row_bytes} of its {vertices.rows} points")
+    cloud = PointCloud2(vertices.fields, vertices.rows, 1, vertices.row_bytes, 0, body, big_endian)
+    return decode_points(cloud)

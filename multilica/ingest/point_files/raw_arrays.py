@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The decoder of array files: KITTI's ``.bin``, nuScenes' ``.pcd.bin``, NumPy's ``.npy``."""
+
+import math
+import tokenize
+from io import BytesIO
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from multilica.ingest.formats import FORMATS, require_format
+from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.recording import RawMessage
+from multilica.pointcloud2 import finite_points
+from multilica.snapshot import Scan
+
+__all__ = ["decode_cloud"]
+
+Table: TypeAlias = npt.NDArray[Any]
+
+_COLUMNS = {"kitti": 4, "nuscenes": 5}
+_NEAREST_M, _FARTHEST_M = 1e-6, 1e4
+_PLAUSIBLE_SHARE = 0.9
+"""Share of numbers in this range among coordinates; of random bytes, seven in eight are outside."""
+
+
+def decode_cloud(message: RawMessage) -> Cloud:
+    """Decode rows of x, y, z in metres and, if there is one, intensity.
+
+    Raises:
+        ValueError: the file is broken or has another layout; the text is a predicate.
+    """
+    data = memoryview(message.data)
+    require_format(data, FORMATS[message.encoding])
+    table = _npy(data) if message.encoding == "npy" else _rows(data, _COLUMNS[message.encoding])
+    points_m, intensity = finite_points(*_columns(table))
+    return Cloud(Scan(points_m, message.log_time_ns, intensity))
+
+
+def _rows(data: memoryview, columns: int) -> Table:
+    row_bytes = 4 * columns
+    if len(data) % row_bytes:
+        raise ValueError(f"has {len(data)} bytes; expected a multiple of {row_bytes}: {columns} float32 per point")
+    table = np.frombuffer(data, "<f4").reshape(-1, columns)
+    size_m = np.abs(table[:, :3])
+    plausible = (size_m < _FARTHEST_M) & ((size_m > _NEAREST_M) | (size_m == 0.0)) | np.isnan(size_m)
+    if np.count_nonzero(plausible) < _PLAUSIBLE_SHARE * plausible.size:
+        raise ValueError(f"has no coordinates: expected x, y, z in metres among {columns} float32 per point")
+    return table
+
+
+def _npy(data: memoryview) -> Table:
+    head = BytesIO(data)
+    shape, fortran_order, dtype = _npy_header(head)
+    count = math.prod(shape)
+    if dtype.hasobject or not dtype.itemsize:
+        raise ValueError(f"holds {dtype}; expected numbers")
+    if count * dtype.itemsize > len(data) - head.tell():
+        raise ValueError(f"claims {' x '.join(map(str, shape))} values of {dtype}, but ends before")
+    flat = np.frombuffer(data, dtype, count, head.tell())
+    return flat.reshape(shape, order="F" if fortran_order else "C")
+
+
+def _npy_header(head: BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    try:
+        version = np.lib.format.read_magic(head)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, fortran_order, dtype = read(head)
+    except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError, tokenize.TokenError) as error:
+        raise ValueError("has an invalid NumPy header") from error
+    if not all(isinstance(size, int) and size >= 0 for size in shape):
+        raise ValueError(f"claims the impossible shape {shape}")
+    return shape, bool(fortran_order), dtype
+
+
+def _columns(table: Table) -> list[Table]:
+    """Return x, y, z and perhaps intensity (N,), by name or by position."""
+    if table.dtype.names is None:
+        if table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "fiu":
+            found = f"{' x '.join(map(str, table.shape)) or 'a single'} values of {table.dtype}"
+            raise ValueError(f"holds {found}; expected N x 3 numbers or more")
+        return list(table.T[:4])
+    named = [name for name in ("x", "y", "z", "intensity") if name in table.dtype.names]
+    kinds = {table.dtype[name].kind for name in named}
+    if named[:3] != ["x", "y", "z"] or table.ndim != 1 or not kinds <= set("fiu"):
+        raise ValueError(f"holds the fields {', '.join(table.dtype.names)}; expected numbers x, y, z")
+    return [table[name] for name in named]

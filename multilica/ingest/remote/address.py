@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Addresses as sources."""
+
+import re
+from pathlib import Path, PurePosixPath
+from urllib.parse import urlsplit
+
+from multilica.errors import UsageError
+
+__all__ = ["is_live", "require_readable", "require_valid", "scheme_of", "stem_of", "without_secrets"]
+
+_FILES = ("s3", "gs", "https", "http")
+_BUCKETS = ("s3", "gs")
+_LIVE = ("ws", "wss")
+"""Bridges with the Foxglove WebSocket protocol."""
+_FLATTENED = re.compile(rf"({'|'.join(_FILES + _LIVE)}):/")
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
+
+
+def scheme_of(source: object) -> str:
+    """Return what precedes ``://`` in lower case; empty for a path."""
+    found = _SCHEME.match(source) if isinstance(source, str) else None
+    return found[1].lower() if found else ""
+
+
+def is_live(source: object) -> bool:
+    """Return whether this is the address of a running vehicle."""
+    return scheme_of(source) in _LIVE
+
+
+def require_readable(source: str | Path) -> None:
+    """Check that a source is a path, or a valid address of a file.
+
+    Raises:
+        UsageError: it is neither.
+    """
+    scheme = scheme_of(source)
+    if isinstance(source, Path) and _FLATTENED.match(str(source)):
+        raise UsageError(f"The path {source} was an address, of which a Path drops a slash; give it as a text.")
+    if scheme:
+        require_valid(str(source))
+    if scheme in _LIVE:
+        raise UsageError(
+            f"{without_secrets(str(source))} is a running system, not a recording; "
+            "take a snapshot with `multilica record` first."
+        )
+    if scheme and scheme not in _FILES:
+        raise UsageError(
+            f"{without_secrets(str(source))} is an address of an unknown kind; "
+            "expected a path, s3://, gs://, https:// or http://."
+        )
+
+
+def require_valid(url: str) -> None:
+    """Check that an address names a host or a bucket, and no impossible port.
+
+    Raises:
+        UsageError: it does not.
+    """
+    scheme = scheme_of(url)
+    try:
+        parts = urlsplit(url)
+        # Names of buckets may contain colons.
+        is_valid = bool(parts.netloc if scheme in _BUCKETS else parts.hostname and parts.port != 0)
+    except ValueError:
+        is_valid = False
+    if not is_valid:
+        # Any part of an invalid address may be a password, so it is not shown.
+        wanted = f"{scheme}://BUCKET/NAME" if scheme in _BUCKETS else f"{scheme}://HOST or {scheme}://HOST:PORT"
+        raise UsageError(f"An address that begins with {scheme}:// is not valid; expected {wanted}.")
+
+
+def stem_of(source: str | Path) -> str:
+    """Return the name of a source without folders and suffix; the host if an address has no path."""
+    if not scheme_of(source):
+        return Path(source).resolve().stem
+    parts = urlsplit(str(source))
+    return PurePosixPath(parts.path).stem or (parts.hostname or "")
+
+
+def without_secrets(url: str) -> str:
+    """Return the address without user, password, query and fragment."""
+    parts = urlsplit(url)
+    return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"

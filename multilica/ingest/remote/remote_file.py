@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A file on a server, with the part of `pathlib.Path` that readers use.
+
+`UPath` does not fit: for a signed address, its `name`, `suffix` and text contain the signature.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import time
+import weakref
+from contextlib import closing
+from functools import cached_property
+from pathlib import Path, PurePosixPath
+from shutil import rmtree
+from tempfile import mkdtemp
+from typing import IO, TYPE_CHECKING, Any, TypeAlias, cast
+from urllib.parse import urlsplit
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.ingest.remote.address import scheme_of, without_secrets
+from multilica.ingest.remote.failures import ConnectionLostError, WithoutRangesError, remote_failures_named
+
+if TYPE_CHECKING:
+    from multilica.ingest.remote.file_cache import FileCache
+
+__all__ = ["MAX_WHOLE_BYTES", "RemoteFile", "SourceFile", "path_on_disk"]
+
+MAX_WHOLE_BYTES = 2 << 30
+"""Limit of files that are downloaded as a whole."""
+
+_WEB = ("https", "http")
+_PIECE_BYTES = 8 << 20
+_RETRY_AFTER_S = (0.5, 2.0)
+
+
+class RemoteFile:
+    """A file that is read by byte ranges, with no request before the first access.
+
+    If a web server does not support ranges, the whole file is downloaded.
+
+    Args:
+        url: ``s3://``, ``gs://``, ``https://`` or ``http://``; only the part without secrets is ever shown.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._scheme = scheme_of(url)
+        self._path = PurePosixPath(urlsplit(url).path)
+        self._handle: Any = None
+
+    def __str__(self) -> str:
+        return without_secrets(self._url)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RemoteFile) and other._url == self._url
+
+    def __hash__(self) -> int:
+        return hash(self._url)
+
+    @property
+    def name(self) -> str:
+        """Last part of the path."""
+        return self._path.name
+
+    @property
+    def stem(self) -> str:
+        """The name without its suffix."""
+        return self._path.stem
+
+    @property
+    def suffix(self) -> str:
+        """The end of the name from its last dot on."""
+        return self._path.suffix
+
+    @property
+    def parent(self) -> PurePosixPath:
+        """The path on the server without the name."""
+        return self._path.parent
+
+    def resolve(self) -> RemoteFile:
+        """Return itself."""
+        return self
+
+    def exists(self) -> bool:
+        """Return whether the server has it."""
+        try:
+            return bool(self._cache.size >= 0)
+        except SourceNotFoundError:
+            return False
+
+    def is_file(self) -> bool:
+        """Return True."""
+        return True
+
+    def is_dir(self) -> bool:
+        """Return False."""
+        return False
+
+    def stat(self) -> os.stat_result:
+        """Return mode and size in bytes; all else is zero."""
+        return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 0, 0, 0, self._cache.size, 0, 0, 0))
+
+    def open(self, mode: str = "rb", buffering: int = -1) -> IO[bytes]:
+        """Open a stream; all streams of this object share a cache, whatever the `buffering`."""
+        del buffering
+        from multilica.ingest.remote.file_cache import CachedStream
+
+        if mode != "rb":
+            raise ValueError(f"expected mode 'rb', found '{mode}'")
+        return cast(IO[bytes], CachedStream(self._cache))
+
+    def read_bytes(self) -> bytes:
+        """Return the whole file.
+
+        Raises:
+            UnreadableSourceError: it is larger than `MAX_WHOLE_BYTES`.
+        """
+        self._require_size(self._cache.size, "a file of this format can only be read as a whole")
+        return self._cache.read(0, self._cache.size)
+
+    def copy(self, what: str) -> Path:
+        """Download the file once; the copy is removed together with this object.
+
+        Args:
+            what: what the file is, for the message.
+
+        Raises:
+            UnreadableSourceError: it is larger than `MAX_WHOLE_BYTES`.
+        """
+        advice = "download it, or give an indexed MCAP file"
+        self._require_size(self._cache.size, f"{what} can only be read as a whole", advice)
+        for start in range(0, self._cache.size, _PIECE_BYTES):
+            self._cache.read(start, start + _PIECE_BYTES)
+        return Path(self._cache.location)
+
+    def _require_size(self, size: int, why: str, what_to_do: str = "download it") -> None:
+        if size > MAX_WHOLE_BYTES:
+            raise UnreadableSourceError(
+                f"{self} has more than {MAX_WHOLE_BYTES / 1e9:.1f} GB, and {why}; {what_to_do}."
+            )
+
+    @cached_property
+    def _cache(self) -> FileCache:
+        with remote_failures_named(str(self), self._scheme):
+            from multilica.ingest.remote.file_cache import BLOCK_BYTES, FileCache
+            from multilica.ingest.remote.file_systems import open_system
+
+            system, path = open_system(self._url)
+            handle = system.open(path, "rb", block_size=BLOCK_BYTES, cache_type="none")
+            is_folder = handle.details.get("type") == "directory"
+        if is_folder:
+            raise UnreadableSourceError(f"{self} is a folder; expected the address of a file.")
+        on_disk = self._path_on_disk()
+        if handle.size is None or not handle.seekable() or not self._serves_ranges(handle):
+            handle.close()
+            size = self._download(system, path, handle.size, on_disk)
+            return FileCache(self._fetch, size, on_disk, range(size // BLOCK_BYTES + 1))
+        self._handle = handle
+        return FileCache(self._fetch, int(handle.size), on_disk)
+
+    def _serves_ranges(self, handle: Any) -> bool:  # noqa: ANN401 - fsspec has no types
+        """Return whether the last byte can be read alone; a web server need not announce it."""
+        if self._scheme not in _WEB or handle.size <= handle.blocksize:
+            return True
+        try:
+            with remote_failures_named(str(self), self._scheme):
+                handle.seek(handle.size - 1)
+                return bool(handle.read(1))
+        except WithoutRangesError:
+            return False
+
+    def _download(self, system: Any, path: str, stated_bytes: int | None, target: Path) -> int:  # noqa: ANN401
+        """Download the file from front to end and return its size in bytes."""
+        why = "its server does not serve parts of files"
+        self._require_size(stated_bytes or 0, why)
+        size = 0
+        with remote_failures_named(str(self), self._scheme):
+            source = system.open(path, "rb", block_size=0)
+            with closing(source), target.open("wb") as file:
+                while data := bytes(source.read(_PIECE_BYTES)):
+                    size += file.write(data)
+                    self._require_size(size, why)
+        return size
+
+    def _path_on_disk(self) -> Path:
+        """Return a path in a folder that is removed together with this object."""
+        folder = Path(mkdtemp(prefix="multilica-"))
+        weakref.finalize(self, rmtree, folder, ignore_errors=True)
+        return folder / (self.name or "download")
+
+    def _fetch(self, start: int, end: int) -> bytes:
+        for pause_s in _RETRY_AFTER_S:
+            try:
+                return self._fetch_once(start, end)
+            except ConnectionLostError:
+                time.sleep(pause_s)
+        return self._fetch_once(start, end)
+
+    def _fetch_once(self, start: int, end: int) -> bytes:
+        with remote_failures_named(str(self), self._scheme):
+            self._handle.seek(start)
+            data = bytes(self._handle.read(end - start))
+        if len(data) != end - start:
+            raise ConnectionLostError(f"The server of {self} sent {len(data)} of {end - start} bytes; try again.")
+        return data
+
+
+SourceFile: TypeAlias = Path | RemoteFile
+"""A file or folder that readers read."""
+
+
+def path_on_disk(file: SourceFile, what: str) -> Path:
+    """Return the path of a file, or of a local copy of a remote one.
+
+    Args:
+        what: the format, for messages, for instance ``"a ROS 1 bag"``.
+
+    Raises:
+        UnreadableSourceError: a remote file is too large to be copied, or cannot be read.
+    """
+    return file.copy(what) if isinstance(file, RemoteFile) else file

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The part of a recording's messages that needs to be read."""
+
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import closing
+
+from multilica.ingest.recording import RawMessage, Recording
+from multilica.ingest.selection.topic_frames import TopicFrames
+
+__all__ = ["PATIENCE_NS", "evenly", "sampled", "until_full"]
+
+PATIENCE_NS = 10 * 10**9
+"""Drivers that start one after the other have started by then; later, the vehicle may be somewhere else."""
+_MIN_JUMP_NS = 2 * 10**9
+"""Nearer messages lie in the same or the next chunk, where reading on is as fast as a jump."""
+
+
+def evenly(start_ns: int, end_ns: int, count: int) -> list[int]:
+    """Return the beginnings of `count` equal parts of a time range."""
+    return [start_ns + (end_ns - start_ns) * index // count for index in range(count)]
+
+
+def sampled(
+    recording: Recording,
+    topics: Collection[str],
+    times_ns: Sequence[int],
+    end_ns: int,
+    most: int = 1,
+    jump_ns: int = _MIN_JUMP_NS,
+) -> Iterator[tuple[int, RawMessage]]:
+    """Yield, per time and topic, the first messages from this time on and before the next one.
+
+    In an indexed recording, wait `PATIENCE_NS` for a silent topic rather than until the next time.
+
+    Args:
+        times_ns: log times, ascending.
+        end_ns: end of the last time's messages, exclusive.
+        most: messages per time and topic.
+        jump_ns: if the times are farther apart than this, skip what lies between.
+
+    Yields:
+        Index of the time, message.
+    """
+    if recording.is_indexed and len(times_ns) > 1 and times_ns[1] - times_ns[0] > jump_ns:
+        for index, (start_ns, until_ns) in enumerate(zip(times_ns, [*times_ns[1:], end_ns], strict=True)):
+            for _, message in sampled(recording, topics, [start_ns], min(until_ns, start_ns + PATIENCE_NS), most):
+                yield index, message
+        return
+    taken: Counter[tuple[int, str]] = Counter()
+    with closing(recording.messages(topics, times_ns[0])) as messages:
+        for message in messages:
+            if message.log_time_ns >= end_ns:
+                return
+            index = bisect_right(times_ns, message.log_time_ns) - 1
+            taken[index, message.topic] += 1
+            if taken[index, message.topic] <= most:
+                yield index, message
+            if index == len(times_ns) - 1 and all(taken[index, topic] >= most for topic in topics):
+                return
+
+
+def until_full(recording: Recording, streams: Mapping[str, TopicFrames], start_ns: int) -> Iterator[RawMessage]:
+    """Yield messages from a time on until each stream is full or silent for `PATIENCE_NS`.
+
+    Args:
+        streams: by topic; the caller adds each message to its stream before it asks for the next one. Streams that
+            were given up are marked with `fell_silent`.
+    """
+    last_ns: dict[str, int] = {}
+    with closing(recording.messages(streams.keys(), start_ns)) as messages:
+        for message in messages:
+            now_ns = message.log_time_ns
+            last_ns[message.topic] = now_ns
+            lacking = [stream for topic, stream in streams.items() if not stream.is_full and topic != message.topic]
+            silent = [stream for stream in lacking if now_ns - last_ns.setdefault(stream.topic, now_ns) > PATIENCE_NS]
+            if len(silent) == len(lacking) and lacking and streams[message.topic].is_full:
+                for stream in silent:
+                    stream.fell_silent = True
+                return
+            yield message

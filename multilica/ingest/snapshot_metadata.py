@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The metadata that `multilica record` saves in a snapshot."""
+
+import json
+from collections.abc import Collection, Sequence
+from contextlib import closing
+from io import BytesIO
+
+from mcap.data_stream import ReadDataStream
+from mcap.reader import make_reader
+from mcap.records import Metadata
+
+from multilica.config import IngestConfig
+from multilica.ingest.containers.exact_reader import ExactReader
+from multilica.ingest.containers.mcap_records import RECORD_HEAD
+from multilica.ingest.damage import DamagedRecordingError, damage_named
+from multilica.ingest.formats import FORMATS, named_format
+from multilica.ingest.locate import PathLike, locate
+from multilica.ingest.recording import sanitize_text
+from multilica.ingest.remote.address import is_live
+from multilica.ingest.remote.remote_file import SourceFile
+from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
+
+__all__ = ["config_for", "frames_recorded", "notes_recorded"]
+
+_MAX_BYTES = 1 << 20
+"""Limit of a snapshot's metadata, which take a few hundred bytes."""
+_PREFIX = "When it was recorded: "
+
+
+def config_for(sources: Sequence[PathLike]) -> IngestConfig:
+    """Return the defaults; for recorded snapshots, with all of their frames."""
+    frames = frames_recorded(sources)
+    return IngestConfig() if frames is None else IngestConfig(frames=frames)
+
+
+def frames_recorded(sources: Sequence[PathLike]) -> int | None:
+    """Return the largest number of frames per LiDAR that `multilica record` was asked for.
+
+    None unless all sources are such snapshots.
+    """
+    if any(map(is_live, sources)):
+        return None
+    texts = [_metadata(locate(source)).get("frames", "") for source in sources]
+    counts = [int(text) if text.isdecimal() else 0 for text in texts]
+    return max(counts) if counts and all(counts) else None
+
+
+def notes_recorded(files: Sequence[SourceFile], known: Collection[str]) -> list[str]:
+    """Return the notes saved when the snapshots were taken, without the known ones."""
+    notes = [note for file in files for note in _notes(file) if note not in known]
+    return [note if note.startswith(_PREFIX) else f"{_PREFIX}{note}" for note in notes]
+
+
+def _notes(path: SourceFile) -> list[str]:
+    try:
+        notes = json.loads(_metadata(path).get("notes", "[]"))
+    except (ValueError, RecursionError):
+        return []
+    texts = [note for note in notes if isinstance(note, str)] if isinstance(notes, list) else []
+    return [" ".join(sanitize_text(text).split()) for text in texts]
+
+
+def _metadata(path: SourceFile) -> dict[str, str]:
+    """Return the metadata; empty for every other file, and for a file that cannot be read, which fails later."""
+    try:
+        with damage_named(str(path)):
+            if named_format(path) is not FORMATS["mcap"] or not (path.exists() and path.is_file()):
+                return {}
+            with closing(ExactReader(path)) as stream:
+                summary = make_reader(stream).get_summary()
+                for index in summary.metadata_indexes if summary else ():
+                    if index.name == SNAPSHOT_METADATA_NAME and index.length <= _MAX_BYTES:
+                        stream.seek(index.offset + RECORD_HEAD.size)
+                        record = stream.read(index.length - RECORD_HEAD.size)
+                        return dict(Metadata.read(ReadDataStream(BytesIO(record))).metadata)
+    except DamagedRecordingError:
+        pass
+    return {}

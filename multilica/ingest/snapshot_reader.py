@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The way from a source to its snapshot."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+from multilica.config import IngestConfig
+from multilica.errors import UsageError
+from multilica.ingest.fingerprint import sha256_of_files
+from multilica.ingest.locate import PathLike, find_source, locate
+from multilica.ingest.opening import open_source
+from multilica.ingest.recording import MessageObserver, Recording, sanitize_text
+from multilica.ingest.remote.address import is_live, without_secrets
+from multilica.ingest.remote.remote_file import SourceFile
+from multilica.ingest.selection.topics import choose_topics, unread_notes
+from multilica.ingest.selection.window import Window, collect_frames, require_frames
+from multilica.ingest.snapshot_metadata import config_for, notes_recorded
+from multilica.ingest.transforms.static_transforms import StaticTransforms, read_static_transforms
+from multilica.snapshot import LidarScans, Snapshot
+
+__all__ = ["TakenSnapshot", "assemble_snapshot", "read_snapshot", "take_snapshot", "with_recorded_notes"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakenSnapshot:
+    """A snapshot with facts about its source.
+
+    Args:
+        source_bytes: size of the recording; None for a running vehicle.
+        silent: chosen topics of a running vehicle that sent nothing readable.
+    """
+
+    snapshot: Snapshot
+    source_bytes: int | None = None
+    silent: tuple[str, ...] = ()
+
+
+def take_snapshot(
+    sources: Sequence[PathLike], *, config: IngestConfig | None = None, observe: MessageObserver | None = None
+) -> TakenSnapshot:
+    """Read a recording, or listen to a running vehicle.
+
+    Args:
+        sources: as for `read_snapshot`, or a single ``ws://`` or ``wss://`` address.
+        config: `IngestConfig()` if None.
+        observe: called with each message of a running vehicle.
+
+    Raises:
+        MultilicaError: as `read_snapshot` or `listen`.
+        UsageError: a running vehicle is given among other sources.
+    """
+    config = config or IngestConfig()
+    live = [str(source) for source in sources if is_live(source)]
+    if not live:
+        files = [locate(source) for source in sources]
+        snapshot = read_snapshot(files, config=config)
+        return TakenSnapshot(snapshot, sum(file.stat().st_size for file in find_source(files).files))
+    if len(sources) > 1:
+        raise UsageError(f"{without_secrets(live[0])} is given among other sources; give it alone.")
+    from multilica.ingest.live.listen import listen
+
+    return listen(live[0], config=config, observe=observe)
+
+
+def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig | None = None) -> Snapshot:
+    """Read what each LiDAR of a recording saw in one window of time.
+
+    Args:
+        source: an MCAP file, a ROS 2 bag (folder, ``.db3`` or ``.mcap``), a ROS 1 bag, a folder of point files with one
+            file or one sub-folder of frames per LiDAR, or a list: of point files and folders of them, or of recordings
+            with different LiDARs.
+        config: topics, window and number of frames; None for the defaults, or for all frames of a snapshot that
+            `multilica record` took.
+
+    Returns:
+        The snapshot, points in the order of the recording; its notes say what could not be read.
+
+    Raises:
+        SourceNotFoundError: nothing exists at that path.
+        UnreadableSourceError: the source is empty, broken, or not what its name says.
+        UnfitSnapshotError: there are no point clouds, or none in the window.
+        UnknownNameError: there is no point cloud topic of that name.
+        UsageError: several recordings of the same LiDAR, or a topic with two names.
+    """
+    found = find_source(source)
+    config = config or config_for(found.files)
+    with ThreadPoolExecutor(max_workers=1) as thread, closing(open_source(found)) as recording:
+        # Hashing takes as long as unpacking and releases the GIL.
+        sha256 = thread.submit(sha256_of_files, found.files)
+        given = choose_topics(recording, config.topics, found.label, config.only)
+        window = collect_frames(recording, given.keys(), config, found.label)
+        require_frames(window, given.keys(), config, found.label)
+        static = read_static_transforms(recording)
+        unread = unread_notes(recording)
+        snapshot = assemble_snapshot(found.label, given, window, static, sha256.result(), unread)
+        return with_recorded_notes(snapshot, recording, found.files)
+
+
+def assemble_snapshot(
+    label: str,
+    given: Mapping[str, str],
+    window: Window,
+    static: StaticTransforms = ((), ()),
+    sha256: str = "",
+    notes: Sequence[str] = (),
+) -> Snapshot:
+    """Name the LiDARs of a window: by the given name, else the frame id, else the topic.
+
+    Args:
+        label: the source as the user named it.
+        given: topic -> name, or empty; other topics of the window are left out.
+        notes: further notes for the user.
+    """
+    clouds = {topic: frames for topic, frames in window.clouds.items() if topic in given}
+    frame_ids = {topic: frames[0].frame_id for topic, frames in clouds.items()}
+    counts = Counter(frame_id for frame_id in frame_ids.values() if frame_id)
+    shared = {
+        frame_id: sorted(topic for topic in frame_ids if frame_ids[topic] == frame_id)
+        for frame_id, count in sorted(counts.items())
+        if count > 1
+    }
+    names = _unique_names(
+        {
+            topic: given[topic] or ("" if frame_id in shared else frame_id) or topic.strip("/") or topic
+            for topic, frame_id in sorted(frame_ids.items(), key=lambda item: (not given[item[0]], item[0]))
+        }
+    )
+    frame_notes = [
+        f"{', '.join(topics)} have the same frame id '{frame_id}'; if their points were already transformed to one "
+        "frame, the result is the correction, not the pose of the sensors."
+        for frame_id, topics in shared.items()
+    ]
+    return Snapshot(
+        lidars=tuple(
+            LidarScans(names[topic], tuple(cloud.scan for cloud in frames), frame_ids[topic], sanitize_text(topic))
+            for topic, frames in clouds.items()
+        ),
+        source=sanitize_text(label),
+        source_sha256=sha256,
+        static_transforms=static[0],
+        notes=tuple(map(sanitize_text, (*window.notes, *static[1], *frame_notes, *notes))),
+    )
+
+
+def with_recorded_notes(snapshot: Snapshot, recording: Recording, files: Sequence[SourceFile]) -> Snapshot:
+    """Add the notes that `multilica record` saved in the recording."""
+    # Only multilica's own recordings name their LiDARs.
+    if not any(topic.lidar for topic in recording.topics):
+        return snapshot
+    return replace(snapshot, notes=(*snapshot.notes, *notes_recorded(files, snapshot.notes)))
+
+
+def _unique_names(wanted: Mapping[str, str]) -> dict[str, str]:
+    """Number names that are taken already: ``roof``, ``roof_2``."""
+    names: dict[str, str] = {}
+    for topic, text in wanted.items():
+        base = name = sanitize_text(text)
+        number = 1
+        while name in names.values():
+            number += 1
+            name = f"{base}_{number}"
+        names[topic] = name
+    return names

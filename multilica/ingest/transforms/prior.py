@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Prior poses of LiDARs from a file or from the recording's static transforms."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from multilica.errors import SourceNotFoundError, UnfitPriorError, UsageError
+from multilica.extrinsics import Extrinsics, read_extrinsics
+from multilica.geometry import RigidTransform
+from multilica.ingest.transforms.frame_tree import FramePose, FrameTree, Joint
+from multilica.ingest.transforms.urdf import read_urdf
+from multilica.snapshot import Snapshot
+
+__all__ = ["STATIC_TRANSFORMS", "Prior", "read_prior"]
+
+STATIC_TRANSFORMS = "tf"
+_URDF_SUFFIXES = (".urdf", ".xml", ".xacro")
+_MAX_FRAMES = 12
+_EXPECTED = "expected 'tf', a .toml file of extrinsics or a .urdf file"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """Prior poses of a snapshot's LiDARs.
+
+    Args:
+        extrinsics: by the LiDARs' names, with the first of them as the common frame.
+        notes: what the user should know ("tf has no pose of rear").
+    """
+
+    extrinsics: Extrinsics
+    notes: tuple[str, ...] = ()
+
+
+def read_prior(source: str, snapshot: Snapshot) -> Prior:
+    """Find the poses of the snapshot's LiDARs by name, else by frame id.
+
+    Args:
+        source: ``tf`` for the recording's static transforms, a TOML file like `calibration.toml` or a truth file, or a
+            URDF file.
+
+    Raises:
+        SourceNotFoundError: there is no such file.
+        UnreadableSourceError: it is broken, or not what its name says.
+        UnfitPriorError: it connects fewer than two of the LiDARs, or a joint between two of them moves.
+        UsageError: the file is of another kind.
+    """
+    where = "The recording's /tf_static" if source == STATIC_TRANSFORMS else source
+    tree = _read_tree(source, snapshot)
+    frames = {
+        lidar.name: frame
+        for lidar in snapshot.lidars
+        if (frame := next((name for name in (lidar.name, lidar.frame_id) if name in tree.frames), None)) is not None
+    }
+    poses = _largest_rig(tree, frames)
+    if len(poses) < 2:
+        raise UnfitPriorError(_too_few(where, snapshot, frames, tree))
+    for pose in poses.values():
+        if pose.moving is not None:
+            raise UnfitPriorError(
+                f"{where} joins the LiDAR frames '{pose.T_target_source.target}' and '{pose.T_target_source.source}' "
+                f"through '{pose.moving.name}', a {pose.moving.kind} joint; a prior needs fixed joints between LiDARs."
+            )
+    root = next(iter(poses))
+    transforms = {name: RigidTransform(root, name, pose.T_target_source.matrix) for name, pose in poses.items()}
+    return Prior(Extrinsics(root, transforms), tuple(_notes(where, snapshot, frames, poses)))
+
+
+def _read_tree(source: str, snapshot: Snapshot) -> FrameTree:
+    if source == STATIC_TRANSFORMS:
+        return FrameTree(tuple(Joint(pose) for pose in snapshot.static_transforms))
+    path = Path(source)
+    if path.suffix in _URDF_SUFFIXES:
+        return read_urdf(path)
+    if path.suffix == ".toml":
+        poses = read_extrinsics(path).T_target_source.values()
+        return FrameTree(tuple(Joint(pose) for pose in poses if pose.target != pose.source))
+    if not path.exists():
+        raise SourceNotFoundError(f"No prior at {path}; {_EXPECTED}.")
+    raise UsageError(f"The prior {path} is of an unknown kind; {_EXPECTED}.")
+
+
+def _largest_rig(tree: FrameTree, frames: Mapping[str, str]) -> dict[str, FramePose]:
+    """Return the poses of the most LiDARs that are connected, relative to the first of them."""
+    best: dict[str, FramePose] = {}
+    for frame in frames.values():
+        poses = tree.poses_from(frame)
+        rig = {name: poses[other] for name, other in frames.items() if other in poses}
+        best = rig if len(rig) > len(best) else best
+    return best
+
+
+def _too_few(where: str, snapshot: Snapshot, frames: Mapping[str, str], tree: FrameTree) -> str:
+    listed = ", ".join(tree.frames[:_MAX_FRAMES]) or "none"
+    more = f" and {len(tree.frames) - _MAX_FRAMES} more" if len(tree.frames) > _MAX_FRAMES else ""
+    apart = ", which are not connected" if len(frames) > 1 else ""
+    return (
+        f"{where} has {len(frames)} of the LiDARs {', '.join(snapshot.names)}{apart}; a prior needs two or more that "
+        f"are connected, by name or by frame id; its frames: {listed}{more}."
+    )
+
+
+def _notes(where: str, snapshot: Snapshot, frames: Mapping[str, str], poses: Mapping[str, FramePose]) -> list[str]:
+    missing = [name for name in snapshot.names if name not in frames]
+    apart = [name for name in frames if name not in poses]
+    notes = []
+    if missing:
+        notes.append(f"{where} has no pose of {', '.join(missing)}")
+    if apart:
+        notes.append(f"{where} does not connect {', '.join(apart)} with {', '.join(poses)}")
+    return [f"{note}: calibrated without a prior." for note in notes]

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The joints of a vehicle's URDF description."""
+
+from collections import Counter
+from pathlib import Path
+from xml.etree.ElementTree import Element
+
+import numpy as np
+from defusedxml import DefusedXmlException, ElementTree
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.geometry import RigidTransform
+from multilica.ingest.transforms.frame_tree import FrameTree, Joint
+
+__all__ = ["read_urdf"]
+
+_NAMESPACE_OF_XACRO = "wiki/xacro}"
+
+
+def read_urdf(path: Path) -> FrameTree:
+    """Read every joint of a URDF file; ignore links without a joint and meshes.
+
+    A joint's origin is ``T_parent_child``: xyz in metres, rpy in radians, extrinsic xyz; identity if it is missing.
+
+    Raises:
+        SourceNotFoundError: there is no such file.
+        UnreadableSourceError: it is not XML or URDF, has xacro macros, or its joints are not a tree.
+    """
+    robot = _parse(path)
+    if path.suffix == ".xacro" or any(_NAMESPACE_OF_XACRO in str(element.tag) for element in robot.iter()):
+        raise UnreadableSourceError(
+            f"{path} has xacro macros; run xacro first (xacro {path.name} > robot.urdf) and give its output."
+        )
+    if robot.tag != "robot":
+        raise UnreadableSourceError(f"{path} begins with <{robot.tag}>; expected <robot>, as in a URDF file.")
+    try:
+        joints = tuple(_joint(element) for element in robot.findall("joint"))
+        _require_tree(joints)
+    except ValueError as error:
+        raise UnreadableSourceError(f"{path} is not a valid URDF file: {error}.") from error
+    return FrameTree(joints)
+
+
+def _parse(path: Path) -> Element:
+    try:
+        return ElementTree.fromstring(path.read_bytes())
+    except FileNotFoundError as error:
+        raise SourceNotFoundError(f"No URDF file at {path}.") from error
+    except DefusedXmlException as error:
+        raise UnreadableSourceError(f"{path} defines XML entities; remove them, a URDF file needs none.") from error
+    except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:
+        raise UnreadableSourceError(f"{path} is not a valid XML file: {error}.") from error
+
+
+def _joint(element: Element) -> Joint:
+    name = element.get("name", "")
+    kind = element.get("type")
+    if kind is None:
+        raise ValueError(f"joint '{name}' has no type")
+    parent, child = (_link(element, end, name) for end in ("parent", "child"))
+    if parent == child:
+        raise ValueError(f"joint '{name}' joins '{parent}' to itself")
+    origin = element.find("origin")
+    xyz_m, rpy_rad = (_three(origin, key, name) for key in ("xyz", "rpy"))
+    return Joint(RigidTransform.from_xyz_rpy(parent, child, xyz_m, rpy_rad), name, kind)
+
+
+def _link(joint: Element, end: str, name: str) -> str:
+    entry = joint.find(end)
+    link = "" if entry is None else entry.get("link", "")
+    if not link:
+        raise ValueError(f"joint '{name}' has no {end} link")
+    return link
+
+
+def _three(origin: Element | None, key: str, name: str) -> list[float]:
+    text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
+    try:
+        numbers = [float(word) for word in text.split()]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3 or not np.isfinite(numbers).all():
+        raise ValueError(f"joint '{name}' has {key} '{text}', expected three numbers")
+    return numbers
+
+
+def _require_tree(joints: tuple[Joint, ...]) -> None:
+    parents = Counter(joint.T_parent_child.source for joint in joints)
+    link, count = max(parents.items(), key=lambda entry: entry[1], default=("", 0))
+    if count > 1:
+        raise ValueError(f"link '{link}' is the child of {count} joints, expected one")

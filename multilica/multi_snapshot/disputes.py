@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Snapshots that contradict each other on the pose of a pair."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from multilica.config import CalibrationConfig
+from multilica.multi_snapshot.estimate import Estimate, estimate_pairs
+from multilica.results import PairKey, PairRegistration, connected
+
+__all__ = ["Dispute", "SnapshotPairs", "blamed_lidars", "resolve_disputes"]
+
+SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
+"""Per snapshot, the registrations that determine its poses."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dispute:
+    """A contradiction between one snapshot and others on one pair of LiDARs.
+
+    Args:
+        lidars: the pair, in name order.
+        others: the snapshots that contradict it.
+        distance_m, angle_deg: between its pose of the pair and that of the first of the others.
+        outvoted: whether more than half of the contradicting snapshots agree on another pose.
+    """
+
+    snapshot: str
+    lidars: PairKey
+    others: tuple[str, ...]
+    distance_m: float
+    angle_deg: float
+    outvoted: bool
+
+
+def resolve_disputes(pairs: SnapshotPairs, config: CalibrationConfig) -> tuple[SnapshotPairs, tuple[Dispute, ...]]:
+    """Drop registrations until no two snapshots contradict each other, by majority if there is one.
+
+    The snapshots that connect two LiDARs, directly or through others, vote on their pose. A snapshot that loses drops
+    its registrations of that pair; without a majority all contradicting snapshots drop theirs. A snapshot that connects
+    the disputed LiDARs only through others drops all registrations connected to them.
+    """
+    disputes: tuple[Dispute, ...] = ()
+    while found := tuple(_disputes(pairs, config)):
+        disputes += found
+        pairs = {name: _without(own, [each for each in found if each.snapshot == name]) for name, own in pairs.items()}
+    return pairs, disputes
+
+
+def blamed_lidars(disputes: Sequence[Dispute], target: str) -> tuple[Dispute, ...]:
+    """Return the fewest LiDARs that explain the disputes of one snapshot, each as first LiDAR of a dispute.
+
+    The LiDAR in the most disputes is blamed first, the target last.
+    """
+    left, found = list(disputes), []
+    while left:
+        counts = Counter(name for dispute in left for name in dispute.lidars)
+        worst = min(counts, key=lambda name: (-counts[name], name == target, name))
+        own = [dispute for dispute in left if worst in dispute.lidars]
+        shown = min(own, key=lambda dispute: (target not in dispute.lidars, dispute.lidars))
+        other = next(name for name in shown.lidars if name != worst)
+        found.append(replace(shown, lidars=(worst, other)))
+        left = [dispute for dispute in left if worst not in dispute.lidars]
+    return tuple(found)
+
+
+def _disputes(pairs: SnapshotPairs, config: CalibrationConfig) -> Iterator[Dispute]:
+    estimates = {snapshot: estimate_pairs(own, config.refine) for snapshot, own in pairs.items()}
+    for lidars in sorted({pair for own in estimates.values() for pair in own}):
+        yield from _vote(lidars, {name: own[lidars] for name, own in estimates.items() if lidars in own}, config)
+
+
+def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationConfig) -> Iterator[Dispute]:
+    """Yield the losing snapshots; one whose covariance is too large to contradict another has no vote."""
+    against: dict[str, list[str]] = {name: [] for name in voters}
+    for one, other in combinations(voters, 2):
+        if _contradict(voters[one], voters[other], config):
+            against[one].append(other)
+            against[other].append(one)
+    disputing = [name for name in voters if against[name]]
+    agreeing: list[str] = []
+    for name in sorted(disputing, key=lambda name: len(against[name])):
+        if not {*against[name]} & {*agreeing}:
+            agreeing.append(name)
+    outvoted = 2 * len(agreeing) > len(disputing)
+    for name in disputing:
+        if outvoted and name in agreeing:
+            continue
+        others = tuple(other for other in against[name] if other in agreeing or not outvoted)
+        distance_m, angle_rad = voters[name].pose.distance_to(voters[others[0]].pose)
+        yield Dispute(name, lidars, others, distance_m, float(np.rad2deg(angle_rad)), outvoted)
+
+
+def _contradict(one: Estimate, other: Estimate, config: CalibrationConfig) -> bool:
+    distance_m, angle_rad = one.pose.distance_to(other.pose)
+    limits = config.joint
+    if distance_m <= limits.max_disagreement_m and np.rad2deg(angle_rad) <= limits.max_disagreement_deg:
+        return False
+    offset = one.pose.offset_from(other.pose)
+    squared = float(offset @ np.linalg.solve(one.covariance + other.covariance, offset))
+    return squared > offset.size * config.refine.outlier_sigma**2
+
+
+def _without(pairs: tuple[PairRegistration, ...], disputes: Sequence[Dispute]) -> tuple[PairRegistration, ...]:
+    if not disputes:
+        return pairs
+    disputed = {frozenset(dispute.lidars) for dispute in disputes}
+    kept = tuple(pair for pair in pairs if pair.lidars not in disputed)
+    if len(kept) < len(pairs):
+        return kept
+    affected = {name for dispute in disputes for name in connected(dispute.lidars[0], pairs)}
+    return tuple(pair for pair in pairs if pair.target not in affected)

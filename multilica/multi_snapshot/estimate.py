@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses and covariances that a set of registrations determines."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from multilica.config import RefineConfig
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import PairKey, PairRegistration
+from multilica.stages.refine import RefinedRig, refine
+
+__all__ = ["Estimate", "chained", "estimate_pairs", "estimate_poses"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """A pose with its covariance (6, 6): rotation (rad), translation (m), along the axes of the pose's target."""
+
+    pose: RigidTransform
+    covariance: FloatArray
+
+
+def chained(root: str, pairs: Sequence[PairRegistration]) -> dict[str, RigidTransform]:
+    """Return ``T_root_lidar`` of every LiDAR connected to the root, by the registrations with the most evidence."""
+    poses = {root: RigidTransform.identity(root, root)}
+    ordered = sorted(pairs, key=lambda pair: (-pair.evidence, pair.target, pair.source))
+    while (
+        pair := next((pair for pair in ordered if (pair.target in poses) != (pair.source in poses)), None)
+    ) is not None:
+        if pair.target in poses:
+            poses[pair.source] = poses[pair.target] @ pair.T_target_source
+        else:
+            poses[pair.target] = poses[pair.source] @ pair.T_target_source.inverse()
+    return poses
+
+
+def estimate_poses(root: str, pairs: Sequence[PairRegistration], config: RefineConfig) -> Mapping[str, Estimate]:
+    """Estimate the pose of each LiDAR connected to the root, in the root's frame."""
+    return _estimates(refine(root, chained(root, pairs), pairs, config))
+
+
+def estimate_pairs(pairs: Sequence[PairRegistration], config: RefineConfig) -> Mapping[PairKey, Estimate]:
+    """Estimate the pose of every pair of connected LiDARs, in name order."""
+    found: dict[PairKey, Estimate] = {}
+    rigs: list[RefinedRig] = []
+    for root in sorted({name for pair in pairs for name in pair.lidars}):
+        rigs.append(refine(root, _rooted_at(root, rigs) or chained(root, pairs), pairs, config))
+        found |= {(root, name): estimate for name, estimate in _estimates(rigs[-1]).items() if root < name}
+    return found
+
+
+def _rooted_at(root: str, rigs: Sequence[RefinedRig]) -> dict[str, RigidTransform]:
+    """Return the poses of a refined rig with that root, so that refining it again changes nothing."""
+    rig = next((rig for rig in rigs if root in rig.poses), None)
+    return {} if rig is None else {name: rig.poses[root].inverse() @ pose for name, pose in rig.poses.items()}
+
+
+def _estimates(rig: RefinedRig) -> dict[str, Estimate]:
+    return {name: Estimate(rig.poses[name], covariance) for name, covariance in rig.covariances.items()}

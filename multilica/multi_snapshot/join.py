@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joint result of several snapshots of one rig."""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from multilica.config import CalibrationConfig
+from multilica.errors import UnfitSnapshotError
+from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.disputes import Dispute, SnapshotPairs, blamed_lidars, resolve_disputes
+from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses
+from multilica.multi_snapshot.replay import shown_snapshot
+from multilica.multi_snapshot.snapshot_run import SnapshotRun
+from multilica.multi_snapshot.spread import scatter_ratio, spread_of, widened
+from multilica.multi_snapshot.target import choose_target
+from multilica.results import (
+    CalibrationResult,
+    LidarPlacement,
+    Refinement,
+    SnapshotDeviation,
+    SnapshotReport,
+)
+from multilica.stages.outcome import contested_place
+from multilica.stages.refine import RefinedRig, refine
+
+__all__ = ["join"]
+
+
+def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -> CalibrationResult:
+    """Place every LiDAR of a rig from all its snapshots.
+
+    Contradictions between snapshots are resolved by majority first. Then one pose graph takes the trusted registrations
+    of all snapshots, each weighted with its information. Where the snapshots scatter more than their covariances
+    predict, the covariance is widened to the scatter; it is never narrowed.
+
+    Args:
+        runs: each snapshot calibrated with that configuration, or its refusal.
+        config: the default preset if None.
+
+    Returns:
+        One placement per LiDAR of any snapshot; `snapshots` has the contribution of each. `pairs` and `health` are
+        those of the snapshot that `shown_snapshot` names.
+
+    Raises:
+        UnfitSnapshotError: every snapshot was refused.
+        UnknownNameError: no snapshot has the LiDAR that `config.target` names.
+    """
+    config = config or CalibrationConfig()
+    results = {run.name: run.result for run in runs if run.result is not None}
+    if not results:
+        refusals = "; ".join(run.refusal.rstrip(".") for run in runs)
+        raise UnfitSnapshotError(f"None of {len(runs)} snapshots can be used: {refusals}.")
+    lidars = sorted({placement.lidar for result in results.values() for placement in result.placements})
+    given: SnapshotPairs = {name: result.trusted for name, result in results.items()}
+    kept, disputes = resolve_disputes(given, config)
+    target, reason = choose_target(kept, lidars, config.target)
+    joint = _JointRig(
+        target,
+        results,
+        kept,
+        _rig(target, kept, config),
+        _estimates(target, given, config),
+        _estimates(target, kept, config),
+        {name: blamed_lidars([each for each in disputes if each.snapshot == name], target) for name in results},
+    )
+    result = CalibrationResult(
+        target=target,
+        target_reason=reason,
+        placements=tuple(joint.placement(name) for name in lidars),
+        timing_s=dict(sum((Counter(result.timing_s) for result in results.values()), Counter())),
+        refinement=joint.rig.refinement,
+        snapshots=tuple(joint.report(run) for run in runs),
+    )
+    shown = results[shown_snapshot(result)]
+    poses = {place.lidar: place.T_target_source for place in result.placements if place.T_target_source is not None}
+    placements = tuple(
+        place if place.placed else replace(place, contested=contested_place(place.lidar, poses, shown.pairs))
+        for place in result.placements
+    )
+    return replace(result, placements=placements, pairs=shown.pairs, health=shown.health)
+
+
+def _rig(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> RefinedRig:
+    weighted = [(name, pair) for name, own in pairs.items() for pair in own if pair.information is not None]
+    registrations = [pair for _, pair in weighted]
+    poses = chained(target, registrations)
+    rig = refine(target, poses, registrations, config.refine, [name for name, _ in weighted])
+    used = [name for name, pair in weighted if pair.lidars <= {*poses}]
+    residuals = tuple(
+        replace(residual, snapshot=name) for name, residual in zip(used, rig.refinement.pairs, strict=False)
+    )
+    return replace(rig, refinement=Refinement(residuals))
+
+
+def _estimates(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> dict[str, Mapping[str, Estimate]]:
+    return {name: estimate_poses(target, own, config.refine) for name, own in pairs.items()}
+
+
+def _placed_by(placing: int, snapshots: int) -> str:
+    if not placing:
+        return f"placed by pairs of several snapshots; none of {snapshots} snapshots places it alone"
+    return f"placed by {placing} of {snapshots} snapshots"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _JointRig:
+    """The joint rig with the estimates of each snapshot.
+
+    Args:
+        kept: per snapshot, its registrations without contradicting ones.
+        alone: per snapshot and LiDAR, the pose by that snapshot alone.
+        agreed: the same by the kept registrations.
+        blamed: per snapshot, its disputes; the first LiDAR of each is to blame.
+    """
+
+    target: str
+    results: Mapping[str, CalibrationResult]
+    kept: SnapshotPairs
+    rig: RefinedRig
+    alone: Mapping[str, Mapping[str, Estimate]]
+    agreed: Mapping[str, Mapping[str, Estimate]]
+    blamed: Mapping[str, tuple[Dispute, ...]]
+
+    def placement(self, lidar: str) -> LidarPlacement:
+        if lidar == self.target:
+            identity = RigidTransform.identity(lidar, lidar)
+            return LidarPlacement(lidar, "the target", placed=True, T_target_source=identity, fitness=1.0, rmse_m=0.0)
+        if lidar not in self.rig.covariances:
+            return LidarPlacement(lidar, self._why_not_placed(lidar))
+        estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
+        ratio = scatter_ratio(estimates)
+        best = max(
+            (pair for own in self.kept.values() for pair in own if lidar in pair.lidars), key=lambda pair: pair.evidence
+        )
+        return LidarPlacement(
+            lidar,
+            _placed_by(len(estimates), len(self.results)),
+            placed=True,
+            T_target_source=self.rig.poses[lidar],
+            fitness=best.fitness,
+            rmse_m=best.rmse_m,
+            covariance=widened(self.rig.covariances[lidar], ratio),
+            sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
+            spread=spread_of(estimates),
+        )
+
+    def _why_not_placed(self, lidar: str) -> str:
+        disputes = [
+            each for own in self.blamed.values() for each in own if each.lidars[0] == lidar and not each.outvoted
+        ]
+        if disputes:
+            first = disputes[0]
+            return (
+                f"{first.snapshot} and {', '.join(first.others)} place it {first.distance_m:.3f} m and "
+                f"{first.angle_deg:.2f} deg apart relative to {first.lidars[1]}, without a majority of snapshots"
+            )
+        reasons = (self._why_not_in(name, result, lidar) for name, result in self.results.items())
+        return "; ".join(reason for reason in reasons if reason)
+
+    def _why_not_in(self, snapshot: str, result: CalibrationResult, lidar: str) -> str:
+        placement = next((each for each in result.placements if each.lidar == lidar), None)
+        if placement is None:
+            return ""
+        if not placement.placed:
+            return f"{snapshot}: {placement.reason}"
+        blamed = ", ".join(dispute.lidars[0] for dispute in self.blamed[snapshot])
+        if blamed:
+            return f"{snapshot}: connected through pairs that contradict other snapshots on {blamed}"
+        return f"{snapshot}: placed relative to {result.target}; no accepted pair connects it to {self.target}"
+
+    def report(self, run: SnapshotRun) -> SnapshotReport:
+        deviations: dict[str, SnapshotDeviation] = {}
+        for lidar, estimate in self.alone.get(run.name, {}).items():
+            if lidar in self.rig.covariances:
+                distance_m, angle_rad = estimate.pose.distance_to(self.rig.poses[lidar])
+                deviations[lidar] = SnapshotDeviation(lidar, distance_m, float(np.rad2deg(angle_rad)))
+        for dispute in self.blamed.get(run.name, ()):
+            if dispute.outvoted:
+                lidar = dispute.lidars[0]
+                found = deviations.get(lidar, SnapshotDeviation(lidar, dispute.distance_m, dispute.angle_deg))
+                deviations[lidar] = replace(found, outlier=True)
+        return SnapshotReport(
+            name=run.name,
+            source=run.source,
+            source_sha256=run.source_sha256,
+            deviations=tuple(deviations[lidar] for lidar in sorted(deviations)),
+            disputed=tuple(each.lidars[0] for each in self.blamed.get(run.name, ()) if not each.outvoted),
+            refusal=run.refusal,
+        )

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Replay of a joint result as the events of a calibration."""
+
+import hashlib
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from multilica import events
+from multilica.config import STAGES, CalibrationConfig, Stage
+from multilica.events import Observer
+from multilica.results import CalibrationResult, GroundPlane, PreprocessedCloud, Refinement, SnapshotReport
+from multilica.snapshot import LidarScans, Scan, Snapshot
+from multilica.stages.ground import estimate_ground, estimate_level
+from multilica.stages.preprocess import preprocess
+
+__all__ = ["replay", "shown_snapshot"]
+
+
+def shown_snapshot(result: CalibrationResult) -> str:
+    """Return the name of the first snapshot that agrees with the joint result on the most LiDARs."""
+
+    def agreeing(report: SnapshotReport) -> int:
+        return sum(not deviation.outlier for deviation in report.deviations)
+
+    return max((report for report in result.snapshots if not report.refusal), key=agreeing).name
+
+
+def replay(
+    snapshot: Snapshot, result: CalibrationResult, config: CalibrationConfig, observe: Observer
+) -> CalibrationResult:
+    """Emit the events of a joint result with the clouds of one of its snapshots.
+
+    Args:
+        snapshot: the one that `shown_snapshot` names.
+        observe: called with the events of the joint stages and of the pairs of that snapshot.
+
+    Returns:
+        The result with the ground plane of that snapshot, if the configuration asks for it.
+    """
+    placed = {place.lidar: place.T_target_source for place in result.placements if place.T_target_source is not None}
+    clouds: list[PreprocessedCloud] = []
+    ground: GroundPlane | None = None
+    shown = _of_all(snapshot, result)
+    observe(events.CalibrationStarted(shown, config))
+    with threadpool_limits(config.runtime.threads):
+        with _stage("preprocess", observe):
+            for lidar in shown.lidars:
+                clouds.append(preprocess(lidar, config.preprocess, config.stillness))
+                observe(events.CloudPreprocessed(clouds[-1]))
+        with _stage("fine", observe):
+            for pair in result.pairs:
+                observe(events.PairRegistered(pair))
+        with _stage("refine", observe):
+            observe(events.TargetChosen(result.target, result.target_reason))
+            poses = tuple(pose for _, pose in sorted(placed.items()))
+            observe(events.RigRefined(result.refinement or Refinement(), poses))
+        if config.ground.enabled and config.until == STAGES[-1]:
+            with _stage("ground", observe):
+                merged_m = np.concatenate(
+                    [placed[cloud.lidar].apply(cloud.points_m) for cloud in clouds if cloud.lidar in placed]
+                )
+                ground, reason = estimate_ground(result.target, merged_m, config.ground, config.runtime.seed)
+                observe(events.GroundEstimated(ground, reason))
+    level = estimate_level(result.target, {cloud.lidar: cloud.points_m for cloud in clouds}, placed, config)
+    result = replace(result, ground=ground, level=level)
+    observe(events.CalibrationFinished(result))
+    return result
+
+
+@contextmanager
+def _stage(stage: Stage, observe: Observer) -> Iterator[None]:
+    observe(events.StageStarted(stage, 0))
+    start_s = time.perf_counter()
+    yield
+    observe(events.StageFinished(stage, time.perf_counter() - start_s))
+
+
+def _of_all(snapshot: Snapshot, result: CalibrationResult) -> Snapshot:
+    """Return the snapshot with the sources of all, and empty LiDARs for those that only others have."""
+    missing = tuple(
+        LidarScans(place.lidar, (Scan(np.empty((0, 3), np.float32)),))
+        for place in result.placements
+        if place.lidar not in snapshot.names
+    )
+    note = f"one of {len(result.snapshots)} snapshots of the rig is shown: {snapshot.source}"
+    return replace(
+        snapshot,
+        lidars=snapshot.lidars + missing,
+        source=", ".join(report.source for report in result.snapshots),
+        source_sha256=_sha256_of_all(result.snapshots),
+        notes=(note, *snapshot.notes),
+    )
+
+
+def _sha256_of_all(reports: Sequence[SnapshotReport]) -> str:
+    digests = [report.source_sha256 for report in reports]
+    return hashlib.sha256("".join(sorted(digests)).encode()).hexdigest() if all(digests) else ""

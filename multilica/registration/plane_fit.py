@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Point-to-plane fit of a registered pose, with the information of the result."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from multilica.config import RefineConfig
+from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.registration.registration_cloud import RegistrationCloud
+from multilica.registration.stability import arc_between_m
+
+__all__ = ["PlaneFit", "fit_planes", "pose_information"]
+
+_MIN_MATCHES = 20
+
+_SETTLED_M = 1e-4
+_ITERATIONS = 15
+
+# Least range noise of vehicle LiDARs: no smaller residual is an outlier.
+_NOISE_M = 0.01
+_MAD_TO_SIGMA = 1.4826
+# Half the weight at about twice the usual residual (Geman-McClure).
+_OUTLIER_SIGMAS = 3.0
+# Where both clouds' normals lie 20 degrees apart, a quarter of the weight is lost; at 33 degrees, half.
+_AGREEMENT_POWER = 4
+_FLATNESS_POWER = 2
+
+# Size of a car door, a window, a kerb stone: one plane with one common error.
+_PATCH_M = 1.0
+# Below this share, what remains is noise of the matches.
+_LEAST_REAL = 0.02
+
+_SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Overlap:
+    """Points of the source near the target: all that can match at or near the registered pose."""
+
+    target: RegistrationCloud
+    points_m: FloatArray
+    normals: FloatArray
+    distance_m: float
+    threads: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Residuals:
+    """Distance of M matches to the target's plane, (M, 6) derivative, weight, and position in the target's frame.
+
+    `sigma_m` is the usual residual.
+    """
+
+    residual_m: FloatArray
+    jacobian: FloatArray
+    weight: FloatArray
+    points_m: FloatArray
+    sigma_m: float
+
+    @property
+    def gradient(self) -> FloatArray:
+        return np.asarray(self.jacobian.T @ (self.weight * self.residual_m))
+
+    @property
+    def hessian(self) -> FloatArray:
+        """Gauss-Newton Hessian for fixed matches."""
+        return np.asarray(self.jacobian.T @ (self.jacobian * self.weight[:, None]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneFit:
+    """A pose fitted to planes.
+
+    Args:
+        information: as `pose_information`.
+    """
+
+    T_target_source: RigidTransform
+    information: FloatArray | None
+
+
+def fit_planes(
+    target: RegistrationCloud,
+    source: RegistrationCloud,
+    T_target_source: RigidTransform,
+    config: RefineConfig,
+    threads: int,
+) -> PlaneFit:
+    """Refine a pose by point-to-plane registration (Chen and Medioni, 1992) on planar surroundings only.
+
+    GICP gives every match the same weight, so bushes, edges and single scan lines pull as much as walls. Here a
+    match is weighted by the flatness of the target, by the agreement of both normals, and by its residual (Geman and
+    McClure, 1985, with the scale from the median residual).
+
+    Returns:
+        The given pose where too few points match, or where the fit moves it by more than `distance_m`.
+    """
+    overlap = _overlap(target, source, T_target_source, config, threads)
+    pose = T_target_source
+    for _ in range(_ITERATIONS):
+        residuals = _residuals(overlap, pose)
+        if residuals is None:
+            return PlaneFit(T_target_source, None)
+        step = _solved(residuals.hessian, -residuals.gradient)
+        pose = _moved(pose, step)
+        if np.abs(step / _SCALE).max() < _SETTLED_M:
+            break
+    if arc_between_m(pose, T_target_source) > config.distance_m:
+        pose = T_target_source
+    return PlaneFit(pose, _information(overlap, pose, config))
+
+
+def pose_information(
+    target: RegistrationCloud,
+    source: RegistrationCloud,
+    T_target_source: RigidTransform,
+    config: RefineConfig,
+    threads: int,
+) -> FloatArray | None:
+    """Compute the information (inverse covariance) of a registered pose.
+
+    The covariance is the sandwich H^-1 B H^-1 (White, Econometrica 1980). B sums gradients per patch of surface,
+    since the residuals of a patch are correlated (Liang and Zeger, Biometrika 1986). H is the Gauss-Newton Hessian,
+    reduced to what remains of it when the pose moves by the noise and the points are matched again: matches follow
+    their points, so the plain Hessian claims too much.
+
+    Returns:
+        (6, 6), order rotation (rad), translation (m), both along the target's axes, the rotation about the source's
+        origin; None where too few points match.
+    """
+    return _information(_overlap(target, source, T_target_source, config, threads), T_target_source, config)
+
+
+def _information(overlap: _Overlap, pose: RigidTransform, config: RefineConfig) -> FloatArray | None:
+    residuals = _residuals(overlap, pose)
+    if residuals is None:
+        return None
+    pulls = residuals.jacobian * (residuals.weight * residuals.residual_m)[:, None]
+    noise = residuals.jacobian * (residuals.weight * config.min_sigma_m)[:, None]
+    per_patch = _summed_by_patch(residuals.points_m, pulls)
+    hessian = _remaining_hessian(overlap, pose, residuals)
+    floored, spread = _floored(hessian, per_patch.T @ per_patch + noise.T @ noise, config.distance_m)
+    return np.asarray(floored @ np.linalg.pinv(spread, hermitian=True) @ floored)
+
+
+def _overlap(
+    target: RegistrationCloud,
+    source: RegistrationCloud,
+    pose: RigidTransform,
+    config: RefineConfig,
+    threads: int,
+) -> _Overlap:
+    """Select the points that may match, thinned evenly to the number allowed."""
+    reach_m = 1.5 * config.distance_m
+    distance_m, _ = target.tree.nearest(pose.apply(source.points_m), threads)
+    near = np.flatnonzero(distance_m <= reach_m)
+    if len(near) > config.max_points:
+        near = near[np.linspace(0, len(near) - 1, config.max_points).astype(np.intp)]
+    normals, _ = source.surface.at(near)
+    return _Overlap(target, source.points_m[near], normals, config.distance_m, threads)
+
+
+def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = None) -> _Residuals | None:
+    arms = pose.rotate(overlap.points_m)
+    moved = arms + pose.xyz_m
+    distance_m, index = overlap.target.tree.nearest(moved, overlap.threads)
+    matched = distance_m <= overlap.distance_m
+    if np.count_nonzero(matched) < _MIN_MATCHES:
+        return None
+    arms, moved, index = arms[matched], moved[matched], index[matched]
+    normals, flatness = overlap.target.surface.at(index)
+    residual_m = np.einsum("ij,ij->i", normals, moved - overlap.target.points_m[index])
+    agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
+    if sigma_m is None:
+        sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))
+    weight = flatness**_FLATNESS_POWER * agreement**_AGREEMENT_POWER
+    weight /= (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2) ** 2
+    jacobian = np.concatenate([np.cross(arms, normals), normals], axis=1)
+    return _Residuals(residual_m, jacobian, weight, moved, sigma_m)
+
+
+def _summed_by_patch(points_m: FloatArray, pulls: FloatArray) -> FloatArray:
+    _, patch = np.unique(np.floor(points_m / _PATCH_M), axis=0, return_inverse=True)
+    patch = patch.ravel()
+    return np.stack([np.bincount(patch, weights=column) for column in pulls.T], axis=1)
+
+
+def _remaining_hessian(overlap: _Overlap, pose: RigidTransform, residuals: _Residuals) -> FloatArray:
+    """Scale the Hessian by the share of it that remains along its principal directions, from 2 % to all.
+
+    Each step is as long as the usual residual: over shorter ones, single points that change their match dominate.
+    """
+    lengths = np.outer(_SCALE, _SCALE)
+    values, directions = np.linalg.eigh(residuals.hessian * lengths)
+    roots = np.sqrt(np.maximum(values, 1e-9))
+    left = np.empty((6, 6))
+    for axis, direction in enumerate(directions.T):
+        step = residuals.sigma_m * _SCALE * direction
+        moved = [_residuals(overlap, _moved(pose, sign * step), residuals.sigma_m) for sign in (1.0, -1.0)]
+        ahead, behind = (np.zeros(6) if each is None else each.gradient for each in moved)
+        slope = directions.T @ (_SCALE * (ahead - behind)) / (2.0 * residuals.sigma_m)
+        left[:, axis] = slope / (roots * roots[axis])
+    shares, mixed = np.linalg.eigh(0.5 * (left + left.T))
+    root = directions * roots @ mixed
+    return np.asarray((root * np.clip(shares, _LEAST_REAL, 1.0)) @ root.T / lengths)
+
+
+def _floored(hessian: FloatArray, spread: FloatArray, distance_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return H and B with a floor: where H is below one point, one point with the largest match distance counts."""
+    lengths = np.outer(_SCALE, _SCALE)
+    values, directions = np.linalg.eigh(hessian * lengths)
+    loose = directions[:, values < 1.0]
+    floored = (directions * np.maximum(values, 1.0)) @ directions.T
+    return floored / lengths, spread + distance_m**2 * (loose @ loose.T) / lengths
+
+
+def _solved(hessian: FloatArray, pull: FloatArray) -> FloatArray:
+    """Solve for a Gauss-Newton step, bounded in unconstrained directions."""
+    values, directions = np.linalg.eigh(hessian * np.outer(_SCALE, _SCALE))
+    values = np.maximum(values, 1e-6 * max(values[-1], 1e-6))
+    return np.asarray(_SCALE * (directions @ ((directions.T @ (_SCALE * pull)) / values)))
+
+
+def _moved(pose: RigidTransform, step: FloatArray) -> RigidTransform:
+    turn = Rotation.from_rotvec(step[:3]).as_matrix()
+    return RigidTransform.from_rotation_translation(
+        pose.target, pose.source, turn @ pose.rotation, pose.xyz_m + step[3:]
+    )

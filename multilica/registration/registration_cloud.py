@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds prepared for GICP, for use in many registrations."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import open3d as o3d
+import small_gicp
+from scipy.spatial import cKDTree
+
+from multilica.config import FineConfig
+from multilica.geometry import FloatArray
+from multilica.registration.neighbours import PointTree
+from multilica.registration.normals import Surface
+from multilica.registration.voxel_grid import thin
+
+__all__ = ["RegistrationCloud", "prepare_registration_cloud"]
+
+_COARSER = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationCloud:
+    """Thinned points with the engine's structures.
+
+    Args:
+        name: the LiDAR, or the root of a group.
+        points_m: (N, 3) in the frame of that name.
+        tree: nearest neighbours among `points_m`.
+        near_tree: the same, for bounded searches where most points have no neighbour.
+        engine_cloud: the engine's own type, with covariances.
+        neighbours: points from which a covariance is estimated.
+    """
+
+    name: str
+    points_m: FloatArray
+    tree: PointTree
+    near_tree: cKDTree
+    engine_cloud: Any
+    neighbours: int
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Planes that its points lie on."""
+        return Surface(self.tree, self.neighbours)
+
+
+def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConfig, threads: int) -> RegistrationCloud:
+    """Thin a cloud and estimate a covariance per point from its neighbours."""
+    thinned, voxel_size_m = thin(points_m, config.voxel_size_m), config.voxel_size_m
+    while len(thinned) > config.max_points:
+        voxel_size_m *= _COARSER
+        thinned = thin(thinned, voxel_size_m)
+    tree = PointTree(thinned, threads)
+    near_tree = cKDTree(thinned, balanced_tree=False, compact_nodes=False)
+    estimated = _with_covariances if config.engine == "small_gicp" else _in_open3d
+    return RegistrationCloud(name, thinned, tree, near_tree, estimated(tree, config, threads), config.neighbours)
+
+
+def _with_covariances(tree: PointTree, config: FineConfig, threads: int) -> small_gicp.PointCloud:
+    small_gicp.estimate_normals_covariances(
+        tree.cloud, tree.engine, num_neighbors=config.neighbours, num_threads=threads
+    )
+    return tree.cloud
+
+
+def _in_open3d(tree: PointTree, config: FineConfig, threads: int) -> o3d.geometry.PointCloud:
+    del threads
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
+    cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(config.neighbours))
+    return cloud

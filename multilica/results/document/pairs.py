@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Registered pairs in the result document."""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from multilica.geometry import RigidTransform
+from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry
+
+__all__ = ["PairEntry", "ReasonEntry", "RegistrationEntry", "StabilityEntry", "VerdictEntry"]
+
+
+class ReasonEntry(Entry):
+    """Why a registration was not accepted, or a sensor not trusted."""
+
+    code: str = Field(description="Stable name, for programs.")
+    value: Number = Field(description="The measured figure.")
+    limit: Number = Field(description="The limit that the figure exceeds or misses.")
+    text: str = Field(description="The reason for people.")
+
+
+class VerdictEntry(Entry):
+    """Whether the registration is accepted."""
+
+    outcome: Literal["accept", "undecided", "reject"] = Field(description="The decision.")
+    reasons: tuple[ReasonEntry, ...] = Field(description="Reasons against it; empty if it is accepted.")
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the registration may be merged."""
+        return self.outcome == "accept"
+
+
+class StabilityEntry(Entry):
+    """How far the registered pose moves when it is disturbed; rotations count as arcs at 10 m."""
+
+    sigma_m: Number = Field(description="Standard deviation of the position in its weakest direction.")
+    sigma_rad: Number = Field(description="Standard deviation of the attitude in its weakest direction.")
+    push_m: Number = Field(description="How far the pose was pushed along its weakest direction.")
+    pushed_off_m: Number = Field(description="Distance from the pose to the end of the registration after the push.")
+    thinned_off_m: Number = Field(description="Distance from the pose to the end of the registration of fewer points.")
+
+
+class RegistrationEntry(Entry):
+    """One hypothesis after GICP, with its visibility score."""
+
+    hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
+    origin: str = Field(description="Solver of that hypothesis, or `prior`; empty if the pose came from other pairs.")
+    T_target_source: Matrix4 = Field(description="Rows of the homogeneous matrix, lengths.")
+    agree: int = Field(description="Points on a surface that the other LiDAR measured.")
+    violate: int = Field(description="Points in space that beams of the other LiDAR passed through.")
+    occluded: int = Field(description="Points behind a measured surface.")
+    unseen: int = Field(description="Points outside the field of view of the other LiDAR.")
+    evidence: Number = Field(
+        description="Distinctive agreeing points less weighted violations; registrations are ranked by it."
+    )
+    fitness: Number = Field(description="Share of the points that lie near a surface of the target cloud.")
+    rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
+    weakest_curvature: Number = Field(
+        description="Smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m."
+    )
+    min_information_eigenvalue: Number = Field(description="Number of points that constrain the weakest direction.")
+    stability: StabilityEntry | None = Field(description="Result of the stability test; null if it was not run.")
+
+
+class PairEntry(PoseEntry, PairNames):
+    """A registered pair of LiDARs."""
+
+    fitness: Number = Field(description="Share of the source points that lie near a surface of the target cloud.")
+    rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
+    inliers: int = Field(description="Number of those points.")
+    converged: bool = Field(description="Whether GICP converged.")
+    iterations: int = Field(description="Number of GICP iterations.")
+    engine: str = Field(description="GICP implementation.")
+    hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
+    hessian: Matrix6 | None = Field(
+        description="Hessian of the GICP objective, order rotation, translation, about the source frame."
+    )
+    verdict: VerdictEntry = Field(description="The decision on this pair.")
+    registrations: tuple[RegistrationEntry, ...] = Field(
+        description="Distinct registrations of the pair, the chosen one first; empty without verification."
+    )
+
+    @property
+    def pose(self) -> RigidTransform:
+        """``T_target_source`` of the pair."""
+        return RigidTransform(self.target, self.source, np.asarray(self.T_target_source))
+
+    @property
+    def evidence(self) -> float:
+        """Evidence of the chosen registration; the fitness without verification."""
+        return (self.registrations[0].evidence if self.registrations else self.fitness) or 0.0

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The document that `result.json` holds."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, ValidationError, WithJsonSchema, model_validator
+
+from multilica.config import CalibrationConfig
+from multilica.errors import UnreadableSourceError
+from multilica.geometry import RigidTransform
+from multilica.results.document.lidars import LidarEntry
+from multilica.results.document.merging import DecisionEntry, RefinementEntry
+from multilica.results.document.pairs import PairEntry
+from multilica.results.document.run import GroundEntry, InputEntry, ProgressEntry, RefusalEntry, SnapshotEntry
+from multilica.results.document.stages import StageFigures
+from multilica.results.document.values import Entry, Number
+
+__all__ = ["RESULT_SCHEMA", "ResultDocument", "parse_result"]
+
+RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
+
+
+class ResultDocument(Entry):
+    """The outcome of a calibration run.
+
+    Units are in the names of the keys: `_m` metres, `_deg` degrees, `_rad` radians, `_s` seconds. Matrices have metres.
+    Null stands for what is not known.
+    """
+
+    schema_: Literal["multilica/result/1"] = Field(alias="schema", description="Name and version of this format.")
+    status: Literal["complete", "partial", "failed", "unfinished"] = Field(
+        description="`failed` if no LiDAR but the target is placed, `unfinished` if the run was cut off."
+    )
+    target: str = Field(description="LiDAR that all poses are relative to; empty until it is chosen.")
+    target_reason: str = Field(description="Why that LiDAR is the target.")
+    refusal: RefusalEntry | None = Field(description="Why the snapshot was not calibrated at all; null if it was.")
+    lidars: Mapping[str, LidarEntry] = Field(description="Per LiDAR in name order, the target with the identity.")
+    pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")
+    decisions: tuple[DecisionEntry, ...] = Field(description="Merge steps, in order.")
+    snapshots: tuple[SnapshotEntry, ...] = Field(
+        description="Snapshots of a joint result; empty for a single snapshot."
+    )
+    refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
+    ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
+    timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
+    input: InputEntry = Field(description="The snapshot that was calibrated.")
+    config: Annotated[CalibrationConfig, WithJsonSchema({"type": "object"})] = Field(
+        description="The resolved configuration, see docs/configuration.md."
+    )
+    versions: Mapping[str, str] = Field(description="Version per package.")
+    platform: str = Field(description="Operating system and processor.")
+    progress: ProgressEntry | None = Field(None, description="How far the run came; null if that is not known.")
+    stages: StageFigures | None = Field(None, description="Figures per finished stage; null if they are not known.")
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        unknown = sorted({name for pair in self.pairs for name in pair.names} - {*self.lidars})
+        if unknown:
+            raise ValueError(f"`pairs` names {unknown[0]}, which `lidars` lacks")
+        contested = [entry.contested for entry in self.lidars.values() if entry.contested is not None]
+        if {key for each in contested for key in (each.pair, each.other)} - {pair.key for pair in self.pairs}:
+            raise ValueError("`contested` of a LiDAR names a pair that `pairs` lacks")
+        if any(entry.placed and entry.T_target_source is None for entry in self.lidars.values()):
+            raise ValueError("`lidars` has a placed LiDAR without a pose")
+        if self.placed and self.target not in self.lidars:
+            raise ValueError(f"`lidars` lacks the target {self.target!r}")
+        return self
+
+    @property
+    def placed(self) -> frozenset[str]:
+        """Names of the placed LiDARs, the target among them."""
+        return frozenset(name for name, entry in self.lidars.items() if entry.placed)
+
+    @property
+    def poses(self) -> dict[str, RigidTransform]:
+        """``T_target_source`` of each placed LiDAR, the target among them."""
+        return {name: pose for name in self.lidars if (pose := self.pose(name)) is not None}
+
+    def pose(self, lidar: str) -> RigidTransform | None:
+        """Return ``T_target_source`` of a LiDAR; None if it is not placed."""
+        entry = self.lidars[lidar]
+        if not entry.placed or entry.T_target_source is None:
+            return None
+        return RigidTransform(self.target, lidar, np.asarray(entry.T_target_source))
+
+
+def parse_result(source: object, text: str | bytes) -> ResultDocument:
+    """Read a result document from its JSON text.
+
+    Args:
+        source: the file, for the error message.
+
+    Raises:
+        UnreadableSourceError: not JSON, of another schema, or damaged.
+    """
+    try:
+        return ResultDocument.model_validate_json(text)
+    except ValidationError as error:
+        raise UnreadableSourceError(_problem(source, error)) from error
+
+
+def _problem(source: object, error: ValidationError) -> str:
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    if first["type"] == "json_invalid":
+        return f"{source} is not a JSON file that can be read: {first['msg'].removeprefix('Invalid JSON: ')}."
+    schema = next(
+        (each for each in problems if each["loc"] in ((), ("schema",)) and each["type"] != "value_error"), None
+    )
+    if schema is not None:
+        found = schema["input"] if schema["type"] == "literal_error" else None
+        return f"{source} has schema {found!r}; expected '{RESULT_SCHEMA}', as the result.json of a run has it."
+    where = ".".join(map(str, first["loc"])) or "the document"
+    what = first["msg"].removeprefix("Value error, ")
+    return f"{source} is not a whole result: {where}: {what}. Calibrate again with this version of multilica."

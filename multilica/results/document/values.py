@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Value types of the documents that a run leaves behind."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from typing_extensions import TypeAliasType
+
+from multilica.geometry import RigidTransform
+
+__all__ = ["Entry", "Matrix4", "Matrix6", "Number", "PairNames", "PoseEntry", "Quaternion", "Vector3"]
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401
+    """Return an array as lists, and None for a number, or for an array with a number, that is not finite."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    return value if _finite(value) else None
+
+
+def _finite(value: object) -> bool:
+    if isinstance(value, list | tuple):
+        return all(map(_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+def _rigid(rows: _Rows4) -> _Rows4:
+    RigidTransform("", "", np.asarray(rows))
+    return rows
+
+
+Vector3 = TypeAliasType("Vector3", tuple[float, float, float])
+Quaternion = TypeAliasType("Quaternion", tuple[float, float, float, float])
+Row4 = TypeAliasType("Row4", tuple[float, float, float, float])
+Row6 = TypeAliasType("Row6", tuple[float, float, float, float, float, float])
+_Rows4 = tuple[Row4, Row4, Row4, Row4]
+
+Number = Annotated[float | None, BeforeValidator(_plain)]
+Matrix4 = TypeAliasType("Matrix4", Annotated[_Rows4, AfterValidator(_rigid)])
+Matrix6 = TypeAliasType("Matrix6", tuple[Row6, Row6, Row6, Row6, Row6, Row6])
+
+
+class Entry(BaseModel):
+    """A frozen part of a document, without unknown keys or numbers that are not finite."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        from_attributes=True,
+        serialize_by_alias=True,
+    )
+
+    _to_plain = field_validator("*", mode="before")(_plain)
+
+
+class PairNames(Entry):
+    """The two LiDARs of a pair."""
+
+    target: str = Field(description="LiDAR whose frame the pose maps to.")
+    source: str = Field(description="LiDAR whose frame the pose maps from.")
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Target and source."""
+        return self.target, self.source
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Both names, without order."""
+        return frozenset((self.target, self.source))
+
+
+class PoseEntry(Entry):
+    """A pose in every form that readers ask for."""
+
+    T_target_source: Matrix4 = Field(
+        description="Rows of the homogeneous matrix: p_target = T_target_source @ p_source."
+    )
+    xyz_m: Vector3 = Field(description="Position of the source in the target frame.")
+    rpy_deg: Vector3 = Field(description="Roll, pitch, yaw, extrinsic xyz, about the fixed axes of the target.")
+    quaternion_xyzw: Quaternion = Field(description="Rotation as a unit quaternion, w last.")

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration from recordings to a run directory."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from multilica import events
+from multilica.config import CalibrationConfig
+from multilica.errors import UnfitSnapshotError
+from multilica.events import Event, RunObserver
+from multilica.extrinsics import Extrinsics
+from multilica.ingest import (
+    SnapshotSource,
+    find_snapshots,
+    read_prior,
+    read_snapshot,
+    require_calibratable,
+    require_lidar,
+)
+from multilica.ingest.locate import PathLike, locate
+from multilica.ingest.remote.address import stem_of
+from multilica.ingest.snapshot_metadata import config_for
+from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
+from multilica.pipeline import calibrate
+from multilica.results import CalibrationResult
+from multilica.sinks.run_directory import open_run
+from multilica.snapshot import Snapshot
+from multilica.stages.prior import require_usable
+
+__all__ = ["CalibrationRun", "default_directory", "run_calibration"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationRun:
+    """A result with the files that hold it.
+
+    Args:
+        config: the configuration that was used.
+        directory: the run directory.
+        written: paths of its files, the extrinsics first, then the directories of the single snapshots.
+    """
+
+    result: CalibrationResult
+    config: CalibrationConfig
+    directory: Path
+    written: tuple[Path, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Request:
+    """What all snapshots of a run have in common."""
+
+    config: CalibrationConfig
+    prior: str | None
+    mcap_encoding: str
+    observe: RunObserver
+
+
+def run_calibration(
+    sources: PathLike | Sequence[PathLike],
+    out: str | Path | None = None,
+    config: CalibrationConfig | None = None,
+    *,
+    prior: str | None = None,
+    mcap_encoding: str = "foxglove",
+    observe: RunObserver = events.ignore,
+) -> CalibrationRun:
+    """Read recordings, calibrate, and write a run directory.
+
+    Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
+    own below `out`, then all of them jointly into `out`. Every file is written under a temporary name and renamed when
+    it is whole. An exception that ends the run carries a note that says what is left in the directory.
+
+    Args:
+        sources: as `read_snapshot` takes them.
+        out: the run directory; None: `default_directory`.
+        config: None: the default preset, with all frames of what `multilica record` took.
+        prior: poses to try as well, as `read_prior` takes them.
+        mcap_encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
+        observe: called with each event as it happens; not with those of the joint result.
+
+    Returns:
+        The result, joint if there are several snapshots, with the paths of its files.
+
+    Raises:
+        InputError: the sources or the prior cannot be read, or no snapshot can be calibrated.
+        UsageError: the configuration names something that does not exist or cannot be used with these sources, or
+            `out` cannot be written to.
+    """
+    files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
+    config = config or CalibrationConfig(ingest=config_for(files))
+    found = find_snapshots(files, config=config.ingest)
+    directory = default_directory(files, len(found)) if out is None else Path(out)
+    request = _Request(config, prior, mcap_encoding, observe)
+    if len(found) > 1:
+        return _run_jointly(found, directory, request)
+    return _run_one(_read(found[0], config, observe), directory, request)
+
+
+def default_directory(sources: Sequence[PathLike], snapshots: int = 1) -> Path:
+    """Return ``recordings/runs/<source>``; a joint run never shares it with a run of its first snapshot alone."""
+    more = f"-and-{snapshots - 1}-more" if snapshots > 1 else ""
+    return Path("recordings") / "runs" / f"{stem_of(str(next(iter(sources), '')))}{more}"
+
+
+def _read(source: SnapshotSource, config: CalibrationConfig, observe: RunObserver) -> Snapshot:
+    """Read a snapshot and check it; a source that is refused here leaves an earlier run directory as it was."""
+    observe(events.StageStarted("ingest", 0))
+    start_s = time.perf_counter()
+    snapshot = read_snapshot(source.paths, config=config.ingest)
+    require_calibratable(snapshot)
+    if config.target:
+        snapshot[config.target]
+    observe(events.StageFinished("ingest", time.perf_counter() - start_s))
+    for note in snapshot.notes:
+        observe(events.InputNoted(note))
+    return snapshot
+
+
+def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> CalibrationRun:
+    prior: Extrinsics | None = None
+    if request.prior is not None:
+        found = read_prior(request.prior, snapshot)
+        require_usable(found.extrinsics, snapshot, request.config)
+        prior = found.extrinsics
+        for note in found.notes:
+            request.observe(events.InputNoted(note))
+    with open_run(directory, request.config, request.mcap_encoding) as run:
+
+        def observe(event: Event) -> None:
+            run(event)
+            if getattr(event, "stage", "") != "ingest":  # sent when the snapshot was read
+                request.observe(event)
+
+        result = calibrate(snapshot, request.config, observe, prior)
+    return CalibrationRun(result, request.config, directory, run.written)
+
+
+def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _Request) -> CalibrationRun:
+    config = request.config
+    require_joinable(config)
+    if config.target:
+        require_lidar(config.target, sources)
+    with open_run(directory, request.config, request.mcap_encoding) as run:
+        run.clear()  # an interrupted run must not leave an earlier joint result beside its own snapshots
+        alone = [_run_alone(source, directory / source.name, request) for source in sources]
+        result = join(alone, config)
+        shown = next(source for source in sources if source.name == shown_snapshot(result))
+        result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run)
+    directories = tuple(path for source in sources if (path := directory / source.name).is_dir())
+    return CalibrationRun(result, config, directory, run.written + directories)
+
+
+def _run_alone(source: SnapshotSource, directory: Path, request: _Request) -> SnapshotRun:
+    """Calibrate one of several snapshots; the others can do without one that is refused."""
+    request.observe(events.SnapshotStarted(source.name))
+    path, config = str(source.paths[0]), request.config
+    try:
+        snapshot = _read(source, config.model_copy(update={"target": ""}), request.observe)
+        if config.target not in snapshot.names:
+            config = config.model_copy(update={"target": ""})
+        result = _run_one(snapshot, directory, replace(request, config=config)).result
+    except UnfitSnapshotError as refusal:
+        request.observe(events.SnapshotRefused(source.name, str(refusal)))
+        return SnapshotRun(source.name, None, path, refusal=str(refusal))
+    return SnapshotRun(source.name, result, path, snapshot.source_sha256)

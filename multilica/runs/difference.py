@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of two runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from multilica.diagnosis import explain
+from multilica.errors import InputError
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import FloatArray
+from multilica.results.document import ResultDocument
+from multilica.results.document.values import Entry
+from multilica.runs.first_difference import Parting, partings_of
+from multilica.runs.pose_error import PoseError
+from multilica.runs.run_documents import RunDocument
+
+__all__ = ["Move", "PlacedByNeither", "RunDifference", "StatusChange", "compare_runs", "extrinsics_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """A LiDAR that both runs placed.
+
+    Args:
+        error: second pose - first pose, along the axes of the first run's target.
+        sigmas: the largest of the six differences divided by its standard deviation; None without covariances.
+        moved: whether it moved by more than the limits.
+    """
+
+    lidar: str
+    error: PoseError
+    sigmas: float | None
+    moved: bool
+
+
+class StatusChange(Entry):
+    """A LiDAR that only one of the runs placed; with the cause from the other run."""
+
+    lidar: str
+    before: Literal["placed", "not placed", "missing"]
+    after: Literal["placed", "not placed", "missing"]
+    why: str
+
+
+class PlacedByNeither(Entry):
+    """A LiDAR that both runs have and neither placed; with the cause in each run."""
+
+    lidar: str
+    before: str
+    after: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunDifference:
+    """Differences between two runs.
+
+    Args:
+        names: of the two runs.
+        target: LiDAR in whose axes the moves are.
+        targets: of the two runs.
+        moves: per LiDAR that both placed, in name order, without the target.
+        statuses: per LiDAR that one of them placed.
+        neither: per LiDAR that none of them placed, in name order.
+        partings: steps at which the runs differ, in order.
+        notes: what could not be compared.
+    """
+
+    names: tuple[str, str]
+    target: str
+    targets: tuple[str, str]
+    moves: tuple[Move, ...]
+    statuses: tuple[StatusChange, ...]
+    neither: tuple[PlacedByNeither, ...]
+    partings: tuple[Parting, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def same(self) -> bool:
+        """Whether both place the same LiDARs at the same poses, within the limits."""
+        return not self.statuses and not any(move.moved for move in self.moves)
+
+    @property
+    def places_nothing(self) -> bool:
+        """Whether neither run places a LiDAR, the target included."""
+        return bool(self.neither) and self.target in {each.lidar for each in self.neither} and not self.statuses
+
+
+def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, within_rad: float) -> RunDifference:
+    """Compare the second run with the first.
+
+    Args:
+        within_m, within_rad: a LiDAR that differs by no more has not moved.
+
+    Raises:
+        InputError: the runs have no LiDAR in common.
+    """
+    first, second = before.document, after.document
+    if not {*first.lidars} & {*second.lidars}:
+        raise InputError(f"{before.path} and {after.path} have no LiDAR in common; give two runs of one rig.")
+    rigs = extrinsics_of(first), extrinsics_of(second)
+    common = first.placed & second.placed
+    return RunDifference(
+        names=(str(before.path), str(after.path)),
+        target=first.target,
+        targets=(first.target, second.target),
+        moves=tuple(
+            _move(first.target, name, rigs, _variances(first, second, name), (within_m, within_rad))
+            for name in sorted(common - {first.target})
+            if first.target in common
+        ),
+        statuses=_status_changes(first, second),
+        neither=_placed_by_neither(first, second),
+        partings=partings_of(first, second),
+        notes=_notes(before, after),
+    )
+
+
+def extrinsics_of(document: ResultDocument) -> Extrinsics:
+    """Return the poses of the placed LiDARs."""
+    return Extrinsics(document.target, dict(sorted(document.poses.items())))
+
+
+def _move(
+    target: str,
+    lidar: str,
+    rigs: tuple[Extrinsics, Extrinsics],
+    variances: FloatArray | None,
+    limits: tuple[float, float],
+) -> Move:
+    error = PoseError.between(rigs[1].between(target, lidar), rigs[0].between(target, lidar))
+    sigmas = None
+    if variances is not None:
+        off = np.abs(np.concatenate([error.rotation_rad, error.translation_m]))
+        sigmas = float(np.max(off / np.sqrt(np.maximum(variances, np.finfo(float).tiny))))
+    return Move(lidar, error, sigmas, error.distance_m > limits[0] or error.angle_rad > limits[1])
+
+
+def _variances(before: ResultDocument, after: ResultDocument, lidar: str) -> FloatArray | None:
+    """Return the (6,) variance of the difference, rotation (rad) then translation (m); None if it is not known."""
+    first, second = before.lidars[lidar].covariance, after.lidars[lidar].covariance
+    if before.target != after.target or first is None or second is None:
+        return None
+    return np.asarray(np.diag(np.asarray(first)) + np.diag(np.asarray(second)))
+
+
+def _status_changes(before: ResultDocument, after: ResultDocument) -> tuple[StatusChange, ...]:
+    names = sorted({*before.lidars, *after.lidars})
+    return tuple(
+        StatusChange(
+            lidar=name,
+            before=_status(before, name),
+            after=_status(after, name),
+            why=_why((after, before), name),
+        )
+        for name in names
+        if _status(before, name) != _status(after, name)
+    )
+
+
+def _placed_by_neither(before: ResultDocument, after: ResultDocument) -> tuple[PlacedByNeither, ...]:
+    return tuple(
+        PlacedByNeither(lidar=name, before=_why((before,), name), after=_why((after,), name))
+        for name in sorted(before.lidars)
+        if {_status(before, name), _status(after, name)} == {"not placed"}
+    )
+
+
+def _status(document: ResultDocument, lidar: str) -> Literal["placed", "not placed", "missing"]:
+    if lidar not in document.lidars:
+        return "missing"
+    return "placed" if document.lidars[lidar].placed else "not placed"
+
+
+def _why(documents: Sequence[ResultDocument], lidar: str) -> str:
+    """Return the cause from the first document that did not place the LiDAR."""
+    for document in documents:
+        if _status(document, lidar) == "not placed":
+            explanation = explain(document)
+            headlines = [missing.headline for missing in explanation.missing if missing.lidar == lidar]
+            return headlines[0] if headlines else explanation.headline
+    return "only one of the runs has it"
+
+
+def _notes(before: RunDocument, after: RunDocument) -> tuple[str, ...]:
+    runs, target = (before, after), before.document.target
+    without = [
+        f"{run.path} has no figures per stage, so stages are not compared" for run in runs if not run.document.stages
+    ]
+    unplaced = [
+        f"{run.path} does not place {target}, so poses cannot be compared"
+        for run in runs
+        if target not in run.document.placed
+    ]
+    return (*without, *unplaced)

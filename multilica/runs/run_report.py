@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Report of a saved run."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from multilica.errors import SourceNotFoundError
+from multilica.geometry import RigidTransform
+from multilica.results import LEVEL_FRAME
+from multilica.results.document import PairEntry
+from multilica.runs.run_documents import read_run_document
+from multilica.sinks.report.contents import ReportContents, ScoredPoints
+from multilica.sinks.report.page import report_html
+from multilica.sinks.rerun.reading import RecordedScores, read_recorded_cloud, read_recorded_scores
+from multilica.stages.ground import estimate_level
+
+__all__ = ["contents_of_run", "report_of_run"]
+
+_SAME_POSE = 1e-4
+"""Metres and radians: a recording holds poses in single precision."""
+
+
+def report_of_run(path: Path) -> str:
+    """Return the page of a run directory, its `result.json`, or a recording, also a cut-off one.
+
+    Notes of the reader of the input are only in the report that the run itself wrote. Scored points are those that the
+    recording kept.
+
+    Raises:
+        SourceNotFoundError: nothing there, or no recording.
+        UnreadableSourceError: damaged, or not of a run.
+    """
+    return report_html(contents_of_run(path))
+
+
+def contents_of_run(path: Path) -> ReportContents:
+    """Return what the report of a run shows; raises as `report_of_run`."""
+    run = read_run_document(path)
+    if run.recording is None:
+        raise SourceNotFoundError(f"{path} has no recording (.rrd) beside it, which has the clouds to draw.")
+    recording = run.recording
+    clouds = {name: read_recorded_cloud(recording, name).astype(np.float64) for name in run.document.lidars}
+    scored = {pair.key: _scored(recording, pair) for pair in run.document.pairs}
+    contents = ReportContents(run.document, clouds, scored)
+    return replace(contents, level=_level(contents))
+
+
+def _level(contents: ReportContents) -> RigidTransform | None:
+    document = contents.document
+    if document.ground is not None:
+        return RigidTransform(LEVEL_FRAME, contents.target, np.asarray(document.ground.T_base_target, dtype=np.float64))
+    return estimate_level(contents.target, contents.clouds, contents.placed_poses(), document.config)
+
+
+def _scored(recording: Path, pair: PairEntry) -> tuple[ScoredPoints, ...]:
+    """Return the chosen pose, then the competing one; nothing for an accepted pair, which no picture shows."""
+    if pair.verdict.accepted:
+        return ()
+    found = read_recorded_scores(recording, pair.target, pair.source)
+    finalists = [
+        RigidTransform(pair.target, pair.source, np.asarray(one.T_target_source)) for one in pair.registrations
+    ]
+    shown = [finalists[0] if finalists else pair.pose]
+    shown += [found.competing_pose] if found.competing_pose is not None else []
+    return tuple(_points_at(pose, finalists, found) for pose in shown)
+
+
+def _points_at(pose: RigidTransform, finalists: list[RigidTransform], found: RecordedScores) -> ScoredPoints:
+    """Return the scored points at a pose; none if the recording has no score of it."""
+    rank = next((rank for rank, one in enumerate(finalists) if max(one.distance_to(pose)) < _SAME_POSE), None)
+    if rank is None or rank >= len(found.labels):
+        return ScoredPoints(pose, np.empty((0, 3)), np.empty(0, dtype=np.uint8))
+    return ScoredPoints(pose, found.points_m.astype(np.float64), found.labels[rank])

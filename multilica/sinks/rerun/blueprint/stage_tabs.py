@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tabs of the stages."""
+
+from collections.abc import Callable, Mapping
+
+import rerun.blueprint as rrb
+
+from multilica.config import Stage
+from multilica.results import PairKey
+from multilica.sinks.rerun.blueprint.camera import above_group
+from multilica.sinks.rerun.blueprint.views import (
+    before_view,
+    document_view,
+    matches_view,
+    registered_view,
+    scene_view,
+    scored_view,
+    single_lidar_view,
+)
+from multilica.sinks.rerun.curves import CURVES
+from multilica.sinks.rerun.tree import (
+    COVERAGE,
+    DISPLAY_FRAME,
+    DROPPED_TABLE,
+    FITNESS,
+    HYPOTHESES_TABLE,
+    MERGE_GRAPH,
+    MERGE_STEPS,
+    PAIRS_TABLE,
+    VERDICTS,
+    curve_path,
+    lidar_path,
+    pair_path,
+)
+from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import pair_label
+
+__all__ = ["stage_tab", "stage_tabs"]
+
+_MAX_PAIR_TABS = 15
+
+Tab = rrb.Container | rrb.View
+
+
+def stage_tab(state: RunState, stage: Stage) -> Tab:
+    """Return the tab of one stage, or of the input if the stage has nothing to show."""
+    tab = _STAGE_TABS[stage](state) if stage in _STAGE_TABS else None
+    return tab if tab is not None else _input_tab(state)
+
+
+def stage_tabs(state: RunState) -> list[Tab]:
+    """Return the tabs of all stages that have something to show, in order."""
+    builders = dict.fromkeys(_STAGE_TABS.values())
+    return [tab for build in builders if (tab := build(state)) is not None]
+
+
+def _input_tab(state: RunState) -> rrb.Container:
+    views = [single_lidar_view(state, lidar, ("raw",)) for lidar in state.lidars]
+    return rrb.Grid(*views, name="Input")
+
+
+def _preprocess_tab(state: RunState) -> Tab | None:
+    views = [
+        single_lidar_view(state, lidar, ("preprocessed", "dropped", "field_of_view")) for lidar in sorted(state.clouds)
+    ]
+    if not views:
+        return None
+    table = document_view(DROPPED_TABLE, "Dropped points")
+    return rrb.Vertical(rrb.Grid(*views), table, row_shares=[3, 1], name="Preprocess")
+
+
+def _features_tab(state: RunState) -> Tab | None:
+    views = [single_lidar_view(state, lidar, ("features",)) for lidar in sorted(state.features)]
+    return rrb.Grid(*views, name="Features") if views else None
+
+
+def _shown_pairs(state: RunState) -> list[PairKey]:
+    """Return the pairs with the most evidence, at most as many as a person can look through."""
+    return sorted(sorted(state.pairs, key=state.progress_of, reverse=True)[:_MAX_PAIR_TABS])
+
+
+def _correspond_tab(state: RunState) -> Tab | None:
+    pairs = [pair for pair in _shown_pairs(state) if pair in state.matches]
+    views = [matches_view(state, pair) for pair in pairs]
+    return rrb.Tabs(*views, name="Correspond") if views else None
+
+
+def _coarse_tab(state: RunState) -> Tab | None:
+    pairs = [pair for pair in _shown_pairs(state) if pair in state.coarse]
+    if not pairs:
+        return None
+    tabs = [
+        rrb.Horizontal(
+            scored_view(state, pair),
+            document_view(pair_path(*pair, "scores"), "Scores"),
+            column_shares=[3, 2],
+            name=pair_label(*pair),
+        )
+        for pair in pairs
+    ]
+    table = document_view(HYPOTHESES_TABLE, "All pairs")
+    return rrb.Tabs(*tabs, table, name="Coarse + verify" if state.verified else "Coarse")
+
+
+def _fine_tab(state: RunState) -> Tab | None:
+    if not state.registrations:
+        return None
+    matrices = [_matrix_view(path, name) for path, name in _MATRICES.items()]
+    table = document_view(PAIRS_TABLE, "Pairs")
+    figures = rrb.Vertical(rrb.Horizontal(*matrices), table, row_shares=[3, 2], name="Matrices")
+    legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
+    curves = [
+        rrb.TimeSeriesView(origin=curve_path(quantity), name=title, plot_legend=legend)
+        for quantity, title in CURVES.items()
+    ]
+    pairs = [pair for pair in _shown_pairs(state) if pair in state.registrations]
+    moved = [
+        rrb.Horizontal(before_view(state, pair), registered_view(state, pair), name=pair_label(*pair)) for pair in pairs
+    ]
+    return rrb.Tabs(
+        figures, rrb.Grid(*curves, grid_columns=2, name="GICP"), rrb.Tabs(*moved, name="Before and after"), name="Fine"
+    )
+
+
+_MATRICES = {FITNESS: "Fitness", COVERAGE: "Coverage", VERDICTS: "Verdicts"}
+
+
+def _matrix_view(path: str, name: str) -> rrb.View:
+    return rrb.Spatial2DView(origin=path, contents=["$origin/picture", "$origin/labels"], name=name)
+
+
+def _merge_tab(state: RunState) -> Tab | None:
+    if not state.decisions:
+        return None
+    graph = rrb.GraphView(origin=MERGE_GRAPH, name="Merge graph")
+    contents = [
+        f"{lidar_path(lidar, part)}/**" for lidar in state.lidars for part in ("preprocessed", "sensor", "name")
+    ]
+    growing = scene_view("Growing cloud", DISPLAY_FRAME, contents, above_group(state))
+    side = rrb.Vertical(graph, document_view(MERGE_STEPS, "Merge steps"))
+    return rrb.Horizontal(growing, side, column_shares=[3, 2], name="Merge")
+
+
+_STAGE_TABS: Mapping[Stage, Callable[[RunState], Tab | None]] = {
+    "ingest": _input_tab,
+    "preprocess": _preprocess_tab,
+    "features": _features_tab,
+    "correspond": _correspond_tab,
+    "coarse": _coarse_tab,
+    "verify": _coarse_tab,
+    "fine": _fine_tab,
+    "merge": _merge_tab,
+}

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views of a blueprint."""
+
+from collections.abc import Mapping, Sequence
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.encodings import EntityPathLike
+
+from multilica.results import PairKey
+from multilica.sinks.drawing.palette import distinct_colours
+from multilica.sinks.rerun.blueprint.camera import around_lidar, beside_lidar
+from multilica.sinks.rerun.tree import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
+from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import pair_label
+
+__all__ = [
+    "before_view",
+    "competing_view",
+    "document_view",
+    "log_view",
+    "matches_view",
+    "registered_view",
+    "scene_view",
+    "scored_view",
+    "single_lidar_view",
+    "summary_view",
+]
+
+_DARK = (13, 16, 17)
+_DIM = 0.45
+_SCORED_LEGEND = ": green agrees, red lies in proven-empty space, grey is occluded"
+
+
+def scene_view(
+    name: str,
+    frame: str,
+    contents: Sequence[str],
+    eye: rrb.EyeControls3D,
+    *,
+    grid: bool = False,
+    overrides: Mapping[EntityPathLike, rr.Points3D] | None = None,
+) -> rrb.Spatial3DView:
+    """Show entities in a frame."""
+    return rrb.Spatial3DView(
+        origin="/",
+        contents=list(contents),
+        name=name,
+        spatial_information=rrb.SpatialInformation(target_frame=frame),
+        eye_controls=eye,
+        line_grid=grid,
+        overrides=overrides,
+        background=_DARK,
+    )
+
+
+def single_lidar_view(state: RunState, lidar: str, parts: Sequence[str], name: str = "") -> rrb.Spatial3DView:
+    """Show entities of one LiDAR in its own frame."""
+    contents = [f"{lidar_path(lidar, part)}/**" for part in ("sensor", *parts)]
+    return scene_view(name or lidar, lidar_frame(lidar), contents, around_lidar(state, lidar))
+
+
+def matches_view(state: RunState, pair: PairKey) -> rrb.Spatial3DView:
+    """Show the matches of a pair, from far enough to see both layers."""
+    contents = [lidar_path(pair[0], "features"), f"{pair_path(*pair, 'matches')}/**"]
+    return _pair_view(state, pair, pair_label(*pair), contents, zoom=0.6)
+
+
+def scored_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Spatial3DView:
+    """Show a pair at the pose of the step, its clouds dimmed below the scored points."""
+    clouds = {lidar_path(pair[0], "preprocessed"): pair[0], pair_path(*pair, "source"): pair[1]}
+    contents = [*clouds, f"{pair_path(*pair, 'scored')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
+    name = f"{pair_label(*pair)}{_SCORED_LEGEND if _is_scored(state, pair) else ''}"
+    return _pair_view(state, pair, name, contents, wide=wide, overrides=_dimmed(state, clouds))
+
+
+def _is_scored(state: RunState, pair: PairKey) -> bool:
+    found = state.registrations.get(pair)
+    return bool(state.verified.get(pair) or (found is not None and found.registrations))
+
+
+def competing_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Spatial3DView:
+    """Show a pair at its competing pose."""
+    contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'competing')}/**"]
+    return _pair_view(state, pair, f"{pair_label(*pair)}, competing pose", contents, wide=wide)
+
+
+def before_view(state: RunState, pair: PairKey) -> rrb.Spatial3DView:
+    """Show a pair at the hypothesis from which GICP started."""
+    contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'before')}/**"]
+    return _pair_view(state, pair, "Before GICP", contents)
+
+
+def registered_view(state: RunState, pair: PairKey) -> rrb.Spatial3DView:
+    """Show a pair at the pose of the step; at the last step, the registered one."""
+    contents = [lidar_path(pair[0], "preprocessed"), pair_path(*pair, "source")]
+    return _pair_view(state, pair, "After GICP", contents)
+
+
+def _pair_view(
+    state: RunState,
+    pair: PairKey,
+    name: str,
+    contents: Sequence[str],
+    *,
+    zoom: float = 1.0,
+    wide: bool = False,
+    overrides: Mapping[EntityPathLike, rr.Points3D] | None = None,
+) -> rrb.Spatial3DView:
+    """Show entities of a pair in the target's frame; from the side in a `wide` view."""
+    eye = beside_lidar(state, pair[0]) if wide else around_lidar(state, pair[0], zoom=zoom)
+    sensor = lidar_path(pair[0], "sensor")
+    return scene_view(name, lidar_frame(pair[0]), [sensor, *contents], eye, overrides=overrides)
+
+
+def _dimmed(state: RunState, clouds: Mapping[str, str]) -> dict[EntityPathLike, rr.Points3D]:
+    """Return a darker colour of its LiDAR per path of a cloud."""
+    colours = distinct_colours(state.lidars)
+    return {
+        path: rr.Points3D.from_fields(
+            colors=[tuple(int(_DIM * channel) for channel in colours[lidar])], radii=rr.Radius.ui_points(1.0)
+        )
+        for path, lidar in clouds.items()
+    }
+
+
+def log_view(name: str = "Log", levels: Sequence[str] = ("INFO", "WARN", "ERROR")) -> rrb.TextLogView:
+    """Show the log lines of some levels."""
+    return rrb.TextLogView(
+        origin=LOG,
+        name=name,
+        columns=rrb.TextLogColumns(timeline_columns=["step"], text_log_columns=["LogLevel", "Body"]),
+        rows=rrb.TextLogRows(filter_by_log_level=list(levels)),
+    )
+
+
+def document_view(path: str, name: str) -> rrb.TextDocumentView:
+    """Show a markdown document."""
+    return rrb.TextDocumentView(origin=path, contents=[path], name=name)
+
+
+def summary_view() -> rrb.TextDocumentView:
+    """Show the summary of the run."""
+    return document_view(SUMMARY, "Summary")

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Clouds of single LiDARs in a recording."""
+
+import numpy as np
+import rerun as rr
+
+from multilica import events
+from multilica.geometry import RigidTransform
+from multilica.results import FeatureCloud, PreprocessedCloud
+from multilica.sinks.drawing.field_of_view import shown_field_of_view
+from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb
+from multilica.sinks.drawing.slots import raw_points, slot_offsets_m
+from multilica.sinks.drawing.thinning import sample_indices
+from multilica.sinks.files.toml_text import toml_text
+from multilica.sinks.rerun.scene import RerunScene, rigid
+from multilica.sinks.rerun.tree import CONFIG, DISPLAY_FRAME, DROPPED_TABLE, lidar_frame, lidar_path, slot_frame
+from multilica.sinks.text.dropped_points import dropped_markdown
+from multilica.sinks.text.log_lines import LogLine
+from multilica.snapshot import LidarScans
+
+__all__ = ["log_dropped_table", "log_features", "log_input", "log_preprocessed"]
+
+_DROP_COLOURS: dict[str, Rgb] = {"too_near": VIOLATE, "too_far": MUTED, "moving": UNDECIDED}
+_AXIS_LENGTH_M = 1.0
+_NORMAL_LENGTH_M = 0.4
+
+
+def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
+    """Log the raw clouds side by side, and the configuration."""
+    table = event.config.model_dump(mode="json")
+    scene.log_document(CONFIG, f"```toml\n{toml_text(table)}```")
+    offsets_m = slot_offsets_m(event.snapshot)
+    for lidar in event.snapshot.lidars:
+        frame, offset_m = slot_frame(lidar.name), (0.0, offsets_m[lidar.name], 0.0)
+        place = RigidTransform.from_xyz_rpy(DISPLAY_FRAME, frame, offset_m, (0.0, 0.0, 0.0))
+        scene.log(lidar_path(lidar.name, "slot"), rigid(frame, DISPLAY_FRAME, place))
+        _log_sensor(scene, lidar.name, event.snapshot.names.index(lidar.name))
+        _log_raw(scene, lidar)
+
+
+def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
+    pose = rigid(lidar_frame(lidar), slot_frame(lidar))
+    scene.log(lidar_path(lidar, "sensor"), pose, rr.TransformAxes3D(_AXIS_LENGTH_M))
+    # Poles of different heights keep the names apart when the sensors sit close together.
+    pole = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.2 + 0.8 * index]]
+    name = rr.LineStrips3D([pole], colors=[scene.colour(lidar)], radii=rr.Radius.ui_points(1.0))
+    tip = rr.Points3D([pole[1]], colors=[scene.colour(lidar)], labels=[lidar], radii=rr.Radius.ui_points(3.0))
+    scene.log(lidar_path(lidar, "name"), rr.CoordinateFrame(lidar_frame(lidar)), name)
+    scene.log(lidar_path(lidar, "name", "tip"), rr.CoordinateFrame(lidar_frame(lidar)), tip)
+
+
+def _log_raw(scene: RerunScene, lidar: LidarScans) -> None:
+    points_m = raw_points(lidar)
+    limit = scene.limits.raw_points
+    if len(points_m) > limit:
+        text = f"{lidar.name}: {limit:,} of {len(points_m):,} raw points are recorded"
+        scene.log_line(LogLine("INFO", text))
+    scene.log_points(lidar_path(lidar.name, "raw"), lidar_frame(lidar.name), points_m, scene.colour(lidar.name), limit)
+
+
+def log_preprocessed(scene: RerunScene, event: events.CloudPreprocessed) -> None:
+    """Log a LiDAR's preprocessed cloud, its dropped points by reason, and its field of view."""
+    cloud, limit = event.cloud, scene.limits.cloud_points
+    frame = lidar_frame(cloud.lidar)
+    scene.log_points(lidar_path(cloud.lidar, "preprocessed"), frame, cloud.points_m, scene.colour(cloud.lidar), limit)
+    _log_field_of_view(scene, cloud)
+    for reason, dropped_m in sorted(cloud.dropped_m.items()):
+        finite_m = dropped_m[np.all(np.isfinite(dropped_m), axis=1)]
+        path = lidar_path(cloud.lidar, "dropped", reason)
+        scene.log_points(path, frame, finite_m, _DROP_COLOURS.get(reason, MUTED), limit)
+
+
+def log_dropped_table(scene: RerunScene) -> None:
+    """Log the table of dropped points."""
+    scene.log_document(DROPPED_TABLE, dropped_markdown(scene.state))
+
+
+def _log_field_of_view(scene: RerunScene, cloud: PreprocessedCloud) -> None:
+    strips = shown_field_of_view(scene.state, cloud.lidar)
+    if strips:
+        lines = rr.LineStrips3D(strips, colors=[scene.colour(cloud.lidar)], radii=rr.Radius.ui_points(0.6))
+        scene.log(lidar_path(cloud.lidar, "field_of_view"), rr.CoordinateFrame(lidar_frame(cloud.lidar)), lines)
+
+
+def log_features(scene: RerunScene, event: events.FeaturesComputed) -> None:
+    """Log the points with descriptors, and some normals."""
+    features = event.features
+    frame = lidar_frame(features.lidar)
+    path = lidar_path(features.lidar, "features")
+    limit = scene.limits.feature_points
+    scene.log_points(path, frame, features.points_m, scene.colour(features.lidar), limit, radius_pixels=2.0)
+    if scene.limits.normals:
+        normals = _normals(features, scene.limits.normals)
+        scene.log(lidar_path(features.lidar, "features", "normals"), rr.CoordinateFrame(frame), normals)
+
+
+def _normals(features: FeatureCloud, limit: int) -> rr.Arrows3D:
+    shown = sample_indices(len(features.points_m), limit)
+    return rr.Arrows3D(
+        origins=features.points_m[shown].astype(np.float32),
+        vectors=(_NORMAL_LENGTH_M * features.normals[shown]).astype(np.float32),
+        colors=[MUTED],
+        radii=rr.Radius.ui_points(0.5),
+    )

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sink that writes a Rerun recording."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import rerun as rr
+
+from multilica import events
+from multilica.sinks.files.atomic import partial_path
+from multilica.sinks.files.toml_text import toml_text
+from multilica.sinks.rerun.blueprint.layout import final_blueprint, stage_blueprint
+from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed
+from multilica.sinks.rerun.matches import log_matches
+from multilica.sinks.rerun.merge import log_merge_step
+from multilica.sinks.rerun.outcome import log_ground, log_outcome
+from multilica.sinks.rerun.pairs import (
+    log_changed_verdict,
+    log_contested_places,
+    log_group_registration,
+    log_hypotheses,
+    log_loop,
+    log_registration,
+    log_verified,
+    show_best_poses,
+)
+from multilica.sinks.rerun.record_limits import limits_for
+from multilica.sinks.rerun.scene import RerunScene
+from multilica.sinks.rerun.scored_points import log_beam_labels
+from multilica.sinks.rerun.tables import log_pair_tables, log_summary
+from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import LogLine, cause_of_end, log_end, log_lines
+
+__all__ = ["APPLICATION_ID", "RerunRecording"]
+
+APPLICATION_ID = "multilica"
+_PROPERTY = "multilica"
+_FLUSH_TIMEOUT_S = 60.0
+_FLUSH_TICK_S = 7 * 86_400.0
+
+
+class RerunRecording:
+    """A sink that writes every event to a `.rrd` file.
+
+    Use it as an observer within its `with` block. The file is `<stem>.partial.rrd` until the calibration finishes, also
+    after an interrupted or killed run. Each finished stage is on disk.
+
+    Args:
+        path: final name, ending in `.rrd`; an existing file is replaced.
+        state: shared with other sinks of the run.
+    """
+
+    def __init__(self, path: Path, state: RunState | None = None) -> None:
+        self.path = path
+        self._stream = rr.RecordingStream(APPLICATION_ID, send_properties=False, batcher_config=_batching())
+        self._scene = RerunScene(self._stream, state if state is not None else RunState())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __call__(self, event: events.Event) -> None:
+        """Record an event; the first one creates the file."""
+        scene = self._scene
+        if scene.step < 0:
+            self._stream.set_sinks(rr.FileSink(partial_path(self.path)))
+        scene.state(event)
+        scene.advance()
+        for line in log_lines(event):
+            scene.log_line(line)
+        handle = _HANDLERS.get(type(event))
+        if handle is not None:
+            handle(scene, event)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._scene.step < 0:
+            return
+        whole = self._scene.state.result is not None
+        if not whole:
+            self._log_end(error)
+        _flush(self._stream)
+        self._stream.disconnect()
+        if whole:
+            partial_path(self.path).replace(self.path)
+
+    def _log_end(self, error: BaseException | None) -> None:
+        scene = self._scene
+        scene.advance()
+        scene.log_line(log_end(error))
+        log_summary(scene, cause_of_end(error))
+        _send_properties(scene, "interrupted")
+        scene.stream.send_blueprint(stage_blueprint(scene.state))
+
+
+def _batching() -> rr.ChunkBatcherConfig:
+    """Return batching by size and at flushes, never by the clock: equal runs make equal files."""
+    return rr.ChunkBatcherConfig(flush_tick=_FLUSH_TICK_S)
+
+
+def _flush(stream: rr.RecordingStream) -> None:
+    """Write everything logged so far to disk."""
+    try:
+        stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+    except RuntimeError as error:
+        raise OSError(f"the recording could not be written: {error}; is the disk full?") from error
+
+
+def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:
+    scene.limits, share = limits_for(event.config.record, event.snapshot)
+    if share < 1.0:
+        budget = f"{event.config.record.max_megabytes:g} MB (record.max_megabytes)"
+        text = f"recording {share:.1%} of the usual points and matches to stay below {budget}"
+        scene.log_line(LogLine("WARN", text))
+    _send_properties(scene, "running")
+    log_beam_labels(scene)
+    log_input(scene, event)
+    log_summary(scene)
+    scene.stream.send_blueprint(stage_blueprint(scene.state))
+    _flush(scene.stream)
+
+
+def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
+    """Log the tables and write the stage to disk."""
+    if event.stage == "preprocess":
+        log_dropped_table(scene)
+    if event.stage in ("coarse", "verify", "fine", "merge", "refine"):
+        show_best_poses(scene)
+        log_pair_tables(scene)
+    log_summary(scene)
+    if event.stage in ("preprocess", "coarse", "fine", "merge"):
+        scene.stream.send_blueprint(stage_blueprint(scene.state))
+    _flush(scene.stream)
+
+
+def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
+    log_outcome(scene, event)
+    log_contested_places(scene)
+    log_summary(scene)
+    _send_properties(scene, event.result.status)
+    blueprint = final_blueprint if event.result.refusal is None else stage_blueprint
+    scene.stream.send_blueprint(blueprint(scene.state))
+    _flush(scene.stream)
+
+
+def _send_properties(scene: RerunScene, status: str) -> None:
+    state = scene.state
+    if state.provenance is None or state.config is None:
+        return
+    values = rr.AnyValues(
+        status=status,
+        version=state.provenance.versions["multilica"],
+        input_source=state.provenance.input.source,
+        input_sha256=state.provenance.input.sha256,
+        config=toml_text(state.config.model_dump(mode="json")),
+    )
+    scene.stream.send_property(_PROPERTY, values)
+
+
+_HANDLERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
+    events.CalibrationStarted: _start,
+    events.CloudPreprocessed: log_preprocessed,
+    events.FeaturesComputed: log_features,
+    events.CorrespondencesMatched: log_matches,
+    events.HypothesesFound: log_hypotheses,
+    events.HypothesesVerified: log_verified,
+    events.PairRegistered: log_registration,
+    events.VerdictChanged: log_changed_verdict,
+    events.GroupsRegistered: log_group_registration,
+    events.LoopRegistered: log_loop,
+    events.MergeStepTaken: log_merge_step,
+    events.GroundEstimated: log_ground,
+    events.StageFinished: _finish_stage,
+    events.CalibrationFinished: _finish,
+}

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recording stream with its timelines."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from multilica.geometry import RigidTransform
+from multilica.results import Hypothesis, Registration
+from multilica.sinks.drawing.palette import Rgb, distinct_colours
+from multilica.sinks.drawing.thinning import sample_points
+from multilica.sinks.rerun.record_limits import NO_LIMITS, RecordLimits
+from multilica.sinks.rerun.tree import LOG
+from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import LogLine
+
+__all__ = ["ITERATION_TIMELINE", "STEP_TIMELINE", "RerunScene", "rigid"]
+
+STEP_TIMELINE = "step"
+ITERATION_TIMELINE = "iteration"
+
+_POINT_RADIUS_PIXELS = 1.25
+
+
+@dataclass(slots=True, eq=False)
+class RerunScene:
+    """The stream that event handlers log to.
+
+    Everything is logged on both timelines, since entities missing on a timeline are invisible there. Iteration is 0
+    except for GICP's progress.
+
+    Args:
+        state: after the current event.
+        limits: set when the calibration starts.
+        step: current position on the step timeline.
+        shown: paths of the clouds logged so far; later poses only move or relabel them.
+        shown_at: per pose the step at which it is shown.
+    """
+
+    stream: rr.RecordingStream
+    state: RunState
+    limits: RecordLimits = NO_LIMITS
+    step: int = -1
+    shown: set[str] = field(default_factory=set)
+    shown_at: dict[Hypothesis | Registration, int] = field(default_factory=dict)
+
+    def advance(self, steps: int = 1) -> None:
+        """Advance by a step, or by more to leave room for curves."""
+        self.step += steps
+        self.stream.set_time(STEP_TIMELINE, sequence=self.step)
+        self.stream.set_time(ITERATION_TIMELINE, sequence=0)
+
+    def log(self, path: str, *parts: rr.AsComponents) -> None:
+        """Log at the current step."""
+        self.stream.log(path, *parts)
+
+    def log_curve(self, path: str, steps: Sequence[int], iterations: Sequence[int], values: Sequence[float]) -> None:
+        """Log a value per step in columns, which avoids the overhead of rows."""
+        times = [
+            rr.TimeColumn(STEP_TIMELINE, sequence=steps),
+            rr.TimeColumn(ITERATION_TIMELINE, sequence=iterations),
+        ]
+        if values:
+            self.stream.send_columns(path, times, rr.Scalars.columns(scalars=values))
+
+    def log_line(self, line: LogLine) -> None:
+        """Add a line to the log."""
+        self.log(LOG, rr.TextLog(line.text, level=line.level))
+
+    def log_points(
+        self,
+        path: str,
+        frame: str,
+        points_m: npt.NDArray[np.floating],
+        colour: Rgb,
+        limit: int,
+        *,
+        radius_pixels: float = _POINT_RADIUS_PIXELS,
+    ) -> None:
+        """Log at most `limit` points of a cloud (N, 3) in that frame, in one colour: 12 bytes a point."""
+        if limit == 0:
+            return
+        self.shown.add(path)
+        shown = sample_points(points_m, limit)
+        points = rr.Points3D(shown, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
+        self.log(path, rr.CoordinateFrame(frame), points)
+
+    def log_document(self, path: str, text: str) -> None:
+        """Log markdown."""
+        self.log(path, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+
+    def colour(self, lidar: str) -> Rgb:
+        """Return the colour of a LiDAR in every view."""
+        return distinct_colours(self.state.lidars)[lidar]
+
+
+def rigid(child_frame: str, parent_frame: str, pose: RigidTransform | None = None) -> rr.Transform3D:
+    """Return the transform of a frame in another one; without a pose they coincide.
+
+    It always has translation and rotation: a later log that omits one would keep its earlier value.
+    """
+    pose = pose if pose is not None else RigidTransform.identity(parent_frame, child_frame)
+    return rr.Transform3D(
+        translation=pose.xyz_m,
+        quaternion=rr.Quaternion(xyzw=pose.quaternion_xyzw),
+        child_frame=child_frame,
+        parent_frame=parent_frame,
+    )

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of all pairs in a recording."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from multilica.results import PairRegistration
+from multilica.sinks.drawing.palette import VERDICT_COLOURS, heat_colours
+from multilica.sinks.files.run_document import run_document
+from multilica.sinks.rerun.scene import RerunScene
+from multilica.sinks.rerun.tree import COVERAGE, FITNESS, HYPOTHESES_TABLE, PAIRS_TABLE, RESULT, SUMMARY, VERDICTS
+from multilica.sinks.text.pair_figures import coverage_of, pair_figures_markdown
+from multilica.sinks.text.run_summary import hypotheses_markdown, summary_markdown
+
+__all__ = ["log_pair_tables", "log_summary"]
+
+_CELL_PIXELS = 20
+
+Cells = dict[tuple[int, int], PairRegistration]
+"""Registered pairs by row of the target and column of the source, in this order."""
+
+
+def log_summary(scene: RerunScene, ended_by: str = "") -> None:
+    """Log the summary for people, and the result document for programs.
+
+    The document has no stage times, so that equal runs make equal recordings.
+    """
+    document = run_document(scene.state)
+    scene.log_document(SUMMARY, summary_markdown(scene.state, document, ended_by))
+    if document is not None:
+        text = document.model_copy(update={"timing_s": {}}).model_dump_json()
+        scene.log(RESULT, rr.TextDocument(text, media_type=rr.MediaType.TEXT))
+
+
+def log_pair_tables(scene: RerunScene) -> None:
+    """Log hypotheses, fitness, coverage and verdicts of all pairs so far."""
+    state = scene.state
+    if state.coarse:
+        scene.log_document(HYPOTHESES_TABLE, hypotheses_markdown(state))
+    if state.registrations:
+        scene.log_document(PAIRS_TABLE, pair_figures_markdown(state))
+        index = {name: row for row, name in enumerate(state.lidars)}
+        found = {(index[pair.target], index[pair.source]): pair for pair in state.registrations.values()}
+        cells = dict(sorted(found.items(), key=lambda each: each[0]))
+        _log_shares(scene, FITNESS, cells, [pair.fitness for pair in cells.values()])
+        _log_shares(scene, COVERAGE, cells, [coverage_of(pair) for pair in cells.values()])
+        _log_verdicts(scene, cells)
+
+
+def _log_shares(scene: RerunScene, path: str, cells: Cells, shares: list[float]) -> None:
+    values = np.full((len(scene.state.lidars),) * 2, np.nan)
+    values[tuple(zip(*cells, strict=True))] = shares
+    scene.log(path, rr.Tensor(values.astype(np.float32), dim_names=("target", "source")))
+    _log_picture(scene, path, heat_colours(values), cells, [f"{share:.2f}" for share in shares])
+
+
+def _log_verdicts(scene: RerunScene, cells: Cells) -> None:
+    colours = heat_colours(np.full((len(scene.state.lidars),) * 2, np.nan))
+    outcomes = [pair.verdict.outcome for pair in cells.values()]
+    for cell, outcome in zip(cells, outcomes, strict=True):
+        colours[cell] = VERDICT_COLOURS[outcome]
+    _log_picture(scene, VERDICTS, colours, cells, outcomes)
+
+
+def _log_picture(
+    scene: RerunScene, path: str, colours: npt.NDArray[np.uint8], cells: Cells, texts: Sequence[str]
+) -> None:
+    """Log a square per pair with its text, and the names along both sides."""
+    scene.log(f"{path}/picture", rr.Image(colours.repeat(_CELL_PIXELS, axis=0).repeat(_CELL_PIXELS, axis=1)))
+    names = scene.state.lidars
+    rows, columns = [(-1, row) for row in range(len(names))], [(column, -1) for column in range(len(names))]
+    at = [(source, target) for target, source in cells] + rows + columns
+    positions = (np.array(at, dtype=np.float32) + 0.5) * _CELL_PIXELS
+    labels = [*texts, *names, *names]
+    points = rr.Points2D(positions, labels=labels, radii=[0.01], colors=[(255, 255, 255)], show_labels=True)
+    scene.log(f"{path}/labels", points)

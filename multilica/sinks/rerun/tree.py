@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Entity paths of a recording with its frames, as `docs/recording-layout.md` lists them."""
+
+import rerun as rr
+
+__all__ = [
+    "CONFIG",
+    "COVERAGE",
+    "DISPLAY_FRAME",
+    "DROPPED_TABLE",
+    "FITNESS",
+    "GROUND",
+    "HYPOTHESES_TABLE",
+    "LOG",
+    "MERGE_GRAPH",
+    "MERGE_STEPS",
+    "PAIRS",
+    "PAIRS_TABLE",
+    "RESULT",
+    "SUMMARY",
+    "VERDICTS",
+    "curve_path",
+    "lidar_frame",
+    "lidar_path",
+    "pair_frame",
+    "pair_path",
+    "slot_frame",
+]
+
+LOG = "/log"
+SUMMARY = "/summary"
+CONFIG = "/config"
+RESULT = "/result"
+DROPPED_TABLE = "/dropped"
+PAIRS = "/pairs"
+FITNESS = "/fitness"
+COVERAGE = "/coverage"
+VERDICTS = "/verdicts"
+PAIRS_TABLE = "/pair_figures"
+HYPOTHESES_TABLE = "/hypotheses"
+MERGE_GRAPH = "/merge/graph"
+MERGE_STEPS = "/merge/steps"
+GROUND = "/ground"
+
+DISPLAY_FRAME = "display"
+
+
+def lidar_path(lidar: str, *parts: str) -> str:
+    """Return an entity path of one LiDAR."""
+    return rr.new_entity_path(["lidars", lidar, *parts])
+
+
+def pair_path(target: str, source: str, *parts: str) -> str:
+    """Return an entity path of one pair."""
+    return rr.new_entity_path(["pairs", target, source, *parts])
+
+
+def curve_path(quantity: str, target: str = "", source: str = "", start: str = "") -> str:
+    """Return the path of a GICP curve of a pair from a start; without a pair, the parent of all curves."""
+    return rr.new_entity_path(["gicp", quantity, *(part for part in (target, source, start) if part)])
+
+
+def lidar_frame(lidar: str) -> str:
+    """Return the LiDAR's own frame."""
+    return f"lidar/{lidar}"
+
+
+def slot_frame(lidar: str) -> str:
+    """Return the display-only frame of a LiDAR without a pose."""
+    return f"slot/{lidar}"
+
+
+def pair_frame(target: str, source: str, name: str) -> str:
+    """Return a frame of a pair's source, named by its pose, or ``before``, ``competing`` or ``lifted``."""
+    return f"pair/{target}/{source}/{name}"

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rerun's viewer."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, TYPE_CHECKING
+
+from multilica.errors import ViewerError
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+__all__ = ["show_recording", "viewer_picture"]
+
+_COMMAND = (sys.executable, "-m", "rerun")
+_NO_DRIVER = (
+    "pictures without a screen need a Vulkan driver, on Debian and Ubuntu "
+    "`sudo apt-get install mesa-vulkan-drivers libvulkan1`"
+)
+_TIMEOUT_S = 60.0
+_PAUSE_S = 0.4
+_SAME_IN_A_ROW = 3
+_SMALL_PX = 320
+
+
+def show_recording(recording: Path) -> None:
+    """Open a recording in a window until it is closed.
+
+    Raises:
+        ViewerError: there is no screen, or the viewer fails.
+    """
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ViewerError(
+            f"Cannot open {recording} in a window: neither DISPLAY nor WAYLAND_DISPLAY is set; write a picture with "
+            "--png FILE, or open the file with `rerun` on a machine with a screen."
+        )
+    code = subprocess.run([*_COMMAND, str(recording)], check=False).returncode  # noqa: S603
+    if code != 0:
+        raise ViewerError(
+            f"Rerun's viewer failed on {recording} with exit code {code}; write a picture with --png FILE."
+        )
+
+
+def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:
+    """Draw the first view of a recording as PNG, without a screen.
+
+    Raises:
+        ViewerError: the viewer does not start (no Vulkan driver), or does not finish drawing.
+    """
+    try:
+        with _headless_viewer(size_px) as viewer:
+            viewer.open(str(recording.resolve()))
+            _await_loaded(viewer, recording)
+            return _settled_picture(viewer, recording)
+    except (ConnectionError, RuntimeError, TimeoutError) as error:
+        raise ViewerError(f"Rerun's viewer does not answer ({error}); {_NO_DRIVER}.") from error
+
+
+@contextmanager
+def _headless_viewer(size_px: tuple[int, int]) -> Iterator[ViewerClient]:
+    """Start a viewer on a free port; stop it at the end of the block."""
+    port = _free_port()
+    arguments = ["--headless", "--hide-welcome-screen", "--port", str(port)]
+    arguments += ["--window-size", f"{size_px[0]}x{size_px[1]}"]
+    # It counts its runs unless CI is set; it starts a process of its own, so both end as a group.
+    with (
+        tempfile.TemporaryFile() as output,
+        subprocess.Popen(  # noqa: S603
+            [*_COMMAND, *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            env={**os.environ, "CI": "1"},
+            start_new_session=True,
+        ) as process,
+    ):
+        try:
+            yield _connect(process, port, output)
+        finally:
+            os.killpg(process.pid, signal.SIGTERM)
+
+
+def _free_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+def _connect(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> ViewerClient:
+    from rerun.experimental import ViewerClient
+
+    end_s = time.monotonic() + _TIMEOUT_S
+    while process.poll() is None and time.monotonic() < end_s:
+        try:
+            return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
+        except ConnectionError:
+            time.sleep(0.1)
+    output.seek(0)
+    lines = output.read().decode(errors="replace").split("\n")
+    last_line = next((line.strip() for line in reversed(lines) if line.strip()), "nothing")
+    raise ViewerError(f"Rerun's viewer does not start without a screen (last line: {last_line}); {_NO_DRIVER}.")
+
+
+def _await_loaded(viewer: ViewerClient, recording: Path) -> None:
+    """Wait until a timeline is there."""
+    end_s = time.monotonic() + _TIMEOUT_S
+    while time.monotonic() < end_s:
+        if any(one.timelines for one in viewer.get_state().recordings):
+            return
+        time.sleep(0.1)
+    raise ViewerError(f"Rerun's viewer did not load {recording} within {_TIMEOUT_S:.0f} s; is it a recording?")
+
+
+def _settled_picture(viewer: ViewerClient, recording: Path) -> bytes:
+    """Return the picture once it stops changing: chunks arrive on demand, messages of the viewer fade."""
+    end_s = time.monotonic() + _TIMEOUT_S
+    last, same = b"", 0
+    while time.monotonic() < end_s:
+        picture = viewer.take_screenshot(max_size=_SMALL_PX)
+        same = same + 1 if picture == last else 0
+        if same >= _SAME_IN_A_ROW:
+            return bytes(viewer.take_screenshot())
+        last = picture
+        time.sleep(_PAUSE_S)
+    raise ViewerError(f"Rerun's viewer did not finish drawing {recording} within {_TIMEOUT_S:.0f} s.")

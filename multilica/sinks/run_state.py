@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""State of a run, accumulated from its events."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from multilica import events
+from multilica.config import CalibrationConfig, Stage
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import (
+    CalibrationResult,
+    CoarseResult,
+    Correspondences,
+    FeatureCloud,
+    MergeDecision,
+    PairKey,
+    PairRegistration,
+    PreprocessedCloud,
+    Registration,
+)
+from multilica.results.document import ResultDocument
+from multilica.results.document.values import Entry
+from multilica.sinks.files.provenance import Provenance, provenance_of
+from multilica.snapshot import Snapshot
+
+__all__ = ["RunState"]
+
+
+@dataclass(slots=True, eq=False)
+class RunState:
+    """Accumulated events of a run, from which sinks draw.
+
+    Args:
+        registrations: per pair, the registration with the latest verdict; loops that were not accepted are left out.
+        group_registrations: those of groups during merging, in order.
+        verified: per pair its hypotheses after verification, the one with the most evidence first.
+        stages: those that finished, in order.
+        rig: poses in the target's frame after the joint refinement.
+        document: cache of `run_document`.
+        figures: cache of `stage_figures`.
+        extents: centre and radius of clouds, cache of `rerun_camera`.
+        outlines: cache of `field_of_view`.
+    """
+
+    snapshot: Snapshot | None = None
+    config: CalibrationConfig | None = None
+    provenance: Provenance | None = None
+    stage: Stage | None = None
+    stages: list[Stage] = field(default_factory=list)
+    clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
+    features: dict[str, FeatureCloud] = field(default_factory=dict)
+    matches: dict[PairKey, Correspondences] = field(default_factory=dict)
+    coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
+    verified: dict[PairKey, tuple[Registration, ...]] = field(default_factory=dict)
+    registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
+    group_registrations: list[PairRegistration] = field(default_factory=list)
+    target: str = ""
+    target_reason: str = ""
+    decisions: list[MergeDecision] = field(default_factory=list)
+    rig: tuple[RigidTransform, ...] = ()
+    ground: events.GroundEstimated | None = None
+    document: ResultDocument | None = None
+    figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
+    extents: dict[str, tuple[FloatArray, float]] = field(default_factory=dict)
+    outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
+    result: CalibrationResult | None = None
+    _latest: events.Event | None = None
+
+    @property
+    def lidars(self) -> tuple[str, ...]:
+        """Names in order; none before the snapshot is known."""
+        return self.snapshot.names if self.snapshot is not None else ()
+
+    @property
+    def pairs(self) -> tuple[PairKey, ...]:
+        """All pairs that were matched or registered, in name order."""
+        return tuple(sorted({*self.matches, *self.coarse, *self.registrations}))
+
+    def pair_of(self, registration: PairRegistration) -> PairKey:
+        """Return the pair in the order in which it was matched."""
+        target, source = registration.target, registration.source
+        return (source, target) if (source, target) in self.matches else (target, source)
+
+    def progress_of(self, pair: PairKey) -> tuple[bool, float, int]:
+        """Return an order of pairs by how close they came to being merged."""
+        found = self.registrations.get(pair)
+        return (found is not None, found.evidence if found is not None else 0.0, len(self.matches.get(pair, ())))
+
+    def competing(self, pair: PairKey) -> Registration | None:
+        """Return the pose that makes the pair's registration, or the LiDAR that it would place, doubtful."""
+        found = self.registrations[pair]
+        if found.competing is not None or self.result is None:
+            return found.competing
+        contested = (place.contested for place in self.result.placements if place.contested is not None)
+        return next((each.competing for each in contested if {*each.pair} == {*pair}), None)
+
+    def __call__(self, event: events.Event) -> None:  # noqa: C901, PLR0912 - one case per event type
+        """Take in an event, once even if several sinks share the state."""
+        if event is self._latest:
+            return
+        self._latest, self.document = event, None
+        match event:
+            case events.CalibrationStarted(snapshot, config):
+                self.snapshot, self.config = snapshot, config
+                self.provenance = provenance_of(snapshot)
+            case events.StageStarted(stage):
+                self.stage = stage
+            case events.StageFinished(stage):
+                self.stages.append(stage)
+            case events.CloudPreprocessed(cloud):
+                self.clouds[cloud.lidar] = cloud
+            case events.FeaturesComputed(features):
+                self.features[features.lidar] = features
+            case events.CorrespondencesMatched(matches):
+                self.matches[matches.target, matches.source] = matches
+            case events.HypothesesFound(coarse):
+                self.coarse[coarse.target, coarse.source] = coarse
+            case events.HypothesesVerified(target, source, scored_poses):
+                self.verified[target, source] = scored_poses
+            case events.PairRegistered(registration) | events.VerdictChanged(registration):
+                self.registrations[self.pair_of(registration)] = registration
+            case events.GroupsRegistered(registration):
+                self.group_registrations.append(registration)
+            case events.LoopRegistered(registration):
+                if registration.verdict.accepted:
+                    self.registrations[self.pair_of(registration)] = registration
+            case events.TargetChosen(target, reason):
+                self.target, self.target_reason = target, reason
+            case events.MergeStepTaken(decision):
+                self.decisions.append(decision)
+            case events.RigRefined(_, poses):
+                self.rig = poses
+            case events.GroundEstimated():
+                self.ground = event
+            case events.CalibrationFinished(result):
+                self.result = result

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Removal of points that move between the frames of one LiDAR."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import minimum_filter, uniform_filter
+from scipy.spatial import cKDTree
+
+from multilica.config import StillnessConfig
+from multilica.geometry import FloatArray
+from multilica.results import BoolArray, IndexArray
+from multilica.snapshot import Scan
+
+__all__ = ["drop_moving"]
+
+_FINEST_CELL_RAD = 0.0035
+_SPACING_SAMPLES = 4000
+# The fourth neighbour on a grid is one larger step away, unless one step is over twice the other.
+_SPACING_NEIGHBOUR = 4
+_REFERENCE_FRAMES = 10
+# With fewer returns than in the point's own frame, the beam that would hit it may be lost.
+_MIN_FILLED = 0.85
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """Cells of directions, about as large as the distance between neighbouring beams.
+
+    Args:
+        lowest_rad: elevation of the first row.
+    """
+
+    cell_rad: float
+    lowest_rad: float
+    rows: int
+    columns: int
+
+    def cells(self, points_m: FloatArray, range_m: FloatArray) -> IndexArray:
+        """Return the cell (N,) of each point."""
+        row = ((np.arcsin(points_m[:, 2] / range_m) - self.lowest_rad) / self.cell_rad).astype(np.int64)
+        turn = np.arctan2(points_m[:, 1], points_m[:, 0]) / (2.0 * np.pi) % 1.0
+        column = (turn * self.columns).astype(np.int64) % self.columns
+        return np.asarray(np.clip(row, 0, self.rows - 1) * self.columns + column)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FrameImage:
+    """Range image of one frame, with its points.
+
+    Args:
+        usable: (N,) which returns of the scan are in the image.
+        range_m, cells: (M,) per usable return.
+        nearest_m: per cell the smallest range in the 3 x 3 cells around it; inf where they are empty.
+        filled: per cell the share of the 3 x 3 cells around it that have a return.
+    """
+
+    usable: BoolArray
+    range_m: FloatArray
+    cells: IndexArray
+    nearest_m: FloatArray
+    filled: FloatArray
+
+
+def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[Scan, ...], FloatArray]:
+    """Drop returns from places that another frame's beams prove empty.
+
+    A return has moved if in some other frame all beams around its direction, at least as densely as in its own,
+    pass clearly beyond it.
+
+    Args:
+        scans: frames of one LiDAR that does not move itself.
+
+    Returns:
+        The scans without those returns, and the (K, 3) dropped points.
+    """
+    grid = _grid(scans) if len(scans) > 1 else None
+    if grid is None:
+        return tuple(scans), np.empty((0, 3))
+    frames = [_frame(scan, grid) for scan in scans]
+    references = sorted(set(np.linspace(0, len(frames) - 1, _REFERENCE_FRAMES).astype(int).tolist()))
+    moving = [
+        _proven_empty(frame, [frames[other] for other in references if other != index], config.beyond_m)
+        for index, frame in enumerate(frames)
+    ]
+    dropped = [scan.points_m[gone] for scan, gone in zip(scans, moving, strict=True)]
+    kept = tuple(_without(scan, gone) for scan, gone in zip(scans, moving, strict=True))
+    return kept, np.concatenate(dropped).astype(np.float64)
+
+
+def _proven_empty(frame: _FrameImage, others: Sequence[_FrameImage], beyond_m: float) -> BoolArray:
+    own = frame.filled[frame.cells]
+    empty = np.zeros(len(frame.cells), dtype=np.bool_)
+    for other in others:
+        passed_m = other.nearest_m[frame.cells]
+        dense = other.filled[frame.cells] >= _MIN_FILLED * own
+        empty |= np.isfinite(passed_m) & dense & (passed_m > frame.range_m + beyond_m)
+    moving = np.zeros(len(frame.usable), dtype=np.bool_)
+    moving[frame.usable] = empty
+    return moving
+
+
+def _grid(scans: Sequence[Scan]) -> _Grid | None:
+    usable = [_usable(scan)[1] for scan in scans]
+    fullest = max(usable, key=len, default=np.empty((0, 3)))
+    if len(fullest) <= _SPACING_NEIGHBOUR:
+        return None
+    directions = fullest / np.linalg.norm(fullest, axis=1, keepdims=True)
+    sample = directions[:: max(1, len(directions) // _SPACING_SAMPLES)]
+    distances, _ = cKDTree(directions).query(sample, k=_SPACING_NEIGHBOUR + 1)
+    cell_rad = max(_FINEST_CELL_RAD, float(np.median(distances[:, -1])))
+    sines = [points[:, 2] / np.linalg.norm(points, axis=1) for points in usable if len(points)]
+    lowest, highest = (float(np.arcsin(pick([pick(sine) for sine in sines]))) for pick in (np.min, np.max))
+    rows = int((highest - lowest) / cell_rad) + 1
+    return _Grid(cell_rad, lowest, rows, int(np.ceil(2.0 * np.pi / cell_rad)))
+
+
+def _usable(scan: Scan) -> tuple[BoolArray, FloatArray]:
+    usable = np.all(np.isfinite(scan.points_m), axis=1) & np.any(scan.points_m != 0.0, axis=1)
+    return usable, scan.points_m[usable].astype(np.float64)
+
+
+def _frame(scan: Scan, grid: _Grid) -> _FrameImage:
+    usable, points_m = _usable(scan)
+    range_m = np.linalg.norm(points_m, axis=1)
+    cells = grid.cells(points_m, range_m)
+    nearest_of_cell_m = np.full(grid.rows * grid.columns, np.inf)
+    np.minimum.at(nearest_of_cell_m, cells, range_m)
+    image_m = nearest_of_cell_m.reshape(grid.rows, grid.columns)
+    around = ("nearest", "wrap")
+    nearest_m = minimum_filter(image_m, size=3, mode=around)
+    filled = uniform_filter(np.isfinite(image_m).astype(np.float64), size=3, mode=around)
+    return _FrameImage(usable, range_m, cells, nearest_m.ravel(), filled.ravel())
+
+
+def _without(scan: Scan, gone: BoolArray) -> Scan:
+    if not np.any(gone):
+        return scan
+    intensity = None if scan.intensity is None else scan.intensity[~gone]
+    return replace(scan, points_m=scan.points_m[~gone], intensity=intensity)

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views of sensors, and scores of poses between them by free space."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from multilica.config import VisibilityConfig
+from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.registration.neighbours import PointTree, principal_directions
+from multilica.registration.voxel_grid import thin
+from multilica.results import BeamLabel, BoolArray, PreprocessedCloud, Registration, VisibilityScore
+from multilica.visibility.range_image import LabelArray, RangeImage, build_range_image, label_points
+
+__all__ = ["PlacedView", "ScorePose", "SensorView", "prepare_sensor_view", "score_pose", "score_visibility"]
+
+# Height of the bands in which probes are ordered; any value gives the same scores.
+_BAND_RAD = 0.05
+# Twice the range noise of spinning LiDARs, so that neighbours span a surface and not its noise.
+_RETURN_VOXEL_M = 0.1
+_SURFACE_NEIGHBOURS = 40
+# Share of the variance across the surface: walls measure below 1 %, foliage above 5 %.
+_SOLID_FLATNESS = 0.02
+# A surface rather than a single ring: extent across the ring, against along it and against the noise.
+_PLANE_WIDTH = 0.05
+_WIDER_THAN_THICK = 10.0
+# Half the length of a car: within it, the vehicle's own body may carry the sensor.
+_OWN_BODY_M = 3.0
+# Half the size of the smallest mount with its sensor.
+_CARRIED_M = 0.3
+# Width of poles and branches, and of the patch that a surface probe stands for (the voxel of the probes).
+_THIN_M = 0.1
+_PATCH_M = 0.5
+_STRUCTURE = float(np.cos(np.deg2rad(45.0)))
+_GRAZING = float(np.sin(np.deg2rad(15.0)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorView:
+    """What one sensor sees, prepared for scoring poses.
+
+    Args:
+        image: its beams; None if there are too few.
+        probes_m: (N, 3) points in its own frame that the beams of others label.
+        solid: (N,) which of them lie on a closed surface, not in foliage, on a fence or on something thin.
+        normals: (N, 3) unit normals; zero where the neighbours span no surface.
+        returns: its thinned points, which include thin things between the beams of the image; None if there are none
+            in range.
+    """
+
+    lidar: str
+    image: RangeImage | None
+    probes_m: FloatArray
+    solid: BoolArray
+    normals: FloatArray
+    returns: PointTree | None
+
+
+PlacedView = tuple[RigidTransform, SensorView]
+"""A view with its pose in a group's root frame."""
+
+ScorePose = Callable[[RigidTransform], Registration]
+"""Scores a pose between two LiDARs by their beams."""
+
+
+def prepare_sensor_view(cloud: PreprocessedCloud, config: VisibilityConfig) -> SensorView:
+    """Prepare what every hypothesis about a sensor needs."""
+    near_m = cloud.points_m[np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m]
+    probes_m = _along_bands(thin(near_m, config.probe_voxel_size_m))
+    image = build_range_image(cloud.returns_m)
+    returns = PointTree(thin(near_m, _RETURN_VOXEL_M)) if len(near_m) else None
+    flat, normals = _surfaces(probes_m, returns)
+    return SensorView(cloud.lidar, image, probes_m, flat & _opaque(image, probes_m, config), normals, returns)
+
+
+def score_visibility(
+    targets: Sequence[PlacedView],
+    sources: Sequence[PlacedView],
+    T_target_source: RigidTransform,
+    tolerance_m: float,
+    tolerance_deg: float,
+) -> VisibilityScore:
+    """Label the probes of each side by the beams of the other, over all pairs of members.
+
+    Args:
+        targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
+        T_target_source: the pose to score, between the two roots.
+        tolerance_m, tolerance_deg: see `label_points`.
+
+    Returns:
+        Counts over both directions, with the labels between the first target and the first source.
+    """
+    labelled: list[_Labelled] = []
+    shown: tuple[LabelArray, LabelArray] | None = None
+    seen_through_m = 0.0
+    for T_target_member, target in targets:
+        for T_source_member, source in sources:
+            T_target_placed = T_target_source @ T_source_member
+            pose = T_target_member.inverse() @ T_target_placed
+            forth = _labels(target, source, pose, tolerance_m, tolerance_deg)
+            back = _labels(source, target, pose.inverse(), tolerance_m, tolerance_deg)
+            if _sees_through(target, pose, tolerance_m, tolerance_deg) or _sees_through(
+                source, pose.inverse(), tolerance_m, tolerance_deg
+            ):
+                seen_through_m = max(seen_through_m, float(np.linalg.norm(pose.xyz_m)))
+            labelled.append(_labelled(source, forth, T_target_placed))
+            labelled.append(_labelled(target, back, T_target_member))
+            shown = (forth, back) if shown is None else shown
+    counts = _counts(np.concatenate([probes.labels for probes in labelled]))
+    information = sum((_information(probes, T_target_source.xyz_m) for probes in labelled), start=np.zeros((6, 6)))
+    commonest = np.linalg.eigh(information[3:, 3:])[1][:, -1]
+    structure = _counts(np.concatenate([_structure(probes, commonest) for probes in labelled]))
+    nothing = np.zeros(0, dtype=np.uint8)
+    labels, target_labels = (nothing, nothing) if shown is None else shown
+    return VisibilityScore(
+        agree=counts[BeamLabel.AGREE],
+        violate=counts[BeamLabel.VIOLATE],
+        occluded=counts[BeamLabel.OCCLUDED],
+        unseen=counts[BeamLabel.UNSEEN],
+        information=information,
+        labels=labels,
+        structure_agree=structure[BeamLabel.AGREE],
+        structure_violate=structure[BeamLabel.VIOLATE],
+        structure_occluded=structure[BeamLabel.OCCLUDED],
+        target_labels=target_labels,
+        seen_through_m=seen_through_m,
+    )
+
+
+def score_pose(
+    target: SensorView, source: SensorView, T_target_source: RigidTransform, config: VisibilityConfig
+) -> Registration:
+    """Score a pose of two LiDARs that was not registered, with the tolerances of the fine stage."""
+    here, there = ([(RigidTransform.identity(view.lidar, view.lidar), view)] for view in (target, source))
+    score = score_visibility(here, there, T_target_source, config.fine_tolerance_m, config.fine_tolerance_deg)
+    unknown = float("nan")
+    return Registration(
+        -1, T_target_source, score, unknown, unknown, unknown, source.probes_m, target_probes_m=target.probes_m
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Labelled:
+    """Probes of one sensor in the target group's frame, with the labels of another's beams."""
+
+    labels: LabelArray
+    points_m: FloatArray
+    normals: FloatArray
+    solid: BoolArray
+
+
+def _labelled(view: SensorView, labels: LabelArray, T_root_view: RigidTransform) -> _Labelled:
+    return _Labelled(labels, T_root_view.apply(view.probes_m), T_root_view.rotate(view.normals), view.solid)
+
+
+def _counts(labels: LabelArray) -> list[int]:
+    return [int(count) for count in np.bincount(labels, minlength=len(BeamLabel))]
+
+
+def _information(probes: _Labelled, centre_m: FloatArray) -> FloatArray:
+    """Sum J J^T over agreeing points; J is the derivative of the point-to-plane distance by the pose."""
+    agree = probes.labels == BeamLabel.AGREE
+    normals = probes.normals[agree]
+    arms = probes.points_m[agree] - centre_m
+    jacobian = np.concatenate([np.cross(arms, normals) / LEVER_ARM_M, normals], axis=1)
+    return np.asarray(jacobian.T @ jacobian)
+
+
+def _structure(probes: _Labelled, commonest: FloatArray) -> LabelArray:
+    """Select the labels of closed surfaces off the commonest orientation."""
+    apart = np.abs(probes.normals @ commonest) < _STRUCTURE
+    return np.asarray(probes.labels[probes.solid & np.any(probes.normals, axis=1) & apart])
+
+
+def _labels(
+    beams: SensorView, other: SensorView, T_beams_other: RigidTransform, tolerance_m: float, tolerance_deg: float
+) -> LabelArray:
+    """Label the probes of one sensor by the beams of the other.
+
+    Four kinds of points cannot violate: points that are not solid (beams pass through), surfaces at a grazing angle
+    (beams pass beside), points that the sensor has a return from itself (poles and edges between its beams), and
+    things narrow enough to stand between two beams.
+    """
+    if beams.image is None:
+        return np.full(len(other.probes_m), BeamLabel.UNSEEN, dtype=np.uint8)
+    points_m = T_beams_other.apply(other.probes_m)
+    spanned = np.any(other.normals, axis=1)
+    widths_m = np.where(spanned, _PATCH_M, _THIN_M)
+    labels = label_points(beams.image, points_m, tolerance_m, float(np.deg2rad(tolerance_deg)), widths_m)
+    facing = np.abs(np.einsum("ij,ij->i", T_beams_other.rotate(other.normals), points_m))
+    grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & spanned
+    labels[(labels == BeamLabel.VIOLATE) & (grazing | ~other.solid)] = BeamLabel.OCCLUDED
+    empty = np.flatnonzero(labels == BeamLabel.VIOLATE)
+    if beams.returns is None or len(empty) == 0:
+        return labels
+    reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * np.linalg.norm(points_m[empty], axis=1))
+    nearest_m, _ = beams.returns.nearest(points_m[empty])
+    labels[empty[nearest_m <= reach_m]] = BeamLabel.AGREE
+    return labels
+
+
+def _sees_through(beams: SensorView, T_beams_other: RigidTransform, tolerance_m: float, tolerance_deg: float) -> bool:
+    """Tell whether beams pass through the place of another sensor and all around it, so that nothing can carry it.
+
+    Nearby, over the vehicle's own body, beams may graze the mount.
+    """
+    place_m = T_beams_other.xyz_m
+    if beams.image is None or float(np.linalg.norm(place_m)) < _OWN_BODY_M:
+        return False
+    around_m = place_m + _CARRIED_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    labels = label_points(beams.image, around_m, tolerance_m, float(np.deg2rad(tolerance_deg)))
+    return bool(np.all(labels == BeamLabel.VIOLATE))
+
+
+def _along_bands(points_m: FloatArray) -> FloatArray:
+    """Order points in bands of elevation, back and forth: neighbours in view follow each other, so lookups are fast."""
+    elevation_rad = np.arctan2(points_m[:, 2], np.linalg.norm(points_m[:, :2], axis=1))
+    azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
+    band = np.floor(elevation_rad / _BAND_RAD)
+    return np.asarray(points_m[np.lexsort((np.where(band % 2 == 0, azimuth_rad, -azimuth_rad), band))])
+
+
+def _opaque(image: RangeImage | None, probes_m: FloatArray, config: VisibilityConfig) -> BoolArray:
+    """Tell which probes the sensor's own beams confirm: around a fence or a pole, most beams see what is behind."""
+    if image is None:
+        return np.zeros(len(probes_m), dtype=bool)
+    own = label_points(image, probes_m, config.tolerance_m, float(np.deg2rad(config.tolerance_deg)))
+    return np.asarray(own == BeamLabel.AGREE)
+
+
+def _surfaces(probes_m: FloatArray, returns: PointTree | None) -> tuple[BoolArray, FloatArray]:
+    """Tell which probes have flat surroundings, unlike foliage, and return their normals.
+
+    The surroundings are thinned: in a dense cloud the nearest points lie within the range noise of each other.
+    Neighbours on one line, a single ring of a sparse sensor, are flat but have no normal.
+    """
+    if returns is None:
+        return np.zeros(0, dtype=bool), np.zeros((0, 3))
+    neighbours = returns.neighbours(probes_m, _SURFACE_NEIGHBOURS)
+    variances, axes = principal_directions(returns.points_m, neighbours)
+    solid = np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))
+    wide = variances[:, 1] >= np.maximum(_PLANE_WIDTH * variances[:, 2], _WIDER_THAN_THICK * variances[:, 0])
+    spanned = solid & wide
+    return solid, np.where(spanned[:, None], axes[:, :, 0], 0.0)

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is expected, beside what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+__all__ = ["Claim", "figure", "print_claims", "print_table"]
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """One line of the table that must be seen to stability."""
+
+    measure: str
+    expected: str
+    measured: str
+    holds: bool
+
+
+def print_claims(claims: Sequence[Claim]) -> bool:
+    """Print them as a table; whether all stability."""
+    print_table(
+        ("measure", "expected", "measured", "holds"),
+        [(each.measure, each.expected, each.measured, "yes" if each.holds else "no") for each in claims],
+    )
+    return all(each.holds for each in claims)
+
+
+def print_table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Print Markdown, with an empty line behind."""
+    print(f"| {' | '.join(header)} |")
+    print("|" + "---|" * len(header))
+    for row in rows:
+        print(f"| {' | '.join(str(cell).replace('|', '/') for cell in row)} |")
+    print(flush=True)
+
+
+def figure(value: float | None, digits: int) -> str:
+    """The number with that many decimals; a dash for None."""
+    return "-" if value is None else f"{value:.{digits}f}"

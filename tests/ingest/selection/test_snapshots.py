@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which sources are snapshots of their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from multilica.config import IngestConfig
+from multilica.errors import SourceNotFoundError, UnknownNameError, UnreadableSourceError, UsageError
+from multilica.ingest import find_snapshots, read_snapshot, require_lidar
+from multilica.snapshot import Snapshot
+from tests.ingest.support.recording_writers import make_snapshot, write_mcap, write_ros2_bag
+
+
+def recording(path: Path, lidars: int = 2) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_mcap(make_snapshot(lidars), path)
+    return path
+
+
+def test_recordings_that_share_names_are_a_snapshot_each(tmp_path: Path) -> None:
+    paths = [recording(tmp_path / "b.mcap"), recording(tmp_path / "a.mcap", lidars=3)]
+    found = find_snapshots(paths)
+    assert [(each.name, each.paths) for each in found] == [("b", (paths[0],)), ("a", (paths[1],))]
+    assert read_snapshot(found[1].paths).names == ("lidar_0", "lidar_1", "lidar_2")
+
+
+def test_a_lidar_that_only_one_snapshot_has_is_known(tmp_path: Path) -> None:
+    found = find_snapshots([recording(tmp_path / "b.mcap"), recording(tmp_path / "a.mcap", lidars=3)])
+    require_lidar("lidar_2", found)
+    with pytest.raises(UnknownNameError, match=r"no LiDAR 'lidar_3' in .*b\.mcap, .*a\.mcap; available: lidar_0"):
+        require_lidar("lidar_3", found)
+
+
+def test_folders_with_a_bag_each_are_snapshots(tmp_path: Path) -> None:
+    for name in ("monday", "tuesday"):
+        write_ros2_bag(make_snapshot(), tmp_path / name)
+    found = find_snapshots([tmp_path / "monday", tmp_path / "tuesday"])
+    assert [each.name for each in found] == ["monday", "tuesday"]
+
+
+def test_names_are_unique(tmp_path: Path) -> None:
+    paths = [recording(tmp_path / name) for name in ("x/a.mcap", "y/a.mcap", "x_a.mcap")]
+    names = [each.name for each in find_snapshots(paths)]
+    assert names == ["x_a", "y_a", "x_a_3"]
+
+
+def test_one_source_and_point_files_are_one_snapshot(tmp_path: Path) -> None:
+    clouds = [tmp_path / "front.pcd", tmp_path / "rear.pcd"]
+    for path in clouds:
+        path.write_text("VERSION 0.7\n", encoding="utf-8")
+    assert [each.paths for each in find_snapshots(clouds)] == [tuple(clouds)]
+    one = recording(tmp_path / "a.mcap")
+    assert [each.paths for each in find_snapshots([one])] == [(one,)]
+
+
+def test_a_recorder_per_lidar_makes_one_snapshot(tmp_path: Path) -> None:
+    paths = [tmp_path / "left.mcap", tmp_path / "right.mcap"]
+    for path, lidar in zip(paths, make_snapshot().lidars, strict=True):
+        write_mcap(Snapshot((lidar,)), path)
+    (found,) = find_snapshots(paths)
+    assert (found.name, found.paths) == ("left", tuple(paths))
+    named = IngestConfig(topics={"front": "/lidar_0/points", "rear": "/lidar_1/points"})
+    (found,) = find_snapshots(paths, config=named)
+    assert read_snapshot(found.paths, config=named).names == ("front", "rear")
+
+
+def test_recordings_of_which_only_some_share_lidars_are_refused(tmp_path: Path) -> None:
+    first, second = recording(tmp_path / "a.mcap"), recording(tmp_path / "b.mcap")
+    config = IngestConfig(topics={"front": "/lidar_0/points"})
+    assert len(find_snapshots([first, second], config=config)) == 2
+    apart = tmp_path / "c.mcap"
+    lidars = (
+        replace(lidar, name=name, frame_id=name) for lidar, name in zip(make_snapshot().lidars, "pq", strict=True)
+    )
+    write_mcap(Snapshot(tuple(lidars)), apart)
+    with pytest.raises(UsageError, match=r"c.mcap has the LiDARs p, q, and none of those .* \(lidar_0, lidar_1\)"):
+        find_snapshots([first, second, apart])
+
+
+def test_what_is_wrong_with_the_paths_is_said(tmp_path: Path) -> None:
+    one = recording(tmp_path / "a.mcap")
+    with pytest.raises(UsageError, match="given more than once"):
+        find_snapshots([one, tmp_path / "." / "a.mcap"])
+    with pytest.raises(SourceNotFoundError, match="nowhere"):
+        find_snapshots([one, tmp_path / "nowhere.mcap"])
+    (tmp_path / "broken.mcap").write_bytes(one.read_bytes()[:60])
+    with pytest.raises(UnreadableSourceError):
+        find_snapshots([one, tmp_path / "broken.mcap"])

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The longest stretch in which the vehicle stands still, by whatever shows it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys.store import Typestore
+
+from multilica.config import IngestConfig
+from multilica.errors import UnfitSnapshotError
+from multilica.ingest import read_snapshot
+from multilica.snapshot import Scan, Snapshot
+from tests.ingest.support.recording_writers import (
+    CLOUD,
+    START_NS,
+    cloud_message,
+    header,
+    make_snapshot,
+    ros1_types,
+    ros2_types,
+    write_mcap,
+)
+
+DURATION_S = 20.0
+STILL_S = ((3.0, 5.0), (9.0, 16.0))
+SPEED_MPS = 2.0
+ROOM_M = np.array([9.0, 6.0, 4.0])
+
+Raw = tuple[str, str, int, bytes]
+
+
+def moving(time_s: float) -> bool:
+    return not any(first <= time_s < last for first, last in STILL_S)
+
+
+def position_m(time_s: float) -> float:
+    """Back and forth, so that the room does not end."""
+    driven_s = np.arange(0.0, time_s, 0.01)
+    return 0.4 * np.sin(SPEED_MPS * 0.01 * sum(map(moving, driven_s)) / 0.4)
+
+
+def room_scan(time_s: float, seed: int) -> Scan:
+    rng = np.random.default_rng(seed)
+    azimuth, elevation = np.meshgrid(np.arange(0.0, 2 * np.pi, 0.03), np.deg2rad(np.arange(-38.5, 40.0, 3.0)))
+    azimuth = azimuth + rng.uniform(0.0, 0.03)
+    flat = np.cos(elevation)
+    beams = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
+    range_m = np.min((np.sign(beams) * ROOM_M - [position_m(time_s), 0.0, 0.0]) / beams, axis=1)
+    points_m = beams * (range_m + rng.normal(scale=0.01, size=len(range_m)))[:, None]
+    return Scan(points_m.astype(np.float32), stamp_ns(time_s), np.zeros(len(points_m), np.float32))
+
+
+def stamp_ns(time_s: float) -> int:
+    return START_NS + round(time_s * 1e9)
+
+
+def clouds(store: Typestore, serialise: Callable[[Any, str], Any], *, real: bool) -> Iterator[Raw]:
+    small = make_snapshot(lidars=1, frames=1, points=5).lidars[0].scans[0]
+    for number, time_s in enumerate(np.arange(0.0, DURATION_S, 0.2)):
+        scan = room_scan(time_s, number) if real else Scan(small.points_m + number, stamp_ns(time_s), small.intensity)
+        yield "/points", CLOUD, stamp_ns(time_s), bytes(serialise(cloud_message(store, scan, "roof"), CLOUD))
+
+
+def odometry_without_speed(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]:
+    yield from odometry(store, serialise, with_speed=False)
+
+
+def odometry(store: Typestore, serialise: Callable[[Any, str], Any], *, with_speed: bool = True) -> Iterator[Raw]:
+    types, name = store.types, "nav_msgs/msg/Odometry"
+    vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
+    driven_m = 0.0
+    for time_s in np.arange(0.0, DURATION_S, 0.05):
+        driven_m += SPEED_MPS * 0.05 * moving(time_s)
+        speed = SPEED_MPS * moving(time_s) * with_speed
+        twist = types["geometry_msgs/msg/Twist"](vector(speed, 0.0, 0.0), vector(0.0, 0.0, 0.001))
+        pose = types["geometry_msgs/msg/Pose"](
+            point(driven_m, 0.0, 0.0), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+        )
+        message = types[name](
+            header(store, "odom", stamp_ns(time_s)),
+            "base",
+            types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        )
+        yield "/odom", name, stamp_ns(time_s), bytes(serialise(message, name))
+
+
+def imu(store: Typestore, serialise: Callable[[Any, str], Any]) -> Iterator[Raw]:
+    types, name, rng = store.types, "sensor_msgs/msg/Imu", np.random.default_rng(0)
+    vector = types["geometry_msgs/msg/Vector3"]
+    for time_s in np.arange(0.0, DURATION_S, 0.01):
+        shake = 0.6 if moving(time_s) else 0.03
+        message = types[name](
+            header(store, "imu", stamp_ns(time_s)),
+            types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+            np.zeros(9),
+            vector(*rng.normal(0.0, 0.1 * shake, 3)),
+            np.zeros(9),
+            vector(*rng.normal([0.0, 0.0, 9.81], shake)),
+            np.zeros(9),
+        )
+        yield "/imu", name, stamp_ns(time_s), bytes(serialise(message, name))
+
+
+EVIDENCE = [
+    ("odometry on '/odom'", odometry),
+    ("odometry on '/odom'", odometry_without_speed),
+    ("the IMU on '/imu'", imu),
+    ("the clouds on '/points'", None),
+]
+
+
+@pytest.mark.parametrize(("view", "tell"), EVIDENCE)
+@pytest.mark.parametrize("encoding", ["cdr", "ros1"])
+def test_the_longest_standstill_is_found(
+    tmp_path: Path, view: str, tell: Callable[..., Iterator[Raw]] | None, encoding: str
+) -> None:
+    store = ros2_types() if encoding == "cdr" else ros1_types()
+    serialise = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
+    messages = list(clouds(store, serialise, real=tell is None))
+    if tell is not None:
+        messages += tell(store, serialise)
+    messages.sort(key=lambda message: message[2])
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", encoding=encoding, messages=messages, chunk_size=20_000)
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=5))
+    times_s = [(scan.stamp_ns - START_NS) / 1e9 for scan in snapshot["roof"].scans]
+    first_s, last_s = STILL_S[1]
+    assert len(times_s) == 5
+    assert first_s <= times_s[0] < first_s + 1.5
+    assert last_s - 3.0 < times_s[-1] < last_s
+    (note,) = snapshot.notes
+    assert note.startswith("The vehicle stands still from ")
+    assert f" by {view}; frames are from there." in note
+
+
+def test_from_some_time_on(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = [*clouds(store, store.serialize_cdr, real=False), *odometry(store, store.serialize_cdr)]
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=sorted(messages, key=lambda message: message[2]))
+    config = IngestConfig(window="auto", start_s=15.0, frames=1)
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+        read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 16.5}))
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+        read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 15.6}))
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=config.model_copy(update={"start_s": 13.0}))
+    assert snapshot.notes[0].startswith("The vehicle stands still from 13.0 to 15.")
+
+
+def test_a_vehicle_that_always_stands_gives_the_whole_recording(tmp_path: Path) -> None:
+    store = ros1_types()
+    messages = [*clouds(store, store.serialize_ros1, real=False), *odometry(store, store.serialize_ros1)]
+    first_s, last_s = STILL_S[1]
+    still = sorted((raw for raw in messages if stamp_ns(first_s) <= raw[2] < stamp_ns(last_s)), key=lambda raw: raw[2])
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", encoding="ros1", messages=still)
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=7))
+    assert [round((scan.stamp_ns - START_NS) / 1e9) for scan in snapshot["roof"].scans] == [9, 10, 11, 12, 13, 14, 15]
+    write_mcap(make_snapshot(frames=3), tmp_path / "short.mcap")
+    with pytest.raises(UnfitSnapshotError, match="nothing shows when the vehicle stands still"):
+        read_snapshot(tmp_path / "short.mcap", config=IngestConfig(window="auto"))
+
+
+def test_a_lidar_that_cannot_tell_leaves_it_to_another(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = list(clouds(store, store.serialize_cdr, real=True))
+    for time_s in np.arange(0.05, DURATION_S, 0.2):
+        rng = np.random.default_rng(round(time_s * 100))
+        ground = Scan(
+            np.column_stack([rng.uniform(-20.0, 20.0, (9000, 2)), rng.normal(-2.0, 0.01, 9000)]).astype(np.float32),
+            stamp_ns(time_s),
+            np.zeros(9000, np.float32),
+        )
+        message = cloud_message(store, ground, "floor")
+        messages.append(("/floor", CLOUD, stamp_ns(time_s), bytes(store.serialize_cdr(message, CLOUD))))
+    messages.sort(key=lambda message: message[2])
+    assert len(messages[1][3]) > len(messages[0][3])
+    path, config = tmp_path / "a.mcap", IngestConfig(window="auto", frames=5)
+    write_mcap(Snapshot(()), path, messages=messages, chunk_size=20_000)
+    note = read_snapshot(path, config=config).notes[0]
+    assert note.startswith("The vehicle stands still from 9.")
+    assert note.endswith(" by the clouds on '/points'; frames are from there.")
+    write_mcap(Snapshot(()), path, messages=[message for message in messages if message[0] == "/floor"])
+    with pytest.raises(UnfitSnapshotError, match="the clouds on '/floor' show too little, as in a tunnel"):
+        read_snapshot(path, config=config)
+
+
+def test_a_recording_of_less_than_a_second_is_taken_whole(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = [*clouds(store, store.serialize_cdr, real=True), *odometry(store, store.serialize_cdr)]
+    first_ns = stamp_ns(STILL_S[1][0])
+    for name, kept in (("odometry", messages), ("clouds", [raw for raw in messages if raw[0] != "/odom"])):
+        short = sorted((raw for raw in kept if first_ns <= raw[2] < first_ns + 700_000_000), key=lambda raw: raw[2])
+        write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=short)
+        snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=3))
+        (note,) = snapshot.notes
+        assert note.startswith(f"The vehicle stands still from 0.0 to 0.6 s by {'the ' * (name == 'clouds')}{name}")
+        assert len(snapshot["roof"].scans) == 3
+
+
+def test_odd_messages_are_no_evidence(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = [*clouds(store, store.serialize_cdr, real=False), *odometry(store, store.serialize_cdr)]
+    cut = [(topic, kind, time_ns, data[:30] if topic == "/odom" else data) for topic, kind, time_ns, data in messages]
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=sorted(cut, key=lambda message: message[2]))
+    with pytest.raises(UnfitSnapshotError, match="there is no readable odometry or IMU"):
+        read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto"))

@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`/tf_static` in whatever state it is."""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from mcap.writer import Writer
+
+from multilica.ingest import inspect_source
+from multilica.ingest.locate import find_source
+from multilica.ingest.opening import open_source
+from multilica.ingest.transforms.static_transforms import read_static_transforms
+from tests.ingest.support.recording_writers import START_NS, TRANSFORMS, ros2_types, transform_message
+
+HALF = math.sqrt(0.5)
+Entry = tuple[str, str, list[float], list[float]]
+
+
+def write_transforms(path: Path, *messages: list[Entry], topic: str = "/tf_static", period_ns: int = 0) -> None:
+    store = ros2_types()
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(TRANSFORMS, "ros2msg", b"")
+        channel = writer.register_channel(topic, "cdr", schema)
+        for number, entries in enumerate(messages):
+            data = (
+                bytes(store.serialize_cdr(transform_message(store, entries), TRANSFORMS)) if entries else b"\0\1\0\0\5"
+            )
+            time_ns = START_NS + number * period_ns
+            writer.add_message(channel, time_ns, data, time_ns)
+        writer.finish()
+
+
+def test_the_last_word_counts_and_the_broken_are_left_out(tmp_path: Path) -> None:
+    good = ("base", "roof", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])
+    moved = ("/base", "/roof", [4.0, 5.0, 6.0], [0.0, 0.0, HALF, HALF * 1.001])
+    broken: list[Entry] = [
+        ("base", "zero", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]),
+        ("base", "huge", [0.0, 0.0, 0.0], [1e300, 1e300, 0.0, 0.0]),
+        ("base", "nan", [0.0, 0.0, 0.0], [math.nan, 0.0, 0.0, 1.0]),
+        ("base", "far", [math.inf, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]),
+        ("base", "base", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]),
+        ("", "orphan", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]),
+    ]
+    write_transforms(tmp_path / "a.mcap", [good, *broken], [], [moved])
+    summary = inspect_source(tmp_path / "a.mcap")
+    (pose,) = summary.static_transforms
+    assert (pose.target, pose.source) == ("base", "roof")
+    np.testing.assert_allclose(pose.xyz_m, [4.0, 5.0, 6.0])
+    np.testing.assert_allclose(pose.rpy_deg, [0.0, 0.0, 90.0], atol=0.1)
+    assert len(summary.notes) == len(broken) + 1
+    for word in ("'zero'", "'huge'", "'nan'", "'far'", "two different names", "cannot be unpacked"):
+        assert any(word in note for note in summary.notes), word
+
+
+def test_what_is_repeated_for_hours_is_not_read_for_hours(tmp_path: Path) -> None:
+    roof = ("base", "roof", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])
+    late, never = (("base", name, [0.0, 0.0, 1.0], [0.0, 0.0, 0.0, 1.0]) for name in ("late", "never"))
+    write_transforms(tmp_path / "a.mcap", *[[roof]] * 8, [late], *[[roof]] * 200, [never], period_ns=10**9)
+    read: list[int] = []
+    with closing(open_source(find_source(tmp_path / "a.mcap"))) as recording:
+        messages = recording.messages
+        recording.messages = lambda topics: (
+            read.append(message.log_time_ns) or message for message in messages(topics)
+        )
+        transforms, notes = read_static_transforms(recording)
+    assert [transform.source for transform in transforms] == ["late", "roof"]
+    assert notes == ()
+    assert len(read) == 9 + 10
+    write_transforms(tmp_path / "b.mcap", *[[roof]] * 100, [late], period_ns=10**7)
+    assert len(inspect_source(tmp_path / "b.mcap").static_transforms) == 2
+
+
+def test_moving_transforms_are_no_static_ones(tmp_path: Path) -> None:
+    write_transforms(tmp_path / "a.mcap", [("map", "base", [1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 1.0])], topic="/tf")
+    assert inspect_source(tmp_path / "a.mcap").static_transforms == ()

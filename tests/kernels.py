@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runner of the tests whose results could depend on the CPU, with the kernels of three generations of CPUs.
+
+OpenBLAS and NumPy choose kernels by the CPU, and other kernels round the last bits differently.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+FOLDERS = [f"tests/{name}" for name in ("unit", "property", "pipeline", "sinks")]
+PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *FOLDERS]
+VARIABLES = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
+ALIASES = {"Katmai": "Prescott"}  # OpenBLAS has one kernel for both and reports the first name.
+
+# What NumPy may use beside each kernel; before version 2.4 it has a name per extension, later one per generation.
+AVX2 = {"X86_V3", "SSSE3", "SSE41", "POPCNT", "SSE42", "AVX", "F16C", "FMA3", "AVX2"}
+ALLOWED = {"Haswell": AVX2, "SkylakeX": AVX2 | {"X86_V4", "AVX512F", "AVX512CD", "AVX512_SKX"}, "Prescott": set()}
+NEEDED = {"Haswell": {"X86_V3", "AVX2"}, "SkylakeX": {"X86_V4", "AVX512_SKX"}, "Prescott": {"X86_V2", "SSE3"}}
+
+PROBE = """
+import json, numpy, scipy.linalg, threadpoolctl
+scipy.linalg.svd(numpy.ones((9, 9)) @ numpy.eye(9))
+copies = [copy["architecture"] for copy in threadpoolctl.threadpool_info() if copy["internal_api"] == "openblas"]
+simd = numpy.show_config(mode="dicts")["SIMD Extensions"]
+print(json.dumps([copies, simd["baseline"], simd.get("found", [])]))
+"""
+
+
+def probe(chosen: dict[str, str]) -> tuple[set[str], set[str], list[str]]:
+    """Return the kernels of OpenBLAS in a new process, NumPy's baseline features, and the others that it found."""
+    inherited = {key: value for key, value in os.environ.items() if key not in VARIABLES}
+    command = [sys.executable, "-W", "error", "-c", PROBE]
+    output = subprocess.run(command, env=inherited | chosen, check=True, stdout=subprocess.PIPE, text=True).stdout
+    copies, baseline, found = json.loads(output)
+    return {ALIASES.get(name, name) for name in copies}, set(baseline), found
+
+
+def run_tests(kernel: str, arguments: list[str]) -> str:
+    """Run the tests with one kernel; return what came of it."""
+    _, baseline, found = probe({})
+    if not NEEDED[kernel] & {*baseline, *found}:
+        return f"skipped: this CPU has none of {', '.join(sorted(NEEDED[kernel]))}"
+    disabled = [feature for feature in found if feature not in ALLOWED[kernel]]
+    chosen = dict(zip(VARIABLES, (kernel, " ".join(disabled)), strict=True))
+    used, _, kept = probe(chosen)
+    if not used:
+        return "skipped: NumPy and SciPy use another library than OpenBLAS here"
+    if used != {kernel} or {*kept} & {*disabled}:
+        return f"failed: {chosen} is ignored: OpenBLAS uses {', '.join(sorted(used))}, NumPy {', '.join(kept)}"
+    print(f"== {kernel}: NumPy without {' '.join(disabled) or '-'}", flush=True)
+    code = subprocess.run([*PYTEST, *arguments], env=os.environ | chosen, check=False).returncode
+    return f"failed: pytest ended with {code}" if code else "passed"
+
+
+def main(arguments: list[str]) -> int:
+    """Run the tests with each kernel; arguments are handed to pytest."""
+    outcomes = {kernel: run_tests(kernel, arguments) for kernel in ALLOWED}
+    print("", *(f"{kernel}: {outcome}" for kernel, outcome in outcomes.items()), sep="\n")
+    return int(any(outcome.startswith("failed") for outcome in outcomes.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""result.json and calibration.toml."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from multilica.extrinsics import read_extrinsics
+from multilica.results.document import parse_result
+from multilica.results.document.schema import schema_text
+from multilica.sinks.files.provenance import collect_versions, provenance_of
+from multilica.sinks.files.result_document import result_document
+from multilica.sinks.files.result_files import ResultFiles
+from multilica.sinks.files.toml_text import toml_text
+from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
+
+ROOT = Path(__file__).resolve().parents[3]
+SCHEMA = json.loads((ROOT / "docs" / "result.schema.json").read_text(encoding="utf-8"))
+
+
+def refuse_constant(name: str) -> None:
+    raise AssertionError(f"{name} is not JSON")
+
+
+@pytest.fixture
+def written(tmp_path, request):
+    outcome, until = getattr(request, "param", ("complete", "ground"))
+    with ResultFiles(tmp_path) as observe:
+        for event in made_events(outcome, until):
+            observe(event)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("written", "status"),
+    [
+        (("complete", "ground"), "complete"),
+        (("partial", "ground"), "partial"),
+        (("failed", "ground"), "failed"),
+        (("complete", "coarse"), "failed"),
+    ],
+    indirect=["written"],
+)
+def test_result_json_follows_its_schema_in_strict_json(written, status):
+    text = (written / "result.json").read_text(encoding="utf-8")
+    document = json.loads(text, parse_constant=refuse_constant)
+    jsonschema.validate(document, SCHEMA)
+    assert document["status"] == status
+    assert list(document["stages"]) == document["progress"]["finished"]
+    assert set(document["lidars"]) == set(LIDARS)
+    np.testing.assert_array_equal(document["lidars"][TARGET]["T_target_source"], np.eye(4))
+
+
+def test_schema_in_docs_is_up_to_date():
+    text = (ROOT / "docs" / "result.schema.json").read_text(encoding="utf-8")
+    assert text == f"{schema_text()}\n", "run `make docs`"
+
+
+def test_result_json_is_read_back_as_it_was_written(written):
+    text = (written / "result.json").read_text(encoding="utf-8")
+    document = parse_result("result.json", text)
+    assert f"{document.model_dump_json(indent=2)}\n" == text
+
+
+def test_poses_in_result_json_are_exact(written):
+    document = json.loads((written / "result.json").read_text())
+    for name, pose in TRUTH.items():
+        np.testing.assert_array_equal(document["lidars"][name]["T_target_source"], pose.matrix)
+        np.testing.assert_array_equal(document["lidars"][name]["rpy_deg"], pose.rpy_deg)
+
+
+@pytest.mark.parametrize("written", [("partial", "ground")], indirect=True)
+def test_what_is_not_known_is_null(written):
+    document = json.loads((written / "result.json").read_text())
+    refused = document["lidars"][UNPLACED]
+    assert refused["placed"] is False
+    assert refused["T_target_source"] is None
+    assert refused["rmse_m"] is None
+    assert "fitness 0.100" in refused["reason"]
+    assert document["timing_s"]["broken"] is None
+
+
+def test_the_document_is_pure():
+    first, *_, last = made_events()
+    provenance = provenance_of(first.snapshot)
+    once = result_document(last.result, first.config, provenance)
+    assert once == result_document(last.result, first.config, provenance)
+    expected = {"topic": "/top", "frame_id": "top_frame", "frames": 2, "points": 1200}
+    assert once.input.lidars[TARGET].model_dump() == expected
+
+
+def test_calibration_toml_gives_the_same_extrinsics(written):
+    extrinsics = read_extrinsics(written / "calibration.toml")
+    assert extrinsics.target == TARGET
+    for name, pose in TRUTH.items():
+        np.testing.assert_allclose(extrinsics.T_target_source[name].matrix, pose.matrix, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("written", [("partial", "ground")], indirect=True)
+def test_calibration_toml_names_what_is_not_placed_and_why(written):
+    table = tomllib.loads((written / "calibration.toml").read_text())
+    assert table["status"] == "partial"
+    assert set(table["lidars"]) == set(LIDARS) - {UNPLACED}
+    assert table["not_placed"] == {UNPLACED: "its best registration has fitness 0.100, below 0.2"}
+    assert table["lidars"]["front left/1"]["fitness"] == 0.8
+    assert table["input"]["sha256"].startswith("c0ffee")
+    assert table["versions"]["multilica"] == collect_versions()["multilica"]
+
+
+def test_calibration_toml_spells_out_units_and_frames(written):
+    comments = [line for line in (written / "calibration.toml").read_text().splitlines() if line.startswith("#")]
+    text = " ".join(comments)
+    for word in ("metres", "degrees", "extrinsic xyz", '"top"', "p_target = T_target_source @ p_source", "w last"):
+        assert word in text
+
+
+def test_nothing_is_written_before_the_end(tmp_path):
+    with ResultFiles(tmp_path) as observe:
+        for event in list(made_events())[:-1]:
+            observe(event)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_versions_are_those_of_what_is_installed():
+    versions = collect_versions()
+    assert {"multilica", "python", "numpy", "scipy", "open3d", "rerun", "mcap"} <= set(versions)
+    assert versions["numpy"] == np.__version__
+    assert all(re.match(r"\d", version) for version in versions.values())
+
+
+def test_toml_rows_of_numbers_stand_on_one_line():
+    document = {"row": [1.5, -2e-9, 3], "matrix": [[1.0, 0.0], [0.0, 1.0]], "words": ["a", "[1, 2]"], "none": []}
+    text = toml_text(document)
+    assert "row = [1.5, -2e-09, 3]" in text
+    assert tomllib.loads(text) == document

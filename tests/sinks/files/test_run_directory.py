@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run leaves in its directory."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+
+import pytest
+from mcap.reader import make_reader
+
+from multilica import events
+from multilica.config import CalibrationConfig, load_config
+from multilica.errors import UsageError
+from multilica.results import Refusal
+from multilica.sinks.files.result_files import ResultFiles
+from multilica.sinks.mcap.reading import read_attached_document
+from multilica.sinks.mcap.result_mcap import ResultMcap
+from multilica.sinks.rerun.reading import read_recorded_document
+from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.run_directory import open_run
+from tests.sinks.made_events import made_events
+
+CONFIG = CalibrationConfig(target="top", fine={"max_iterations": 7})
+
+
+def run_into(directory, stop_after: int | None = None):
+    with open_run(directory, CONFIG) as run:
+        for event in list(made_events())[:stop_after]:
+            run(event)
+    return run
+
+
+def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
+    run = run_into(tmp_path / "deep" / "run")
+    names = ["calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"]
+    assert [path.name for path in run.written] == names
+    assert {path.name for path in (tmp_path / "deep" / "run").iterdir()} == set(names)
+
+
+def test_the_mcap_file_holds_what_the_others_wrote(tmp_path):
+    run_into(tmp_path)
+    with (tmp_path / "result.mcap").open("rb") as file:
+        attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
+    for name in ("calibration.toml", "result.json", "report.html"):
+        assert attached[name] == (tmp_path / name).read_bytes()
+
+
+def test_sinks_that_share_a_state_tell_what_each_tells_alone(tmp_path):
+    shared, alone = tmp_path / "shared", tmp_path / "alone"
+    run_into(shared)
+    alone.mkdir()
+    sinks = (RerunRecording(alone / "recording.rrd"), ResultMcap(alone / "result.mcap"), ResultFiles(alone))
+    with ExitStack() as stack:
+        for sink in sinks:
+            stack.enter_context(sink)
+        for event in made_events():
+            for sink in sinks:
+                sink(event)
+    documents = [json.loads((folder / "result.json").read_text()) for folder in (shared, alone)]
+    assert documents[0] == documents[1]
+    assert read_attached_document(shared / "result.mcap") == read_attached_document(alone / "result.mcap")
+    assert read_recorded_document(shared / "recording.rrd") == read_recorded_document(alone / "recording.rrd")
+
+
+def test_what_a_sink_was_not_told_it_does_not_take_for_done(tmp_path, monkeypatch):
+    def no_space(*_):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("multilica.sinks.rerun.recording.log_outcome", no_space)
+    with pytest.raises(OSError, match="no space left"):
+        run_into(tmp_path)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names.isdisjoint({"result.json", "calibration.toml", "result.mcap"})
+    report = (tmp_path / "report.html").read_text()
+    assert "ended early" in report
+    assert "no space left" in report
+
+
+def test_the_resolved_configuration_can_be_given_back(tmp_path):
+    run_into(tmp_path)
+    assert load_config(tmp_path / "config.toml") == CONFIG
+
+
+def test_files_of_an_earlier_run_are_removed(tmp_path):
+    run_into(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    run = run_into(tmp_path, stop_after=8)
+    assert [path.name for path in run.written] == [
+        "report.html",
+        "recording.partial.rrd",
+        "result.partial.mcap",
+        "config.toml",
+    ]
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert not any("partial" in path.name for path in run_into(tmp_path).written)
+
+
+def test_what_a_killed_run_was_writing_goes_with_it(tmp_path):
+    begun = tmp_path / ".result.partial.mcap.4711.tmp"
+    begun.write_bytes(b"half")
+    run_into(tmp_path)
+    assert not begun.exists()
+
+
+def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):
+    before = run_into(tmp_path).written
+    assert run_into(tmp_path, stop_after=0).written == before
+
+
+def refuse_into(directory):
+    """A run whose snapshot is refused in stage preprocess."""
+    told = list(made_events("failed"))
+    refusal = Refusal("moving_vehicle", "The vehicle moves.")
+    with open_run(directory, CONFIG) as run:
+        for event in [*told[:5], events.CalibrationFinished(replace(told[-1].result, refusal=refusal))]:
+            run(event)
+    return run
+
+
+def test_a_refused_snapshot_leaves_every_file(tmp_path):
+    assert refuse_into(tmp_path).started
+    names = {"calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    assert json.loads((tmp_path / "result.json").read_text())["refusal"]["code"] == "moving_vehicle"
+
+
+def test_a_refused_snapshot_leaves_an_earlier_result_alone(tmp_path):
+    run_into(tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert not refuse_into(tmp_path).started
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_earlier_refusal_is_no_result_to_keep(tmp_path):
+    refuse_into(tmp_path)
+    assert refuse_into(tmp_path).started
+    run_into(tmp_path)
+    assert json.loads((tmp_path / "result.json").read_text())["refusal"] is None
+
+
+def test_earlier_run_can_be_removed_before_the_start(tmp_path):
+    run_into(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    with open_run(tmp_path, CONFIG) as run:
+        run.clear()
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_a_file_in_the_way_is_refused_in_one_sentence(tmp_path):
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(UsageError, match=r"^Cannot write to .*out: File exists; give --out a directory") as refusal:
+        run_into(tmp_path / "out")
+    assert str(refusal.value).count(". ") == 0
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write everywhere")
+def test_a_directory_without_permission_is_refused(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(UsageError, match="permission denied"):
+        run_into(tmp_path)
+
+
+def test_a_config_of_the_users_own_is_not_overwritten(tmp_path):
+    (tmp_path / "config.toml").write_text('preset = "paper"\n')
+    with pytest.raises(UsageError, match=r"its config\.toml is not of a multilica run"):
+        run_into(tmp_path)
+    assert (tmp_path / "config.toml").read_text() == 'preset = "paper"\n'
+
+
+def test_importing_the_package_loads_neither_rerun_nor_mcap():
+    code = "import sys, multilica.sinks; sys.exit(not {'rerun', 'mcap', 'foxglove', 'numpy'}.isdisjoint(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where the viewer looks from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from multilica.results import PreprocessedCloud
+from multilica.sinks.rerun.blueprint.camera import around_lidar, beside_lidar
+from multilica.sinks.run_state import RunState
+
+
+def state_of(points_m: np.ndarray) -> RunState:
+    state = RunState()
+    state.clouds["front"] = PreprocessedCloud("front", points_m, points_m, {})
+    return state
+
+
+def line_of_sight(eye) -> np.ndarray:
+    """(3,) unit vector from the eye to what it looks at."""
+    towards = np.subtract(eye.look_target.as_arrow_array().to_pylist()[0], eye.position.as_arrow_array().to_pylist()[0])
+    return towards / np.linalg.norm(towards)
+
+
+@pytest.mark.parametrize("yaw_deg", [0.0, 90.0, 200.0])
+def test_a_wide_view_has_across_what_the_lidar_looks_at(yaw_deg):
+    ahead = np.array([np.cos(np.deg2rad(yaw_deg)), np.sin(np.deg2rad(yaw_deg)), 0.0])
+    points_m = np.random.default_rng(1).normal(20.0 * ahead, 3.0, (5000, 3))
+    sight = line_of_sight(beside_lidar(state_of(points_m), "front"))
+    assert abs(sight @ ahead) < 0.4
+    assert sight[2] < -0.4
+
+
+def test_a_lidar_without_returns_is_seen_as_well():
+    for eye in (around_lidar(RunState(), "front"), beside_lidar(RunState(), "front")):
+        assert np.all(np.isfinite(line_of_sight(eye)))

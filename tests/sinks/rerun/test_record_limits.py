@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Limits on the size of recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from multilica import events
+from multilica.config import CalibrationConfig, RecordConfig
+from multilica.sinks.rerun.record_limits import NO_LIMITS, limits_for
+from multilica.sinks.rerun.recording import RerunRecording
+from multilica.snapshot import LidarScans, Scan, Snapshot
+from tests.sinks.conftest import record
+from tests.sinks.made_events import LIDARS, TARGET, made_events
+from tests.sinks.recording_reader import Recording
+
+
+def rig_of(lidars: int, points: int) -> Snapshot:
+    scan = Scan(np.zeros((points, 3), dtype=np.float32), 1)
+    return Snapshot(tuple(LidarScans(f"lidar{index}", (scan,)) for index in range(lidars)), "rig", "")
+
+
+def test_a_small_rig_is_not_thinned():
+    assert limits_for(RecordConfig(), rig_of(4, 100_000))[1] == 1.0
+
+
+def test_what_exceeds_the_budget_is_thinned_by_one_share():
+    usual, _ = limits_for(RecordConfig(), rig_of(2, 1000))
+    limits, share = limits_for(RecordConfig(max_megabytes=25.0), rig_of(8, 300_000))
+    assert 0.0 < share < 0.2
+    assert limits == usual.thinned(share)
+    assert limits_for(RecordConfig(max_megabytes=30.0), rig_of(8, 300_000))[1] > share
+
+
+def test_full_has_no_budget():
+    assert limits_for(RecordConfig(detail="full", max_megabytes=0.001), rig_of(8, 300_000)) == (NO_LIMITS, 1.0)
+
+
+def test_a_recording_stays_below_its_budget(tmp_path):
+    config = CalibrationConfig(target=TARGET, record={"max_megabytes": 5.0})
+    _, *rest = made_events()
+    noise = np.random.default_rng(0).normal(scale=10.0, size=(200_000, 3)).astype(np.float32)
+    snapshot = Snapshot(tuple(LidarScans(name, (Scan(noise, 1),)) for name in LIDARS), "rig", "")
+    with RerunRecording(tmp_path / "run.rrd") as observe:
+        for event in (events.CalibrationStarted(snapshot, config), *rest):
+            observe(event)
+    assert 3e6 < (tmp_path / "run.rrd").stat().st_size < 5e6
+    line = next(text for step, level, text in Recording(tmp_path / "run.rrd").log if step == 0 and level == "WARN")
+    assert line.startswith("recording ")
+    assert line.endswith("of the usual points and matches to stay below 5 MB (record.max_megabytes)")
+
+
+@pytest.mark.parametrize("detail", ["full", "normal", "slim"])
+def test_every_detail_keeps_every_decision(tmp_path, rerun_rrd, detail):
+    path = record(tmp_path / "run.rrd", "partial", record={"detail": detail})
+    assert rerun_rrd("verify", path).returncode == 0
+    recording = Recording(path)
+    assert {"/pairs/rear/top/scores", "/merge/steps", "/verdicts/picture", "/summary"} <= recording.entity_paths
+    raw = {f"/lidars/{name}/raw" for name in LIDARS} & recording.entity_paths
+    assert bool(raw) == (detail != "slim")
+
+
+def test_slim_says_that_raw_clouds_are_missing(tmp_path):
+    recording = Recording(record(tmp_path / "run.rrd", record={"detail": "slim"}))
+    assert (0, "INFO", "top: 0 of 1,200 raw points are recorded") in recording.log
+    assert "/lidars/top/features" not in recording.entity_paths
+    assert recording.last("/lidars/top/preprocessed", "Points3D:positions")

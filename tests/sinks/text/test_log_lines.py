@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Log lines and summaries of made-up runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from multilica import events
+from multilica.results import CoarseResult, MergeCandidate, MergeDecision
+from multilica.sinks.files.run_document import run_document
+from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import log_lines
+from multilica.sinks.text.run_summary import decisions_markdown, hypotheses_markdown, summary_markdown
+from tests.sinks.made_events import LIDARS, UNPLACED, made_events
+
+
+def state_of(*args, stop_after: int | None = None) -> RunState:
+    state = RunState()
+    for event in list(made_events(*args))[:stop_after]:
+        state(event)
+    return state
+
+
+def test_every_event_has_a_line():
+    assert all(log_lines(event) for event in made_events("partial"))
+
+
+@pytest.mark.parametrize(("outcome", "level"), [("complete", "INFO"), ("partial", "WARN"), ("failed", "WARN")])
+def test_the_last_line_is_the_outcome(outcome, level):
+    *_, last = made_events(outcome)
+    line = log_lines(last)[-1]
+    assert line.level == level
+    assert line.text.startswith(f"calibration {outcome}: ")
+
+
+def test_each_lidar_that_is_missing_is_an_error_with_its_reason():
+    *_, last = made_events("failed")
+    errors = [line.text for line in log_lines(last) if line.level == "ERROR"]
+    assert [text.split(" is not placed: ")[0] for text in errors] == ["front left/1", "rear"]
+
+
+def test_a_pair_that_is_not_accepted_is_a_warning():
+    lines = [log_lines(event)[0] for event in made_events("partial") if isinstance(event, events.PairRegistered)]
+    doubted = [line for line in lines if line.level == "WARN"]
+    assert all("reject: only 12 points lie on surfaces; expected 50" in line.text for line in doubted)
+    assert [UNPLACED in line.text for line in lines] == [line.level == "WARN" for line in lines]
+
+
+def test_a_pair_without_points_in_common_has_no_rmse():
+    event = next(event for event in made_events() if isinstance(event, events.PairRegistered))
+    apart = replace(event.registration, fitness=0.0, rmse_m=math.inf, inliers=0)
+    (line,) = log_lines(events.PairRegistered(apart))
+    assert "no points in common after" in line.text
+    assert "inf" not in line.text
+    state = state_of()
+    state(events.PairRegistered(apart))
+    candidate = MergeCandidate(apart.target, apart.source, 0.0, math.inf, passes=False)
+    shown = hypotheses_markdown(state) + decisions_markdown([MergeDecision(0, (candidate,), None, "none passes", ())])
+    assert " inf " not in shown
+    assert "| 0.000 | - |" in shown
+
+
+def test_notes_of_the_reader_are_warnings():
+    first, *_ = made_events()
+    assert [line.text for line in log_lines(first) if line.level == "WARN"] == list(first.snapshot.notes)
+
+
+def test_no_hypothesis_is_a_warning():
+    event = next(event for event in made_events() if isinstance(event, events.HypothesesFound))
+    empty = events.HypothesesFound(CoarseResult("a", "b", ()), event.correspondences)
+    assert log_lines(empty)[0].level == "WARN"
+
+
+def test_the_summary_of_an_unfinished_run_says_how_far_it_came():
+    state = state_of(stop_after=4)
+    assert "cut off after stage ingest" in summary_markdown(state, run_document(state))
+
+
+def test_the_summary_names_what_is_missing_first():
+    state = state_of("partial")
+    text = summary_markdown(state, run_document(state))
+    assert text.startswith("# 1 of 3 LiDARs is not placed. rear: it shares too few surfaces with the others")
+    assert "- **rear is not placed: it shares too few surfaces" in text.split("Target:")[0]
+    for name in LIDARS:
+        assert f"| {name} |" in text
+
+
+def test_names_cannot_break_a_table():
+    decisions = state_of().decisions
+    assert decisions
+    rows = [line for line in decisions_markdown(decisions).splitlines() if line.startswith("|")]
+    assert {row.count("|") for row in rows} == {5}
+
+
+def test_the_table_of_hypotheses_has_the_best_of_every_pair():
+    table = hypotheses_markdown(state_of("failed"))
+    assert "| rear <- top | none | 0 of 80 |" in table
+    assert "| front left/1 <- top | #0 | 20 | 90 | 1 | 67 | 0.100 | 0.060 | reject |" in table
+
+
+def test_a_wider_search_is_logged_with_its_voxel_size():
+    (line,) = log_lines(events.SearchWidened((("left", "top"), ("rear", "top")), 0.25))
+    assert line.level == "INFO"
+    assert line.text.endswith("voxels of 0.25 m: left <- top, rear <- top")

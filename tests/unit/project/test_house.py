@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rules for every file of the project."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import os
+import re
+import subprocess
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from types import UnionType
+
+import pytest
+
+import multilica
+
+ROOT = Path(__file__).parents[3]
+UNTRACKED = {".git", ".venv", ".hypothesis", "node_modules", "__pycache__", "dist", "build"}
+LICENSED_SUFFIXES = {".py", ".yaml", ".yml", ".js", ".mjs", ""}
+TEXT_SUFFIXES = LICENSED_SUFFIXES | {".md", ".toml", ".json", ".txt"}
+UNLICENSED = {"LICENSE", ".gitignore", ".gitattributes"}
+HEAVY = {"open3d", "rerun", "scipy", "numpy", "mcap", "rosbags", "foxglove", "small_gicp", "kiss_matcher"}
+BANNED = {
+    "a path of one machine": r"(?<![\w.])/(work|farm|home|root|Users)/",
+    "a package registry": r"https?://[a-z0-9.-]*(pypi|pythonhosted|debian\.org|npmjs)",
+    "work put off": r"\b(TO" r"DO|FIX" r"ME|XX" r"X)\b",
+    "a pictogram": "[\U0001f300-\U0001faff\u2600-\u27bf]",
+    "a section ruler": r"^\s*#\s*[-=#*~]{4,}",
+}
+
+PRODUCT = {"multilica", "cli"}
+MOST_LINES = 300
+MOST_FILES = 20
+LONGEST_TEST_NAME = 60
+OLD_WORDS = re.compile("witness|testimony|retell|far_fetched|upheld", re.IGNORECASE)
+CLAUSE_OPENERS = (
+    "What ",
+    "Whether ",
+    "Where ",
+    "How ",
+    "The ",
+    "A ",
+    "An ",
+    "All ",
+    "Every ",
+    "Each ",
+    "Those ",
+    "It ",
+)
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def project_files() -> Iterator[Path]:
+    for folder, folders, names in os.walk(ROOT):
+        outputs = {"runs"} if Path(folder) == ROOT / "recordings" else set()
+        folders[:] = [name for name in folders if name not in UNTRACKED | outputs and not name.endswith("_cache")]
+        yield from (Path(folder) / name for name in names if name not in UNTRACKED)  # .git is a file in a worktree
+
+
+def text_files() -> list[Path]:
+    return sorted(path for path in project_files() if path.suffix in TEXT_SUFFIXES and path.name != "LICENSE")
+
+
+def relative(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def files_below(folders: set[str], suffix: str = "") -> list[Path]:
+    found = (path for path in project_files() if path.relative_to(ROOT).parts[0] in folders)
+    return sorted(path for path in found if path.name.endswith(suffix))
+
+
+def nodes_below(folders: set[str], kind: type[ast.AST] | UnionType) -> Iterator[tuple[str, ast.AST]]:
+    for path in files_below(folders, ".py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, kind):
+                yield f"{relative(path)}:{node.lineno}", node
+
+
+def listed(offenders: list[str], rule: str) -> str:
+    return "\n".join([f"{len(offenders)} break the rule: {rule}", *offenders])
+
+
+def modules() -> list[str]:
+    found = []
+    for root in (ROOT / "multilica", ROOT / "cli" / "multilica_cli"):
+        for path in sorted(root.rglob("*.py")):
+            parts = path.relative_to(root.parent).with_suffix("").parts
+            found.append(".".join(parts[:-1] if parts[-1] == "__init__" else parts))
+    return [name for name in found if not name.endswith("__main__")]
+
+
+def test_the_walk_sees_the_project() -> None:
+    names = {relative(path) for path in text_files()}
+    assert {"multilica/errors.py", "cli/multilica_cli/main.py", "Makefile", ".ci/run", "README.md"} <= names
+    assert {"multilica/runs/__init__.py", "tests/unit/project/test_house.py"} <= names
+    assert {"multilica", "multilica.pipeline", "multilica_cli.main"} <= set(modules())
+
+
+def test_each_source_begins_with_its_licence() -> None:
+    licensed = [path for path in text_files() if path.suffix in LICENSED_SUFFIXES and path.name not in UNLICENSED]
+    assert [relative(path) for path in licensed if not has_licence(path)] == []
+
+
+def has_licence(path: Path) -> bool:
+    head = path.read_text(encoding="utf-8").splitlines()[:2]
+    first = head[1:] if head and head[0].startswith("#!") else head
+    return bool(first) and "SPDX-License-Identifier: Apache-2.0" in first[0]
+
+
+@pytest.mark.parametrize("fault", BANNED)
+def test_no_file_holds(fault: str) -> None:
+    pattern = re.compile(BANNED[fault], re.MULTILINE)
+    found = [relative(path) for path in text_files() if pattern.search(path.read_text(encoding="utf-8"))]
+    assert found == [], f"{fault} stands in these files"
+
+
+@pytest.mark.parametrize("module", modules())
+def test_exported_names_exist(module: str) -> None:
+    loaded = importlib.import_module(module)
+    exported = getattr(loaded, "__all__", [])
+    assert len(set(exported)) == len(exported)
+    assert [name for name in exported if not hasattr(loaded, name)] == []
+    if not loaded.__file__.endswith("__init__.py"):
+        assert exported, f"{module} exports nothing"
+
+
+def test_the_package_finds_its_public_names() -> None:
+    assert dir(multilica) == sorted(multilica.__all__)
+    with pytest.raises(AttributeError, match="no_such_name"):
+        multilica.no_such_name  # noqa: B018
+
+
+def imported_by(code: str) -> set[str]:
+    listing = "\nimport sys; print(' '.join(sys.modules))"
+    outcome = subprocess.run(
+        [sys.executable, "-c", code + listing], capture_output=True, text=True, check=True, cwd=ROOT, env=environment()
+    )
+    return {name.partition(".")[0] for name in outcome.stdout.splitlines()[-1].split()}
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'cli'}"}
+
+
+def test_importing_the_package_stays_light() -> None:
+    assert imported_by("import multilica") & HEAVY == set()
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["calibrate", "--help"], ["--version"], []])
+def test_help_stays_light(arguments: list[str]) -> None:
+    loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")
+    assert "typer" in loaded
+    assert loaded & HEAVY == set()
+
+
+def test_names_of_tests_are_short() -> None:
+    long = [
+        f"{place} {node.name} ({len(node.name)})"
+        for place, node in nodes_below({"tests"}, Function)
+        if node.name.startswith("test_") and len(node.name) > LONGEST_TEST_NAME
+    ]
+    assert not long, listed(long, f"a test's name has at most {LONGEST_TEST_NAME} characters")
+
+
+def test_sources_are_short() -> None:
+    lines = {path: path.read_text(encoding="utf-8").count("\n") for path in files_below(PRODUCT | {"tests"}, ".py")}
+    long = [f"{relative(path)} ({count})" for path, count in lines.items() if count > MOST_LINES]
+    assert not long, listed(long, f"a source has at most {MOST_LINES} lines")
+
+
+def test_folders_are_small() -> None:
+    counts = Counter(path.parent for path in files_below(PRODUCT | {"tests", "docs"}))
+    full = [f"{relative(folder)} ({count})" for folder, count in counts.items() if count > MOST_FILES]
+    assert not full, listed(full, f"a folder has at most {MOST_FILES} files")
+
+
+def test_packages_have_several_modules() -> None:
+    packages = [path.parent for path in files_below(PRODUCT, "__init__.py")]
+    lonely = [relative(package) for package in packages if len(members(package)) == 1]
+    assert not lonely, listed(lonely, "a package has more than one module or package")
+
+
+def members(package: Path) -> list[Path]:
+    return [*package.glob("[!_]*.py"), *package.glob("__main__.py"), *package.glob("*/__init__.py")]
+
+
+def test_old_words_are_gone() -> None:
+    found = [
+        f"{relative(path)}:{number} {line}"
+        for path in files_below(PRODUCT)
+        for number, line in enumerate([path.name, *path.read_text(encoding="utf-8").splitlines()])
+        if OLD_WORDS.search(line)
+    ]
+    assert not found, listed(found, f"no name or text has {OLD_WORDS.pattern}")
+
+
+def test_class_names_are_unique() -> None:
+    places = defaultdict(list)
+    for place, node in nodes_below(PRODUCT, ast.ClassDef):
+        places[node.name].append(place)
+    shared = [f"{name}: {', '.join(found)}" for name, found in sorted(places.items()) if len(found) > 1]
+    assert not shared, listed(shared, "no two classes of the product have one name")
+
+
+def test_docstrings_of_functions_start_with_a_verb() -> None:
+    clauses = [
+        f"{place} {node.name}: {docstring.splitlines()[0]}"
+        for place, node in nodes_below(PRODUCT, Function)
+        if (docstring := ast.get_docstring(node) or "").startswith(CLAUSE_OPENERS)
+        and not any("property" in ast.unparse(decorator) for decorator in node.decorator_list)
+    ]
+    assert not clauses, listed(clauses, "a function's docstring starts with a verb in the imperative")

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from multilica.errors import UnfitSnapshotError
+from multilica.geometry import RigidTransform
+from multilica.results import LidarPlacement
+from multilica.runs import PoseError
+from multilica.runs.evaluation import Comparison
+from multilica.runs.saved_run import SavedPlacement
+from tests import opencalib
+from tests.bench import __main__ as bench
+from tests.bench import harder, real_scans, repeat, simulated, speed
+from tests.bench.support import cases
+from tests.bench.support.cases import Case, LidarOutcome
+from tests.bench.support.claims import Claim, print_claims
+from tests.bench.support.truth_on_trial import Trial
+
+_CASE = Case("sides", "garage", 1)
+_STILL = RigidTransform.identity("top", "left")
+
+
+def _lidar(outcome, *codes, normalised=1.0, trial=None):
+    error = None if outcome == "false_refuse" else PoseError.between(_STILL, _STILL)
+    placement = SavedPlacement("left", None, None, "made")
+    comparison = Comparison("run", "truth", "top", placement, error, None if error is None else normalised, outcome)
+    return LidarOutcome(_CASE, comparison, codes, trial)
+
+
+_GOOD, _WRONG = _lidar("within"), _lidar("false_accept", normalised=3.0)
+_JUST = _lidar("false_refuse", "not_observable", trial=Trial(accepted=False, codes=("not_observable",)))
+_MISSED = _lidar("false_refuse", "not_observable", trial=Trial(accepted=True, codes=()))
+
+
+def test_every_measurement_can_be_run():
+    for name in (*bench.MEASUREMENTS, *bench.ON_REQUEST):
+        assert callable(importlib.import_module(f"tests.bench.{name}").main)
+
+
+@pytest.mark.parametrize(("holds", "code"), [((True, True), 0), ((True, False), 1), ((False, True), 1)])
+def test_the_exit_code_tells_whether_all_claims_hold(monkeypatch, capsys, holds, code):
+    for name, answer in zip(("blind", "speed"), holds, strict=True):
+        monkeypatch.setattr(f"tests.bench.{name}.main", lambda answer=answer: answer)
+    assert bench.main(["blind", "speed"]) == code
+    assert capsys.readouterr().out == "## blind\n\n## speed\n\n"
+
+
+def test_an_unknown_measurement_is_named(capsys):
+    assert bench.main(["sped"]) == 2
+    assert "no measurement 'sped'; available: real_scans" in capsys.readouterr().err
+
+
+def test_claims_are_printed_as_markdown(capsys):
+    claims = [Claim("a", "0", "0", holds=True), Claim("b", "> 1", "1 | 2", holds=False)]
+    assert not print_claims(claims)
+    assert print_claims(claims[:1])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:2] == ["| measure | expected | measured | holds |", "|---|---|---|---|"]
+    assert lines[2:4] == ["| a | 0 | 0 | yes |", "| b | > 1 | 1 / 2 | no |"]
+
+
+@pytest.mark.parametrize(
+    ("lidars", "failing"),
+    [
+        ([_GOOD] * 97 + [_JUST] * 3, []),
+        ([_GOOD] * 96 + [_JUST] * 4, ["placed within"]),
+        ([_GOOD] * 99 + [_WRONG], ["placed, but"]),
+        ([_GOOD] * 99 + [_MISSED], ["refused for"]),
+        ([_GOOD] * 94 + [_lidar("within", normalised=2.0)] * 6, ["placed LiDARs within 3"]),
+        ([_GOOD] * 94 + [_lidar("within", normalised=None)] * 6, ["placed LiDARs within 3"]),
+        ([_lidar("within", normalised=0.4)] * 9, ["median normalised"]),
+    ],
+)
+def test_each_claim_on_simulated_rigs_can_fail(lidars, failing):
+    claims = [claim for claim in simulated.claims(lidars) if not claim.holds]
+    assert len(claims) == len(failing)
+    assert all(claim.measure.startswith(words) for claim, words in zip(claims, failing, strict=True))
+
+
+def test_what_harder_scenes_let_expect():
+    sliding = next(each for each in harder.EXPECTED if each.scene == "tunnel")
+    placed = next(each for each in harder.EXPECTED if each.disturbance == "rain")
+    either = next(each for each in harder.EXPECTED if each.disturbance == "low_overlap")
+    other = _lidar("false_refuse", "structure_unexplained")
+    assert [each.is_met(_JUST) for each in (sliding, placed, either)] == [True, False, True]
+    assert [each.is_met(_GOOD) for each in (sliding, placed, either)] == [False, True, True]
+    assert not any(each.is_met(lidar) for each in (sliding, placed, either) for lidar in (_WRONG, _MISSED, other))
+    shared_too_little = Trial(accepted=False, codes=("too_little_overlap",))
+    contradicted = _lidar("false_refuse", "empty_space_violated", trial=shared_too_little)
+    assert [each.is_met(contradicted) for each in (sliding, placed, either)] == [False, False, True]
+
+
+def test_a_snapshot_that_is_refused_speaks_against_the_verdict(monkeypatch):
+    def refuse(*_):
+        raise UnfitSnapshotError("The vehicle moves.")
+
+    monkeypatch.setattr(cases, "calibrate", refuse)
+    found = cases.run_case(_CASE, cases.CalibrationConfig())
+    assert [(each.lidar, each.standing) for each in found] == [("right", "missed"), ("top", "missed")]
+
+
+def test_runs_that_differ_are_told_apart():
+    moved = RigidTransform.from_rotation_translation("top", "left", np.eye(3), [3e-6, 0.0, 0.0])
+    first, second = (repeat.Run(digest, ("x",), {"left": _STILL}) for digest in "ab")
+    other = repeat.Run("c", ("y",), {"left": moved})
+    same = repeat.Difference(same_bits=True, metres=0.0, radians=0.0, same_verdicts=True)
+    assert repeat.difference([first, first], [first, second]) == same
+    assert repeat.difference([first, second], [first, first]) == replace(same, same_bits=False)
+    apart = replace(same, metres=pytest.approx(3e-6), same_verdicts=False)
+    assert repeat.difference([first, first], [first, other]) == apart
+
+
+@pytest.mark.parametrize(("limit", "holds"), [(0.5, True), (0.3, False)])
+def test_the_median_ratio_of_times_is_compared_with_the_limit(limit, holds):
+    laps = [[speed.Lap(9.0, ours_s), speed.Lap(9.0, 10.0)] for ours_s in (4.0, 9.0, 3.0)]
+    claim = speed.claim("edgar", laps, limit)
+    assert claim.measured == "0.40 (1.00 by wall time)"
+    assert claim.holds is holds
+
+
+@pytest.mark.parametrize(
+    ("y_m", "yaw_deg", "outcome"),
+    [(0.01, 0.0, "right"), (0.03, 0.0, "beside"), (0.06, 0.0, "wrong"), (0.0, 0.45, "beside"), (0.0, 0.6, "wrong")],
+)
+def test_turned_scans_have_the_truth_of_the_original_ones(y_m, yaw_deg, outcome):
+    rotation = Rotation.random(random_state=3).as_matrix()
+    true = opencalib.TRUTH["left"]
+    off = RigidTransform.from_xyz_rpy("top", "top", [0.0, 0.0, 0.0], [0.0, 0.0, np.deg2rad(yaw_deg)])
+    pose = RigidTransform.from_rotation_translation(
+        "top", "left", off.rotation @ true.rotation @ rotation.T, true.xyz_m + np.array([0.0, y_m, 0.0])
+    )
+    placement = LidarPlacement("left", "placed", placed=True, T_target_source=pose)
+    assert real_scans.judged(placement, rotation)[0] == outcome
+    refused = LidarPlacement("left", "too little in common")
+    assert real_scans.judged(refused, rotation) == ("refused", "too little in common")

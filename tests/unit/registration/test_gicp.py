@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import open3d as o3d
+import pytest
+
+from multilica.config import FineConfig, preset
+from multilica.geometry import RigidTransform
+from multilica.registration.gicp import fitness_and_rmse, register, register_narrower
+from multilica.registration.registration_cloud import prepare_registration_cloud
+
+_TRUTH = RigidTransform.from_xyz_rpy("t", "s", [0.4, -0.2, 0.1], [0.02, -0.01, 0.05])
+
+
+def _room(seed, count, noise_m=0.01):
+    """Points on the six walls of a room of 12 x 8 x 3 m, seen from its middle."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-1, 1, (count, 3))
+    axis = rng.integers(0, 3, count)
+    points[np.arange(count), axis] = np.sign(points[np.arange(count), axis])
+    return points * [6.0, 4.0, 1.5] + rng.normal(0, noise_m, (count, 3))
+
+
+def _clouds(config, counts=(20_000, 8_000)):
+    target = prepare_registration_cloud("t", _room(0, counts[0]), config, 1)
+    source = prepare_registration_cloud("s", _TRUTH.inverse().apply(_room(1, counts[1])), config, 1)
+    return target, source
+
+
+@pytest.mark.parametrize("config", [FineConfig(), preset("paper").fine], ids=["small_gicp", "open3d"])
+def test_finds_the_truth(config):
+    target, source = _clouds(config)
+    result = register(target, source, RigidTransform.identity("t", "s"), config, 1)
+    metres, radians = result.T_target_source.distance_to(_TRUTH)
+    assert metres < 0.005
+    assert radians < np.deg2rad(0.1)
+    assert result.converged
+    assert result.fitness > 0.9
+    assert result.steps
+
+
+def test_it_converged_only_if_it_did_with_each_distance():
+    start = RigidTransform.identity("t", "s")
+    many = FineConfig(max_correspondence_distances_m=(0.5,) + (0.25,) * 20, max_iterations=2)
+    result = register(*_clouds(many), start, many, 1)
+    assert result.steps[-1].iteration - result.steps[-2].iteration < 2
+    assert not result.converged
+
+
+def test_fitness_and_rmse_are_those_of_open3d():
+    target, source = _clouds(FineConfig())
+    start = RigidTransform.from_xyz_rpy("t", "s", [0.3, 0.0, 0.0], [0.0, 0.0, 0.02])
+    fitness, rmse_m, inliers = fitness_and_rmse(target, source, start, 0.2, 1)
+    clouds = [o3d.geometry.PointCloud(o3d.utility.Vector3dVector(cloud.points_m)) for cloud in (source, target)]
+    expected = o3d.pipelines.registration.evaluate_registration(*clouds, 0.2, start.matrix)
+    assert fitness == pytest.approx(expected.fitness, abs=2.0 / len(source.points_m))
+    assert rmse_m == pytest.approx(expected.inlier_rmse, rel=1e-3)
+    assert inliers == round(fitness * len(source.points_m))
+
+
+def test_no_inliers_is_no_fit():
+    target, source = _clouds(FineConfig(), (500, 500))
+    far = RigidTransform.from_xyz_rpy("t", "s", [500.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    assert fitness_and_rmse(target, source, far, 0.2, 1) == (0.0, float("inf"), 0)
+
+
+def test_one_thread_gives_the_same_bits():
+    runs = []
+    for _ in range(2):
+        target, source = _clouds(FineConfig())
+        runs.append(register(target, source, RigidTransform.identity("t", "s"), FineConfig(), 1))
+    assert runs[0].T_target_source.matrix.tobytes() == runs[1].T_target_source.matrix.tobytes()
+
+
+def test_two_threads_agree_to_a_micrometre():
+    config = FineConfig()
+    one, two = (register(*_clouds(config), RigidTransform.identity("t", "s"), config, threads) for threads in (1, 2))
+    metres, radians = one.T_target_source.distance_to(two.T_target_source)
+    assert metres < 1e-6
+    assert radians < 1e-6
+
+
+def test_the_narrower_cloud_is_the_source():
+    target, source = _clouds(FineConfig())
+    result = register_narrower(source, target, RigidTransform.identity("s", "t"), FineConfig(), 1)
+    assert (result.target, result.source) == ("t", "s")
+    assert result.T_target_source.distance_to(_TRUTH)[0] < 0.005

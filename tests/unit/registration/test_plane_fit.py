@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from multilica.config import FineConfig, RefineConfig
+from multilica.geometry import RigidTransform
+from multilica.registration.plane_fit import fit_planes, pose_information
+from multilica.registration.registration_cloud import prepare_registration_cloud
+
+_HERE = RigidTransform.identity("t", "s")
+_CONFIG = RefineConfig(distance_m=0.3)
+
+
+def _room(name, seed, roughness_m=(0.01, 0.01, 0.01), count=4000, clutter=0):
+    """Three walls of 6 m, points off them by so much across x, y and z, and a bush in the middle."""
+    rng = np.random.default_rng(seed)
+    walls = []
+    for axis, rough_m in enumerate(roughness_m):
+        points = rng.uniform(0.0, 6.0, (count, 3))
+        points[:, axis] = rng.normal(0.0, rough_m, count)
+        walls.append(points)
+    return _cloud(name, np.concatenate([*walls, rng.uniform(2.0, 4.0, (clutter, 3))]))
+
+
+def _cloud(name, points_m):
+    return prepare_registration_cloud(name, points_m, FineConfig(), 1)
+
+
+def _information(target, source, pose=_HERE):
+    return pose_information(target, source, pose, _CONFIG, 1)
+
+
+def _sigma_m(information):
+    return np.sqrt(np.diag(np.linalg.inv(information)))[3:]
+
+
+def _nudged(xyz_m, yaw_rad=0.0):
+    return RigidTransform.from_xyz_rpy("t", "s", xyz_m, [0.0, 0.0, yaw_rad])
+
+
+def test_the_fit_ends_where_the_planes_are_in_common():
+    target, source = _room("t", 0), _room("s", 1)
+    fit = fit_planes(target, source, _nudged([0.04, -0.03, 0.05], 0.01), _CONFIG, 1)
+    metres, radians = fit.T_target_source.distance_to(_HERE)
+    assert metres < 0.002
+    assert radians < np.deg2rad(0.02)
+    assert np.allclose(fit.information, _information(target, source, fit.T_target_source))
+
+
+def test_bushes_do_not_pull_the_fit():
+    """One side has shifted foliage that fits better elsewhere; planes outweigh it."""
+    target, source = _room("t", 0, clutter=6000), _room("s", 1)
+    bush_m = target.points_m[np.all(target.points_m > 1.9, axis=1)] + [0.06, 0.06, 0.06]
+    source = _cloud("s", np.concatenate([source.points_m, bush_m]))
+    fit = fit_planes(target, source, _nudged([0.02, 0.0, 0.0]), _CONFIG, 1)
+    assert fit.T_target_source.distance_to(_HERE)[0] < 0.002
+
+
+def test_few_points_in_common_leave_the_pose():
+    target, source = _room("t", 0), _room("s", 1)
+    away = _nudged([100.0, 0.0, 0.0])
+    fit = fit_planes(target, source, away, _CONFIG, 1)
+    assert fit.T_target_source is away
+    assert fit.information is None
+    assert _information(target, source, away) is None
+
+
+def test_a_fit_that_leads_away_is_not_taken():
+    target, source = _room("t", 0), _room("s", 1)
+    off = _nudged([0.16, 0.16, 0.16])
+    assert fit_planes(target, source, off, _CONFIG, 1).T_target_source.distance_to(_HERE)[0] < 0.01
+    short = _CONFIG.model_copy(update={"distance_m": 0.2})
+    assert fit_planes(target, source, off, short, 1).T_target_source is off
+
+
+def test_more_points_than_wanted_are_thinned_evenly():
+    target, source = _room("t", 0), _room("s", 1)
+    fewer = fit_planes(target, source, _HERE, _CONFIG.model_copy(update={"max_points": 800}), 1)
+    full = fit_planes(target, source, _HERE, _CONFIG, 1)
+    assert fewer.T_target_source.distance_to(_HERE)[0] < 0.004
+    assert np.trace(fewer.information) < 0.6 * np.trace(full.information)
+
+
+def test_rough_surfaces_constrain_a_direction_less():
+    smooth, rough = (
+        _sigma_m(_information(_room("t", 0, roughness), _room("s", 1, roughness)))
+        for roughness in ((0.01, 0.01, 0.01), (0.08, 0.01, 0.01))
+    )
+    assert rough[0] > 2.0 * smooth[0]
+    assert rough[0] > 1.5 * rough[1:].max()
+
+
+def test_correlated_residuals_widen_the_covariance():
+    """The same spread of residuals, by point or by square metre of wall."""
+    alike, together = _room("t", 0, (0.001,) * 3), _room("s", 1, (0.001,) * 3)
+    rng = np.random.default_rng(2)
+    by_point = rng.normal(0.0, 0.01, together.points_m.shape)
+    patches = np.floor(together.points_m).astype(int)
+    by_patch = rng.normal(0.0, 0.01, (8, 8, 8, 3))[tuple(np.clip(patches, -1, 6).T)]
+    scattered, uneven = (
+        _sigma_m(_information(alike, _cloud("s", together.points_m + off))) for off in (by_point, by_patch)
+    )
+    assert np.all(uneven > 1.25 * scattered)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 1e-6, 1e-3, 3e-3])
+def test_an_unconstrained_direction_has_no_information(noise_m):
+    rng = np.random.default_rng(0)
+    target, source = (
+        _cloud(name, np.column_stack([rng.uniform(-5.0, 5.0, (4000, 2)), rng.normal(0.0, noise_m, 4000)]))
+        for name in "ts"
+    )
+    sigma_m = _sigma_m(_information(target, source))
+    assert np.all(sigma_m[:2] > 0.05)
+    assert sigma_m[2] < 0.002
+
+
+def test_normals_that_are_mostly_noise_constrain_nothing():
+    """Rings of a sparse sensor on flat ground: each ring alone tells the slope across it from noise only."""
+    rng = np.random.default_rng(0)
+    azimuth = np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    across = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=1)
+
+    def rings(name, first_m):
+        radii_m = first_m * 1.25 ** np.arange(10.0)
+        ground = np.concatenate([np.column_stack([radius_m * across, np.zeros(720)]) for radius_m in radii_m])
+        return _cloud(name, ground + rng.normal(0.0, 0.02, ground.shape))
+
+    sideways_m, height_m = np.split(_sigma_m(_information(rings("t", 3.0), rings("s", 3.1))), [2])
+    assert height_m < 0.01
+    assert np.all(sideways_m > 0.03)
+
+
+def test_the_truth_lies_as_far_off_as_the_covariance_says():
+    """Over many rooms the squared normalised error is about the six degrees of freedom."""
+    squared = []
+    for seed in range(24):
+        rng = np.random.default_rng(seed)
+        turn = Rotation.from_rotvec(rng.normal(0.0, 0.3, 3)).as_matrix()
+        truth = RigidTransform.from_rotation_translation("t", "s", turn, rng.normal(0.0, 0.5, 3))
+        target, other = (_room(name, (seed, index), (0.015,) * 3, 1500) for index, name in enumerate("ts"))
+        source = _cloud("s", truth.inverse().apply(other.points_m))
+        fit = fit_planes(target, source, truth, _CONFIG, 1)
+        found = fit.T_target_source
+        turned = Rotation.from_matrix(found.rotation @ truth.rotation.T).as_rotvec()
+        error = np.concatenate([turned, found.xyz_m - truth.xyz_m])
+        squared.append(error @ fit.information @ error)
+    assert 1.0 < np.mean(squared) < 12.0
+    assert np.max(squared) < 30.0

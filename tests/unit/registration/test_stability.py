@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from multilica.config import FineConfig, RefineConfig, StabilityConfig
+from multilica.geometry import RigidTransform
+from multilica.registration.gicp import register
+from multilica.registration.plane_fit import pose_information
+from multilica.registration.registration_cloud import prepare_registration_cloud
+from multilica.registration.stability import check_stability, pushed_ends
+from tests.unit.made_rooms import HALL, box, scan
+
+_CONFIG, _FINE = StabilityConfig(), FineConfig()
+_TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
+_SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
+_TRUTH = _TARGET.inverse() @ _SOURCE
+_ALONG = np.concatenate([np.zeros(3), _TARGET.rotation.T @ [1.0, 0.0, 0.0]])
+_CORRIDOR = box((-80.0, -2.0, 0.0), (80.0, 2.0, 3.0))
+
+
+def _registered(objects):
+    clouds = scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)
+    ready = tuple(prepare_registration_cloud(cloud.lidar, cloud.points_m, _FINE, 1) for cloud in clouds)
+    fewer = _FINE.model_copy(update={"max_points": 2000})
+    thinned = tuple(prepare_registration_cloud(cloud.name, cloud.points_m, fewer, 1) for cloud in ready)
+    registration = register(*ready, _TRUTH, _FINE, 1)
+    information = pose_information(*ready, registration.T_target_source, RefineConfig(), 1)
+    return ready, thinned, replace(registration, information=information)
+
+
+def _stability(clouds, thinned, registration):
+    ends = pushed_ends(clouds, registration.T_target_source, _ALONG, _CONFIG.push_m, _FINE, 1)
+    pose, information = registration.T_target_source, registration.information
+    return check_stability(thinned, pose, information, ends, _CONFIG.push_m, _FINE, 1)
+
+
+@pytest.fixture(scope="module")
+def in_the_hall():
+    return _registered(HALL)
+
+
+def test_a_constrained_pose_returns(in_the_hall):
+    stability = _stability(*in_the_hall)
+    assert stability.push_m == _CONFIG.push_m
+    assert stability.pushed_off_m < 1e-3
+    assert stability.thinned_off_m < 0.03
+    assert stability.sigma_m < 0.005
+    assert stability.sigma_rad < np.deg2rad(0.05)
+
+
+def test_along_a_corridor_a_pose_stays_where_it_is_pushed():
+    stability = _stability(*_registered(_CORRIDOR))
+    assert stability.pushed_off_m > 20 * _CONFIG.max_pushed_off_m
+
+
+def test_sigmas_are_those_of_the_weakest_directions(in_the_hall):
+    clouds, thinned, registration = in_the_hall
+    variances = np.array([4e-8, 1e-8, 2e-8, 1e-6, 9e-6, 4e-6])
+    known = replace(registration, information=np.diag(1.0 / variances))
+    stability = _stability(clouds, thinned, known)
+    assert (stability.sigma_rad, stability.sigma_m) == pytest.approx((2e-4, 3e-3))
+    unknown = _stability(clouds, thinned, replace(registration, information=None))
+    assert (unknown.sigma_rad, unknown.sigma_m) == (None, None)

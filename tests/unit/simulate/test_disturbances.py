@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Each disturbance does what it says, where it says, and nothing else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from multilica.errors import UnknownNameError, UsageError
+from multilica.simulate import RIGS, simulate_snapshot
+from multilica.simulate.disturbances import blocked_beams, require_known
+from multilica.simulate.raycast import Surroundings
+from multilica.simulate.rigs import as_built
+from multilica.simulate.scenes import SCENES
+from multilica.simulate.traffic import truck_beside
+
+
+def both(rig: str, scene: str, *disturbances: str, frames: int = 1):
+    clean = simulate_snapshot(rig, scene, 6, frames=frames)
+    return clean.snapshot, simulate_snapshot(rig, scene, 6, frames=frames, disturbances=disturbances).snapshot
+
+
+def test_rain_replaces_two_per_cent_by_nearer_returns():
+    clean, rainy = both("sides", "street", "rain")
+    dry, wet = clean["top"].scans[0].points_m, rainy["top"].scans[0].points_m
+    assert len(dry) == len(wet)
+    struck = np.any(dry != wet, axis=1)
+    assert 0.017 < struck.mean() < 0.023
+    dry_m, wet_m = (np.linalg.norm(points[struck], axis=1) for points in (dry, wet))
+    assert np.all(wet_m <= dry_m + 1e-3)
+    assert 0.4 < np.mean(wet_m / dry_m) < 0.65
+
+
+def test_a_dead_lidar_does_not_change_the_others():
+    clean, sick = both("sides", "garage", "dead:left", frames=2)
+    assert sick["left"].points_count == 0
+    assert len(sick["left"].scans) == 2
+    for name in ("right", "top"):
+        np.testing.assert_array_equal(sick[name].points_m, clean[name].points_m)
+
+
+def test_dirt_blocks_a_connected_half():
+    clean, dirty = both("edgar", "garage", "dirty:right")
+    before, after = clean["right"].points_m, dirty["right"].points_m
+    seen = after[np.linalg.norm(after, axis=1) > 1.0]
+    assert 0.3 < len(seen) / (np.linalg.norm(before, axis=1) > 1.0).sum() < 0.7
+    assert (np.linalg.norm(after, axis=1) <= 1.0).mean() > 0.15
+    np.testing.assert_array_equal(dirty["left"].points_m, clean["left"].points_m)
+
+
+def test_blocked_beams_are_half_of_them_on_one_side():
+    directions = RIGS["edgar"].mounts[0].sensor.pattern.directions(0, np.random.default_rng(1))
+    axis = np.array([0.2, 0.9, -0.3])
+    blocked = blocked_beams(directions, axis)
+    assert abs(blocked.mean() - 0.5) < 0.01
+    assert (directions[blocked] @ axis).min() >= (directions[~blocked] @ axis).max()
+
+
+@pytest.mark.parametrize("rig", sorted(RIGS))
+def test_a_truck_blocks_about_half_of_a_view(rig):
+    rng = np.random.default_rng(3)
+    scene = SCENES["parking"](rng)
+    poses = as_built(RIGS[rig], rng)
+    for mount in RIGS[rig].mounts:
+        truck = Surroundings(truck_beside(scene, mount, poses[mount.name], rng))
+        directions = mount.sensor.pattern.directions(0, rng)
+        hits = truck.cast(scene.T_world_base @ poses[mount.name], directions)
+        assert 0.3 < np.isfinite(hits.ranges_m).mean() < 0.7, mount.name
+
+
+def test_a_truck_hides_what_is_behind_it():
+    clean, beside = both("chain", "parking", "truck")
+    changed = [name for name in clean.names if clean[name].points_count != beside[name].points_count]
+    assert changed
+
+
+def test_pedestrians_move_between_frames():
+    clean, walked = both("sides", "parking", "pedestrians", frames=4)
+    background = cKDTree(clean["top"].points_m)
+    people = []
+    for scan in (walked["top"].scans[0], walked["top"].scans[3]):
+        near = scan.points_m[np.linalg.norm(scan.points_m, axis=1) < 17.0]
+        people.append(near[background.query(near, distance_upper_bound=0.35)[0] > 0.35])
+    assert min(len(points) for points in people) > 50
+    stride_m = np.median(cKDTree(people[0]).query(people[1])[0])
+    assert stride_m > 0.03
+
+
+def test_a_moving_vehicle_shifts_each_frame():
+    still, moving = both("sides", "street", "moving", frames=3)
+    for snapshot, low, high in ((still, 0.0, 0.13), (moving, 0.15, 1.0)):
+        first, last = (snapshot["top"].scans[index].points_m for index in (0, 2))
+        upright = last[(last[:, 2] > -1.0) & (np.linalg.norm(last, axis=1) < 12.0)][::9]
+        assert low <= float(np.percentile(cKDTree(first).query(upright)[0], 75)) < high
+
+
+def test_low_overlap_leaves_a_tenth_of_the_view():
+    wide, thin = both("chain", "garage", "low_overlap")
+    assert wide.names == thin.names
+    simulation = simulate_snapshot("chain", "garage", 6, frames=1, disturbances=("low_overlap",))
+    shared = []
+    for target, source in (("front_left", "left"), ("front_right", "front_left")):
+        clouds = [simulation.truth.T_target_source[name].apply(thin[name].points_m) for name in (target, source)]
+        shared.append(float((cKDTree(clouds[0]).query(clouds[1][::9])[0] < 0.2).mean()))
+    assert all(0.02 < share < 0.2 for share in shared), shared
+
+
+def test_low_overlap_belongs_to_chain():
+    with pytest.raises(UsageError, match="only for rig 'chain'"):
+        simulate_snapshot("edgar", "street", 1, disturbances=("low_overlap",))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("rian", "There is no disturbance 'rian'.*Did you mean 'rain'"),
+        ("dead:top", "There is no LiDAR 'top' in rig 'edgar'"),
+        ("dead", "There is no LiDAR '' in rig 'edgar'"),
+        ("rain:left", "There is no disturbance 'rain:left'"),
+        ("dead:<lidar>", "There is no LiDAR '<lidar>'"),
+    ],
+)
+def test_unknown_disturbances_are_named(text, message):
+    with pytest.raises(UnknownNameError, match=message):
+        require_known((text,), "edgar", ["front", "left", "rear", "right"])

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from multilica.config import AcceptanceConfig, CalibrationConfig, with_overrides
+from multilica.geometry import RigidTransform
+from multilica.registration.gicp import register
+from multilica.registration.plane_fit import PlaneFit
+from multilica.results import Hypothesis
+from multilica.stages import fine
+from multilica.stages.fine import prepare_side, register_best, select_finalists
+from multilica.visibility.sensor_view import prepare_sensor_view
+from tests.unit.made_rooms import HALL, box, scan
+
+_CONFIG = CalibrationConfig()
+_NEVER_FIRM = with_overrides(_CONFIG, ["acceptance.firm_eigenvalue=1e9"])
+_TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
+_SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
+_PLACES = (("t", _TARGET), ("s", _SOURCE))
+_TRUTH = _TARGET.inverse() @ _SOURCE
+_HALF_TURN = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [0, 0, 0], [0, 0, np.pi]) @ _SOURCE
+
+
+def _near(pose, xyz_m=(0.1, -0.1, 0.05), yaw_rad=0.02):
+    return RigidTransform.from_xyz_rpy("t", "t", xyz_m, [0.0, 0.0, yaw_rad]) @ pose
+
+
+def _side(cloud, *, verified=True):
+    view = (RigidTransform.identity(cloud.lidar, cloud.lidar), prepare_sensor_view(cloud, _CONFIG.visibility))
+    return prepare_side(cloud.lidar, cloud.points_m, [view] if verified else [], _CONFIG)
+
+
+@pytest.fixture(scope="module")
+def clouds():
+    return scan("t", _TARGET, HALL), scan("s", _SOURCE, HALL, seed=1, columns=480)
+
+
+@pytest.fixture(scope="module")
+def sides(clouds):
+    return tuple(_side(cloud) for cloud in clouds)
+
+
+def _hypothesis(pose, index=0, **known):
+    return Hypothesis(pose, index=index, **known)
+
+
+def _with_gicp(sides, **changed):
+    """Change how the thinned clouds are prepared and registered."""
+    return [replace(side, finalist_gicp=_CONFIG.fine.model_copy(update=changed)) for side in sides]
+
+
+def _assert_true(pose, truth=_TRUTH):
+    metres, radians = pose.distance_to(truth)
+    assert metres < 0.01
+    assert radians < np.deg2rad(0.1)
+
+
+def test_the_pose_with_the_most_evidence_is_registered_finely(sides):
+    wrong, right = _hypothesis(_near(_HALF_TURN)), _hypothesis(_near(_TRUTH), 7)
+    result = register_best(*sides, [wrong, right], _CONFIG)
+    assert (result.target, result.source) == ("t", "s")
+    _assert_true(result.T_target_source)
+    assert result.hypothesis == 7
+    chosen, *others = result.registrations
+    assert chosen.T_target_source is result.T_target_source
+    assert chosen.hypothesis == 7
+    assert result.evidence == chosen.evidence > 0
+    assert all(other.evidence < 0.3 * chosen.evidence for other in others)
+    assert chosen.visibility.violation_share < _CONFIG.acceptance.max_violation_share
+    assert chosen.weakest_curvature > _CONFIG.acceptance.min_curvature
+
+
+def test_the_narrower_side_is_the_source_whichever_comes_first(sides):
+    backwards = register_best(*reversed(sides), [_hypothesis(_near(_TRUTH).inverse())], _CONFIG)
+    assert (backwards.target, backwards.source) == ("t", "s")
+    _assert_true(backwards.T_target_source)
+
+
+def test_hypotheses_with_one_end_count_once(sides):
+    hypotheses = [_hypothesis(_near(_TRUTH, (shift, 0.0, 0.0)), index) for index, shift in enumerate((0.0, 0.1, 0.4))]
+    result = register_best(*sides, hypotheses, _CONFIG)
+    assert len(result.registrations) == 1
+    _assert_true(result.T_target_source)
+
+
+def test_finalists_with_one_end_are_registered_on_all_points(sides, monkeypatch):
+    registered = []
+
+    def counted(target, source, *rest):
+        registered.append(len(source.points_m))
+        return register(target, source, *rest)
+
+    monkeypatch.setattr(fine, "register", counted)
+    hypotheses = [_hypothesis(_near(_TRUTH, (shift_m, 0.0, 0.0))) for shift_m in (-0.2, 0.2)]
+    result = register_best(*_with_gicp(sides, max_points=1500), hypotheses, _CONFIG)
+    assert len(result.registrations) == 1
+    assert max(registered[:2]) < 1500 < registered[2] == len(sides[1].cloud.points_m)
+    _assert_true(result.T_target_source)
+
+
+def test_no_more_finalists_are_registered_than_asked_for(sides):
+    poses = [_near(_TRUTH, (0.0, 0.0, 0.0), yaw) for yaw in (0.0, 0.8, 1.6, 2.4, 3.2)]
+    hypotheses = [_hypothesis(pose, index) for index, pose in enumerate(poses)]
+    result = register_best(*sides, hypotheses, with_overrides(_CONFIG, ["fine.max_finalists=2"]))
+    assert len(result.registrations) <= 2
+    assert result.hypothesis == 0
+
+
+@pytest.mark.parametrize(
+    ("evidence", "kept"),
+    [
+        ([-900.0, 500.0, 130.0, 90.0], [1, 2]),
+        ([310.0, 20.0, 5.0], [0, 1]),
+        ([50.0, -240.0, -260.0], [0, 1]),
+        ([-400.0, -750.0, -90.0], [2]),
+        ([], []),
+    ],
+    ids=["a small share", "far ahead", "not far behind", "all negative", "none"],
+)
+def test_hopeless_poses_are_no_finalists(evidence, kept):
+    assert select_finalists(evidence, AcceptanceConfig(), 16) == kept
+
+
+def test_the_stability_is_tested_if_a_pose_competes(sides):
+    alone = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
+    assert alone.registrations[0].visibility.min_information_eigenvalue > _CONFIG.acceptance.firm_eigenvalue
+    assert alone.registrations[0].stability is None
+    alike = [*HALL[:6], *box((4.0, 3.0, 0.0), (5.0, 4.0, 4.0)), *box((-5.0, -4.0, 0.0), (-4.0, -3.0, 4.0))]
+    both = [_side(scan(name, pose, alike, seed=seed)) for seed, (name, pose) in enumerate(_PLACES)]
+    hypotheses = [_hypothesis(_near(pose), index) for index, pose in enumerate((_TRUTH, _HALF_TURN))]
+    best = register_best(*both, hypotheses, _CONFIG).registrations[0]
+    assert best.visibility.min_information_eigenvalue > _CONFIG.acceptance.firm_eigenvalue
+    assert best.stability.pushed_off_m < 1e-3
+
+
+def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
+    elsewhere = _near(_TRUTH, (0.004, 0.0, 0.0), 0.0)
+    information = np.diag([1e8] * 3 + [1e6] * 3)
+    monkeypatch.setattr(fine, "fit_planes", lambda *_: PlaneFit(elsewhere, information))
+    result = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
+    assert result.T_target_source is elsewhere
+    assert result.registrations[0].T_target_source is elsewhere
+    assert result.information is information
+
+
+def test_without_the_fit_there_is_no_information(sides, monkeypatch):
+    monkeypatch.setattr(fine, "fit_planes", pytest.fail)
+    result = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG, fit=False)
+    _assert_true(result.T_target_source)
+    assert result.information is None
+    assert result.evidence > _CONFIG.acceptance.min_evidence
+
+
+def test_only_finalists_that_may_win_go_on(sides, monkeypatch):
+    went_on = []
+
+    def watched(target, source, pose, gicp, threads):
+        if gicp.max_iterations == _CONFIG.fine.max_iterations:
+            went_on.append(pose.distance_to(_TRUTH)[1] < 0.1)
+        return register(target, source, pose, gicp, threads)
+
+    monkeypatch.setattr(fine, "register", watched)
+    hypotheses = [_hypothesis(_near(pose, yaw_rad=0.05), evidence=1.0) for pose in (_HALF_TURN, _TRUTH)]
+    result = register_best(*_with_gicp(sides, max_iterations=1), hypotheses, _CONFIG)
+    _assert_true(result.T_target_source)
+    assert len(went_on) >= 2
+    assert all(went_on)
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "sigma_deg", "tested"), [(0.009, 0.09, False), (0.011, 0.0, True), (0.0, 0.11, True)]
+)
+def test_the_stability_of_an_uncertain_pose_is_tested(sides, monkeypatch, sigma_m, sigma_deg, tested):
+    monkeypatch.setattr(fine, "weakest_sigmas", lambda _: (sigma_m, np.deg2rad(sigma_deg)))
+    result = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
+    assert (result.registrations[0].stability is not None) is tested
+
+
+def test_fewer_points_are_registered_only_if_there_are_many(sides):
+    off_m = []
+    for most in (1_000_000, 1500):
+        found = register_best(*_with_gicp(sides, max_points=most), [_hypothesis(_near(_TRUTH))], _NEVER_FIRM)
+        off_m.append(found.registrations[0].stability.thinned_off_m)
+    assert off_m[0] < 1e-9
+    assert 1e-6 < off_m[1] < 0.05
+
+
+def test_a_registration_that_stopped_short_is_moved_on(sides, monkeypatch):
+    def stopping_short(target, source, start, *rest):
+        monkeypatch.setattr(fine, "register", register)
+        registered = register(target, source, start, *rest)
+        pose = registered.T_target_source
+        short = RigidTransform.from_rotation_translation("t", "s", pose.rotation, np.add(pose.xyz_m, [0.03, 0.0, 0.0]))
+        return replace(registered, T_target_source=short)
+
+    monkeypatch.setattr(fine, "register", stopping_short)
+    result = register_best(*sides, [_hypothesis(_near(_TRUTH), 3)], _NEVER_FIRM)
+    _assert_true(result.T_target_source)
+    (best,) = result.registrations
+    assert best.T_target_source is result.T_target_source
+    assert best.hypothesis == 3
+    assert best.stability.pushed_off_m < 1e-3
+
+
+@pytest.fixture(scope="module")
+def corridor():
+    """Two sensors in a long corridor, where only a locker constrains the pose along it."""
+    objects = [*box((-60.0, -2.0, 0.0), (60.0, 2.0, 3.0)), *box((3.0, 1.2, 0.0), (4.5, 2.0, 3.0))]
+    return tuple(_side(scan(name, pose, objects, seed=seed)) for seed, (name, pose) in enumerate(_PLACES))
+
+
+@pytest.mark.parametrize("along_m", [-3.0, -2.3])
+def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m):
+    start = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [along_m, 0, 0], [0, 0, 0]) @ _SOURCE
+    best, *others = register_best(*corridor, [_hypothesis(start, 4, origin="cliques")], _CONFIG).registrations
+    _assert_true(best.T_target_source)
+    assert best.stability.pushed_off_m < _CONFIG.stability.max_pushed_off_m
+    assert best.hypothesis == 4
+    assert all(other.evidence < best.evidence for other in others)
+    no_slides = with_overrides(_CONFIG, ["verify.slide_steps=0"])
+    (stuck,) = register_best(*corridor, [_hypothesis(start, 4)], no_slides).registrations
+    assert stuck.T_target_source.distance_to(_TRUTH)[0] > 1.0
+    assert stuck.stability.pushed_off_m > _CONFIG.stability.max_pushed_off_m
+
+
+def test_without_views_the_first_hypothesis_is_taken(clouds):
+    sides = [_side(cloud, verified=False) for cloud in clouds]
+    hypotheses = [_hypothesis(_near(_TRUTH), 3), _hypothesis(_near(_HALF_TURN))]
+    right, wrong = (register_best(*sides, order, _CONFIG) for order in (hypotheses, hypotheses[::-1]))
+    _assert_true(right.T_target_source)
+    assert (right.hypothesis, wrong.hypothesis) == (3, 0)
+    assert wrong.T_target_source.distance_to(_TRUTH)[1] > 1.0
+    assert right.registrations == wrong.registrations == ()
+    assert right.evidence == right.fitness > wrong.fitness

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from multilica.config import MergeConfig
+from multilica.geometry import RigidTransform
+from multilica.results import PairRegistration, Reason, Verdict
+from multilica.stages.merge import merge
+
+_TRUTH = {
+    name: RigidTransform.from_xyz_rpy("world", name, [index, 2.0 * index, 0.5], [0.1 * index, 0.2, -0.3 * index])
+    for index, name in enumerate("TABCD")
+}
+
+
+def _pair(target, source, fitness):
+    return PairRegistration(
+        target=target,
+        source=source,
+        T_target_source=_TRUTH[target].inverse() @ _TRUTH[source],
+        fitness=fitness,
+        rmse_m=0.05,
+        inliers=100,
+        converged=True,
+        iterations=3,
+        engine="test",
+        verdict=Verdict("accept")
+        if fitness >= 0.2
+        else Verdict("reject", (Reason("low_fitness", fitness, 0.2, f"fitness {fitness}"),)),
+    )
+
+
+class _Overlaps:
+    """Registrations of groups at their true poses; the fitness is the best of the members' overlaps, as given."""
+
+    def __init__(self, fitness):
+        self.fitness = {frozenset(pair): value for pair, value in fitness.items()}
+        self.calls = []
+
+    def pairs(self, names, *, flip=False):
+        ordered = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]]
+        return [_pair(*(reversed(pair) if flip else pair), self.fitness.get(frozenset(pair), 0.05)) for pair in ordered]
+
+    def reregister(self, group, other, pairs):
+        self.calls.append((group.members, other.members))
+        best = max(self.fitness.get(frozenset((a, b)), 0.05) for a in group.members for b in other.members)
+        assert all(pair.lidars & set(other.members) for pair in pairs)
+        return _pair(group.root, other.root, best)
+
+
+def _run(overlaps, names, mode="algorithm1", *, flip=False):
+    config = MergeConfig(mode=mode)
+    return list(merge("T", names, overlaps.pairs(names, flip=flip), overlaps.reregister, config))
+
+
+def _assert_true_poses(group):
+    for name, pose in group.poses.items():
+        assert np.allclose(pose.matrix, (_TRUTH["T"].inverse() @ _TRUTH[name]).matrix, atol=1e-9)
+
+
+@pytest.mark.parametrize("mode", ["algorithm1", "target_first"])
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize("fitness", list(permutations([0.3, 0.5, 0.7, 0.9])))
+def test_a_chain_is_placed_in_any_order_of_its_pairs(fitness, flip, mode):
+    chain = [("T", "C"), ("C", "B"), ("B", "A"), ("A", "D")]
+    steps = _run(_Overlaps(dict(zip(chain, fitness, strict=True))), list("TABCD"), mode, flip=flip)
+    final = steps[-1].groups[0]
+    assert final.root == "T"
+    assert final.members == tuple("ABCDT")
+    _assert_true_poses(final)
+    assert all(step.decision.chosen is not None for step in steps)
+
+
+def test_the_best_pair_is_merged_first():
+    steps = _run(_Overlaps({("T", "A"): 0.4, ("B", "A"): 0.9}), list("TAB"))
+    assert {steps[0].decision.chosen.target, steps[0].decision.chosen.source} == {"A", "B"}
+    assert steps[0].decision.groups == (("T",), ("A", "B"))
+
+
+def test_a_lidar_without_overlap_is_left_with_a_reason():
+    steps = _run(_Overlaps({("T", "A"): 0.8}), list("TAB"))
+    last = steps[-1].decision
+    assert last.chosen is None
+    assert last.groups == (("A", "T"), ("B",))
+    assert last.reason.endswith("fitness 0.05")
+    assert [candidate.passes for candidate in last.candidates] == [False]
+
+
+def test_the_rest_is_registered_against_the_grown_cloud():
+    overlaps = _Overlaps({("T", "A"): 0.8, ("A", "B"): 0.6})
+    _run(overlaps, list("TAB"))
+    assert overlaps.calls == [(("A", "T"), ("B",))]
+
+
+def test_target_first_takes_direct_pairs_as_they_are():
+    overlaps = _Overlaps({("T", "A"): 0.5, ("T", "B"): 0.6, ("A", "B"): 0.9, ("B", "C"): 0.7})
+    steps = _run(overlaps, list("TABC"), "target_first")
+    assert [step.decision.chosen.source for step in steps] == ["B", "A", "C"]
+    assert overlaps.calls == [(("A", "B", "T"), ("C",))]
+
+
+def test_a_lidar_without_any_registration_is_left():
+    config = MergeConfig()
+    steps = list(merge("T", list("TAB"), [_pair("T", "A", 0.9)], _Overlaps({}).reregister, config))
+    assert steps[-1].decision.groups == (("A", "T"), ("B",))
+    assert steps[-1].decision.reason == "stopped: no pair is left that could be registered"

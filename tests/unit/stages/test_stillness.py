@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Standing still, on rooms whose walls beams meet at exact ranges."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from multilica.config import StillnessConfig
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.snapshot import Scan
+from multilica.stages.stillness import Motion, detect_motion, explain_motion
+from multilica.visibility.moving_points import drop_moving
+
+_ROOM_M = (9.0, 6.0, 4.0)
+_CORRIDOR_M = (np.inf, 3.0, 2.5)
+_CONFIG = StillnessConfig()
+
+
+def _beams(phase: float) -> FloatArray:
+    azimuth, elevation = np.meshgrid(
+        np.deg2rad(np.arange(0.0, 360.0, 1.5) + phase), np.deg2rad(np.arange(-39.0, 40.0, 2.0)), indexing="ij"
+    )
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
+
+
+def _scan(half_sizes_m: tuple[float, float, float], seed: int, pose: RigidTransform | None = None) -> Scan:
+    """Scan the walls of a room from a pose near its middle, with range noise."""
+    rng = np.random.default_rng(seed)
+    pose = pose or RigidTransform.identity("room", "lidar")
+    beams = _beams(rng.uniform(0.0, 1.5))
+    turned = pose.rotate(beams)
+    wall_m = np.sign(turned) * np.array(half_sizes_m) - pose.xyz_m
+    range_m = np.min(wall_m / turned, axis=1)
+    range_m = range_m + rng.normal(scale=0.02, size=len(range_m))
+    returned = range_m < 60.0
+    return Scan((beams * range_m[:, None])[returned].astype(np.float32))
+
+
+def _pose(xyz_m: tuple[float, float, float], yaw_deg: float = 0.0) -> RigidTransform:
+    return RigidTransform.from_xyz_rpy("room", "lidar", xyz_m, (0.0, 0.0, np.deg2rad(yaw_deg)))
+
+
+def _drive(half_sizes_m: tuple[float, float, float], step_m: float, step_deg: float = 0.0) -> list[Scan]:
+    return [_scan(half_sizes_m, frame, _pose((frame * step_m, 0.0, 0.0), frame * step_deg)) for frame in range(5)]
+
+
+def test_noise_is_no_motion() -> None:
+    motion = detect_motion(_drive(_ROOM_M, 0.0), _CONFIG)
+    assert motion.observable
+    assert not motion.moving
+    assert motion.shift_m < 0.01
+
+
+def test_driving_is_measured() -> None:
+    motion = detect_motion(_drive(_ROOM_M, 0.3), _CONFIG)
+    assert motion.moving
+    assert motion.shift_m == pytest.approx(1.2, abs=0.03)
+    assert motion.turn_rad == pytest.approx(0.0, abs=0.005)
+    assert motion.significance > 100.0
+
+
+def test_turning_on_the_spot_is_measured() -> None:
+    motion = detect_motion(_drive(_ROOM_M, 0.0, 0.5), _CONFIG)
+    assert motion.moving
+    assert np.rad2deg(motion.turn_rad) == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize("step_m", [0.0, 0.3])
+def test_along_a_corridor_motion_is_not_observable(step_m: float) -> None:
+    motion = detect_motion(_drive(_CORRIDOR_M, step_m), _CONFIG)
+    assert not motion.observable
+    assert not motion.moving
+
+
+def test_the_limit_of_the_shift_is_configured() -> None:
+    scans = _drive(_ROOM_M, 0.03)
+    assert detect_motion(scans, _CONFIG).moving
+    assert not detect_motion(scans, StillnessConfig(max_shift_m=0.2)).moving
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_a_single_frame_shows_no_motion(count: int) -> None:
+    scans = _drive(_ROOM_M, 0.3)[:count]
+    assert detect_motion(scans, _CONFIG) == Motion()
+    kept, dropped_m = drop_moving(scans, _CONFIG)
+    assert len(kept) == count
+    assert len(dropped_m) == 0
+
+
+def test_frames_without_returns_show_no_motion() -> None:
+    scans = [Scan(np.empty((0, 3), dtype=np.float32)), _scan(_ROOM_M, 1), Scan(np.full((9, 3), np.nan))]
+    assert not detect_motion(scans, _CONFIG).observable
+    kept, dropped_m = drop_moving(scans, _CONFIG)
+    assert [len(scan.points_m) for scan in kept] == [0, len(scans[1].points_m), 9]
+    assert len(dropped_m) == 0
+
+
+def test_the_refusal_says_how_far_each_lidar_moved() -> None:
+    still, moving = Motion(observable=True), Motion(0.31, 0.0017, 40.0, observable=True, moving=True)
+    sentence = explain_motion({"left": moving, "right": moving, "top": still, "blind": Motion()}, "drive.mcap")
+    assert sentence.startswith("The vehicle moves in drive.mcap: left by 0.31 m and 0.1 deg, right by 0.31 m")
+    assert "2 of 3 LiDARs that can detect motion" in sentence
+    assert "--start" in sentence
+    assert explain_motion({"left": moving, "right": still}) == ""
+    assert explain_motion({"blind": Motion()}) == ""
+
+
+def test_a_lidar_alone_needs_more_significance() -> None:
+    weak, strong = (Motion(0.16, 0.04, significance, observable=True, moving=True) for significance in (18.0, 40.0))
+    assert explain_motion({"livox": weak, "top": Motion()}) == ""
+    assert "1 of 1 LiDARs that can detect motion" in explain_motion({"livox": strong, "top": Motion()})
+    assert explain_motion({"livox": weak, "top": weak}) != ""
+    assert explain_motion({"alone": weak}) != ""
+
+
+def _with_visitor(scan: Scan, azimuth_deg: float) -> tuple[Scan, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Add a person of 20 degrees width 3 m in front of the LiDAR; also return which returns are on the person."""
+    azimuth = np.rad2deg(np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]))
+    on_person = np.abs(azimuth - azimuth_deg) < 10.0
+    points_m = scan.points_m.copy()
+    points_m[on_person] *= 3.0 / np.linalg.norm(points_m[on_person], axis=1, keepdims=True)
+    return Scan(points_m, intensity=on_person.astype(np.float32)), on_person
+
+
+def test_a_room_loses_hardly_anything() -> None:
+    scans = _drive(_ROOM_M, 0.0)
+    _, dropped_m = drop_moving(scans, _CONFIG)
+    assert len(dropped_m) < 0.01 * sum(len(scan.points_m) for scan in scans)
+
+
+def test_pedestrians_are_dropped_with_their_intensities() -> None:
+    visited = [_with_visitor(scan, 25.0 * frame - 50.0) for frame, scan in enumerate(_drive(_ROOM_M, 0.0))]
+    kept, dropped_m = drop_moving([scan for scan, _ in visited], _CONFIG)
+    on_people = sum(int(mask.sum()) for _, mask in visited)
+    left = sum(int(scan.intensity.sum()) for scan in kept if scan.intensity is not None)
+    assert left < 0.2 * on_people
+    assert np.allclose(np.linalg.norm(dropped_m, axis=1), 3.0, atol=1e-3)
+
+
+def test_a_standing_person_is_kept() -> None:
+    visited = [_with_visitor(scan, 0.0) for scan in _drive(_ROOM_M, 0.0)]
+    _, dropped_m = drop_moving([scan for scan, _ in visited], _CONFIG)
+    assert len(dropped_m) < 0.05 * sum(int(mask.sum()) for _, mask in visited)

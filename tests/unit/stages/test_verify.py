@@ -1,0 +1,211 @@
+# SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from multilica.config import AcceptanceConfig, FineConfig, VerifyConfig, VisibilityConfig
+from multilica.geometry import RigidTransform
+from multilica.registration.gicp import register_narrower
+from multilica.registration.registration_cloud import prepare_registration_cloud
+from multilica.results import PRIOR, CoarseResult, Hypothesis
+from multilica.stages import verify
+from multilica.stages.verify import PreparedLidar, VerifySettings, short_gicp, verify_hypotheses
+from multilica.visibility.sensor_view import prepare_sensor_view
+from tests.unit.made_rooms import HALL, box, scan
+
+_CONFIG, _LIMITS = VerifyConfig(max_symmetric_poses=0), AcceptanceConfig()
+_NEVER_FIRM = AcceptanceConfig(firm_eigenvalue=1e9)
+_GICP = short_gicp(_CONFIG, FineConfig())
+_TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
+_SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
+_TRUTH = _TARGET.inverse() @ _SOURCE
+_HALF_TURN = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [0, 0, 0], [0, 0, np.pi]) @ _SOURCE
+
+
+def _near(pose, xyz_m=(0.3, -0.2, 0.1), yaw_rad=0.05):
+    return RigidTransform.from_xyz_rpy("t", "t", xyz_m, [0.0, 0.0, yaw_rad]) @ pose
+
+
+def _prepared(objects):
+    clouds = [scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)]
+    return [
+        PreparedLidar(
+            prepare_sensor_view(cloud, VisibilityConfig()),
+            prepare_registration_cloud(cloud.lidar, cloud.points_m, _GICP, 1),
+        )
+        for cloud in clouds
+    ]
+
+
+@pytest.fixture(scope="module")
+def hall():
+    return _prepared(HALL)
+
+
+def _verified(lidars, *poses, limits=_LIMITS, prior=None, **changed):
+    origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
+    hypotheses = tuple(Hypothesis(pose, origin=origin, index=index) for index, (pose, origin) in enumerate(origins))
+    config = _CONFIG.model_copy(update=changed)
+    settings = VerifySettings(config, VisibilityConfig(), limits, _GICP, 1)
+    return verify_hypotheses(*lidars, CoarseResult("t", "s", hypotheses), settings)
+
+
+def test_the_true_pose_wins_over_one_with_more_matches(hall):
+    best, *others = _verified(hall, _near(_HALF_TURN), _near(_TRUTH))
+    metres, radians = best.T_target_source.distance_to(_TRUTH)
+    assert metres < 0.05
+    assert radians < np.deg2rad(0.5)
+    assert best.hypothesis == 1
+    assert best.visibility.violation_share < _LIMITS.max_violation_share
+    assert best.weakest_curvature > _LIMITS.min_curvature
+    assert best.fitness > 0.8
+    assert all(other.evidence < 0.3 * best.evidence for other in others)
+
+
+def test_registrations_are_distinct_and_sorted_by_evidence(hall):
+    shifts = [(0.3, 0, 0), (-0.3, 0, 0), (0, 0.3, 0), (6.0, 0, 0), (-6.0, 0, 0)]
+    found = _verified(hall, *(_near(_TRUTH, shift) for shift in shifts), _near(_HALF_TURN))
+    evidence = [scored.evidence for scored in found]
+    assert evidence == sorted(evidence, reverse=True)
+    assert len(found) < 6
+    for one, other in combinations(found, 2):
+        metres, radians = one.T_target_source.distance_to(other.T_target_source)
+        assert metres > 0.3 or radians > np.deg2rad(3.0)
+
+
+def test_a_clearly_right_pose_ends_the_search(hall):
+    poses = [_near(_TRUTH), _near(_HALF_TURN), *(_near(_TRUTH, (0, 0, 0), yaw) for yaw in (0.8, 1.6, 2.4))]
+    every = _verified(hall, *poses, settled_after_firm=50)
+    early = _verified(hall, *poses, settled_after_firm=2)
+    assert len(early) == 2 < len(every)
+    assert early[0].T_target_source.matrix.tobytes() == every[0].T_target_source.matrix.tobytes()
+
+
+def test_the_search_goes_on_while_no_pose_is_right(hall):
+    poses = [_near(_HALF_TURN), _near(_TRUTH, (0, 0, 0), 0.8), _near(_TRUTH)]
+    found = _verified(hall, *poses, settled_after=2, settled_after_firm=2)
+    assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
+
+
+def test_hopeless_competing_poses_are_not_registered(hall, monkeypatch):
+    registered = []
+
+    def counted(*arguments):
+        registered.append(arguments)
+        return register_narrower(*arguments)
+
+    monkeypatch.setattr(verify, "register_narrower", counted)
+    best = [_verified(hall, _near(_TRUTH), limits=_NEVER_FIRM)[0]]
+    few = len(registered)
+    monkeypatch.setattr(verify, "hopeless_below", lambda *_: -np.inf)
+    best.append(_verified(hall, _near(_TRUTH), limits=_NEVER_FIRM)[0])
+    assert len(registered) - few >= 1 + _CONFIG.slide_steps > few
+    assert best[0].T_target_source.matrix.tobytes() == best[1].T_target_source.matrix.tobytes()
+
+
+def test_turned_poses_start_with_a_shorter_distance(hall, monkeypatch):
+    started = []
+
+    def watched(target, source, pose, gicp, threads):
+        started.append((pose.distance_to(_TRUTH)[1] > 1.0, len(gicp.max_correspondence_distances_m)))
+        return register_narrower(target, source, pose, gicp, threads)
+
+    monkeypatch.setattr(verify, "register_narrower", watched)
+    monkeypatch.setattr(verify, "hopeless_below", lambda *_: -np.inf)
+    _verified(hall, _TRUTH, limits=_NEVER_FIRM, max_symmetric_poses=2, slide_steps=2)
+    every = len(_GICP.max_correspondence_distances_m)
+    assert {*started} == {(False, every), (True, every - 1)}
+
+
+def test_a_hypothesis_carried_away_is_tried_with_near_points(hall, monkeypatch):
+    reaches_m = []
+
+    def carried_away_by_far_points(target, source, start, gicp, threads):
+        reaches_m.append(gicp.max_correspondence_distances_m[0])
+        registered = register_narrower(target, source, start, gicp, threads)
+        pose = registered.T_target_source
+        away_m = np.add(pose.xyz_m, [3.0 if reaches_m[-1] > 1.0 else 0.0, 0.0, 0.0])
+        carried = RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, away_m)
+        return replace(registered, T_target_source=carried)
+
+    monkeypatch.setattr(verify, "register_narrower", carried_away_by_far_points)
+    best, *_ = _verified(hall, _near(_TRUTH), slide_steps=0)
+    assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
+    assert reaches_m == [2.0, 0.5]
+
+
+def test_a_pose_that_slid_along_pillars_is_corrected():
+    """Pillars repeat every 3 m; only a box beside one of them tells which is which."""
+    aisle = [*box((-40.0, -3.0, 0.0), (40.0, 3.0, 3.0)), *box((3.0, 1.5, 0.0), (4.5, 2.2, 1.5))]
+    for x_m in np.arange(-16.0, 17.0, 3.0):
+        aisle += box((x_m, 2.8, 0.0), (x_m + 0.5, 3.0, 3.0))
+        aisle += box((x_m, -3.0, 0.0), (x_m + 0.5, -2.8, 3.0))
+    lidars = _prepared(aisle)
+    slid = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [-3.0, 0, 0], [0, 0, 0]) @ _SOURCE
+    best, *others = _verified(lidars, slid, limits=_NEVER_FIRM)
+    assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
+    assert all(other.evidence < 0.9 * best.evidence for other in others)
+    (stuck,) = _verified(lidars, slid, limits=_NEVER_FIRM, slide_steps=0)
+    assert stuck.T_target_source.distance_to(slid)[0] < 0.1
+
+
+def _labels(found):
+    return [scored.label for scored in found]
+
+
+def test_the_prior_is_verified_like_the_others(hall):
+    found = _verified(hall, _near(_HALF_TURN), prior=_near(_TRUTH))
+    assert _labels(found) == ["prior", "0"]
+    assert (found[0].hypothesis, found[0].origin) == (1, PRIOR)
+    alone = _verified(hall, _near(_TRUTH))
+    assert found[0].evidence == alone[0].evidence
+    assert found[0].T_target_source.matrix.tobytes() == alone[0].T_target_source.matrix.tobytes()
+
+
+def test_a_wrong_prior_loses(hall):
+    found = _verified(hall, _near(_TRUTH), prior=_near(_HALF_TURN))
+    assert _labels(found) == ["0", "prior"]
+    assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
+
+
+@pytest.mark.parametrize("prior", [_HALF_TURN, _TRUTH, _near(_TRUTH, (0.25, 0, 0)), _near(_TRUTH, (6.0, 0, 0))])
+def test_the_prior_does_not_change_which_others_are_tested(hall, prior):
+    poses = [_near(_HALF_TURN), *(_near(_TRUTH, (0, 0, 0), yaw) for yaw in (0.8, 1.6, 2.4)), _near(_TRUTH)]
+    without = {one.label: one for one in _verified(hall, *poses, settled_after=2)}
+    found = _verified(hall, *poses, settled_after=2, prior=prior)
+    kept = [one for one in found if one.origin != PRIOR]
+    assert {one.label for one in kept} <= set(without)
+    assert all(one.evidence == without[one.label].evidence for one in kept)
+    lost = [without[label] for label in set(without) - set(_labels(kept))]
+    assert all(one.T_target_source.distance_to(found[0].T_target_source)[0] < 0.3 for one in lost)
+    assert found[0].evidence >= max(one.evidence for one in without.values())
+
+
+def test_of_two_starts_with_one_end_the_better_stays(hall):
+    (solver,) = _verified(hall, _near(_TRUTH))
+    (prior,) = _verified(hall, prior=_TRUTH)
+    (both,) = _verified(hall, _near(_TRUTH), prior=_TRUTH)
+    assert both.evidence == max(solver.evidence, prior.evidence)
+    assert both.label == ("0" if solver.evidence >= prior.evidence else "prior")
+
+
+def test_the_half_turn_of_a_hall_is_tested_as_well():
+    """The bare box, without what stands in it, looks the same from its other end."""
+    bare = box((-8.0, -5.0, 0.0), (8.0, 5.0, 4.0))
+    best, second, *_ = _verified(_prepared(bare), _near(_TRUTH), max_symmetric_poses=6)
+    poses = (best.T_target_source, second.T_target_source)
+    for expected in (_TRUTH, _HALF_TURN):
+        assert min(pose.distance_to(expected)[0] for pose in poses) < 0.1
+    assert second.evidence > 0.9 * best.evidence
+
+
+def test_without_hypotheses_there_is_no_registration(hall):
+    assert _verified(hall) == ()
+
+
+def test_the_short_gicp_is_coarse_and_by_small_gicp():
+    gicp = short_gicp(VerifyConfig(max_points=123, voxel_size_m=0.7), FineConfig(engine="open3d", neighbours=11))
+    assert (gicp.engine, gicp.max_points, gicp.voxel_size_m, gicp.neighbours) == ("small_gicp", 123, 0.7, 11)
+    assert list(gicp.max_correspondence_distances_m) == sorted(gicp.max_correspondence_distances_m, reverse=True)
