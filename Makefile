@@ -40,7 +40,7 @@ sample: $(READY) ## Make the embedded sample anew.
 
 docs: $(READY) ## Write docs/configuration.md and docs/result.schema.json from the models.
 	$(BIN)/multilica config --markdown > docs/configuration.md
-	$(BIN)/python -c "from multilica.results.document.schema import schema_text; print(schema_text())" > docs/result.schema.json
+	$(BIN)/python -c "from multilica.results.document.result import schema_text; print(schema_text())" > docs/result.schema.json
 
 format: $(READY) ## Format the code, mend what the linter can mend.
 	$(BIN)/ruff check --fix .

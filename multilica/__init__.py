@@ -17,25 +17,16 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "CalibrationConfig": "config",
-    "CalibrationResult": "results",
-    "CalibrationRun": "run",
-    "Extrinsics": "extrinsics",
-    "InputError": "errors",
-    "LidarScans": "snapshot",
-    "MultilicaError": "errors",
-    "RigidTransform": "geometry",
-    "Scan": "snapshot",
-    "Snapshot": "snapshot",
-    "UsageError": "errors",
-    "calibrate": "pipeline",
-    "load_config": "config",
-    "preset": "config",
-    "read_extrinsics": "extrinsics",
-    "read_prior": "ingest",
-    "read_snapshot": "ingest",
-    "run_calibration": "run",
+_NAMES = {
+    "config": ("CalibrationConfig", "load_config", "preset"),
+    "errors": ("InputError", "MultilicaError", "UsageError"),
+    "extrinsics": ("Extrinsics", "read_extrinsics"),
+    "geometry": ("RigidTransform",),
+    "ingest": ("read_prior", "read_snapshot"),
+    "pipeline": ("calibrate",),
+    "results": ("CalibrationResult",),
+    "run": ("CalibrationRun", "run_calibration"),
+    "snapshot": ("LidarScans", "Scan", "Snapshot"),
 }
 
 __all__ = [
@@ -63,9 +54,10 @@ __all__ = [
 
 def __getattr__(name: str) -> object:
     """Import a public name when it is first used, so that ``import multilica`` stays light."""
-    if name not in _HOMES:
-        raise AttributeError(f"module 'multilica' has no attribute '{name}'")
-    return getattr(import_module(f"multilica.{_HOMES[name]}"), name)
+    for module, names in _NAMES.items():
+        if name in names:
+            return getattr(import_module(f"multilica.{module}"), name)
+    raise AttributeError(f"module 'multilica' has no attribute '{name}'")
 
 
 def __dir__() -> list[str]:

@@ -49,18 +49,9 @@ class ConfigError(UsageError):
 
 
 class UnknownNameError(UsageError):
-    """An unknown name.
-
-    Args:
-        kind: what was looked for, for instance ``"topic"``.
-        name: the name as given.
-        available: the names that exist.
-        where: the place that was searched, for the message.
-    """
+    """An unknown name of a kind such as ``"topic"``; `where` is the place that was searched."""
 
     def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
-        self.kind = kind
-        self.name = name
         self.available = tuple(sorted(available))
         place = f" in {where}" if where else ""
         close = difflib.get_close_matches(name, self.available, n=1)
@@ -86,11 +77,7 @@ class UnreadableSourceError(InputError):
 
 
 class UnfitSnapshotError(InputError):
-    """A readable source that cannot be calibrated.
-
-    Args:
-        code: stable name of the cause, for programs.
-    """
+    """A readable source that cannot be calibrated; `code` is the stable name of the cause, for programs."""
 
     def __init__(self, message: str, code: str = "too_few_lidars") -> None:
         self.code = code

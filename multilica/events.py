@@ -4,22 +4,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from multilica import results
 from multilica.config import CalibrationConfig, Stage
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import (
-    CalibrationResult,
-    CoarseResult,
-    Correspondences,
-    FeatureCloud,
-    GroundPlane,
-    MergeDecision,
-    PairKey,
-    PairRegistration,
-    PreprocessedCloud,
-    Refinement,
-    Registration,
-)
 from multilica.snapshot import Snapshot
 
 __all__ = [
@@ -52,13 +40,15 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CalibrationStarted:
-    """The snapshot was read and the calibration starts.
+class Event:
+    """What `calibrate` reports."""
 
-    Args:
-        prior: poses that the user claims, by the LiDARs' names.
-    """
+    __slots__ = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationStarted(Event):
+    """The snapshot was read and the calibration starts; `prior` has the poses that the user claims, by LiDAR."""
 
     snapshot: Snapshot
     config: CalibrationConfig
@@ -66,7 +56,7 @@ class CalibrationStarted:
 
 
 @dataclass(frozen=True, slots=True)
-class StageStarted:
+class StageStarted(Event):
     """A stage starts; `steps` is the number of its events to come, 0 if unknown."""
 
     stage: Stage
@@ -74,7 +64,7 @@ class StageStarted:
 
 
 @dataclass(frozen=True, slots=True)
-class StageFinished:
+class StageFinished(Event):
     """A stage finished; sinks write to disk now."""
 
     stage: Stage
@@ -82,67 +72,67 @@ class StageFinished:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CloudPreprocessed:
+class CloudPreprocessed(Event):
     """A LiDAR's cloud was cleaned."""
 
-    cloud: PreprocessedCloud
+    cloud: results.PreprocessedCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FeaturesComputed:
+class FeaturesComputed(Event):
     """A LiDAR's descriptors were computed."""
 
-    features: FeatureCloud
+    features: results.FeatureCloud
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CorrespondencesMatched:
+class CorrespondencesMatched(Event):
     """A pair's descriptors were matched."""
 
-    correspondences: Correspondences
+    correspondences: results.Correspondences
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HypothesesFound:
+class HypothesesFound(Event):
     """A pair's hypotheses were found."""
 
-    coarse: CoarseResult
-    correspondences: Correspondences
+    coarse: results.CoarseResult
+    correspondences: results.Correspondences
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HypothesesVerified:
+class HypothesesVerified(Event):
     """A pair's hypotheses were scored by visibility; only distinct ones, the one with the most evidence first."""
 
     target: str
     source: str
-    registrations: tuple[Registration, ...]
+    registrations: tuple[results.Registration, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SearchWidened:
+class SearchWidened(Event):
     """Pairs that no accepted pair connects are searched again; events follow for those that are then accepted."""
 
-    pairs: tuple[PairKey, ...]
+    pairs: tuple[results.PairKey, ...]
     voxel_size_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PairRegistered:
+class PairRegistered(Event):
     """A pair of LiDARs was registered by GICP and has a verdict."""
 
-    registration: PairRegistration
+    registration: results.PairRegistration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class VerdictChanged:
+class VerdictChanged(Event):
     """Other pairs cast doubt on a registered pair: its verdict is no longer ``accept``."""
 
-    registration: PairRegistration
+    registration: results.PairRegistration
 
 
 @dataclass(frozen=True, slots=True)
-class TargetChosen:
+class TargetChosen(Event):
     """The root of the result was chosen."""
 
     target: str
@@ -150,78 +140,50 @@ class TargetChosen:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroupsRegistered:
+class GroupsRegistered(Event):
     """Two groups of placed LiDARs were registered during merging and have a verdict."""
 
-    registration: PairRegistration
+    registration: results.PairRegistration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MergeStepTaken:
-    """Algorithm 1 took a step.
+class MergeStepTaken(Event):
+    """Algorithm 1 took a step; `poses` of the group that grew are in its root frame, none when it stopped."""
 
-    Args:
-        poses: per member of the group that grew, its pose in the group's root frame; empty when the algorithm stopped.
-    """
-
-    decision: MergeDecision
+    decision: results.MergeDecision
     poses: tuple[RigidTransform, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LoopRegistered:
+class LoopRegistered(Event):
     """Two placed LiDARs were registered from the pose that the rig implies; ignored unless it is accepted."""
 
-    registration: PairRegistration
+    registration: results.PairRegistration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RigRefined:
-    """All poses were refined jointly.
+class RigRefined(Event):
+    """All poses were refined jointly; `poses` of the placed LiDARs are in the target's frame."""
 
-    Args:
-        poses: per placed LiDAR, its pose in the target's frame.
-    """
-
-    refinement: Refinement
+    refinement: results.Refinement
     poses: tuple[RigidTransform, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class GroundEstimated:
+class GroundEstimated(Event):
     """The ground plane was fitted, or `ground` is None and `reason` says why not."""
 
-    ground: GroundPlane | None
+    ground: results.GroundPlane | None
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationFinished:
+class CalibrationFinished(Event):
     """The calibration ended; for a refused snapshot, `calibrate` raises an error after it."""
 
-    result: CalibrationResult
+    result: results.CalibrationResult
 
 
-Event = (
-    CalibrationStarted
-    | StageStarted
-    | StageFinished
-    | CloudPreprocessed
-    | FeaturesComputed
-    | CorrespondencesMatched
-    | HypothesesFound
-    | HypothesesVerified
-    | SearchWidened
-    | PairRegistered
-    | VerdictChanged
-    | TargetChosen
-    | GroupsRegistered
-    | MergeStepTaken
-    | LoopRegistered
-    | RigRefined
-    | GroundEstimated
-    | CalibrationFinished
-)
 Observer = Callable[[Event], None]
 
 

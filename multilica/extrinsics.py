@@ -29,12 +29,7 @@ Numbers = tuple[float, ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extrinsics:
-    """Poses of LiDARs in one common frame.
-
-    Args:
-        target: the common frame: a LiDAR's name, or a base frame.
-        T_target_source: per LiDAR, its pose in the common frame.
-    """
+    """Poses of LiDARs in one common frame, that of a LiDAR or a base frame."""
 
     target: str
     T_target_source: Mapping[str, RigidTransform]

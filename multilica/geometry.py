@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -39,16 +39,13 @@ _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 def read_only(array: npt.ArrayLike, dtype: type[ScalarT]) -> npt.NDArray[ScalarT]:
     """Return a contiguous, read-only copy of ``array``, or the array itself if it is one already."""
-    if isinstance(array, np.ndarray) and array.dtype == dtype and _is_settled(array):
-        return array
+    if isinstance(array, np.ndarray) and array.dtype == dtype:
+        flags = array.flags
+        if flags.c_contiguous and flags.owndata and not flags.writeable:
+            return array
     copy = np.array(array, dtype=dtype, order="C", copy=True)
     copy.setflags(write=False)
     return copy
-
-
-def _is_settled(array: npt.NDArray[Any]) -> bool:
-    flags = array.flags
-    return flags.c_contiguous and flags.owndata and not flags.writeable
 
 
 def skew(vectors: FloatArray) -> FloatArray:
@@ -201,10 +198,7 @@ class RigidTransform:
                 f"'{self.source}' is not '{other.target}'"
             )
         return RigidTransform.from_rotation_translation(
-            self.target,
-            other.source,
-            self.rotation @ other.rotation,
-            self.rotation @ other.xyz_m + self.xyz_m,
+            self.target, other.source, self.rotation @ other.rotation, self.rotation @ other.xyz_m + self.xyz_m
         )
 
     def apply(self, points_m: npt.ArrayLike) -> FloatArray:

@@ -14,7 +14,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
 from multilica.stages.prior import require_usable
-from multilica.steps import clouds, pairs, rig
+from multilica.steps import clouds, outcome, pairs, rig
 from multilica.steps.state import CalibrationState
 
 __all__ = ["calibrate"]
@@ -96,9 +96,9 @@ def calibrate(
             for stage in STAGES[: STAGES.index(config.until) + 1]:
                 _run(stage, state)
     except UnfitSnapshotError as error:
-        observe(events.CalibrationFinished(state.refused(Refusal(error.code, str(error)))))
+        observe(events.CalibrationFinished(outcome.refused(state, Refusal(error.code, str(error)))))
         raise
-    result = state.result()
+    result = outcome.result_of(state)
     observe(events.CalibrationFinished(result))
     return result
 

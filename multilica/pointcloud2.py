@@ -66,7 +66,6 @@ class PointCloud2:
     Args:
         point_step: bytes from one point to the next.
         row_step: bytes from one row to the next; of no meaning with a single row.
-        data: the bytes themselves, never copied here.
     """
 
     fields: tuple[PointField, ...]
@@ -198,7 +197,11 @@ def finite_points(
 
 
 def _finite(points_m: Float32Array, values: Float32Array | None) -> tuple[Float32Array, Float32Array | None]:
-    if not _all_finite(points_m):
+    # One pass without a temporary array; a sum of squares that overflows only leads to the longer way.
+    flat = points_m.reshape(-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        all_finite = np.isfinite(np.dot(flat, flat))
+    if not all_finite:
         finite = np.isfinite(points_m)
         keep = finite[:, 0] & finite[:, 1] & finite[:, 2]
         points_m, values = points_m[keep], None if values is None else values[keep]
@@ -207,13 +210,6 @@ def _finite(points_m: Float32Array, values: Float32Array | None) -> tuple[Float3
             # A scan then keeps it without a copy.
             array.setflags(write=False)
     return points_m, values
-
-
-def _all_finite(points_m: Float32Array) -> bool:
-    # One pass without a temporary array; a sum of squares that overflows only leads to the longer way.
-    flat = points_m.reshape(-1)
-    with np.errstate(over="ignore", invalid="ignore"):
-        return bool(np.isfinite(np.dot(flat, flat)))
 
 
 def encode_points(points_m: Float32Array, intensity: Float32Array | None = None) -> PointCloud2:

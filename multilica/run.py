@@ -37,8 +37,6 @@ class CalibrationRun:
     """A result with the files that hold it.
 
     Args:
-        config: the configuration that was used.
-        directory: the run directory.
         written: paths of its files, the extrinsics first, then the directories of the single snapshots.
     """
 

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans of a rig that stands still."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -48,7 +47,6 @@ class LidarScans:
     """Frames of one LiDAR, oldest first.
 
     Args:
-        name: how the LiDAR is called everywhere in multilica.
         scans: at least one frame.
         frame_id: frame id of the recording; the name where the format has none.
         topic: topic or file that the frames come from.
@@ -84,7 +82,6 @@ class Snapshot:
 
     Args:
         lidars: one entry per LiDAR, names unique, sorted by name.
-        source: the path that it was read from.
         source_sha256: hash over the bytes of what was read, "" if it was made in memory.
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
         notes: what the reader noticed and the user should know ("12 of 20 scans, then the file ends").
@@ -95,15 +92,11 @@ class Snapshot:
     source_sha256: str = ""
     static_transforms: tuple[RigidTransform, ...] = ()
     notes: tuple[str, ...] = ()
-    _index: Mapping[str, LidarScans] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        lidars = tuple(sorted(self.lidars, key=lambda lidar: lidar.name))
-        index = {lidar.name: lidar for lidar in lidars}
-        if len(index) != len(lidars):
-            raise ValueError(f"LiDAR names must be unique, found {[lidar.name for lidar in lidars]}")
-        object.__setattr__(self, "lidars", lidars)
-        object.__setattr__(self, "_index", index)
+        object.__setattr__(self, "lidars", tuple(sorted(self.lidars, key=lambda lidar: lidar.name)))
+        if len(set(self.names)) != len(self.lidars):
+            raise ValueError(f"LiDAR names must be unique, found {list(self.names)}")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -116,6 +109,6 @@ class Snapshot:
         Raises:
             UnknownNameError: the snapshot has no such LiDAR.
         """
-        if name not in self._index:
+        if name not in self.names:
             raise UnknownNameError("LiDAR", name, self.names, self.source)
-        return self._index[name]
+        return self.lidars[self.names.index(name)]

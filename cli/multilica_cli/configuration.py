@@ -30,10 +30,7 @@ def resolve_config(
     """Build the configuration from the preset or file, then options, then `--set`.
 
     Args:
-        preset_name: `--preset`; None means ``default``.
-        config_file: `--config`.
         options: key of the configuration -> value of its own option; None where it was not given.
-        settings: texts of `--set`.
         recorded_frames: frames of a file made by `multilica record`; used unless file or options give a number.
 
     Raises:

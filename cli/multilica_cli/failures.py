@@ -1,20 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Failures as sentences with exit codes."""
+"""Ends of the process: exit codes, failures, signals."""
+
+from __future__ import annotations
 
 import os
+import signal
 import sys
+import time
 from enum import IntEnum
+from types import FrameType
+from typing import TYPE_CHECKING
 
 import typer
 
 from multilica.errors import InputError, MultilicaError, UsageError
-from multilica_cli.interruption import Interrupted
 from multilica_cli.terminal import printable
 
-__all__ = ["DEBUG_VARIABLE", "ExitCode", "describe_failure", "print_failure"]
+if TYPE_CHECKING:
+    from multilica.run import CalibrationRun
+
+__all__ = [
+    "DEBUG_VARIABLE",
+    "ExitCode",
+    "Interrupted",
+    "describe_failure",
+    "exit_code",
+    "print_failure",
+    "unwind_on_signals",
+]
 
 DEBUG_VARIABLE = "MULTILICA_DEBUG"
 """Environment variable; 1 adds the traceback to each failure."""
+_GRACE_S = 5.0
 
 
 class ExitCode(IntEnum):
@@ -26,6 +43,41 @@ class ExitCode(IntEnum):
     INPUT = 3
     NOT_PLACED = 4
     DIFFERENT = 5
+
+
+def exit_code(run: CalibrationRun) -> ExitCode:
+    """Return DONE if every LiDAR is placed, or if the run was to stop before it places any."""
+    from multilica.config import STAGES
+
+    stopped_early = STAGES.index(run.config.until) < STAGES.index("merge")
+    return ExitCode.DONE if stopped_early or run.result.status == "complete" else ExitCode.NOT_PLACED
+
+
+class Interrupted(BaseException):
+    """A signal that asked the process to end."""
+
+    def __init__(self, signal_number: int) -> None:
+        self.exit_code = 128 + signal_number
+        super().__init__(f"Stopped by {signal.Signals(signal_number).name}.")
+
+
+def unwind_on_signals() -> None:
+    """Raise `Interrupted` in the main thread on SIGINT, SIGTERM and SIGHUP, unless the parent ignores them.
+
+    After the first signal, more of them are ignored for five seconds, so that they do not disturb the clean-up.
+    """
+    ignored_until_s = 0.0
+
+    def unwind(number: int, frame: FrameType | None) -> None:
+        nonlocal ignored_until_s
+        del frame
+        if time.monotonic() >= ignored_until_s:
+            ignored_until_s = time.monotonic() + _GRACE_S
+            raise Interrupted(number)
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, unwind)
 
 
 def print_failure(failure: BaseException) -> int:
@@ -53,24 +105,18 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: PLR091
             return ExitCode.USAGE, _usage_sentence(failure)
         case BrokenPipeError():
             return ExitCode.BROKEN, ""
-        case _:
-            return ExitCode.BROKEN, _system_error_or_bug(failure)
-
-
-def _system_error_or_bug(failure: BaseException) -> str:
-    match failure:
         case ImportError() if "shared object" in str(failure):
-            return (
+            return ExitCode.BROKEN, (
                 f"A library that multilica needs cannot be loaded ({failure}); on Debian and Ubuntu "
                 "`sudo apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1` installs what Open3D needs."
             )
         case OSError():
             where = f" ({failure.filename})" if failure.filename else ""
-            return f"System error: {failure.strerror or failure}{where}."
+            return ExitCode.BROKEN, f"System error: {failure.strerror or failure}{where}."
         case MemoryError():
-            return "Out of memory; use fewer --frames or a larger preprocess.voxel_size_m."
+            return ExitCode.BROKEN, "Out of memory; use fewer --frames or a larger preprocess.voxel_size_m."
         case _:
-            return (
+            return ExitCode.BROKEN, (
                 f"This is a bug in multilica, not in the input ({type(failure).__name__}: {failure}); "
                 f"please report it with the traceback that {DEBUG_VARIABLE}=1 prints."
             )

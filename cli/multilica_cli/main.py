@@ -11,16 +11,10 @@ import multilica
 from multilica_cli.commands.calibrate import calibrate
 from multilica_cli.commands.config import config
 from multilica_cli.commands.demo import demo
-from multilica_cli.commands.diff import diff
-from multilica_cli.commands.evaluate import evaluate
-from multilica_cli.commands.explain import explain
-from multilica_cli.commands.inspect import inspect
-from multilica_cli.commands.record import record
-from multilica_cli.commands.report import report
+from multilica_cli.commands.recordings import inspect, record
+from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
 from multilica_cli.commands.simulate import simulate
-from multilica_cli.commands.view import view
-from multilica_cli.failures import print_failure
-from multilica_cli.interruption import unwind_on_signals
+from multilica_cli.failures import print_failure, unwind_on_signals
 
 __all__ = ["app", "main", "run"]
 
@@ -43,11 +37,7 @@ def main() -> None:
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
-    """Run one command line and return its exit code.
-
-    Args:
-        arguments: without the program's name; None: those of the process.
-    """
+    """Run one command line, without the program's name, or that of the process, and return its exit code."""
     try:
         return app(arguments, standalone_mode=False) or 0
     except SystemExit:

@@ -49,10 +49,7 @@ Topics = Annotated[
 Frames = Annotated[
     int | None,
     typer.Option(
-        "--frames",
-        metavar="N",
-        help="Frames to accumulate per LiDAR.",
-        show_default="10; all of a file made by record",
+        "--frames", metavar="N", help="Frames to accumulate per LiDAR.", show_default="10; all of a file made by record"
     ),
 ]
 Start = Annotated[

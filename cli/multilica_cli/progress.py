@@ -10,17 +10,7 @@ from typing import TYPE_CHECKING
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
-from multilica.events import (
-    CalibrationFinished,
-    CalibrationStarted,
-    InputNoted,
-    RunEvent,
-    RunObserver,
-    SnapshotRefused,
-    SnapshotStarted,
-    StageFinished,
-    StageStarted,
-)
+from multilica import events
 from multilica_cli.terminal import printable, stderr_console
 
 if TYPE_CHECKING:
@@ -30,7 +20,7 @@ __all__ = ["show_listening", "show_progress"]
 
 
 @contextmanager
-def show_progress(*, quiet: bool) -> Iterator[RunObserver]:
+def show_progress(*, quiet: bool) -> Iterator[events.RunObserver]:
     """Show the stages of a run on stderr: as bars on a terminal, else as a line per finished stage."""
     console = stderr_console(quiet=quiet)
     if quiet or not console.is_terminal:
@@ -43,15 +33,15 @@ def show_progress(*, quiet: bool) -> Iterator[RunObserver]:
         bars.stop()
 
 
-def _print_event(event: RunEvent, console: Console) -> None:
+def _print_event(event: events.RunEvent, console: Console) -> None:
     match event:
-        case StageFinished(stage, elapsed_s):
+        case events.StageFinished(stage, elapsed_s):
             console.print(f"{stage:<10} {elapsed_s:7.2f} s")
-        case SnapshotStarted(name):
+        case events.SnapshotStarted(name):
             console.print(f"snapshot {name}")
-        case InputNoted(note):
+        case events.InputNoted(note):
             console.print(f"note: {note}")
-        case SnapshotRefused(_, reason):
+        case events.SnapshotRefused(_, reason):
             console.print(f"left out: {reason}")
 
 
@@ -63,19 +53,19 @@ class _StageBars:
         self._progress: Progress | None = None
         self._task = TaskID(0)
 
-    def __call__(self, event: RunEvent) -> None:
+    def __call__(self, event: events.RunEvent) -> None:
         match event:
-            case StageStarted(stage, steps):
+            case events.StageStarted(stage, steps):
                 self._task = self._started().add_task(f"{stage:<10}", total=steps or None)
-            case StageFinished():
+            case events.StageFinished():
                 done = max(self._started().tasks[-1].completed, 1)
                 self._started().update(self._task, total=done, completed=done)
-            case SnapshotStarted():
+            case events.SnapshotStarted():
                 self.stop()
                 _print_event(event, self._console)
-            case InputNoted() | SnapshotRefused():
+            case events.InputNoted() | events.SnapshotRefused():
                 _print_event(event, self._console)
-            case CalibrationStarted() | CalibrationFinished():
+            case events.CalibrationStarted() | events.CalibrationFinished():
                 pass
             case _:
                 self._started().advance(self._task)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Verdicts on registrations."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -23,17 +23,14 @@ _MAX_IMPLAUSIBLE_SHARE = 1.0
 
 
 def accept(registrations: Sequence[Registration], config: AcceptanceConfig, stability: StabilityConfig) -> Verdict:
-    """Check the best of a pair's distinct registrations against the limits and against the others.
+    """Check the first and best of a pair's distinct registrations against the limits and against the others.
 
     Reject: too little surface in common, or points, or a LiDAR, in proven-empty space. Undecided: a competing pose
     explains nearly as much, the pose is not constrained, much of the structure in view is not explained, or the LiDARs
     would be farther apart than a vehicle is long.
-
-    Args:
-        registrations: at least one, the one with the most evidence first.
     """
     best = registrations[0]
-    rejections = _rejections(best.visibility, config)
+    rejections = list(_rejections(best.visibility, config))
     doubts = [
         _ambiguity(registrations, config),
         _observability(best, config, stability),
@@ -85,42 +82,25 @@ def competing_poses(registrations: Sequence[Registration], config: AcceptanceCon
     ]
 
 
-def _rejections(score: VisibilityScore, config: AcceptanceConfig) -> list[Reason]:
-    violation_limit = max_violation_share(score, config)
-    checks = [
-        _check(
-            "too_little_overlap",
-            score.agree,
-            config.min_agreeing_points,
-            f"only {score.agree} points lie on surfaces that both measured (limit {config.min_agreeing_points})",
-            failed=score.agree < config.min_agreeing_points,
-        ),
-        _check(
-            "empty_space_violated",
-            score.violation_share,
-            violation_limit,
-            f"{score.violation_share:.1%} of the points stand in space that the other sensor's beams passed through "
-            f"(limit {violation_limit:.1%})",
-            failed=score.violation_share > violation_limit,
-        ),
-        _check(
-            "place_proven_empty",
-            score.seen_through_m,
-            0.0,
+def _rejections(score: VisibilityScore, config: AcceptanceConfig) -> Iterator[Reason]:
+    if score.agree < config.min_agreeing_points:
+        text = f"only {score.agree} points lie on surfaces that both measured (limit {config.min_agreeing_points})"
+        yield Reason("too_little_overlap", float(score.agree), float(config.min_agreeing_points), text)
+    limit = max_violation_share(score, config)
+    if score.violation_share > limit:
+        text = f"{score.violation_share:.1%} of the points lie in space that the other sensor's beams passed through"
+        yield Reason("empty_space_violated", score.violation_share, limit, f"{text} (limit {limit:.1%})")
+    if score.seen_through_m > 0.0:
+        text = (
             f"beams of one LiDAR pass through the place of the other, {score.seen_through_m:.1f} m away, and all "
-            "around it, where nothing could carry a LiDAR",
-            failed=score.seen_through_m > 0.0,
-        ),
-        _check(
-            "too_little_evidence",
-            score.evidence,
-            config.min_evidence,
-            f"the evidence is {max(0.0, score.evidence):.0f} points off the main plane, less violations "
-            f"(limit {config.min_evidence:g})",
-            failed=score.evidence < config.min_evidence,
-        ),
-    ]
-    return [reason for reason in checks if reason is not None]
+            "around it, where nothing could carry a LiDAR"
+        )
+        yield Reason("place_proven_empty", score.seen_through_m, 0.0, text)
+    if score.evidence < config.min_evidence:
+        text = f"the evidence is {max(0.0, score.evidence):.0f} points off the main plane, less violations"
+        yield Reason(
+            "too_little_evidence", score.evidence, config.min_evidence, f"{text} (limit {config.min_evidence:g})"
+        )
 
 
 def _ambiguity(registrations: Sequence[Registration], config: AcceptanceConfig) -> Reason | None:
@@ -210,38 +190,31 @@ def _instability(
 
 def _explanation(best: VisibilityScore, config: AcceptanceConfig) -> Reason | None:
     limit = config.min_explained_share_firm if is_firm(best, config) else config.min_explained_share
-    return _check(
-        "structure_unexplained",
-        best.explained_share,
-        limit,
+    if best.explained_share >= limit:
+        return None
+    text = (
         f"of the walls and objects in view of both, only {best.explained_share:.0%} is explained (limit {limit:.0%}): "
         f"{best.structure_agree} points lie on surfaces that the other measured, {best.structure_occluded} are hidden, "
-        f"{best.structure_violate} stand in empty space",
-        failed=best.explained_share < limit,
+        f"{best.structure_violate} lie in empty space"
     )
+    return Reason("structure_unexplained", best.explained_share, limit, text)
 
 
 def _distance(best: Registration, config: AcceptanceConfig) -> Reason | None:
     firm = is_firm(best.visibility, config)
-    key, limit_m = ("max_baseline_m", config.max_baseline_m)
-    if not firm:
-        key, limit_m = ("max_baseline_loose_m", config.max_baseline_loose_m)
+    key = "max_baseline_m" if firm else "max_baseline_loose_m"
+    limit_m = config.max_baseline_m if firm else config.max_baseline_loose_m
     distance_m = float(np.linalg.norm(best.T_target_source.xyz_m))
-    return _check(
-        "too_far_apart",
-        distance_m,
-        limit_m,
+    if distance_m <= limit_m:
+        return None
+    text = (
         f"the LiDARs would be {distance_m:.1f} m apart; the limit is {limit_m:g} m (acceptance.{key}) for a pose "
-        f"that {best.visibility.min_information_eigenvalue:z.1f} points constrain",
-        failed=distance_m > limit_m,
+        f"that {best.visibility.min_information_eigenvalue:z.1f} points constrain"
     )
+    return Reason("too_far_apart", distance_m, limit_m, text)
 
 
 def _axis_text(motion: FloatArray, target: str) -> str:
     """Name the main axis of a small motion: order rotation, translation along the target's axes."""
     axis = largest_index(motion)
     return f"{'about' if axis < 3 else 'along'} {'xyz'[axis % 3]} of {target}"
-
-
-def _check(code: str, value: float, limit: float, text: str, *, failed: bool) -> Reason | None:
-    return Reason(code, float(value), float(limit), text) if failed else None

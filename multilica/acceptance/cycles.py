@@ -27,10 +27,6 @@ def check_cycle_consistency(
     Two accepted pairs with one LiDAR in common imply a pose between the two others. If beams contradict it, one of the
     pairs is wrong: the one with less evidence is doubted, and so is the other unless it has clearly more.
 
-    Args:
-        pairs: registrations with verdicts.
-        score_pose: scores a pose between any two LiDARs.
-
     Returns:
         The pairs in their order, some with another verdict.
     """
@@ -51,20 +47,13 @@ def check_cycle_consistency(
 
 
 def check_ambiguous_chains(
-    pairs: Sequence[PairRegistration],
-    score_pose: ScorePose,
-    config: AcceptanceConfig,
-    stability: StabilityConfig,
+    pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig, stability: StabilityConfig
 ) -> list[PairRegistration]:
     """Leave accepted pairs undecided that imply a pose which an undecided pair with more evidence excludes.
 
     A pair that can slide, or that a symmetric scene leaves ambiguous, has several poses; the correct one is among
     them, or scores as well. If a chain of accepted pairs implies another one, a pair of the chain fits by chance: the
     one that the fewest points constrain is doubted.
-
-    Args:
-        pairs: registrations with verdicts.
-        score_pose: scores a pose between any two LiDARs.
 
     Returns:
         The pairs in their order, some with another verdict.
@@ -165,6 +154,6 @@ def _contradiction(other: PairRegistration, implied: RigidTransform, score: Visi
     share = score.violation_share
     text = (
         f"together with {other.source} in {other.target} it puts {implied.source} where {share:.1%} of the points "
-        f"shared with {implied.target} stand in proven-empty space (limit {limit:.1%}); one of the two is wrong"
+        f"shared with {implied.target} lie in proven-empty space (limit {limit:.1%}); one of the two is wrong"
     )
     return Reason(_CODE, share, limit, text)

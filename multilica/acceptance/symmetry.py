@@ -9,6 +9,7 @@ import numpy as np
 from multilica.acceptance.accept import competing_poses
 from multilica.config import AcceptanceConfig
 from multilica.geometry import RigidTransform
+from multilica.registration.poses import is_near
 from multilica.results import PairRegistration, Reason, Registration, Verdict
 from multilica.visibility.sensor_view import ScorePose
 
@@ -29,10 +30,6 @@ def check_scene_symmetry(
     same, turned around, and none of their beams contradicts it. A pair that sees the whole hall finds two poses. The
     motion between these is the symmetry of the hall; it takes the pose of the first two to one that may be correct.
 
-    Args:
-        pairs: registrations with verdicts.
-        score_pose: scores a pose between any two LiDARs.
-
     Returns:
         The pairs in their order, some with another verdict.
     """
@@ -47,7 +44,7 @@ def _checked(
         for lidar in sorted(pair.lidars & other.lidars):
             for symmetry in _symmetries(other, lidar, config):
                 turned = symmetry @ pose if lidar == pair.target else pose @ symmetry
-                if np.linalg.norm(turned.xyz_m) > config.max_baseline_m:
+                if not is_near(turned, config.max_baseline_m):
                     continue
                 competing = score_pose(turned)
                 if competing.visibility.violation_share <= _POSSIBLE_SHARE:

@@ -2,67 +2,49 @@
 """Words, advice and stages per cause."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from types import MappingProxyType
 
 from multilica.diagnosis.explanation import Cause
 
 __all__ = ["ADVICE", "PRIOR_ADVICE", "REASON_WORDS", "WORDS", "by_weight", "cause_of_codes", "step_of"]
 
-_BY_CODE: Sequence[tuple[str, Cause]] = (
-    ("against_prior", "against_prior"),
-    ("too_little_overlap", "no_overlap"),
-    ("too_little_evidence", "no_overlap"),
-    ("empty_space_violated", "contradiction"),
-    ("place_proven_empty", "contradiction"),
-    ("cycle_contradicted", "two_places"),
-    ("ambiguous", "ambiguous"),
-    ("not_observable", "not_observable"),
-    ("structure_unexplained", "unexplained"),
-    ("too_far_apart", "unexplained"),
-    ("low_fitness", "low_fitness"),
-)
-"""The first of these codes in a verdict names the cause."""
+_REASONS: Mapping[str, tuple[Cause, str]] = {
+    "against_prior": ("against_prior", "contradicts the prior"),
+    "too_little_overlap": ("no_overlap", "too little overlap"),
+    "too_little_evidence": ("no_overlap", "too little evidence"),
+    "empty_space_violated": ("contradiction", "points in empty space"),
+    "place_proven_empty": ("contradiction", "placed in empty space"),
+    "cycle_contradicted": ("two_places", "another pair contradicts it"),
+    "ambiguous": ("ambiguous", "another pose not ruled out"),
+    "not_observable": ("not_observable", "not constrained in one direction"),
+    "structure_unexplained": ("unexplained", "walls and objects unexplained"),
+    "too_far_apart": ("unexplained", "LiDARs too far apart"),
+    "low_fitness": ("low_fitness", "low fitness"),
+}
+"""Cause and short label per reason code; the first of these codes in a verdict names the cause."""
 
-REASON_WORDS: Mapping[str, str] = MappingProxyType(
-    {
-        "against_prior": "contradicts the prior",
-        "too_little_overlap": "too little overlap",
-        "too_little_evidence": "too little evidence",
-        "empty_space_violated": "points in empty space",
-        "place_proven_empty": "placed in empty space",
-        "cycle_contradicted": "another pair contradicts it",
-        "ambiguous": "another pose not ruled out",
-        "not_observable": "not constrained in one direction",
-        "structure_unexplained": "walls and objects unexplained",
-        "too_far_apart": "LiDARs too far apart",
-        "low_fitness": "low fitness",
-    }
-)
-"""Short label per reason code."""
+REASON_WORDS: Mapping[str, str] = {code: words for code, (_, words) in _REASONS.items()}
 
-WORDS: Mapping[Cause, str] = MappingProxyType(
-    {
-        "dead_sensor": "it returned nothing (dead sensor or empty topic)",
-        "no_returns_in_range": "all its returns are out of range, too near or too far",
-        "dirty_sensor": "its window is dirty or covered",
-        "moving_vehicle": "the vehicle moved while the snapshot was taken",
-        "unfit_input": "the snapshot has too little data to calibrate",
-        "no_overlap": "it shares too few surfaces with the others (no overlap)",
-        "contradiction": "every pose found puts surfaces where beams proved empty space",
-        "ambiguous": "the scene looks the same from two places (a symmetric scene)",
-        "not_observable": "the scene does not constrain it in one direction",
-        "unexplained": "at the best pose too few of the visible surfaces match (a chance agreement)",
-        "low_fitness": "too few of its points lie near those of other LiDARs",
-        "against_prior": "its pose contradicts the prior, as if it were mounted the other way round",
-        "two_places": "two accepted pairs put it at different places",
-        "not_in_rig": "it fits another LiDAR, but not the merged rig",
-        "not_joined": "it is connected only to LiDARs that are not placed",
-        "disputed": "the snapshots contradict each other, without a majority",
-        "stopped_early": "the run was set to stop before LiDARs are placed",
-        "unfinished": "the run ended before it was placed",
-        "unknown": "no registration with another LiDAR was accepted",
-    }
-)
+WORDS: Mapping[Cause, str] = {
+    "dead_sensor": "it returned nothing (dead sensor or empty topic)",
+    "no_returns_in_range": "all its returns are out of range, too near or too far",
+    "dirty_sensor": "its window is dirty or covered",
+    "moving_vehicle": "the vehicle moved while the snapshot was taken",
+    "unfit_input": "the snapshot has too little data to calibrate",
+    "no_overlap": "it shares too few surfaces with the others (no overlap)",
+    "contradiction": "every pose found puts surfaces where beams proved empty space",
+    "ambiguous": "the scene looks the same from two places (a symmetric scene)",
+    "not_observable": "the scene does not constrain it in one direction",
+    "unexplained": "at the best pose too few of the visible surfaces match (a chance agreement)",
+    "low_fitness": "too few of its points lie near those of other LiDARs",
+    "against_prior": "its pose contradicts the prior, as if it were mounted the other way round",
+    "two_places": "two accepted pairs put it at different places",
+    "not_in_rig": "it fits another LiDAR, but not the merged rig",
+    "not_joined": "it is connected only to LiDARs that are not placed",
+    "disputed": "the snapshots contradict each other, without a majority",
+    "stopped_early": "the run was set to stop before LiDARs are placed",
+    "unfinished": "the run ended before it was placed",
+    "unknown": "no registration with another LiDAR was accepted",
+}
 
 _MORE_OVERLAP = "a scene with structure in the common field of view, or another LiDAR that overlaps both"
 _OTHER_PLACE = "another scene, with walls, poles or parked cars at uneven distances around the vehicle"
@@ -71,57 +53,47 @@ PRIOR_ADVICE = "the pose from a drawing or an earlier calibration as one more hy
 """A prior adds a pose that the descriptors miss; it does not decide between poses that fit equally well."""
 _MORE_FRAMES = "more frames (--frames), so that sparse surfaces are seen"
 
-_STEPS_WITHOUT_PAIR: Mapping[Cause, str] = MappingProxyType(
-    {
-        "dead_sensor": "preprocess: no returns",
-        "no_returns_in_range": "preprocess: no return was kept",
-        "dirty_sensor": "preprocess: part of the field of view is covered",
-        "disputed": "joint: comparison of the snapshots",
-        "not_joined": "joint: comparison of the snapshots",
-        "unknown": "joint: comparison of the snapshots",
-    }
-)
+_STEPS_WITHOUT_PAIR: Mapping[Cause, str] = {
+    "dead_sensor": "preprocess: no returns",
+    "no_returns_in_range": "preprocess: no return was kept",
+    "dirty_sensor": "preprocess: part of the field of view is covered",
+    **dict.fromkeys(("disputed", "not_joined", "unknown"), "joint: comparison of the snapshots"),
+}
 
-ADVICE: Mapping[Cause, tuple[str, ...]] = MappingProxyType(
-    {
-        "dead_sensor": ("check power, network and driver of the LiDAR, then whether `multilica inspect` shows points",),
-        "no_returns_in_range": ("check preprocess.min_range_m and preprocess.max_range_m, and remove any cover",),
-        "dirty_sensor": ("clean the window, take off covers, and record again",),
-        "moving_vehicle": (
-            "record while the vehicle stands still, or choose another window with --start or --window auto",
-        ),
-        "unfit_input": ("a recording with at least two LiDARs that have returns; see `multilica inspect`",),
-        "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, PRIOR_ADVICE),
-        "contradiction": (
-            "a scene where nothing moves; see the red points of the pair in the recording",
-            _MORE_OVERLAP,
-            PRIOR_ADVICE,
-        ),
-        "ambiguous": (_OTHER_PLACE, _TOGETHER),
-        "not_observable": (_OTHER_PLACE, _MORE_OVERLAP, _MORE_FRAMES),
-        "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, PRIOR_ADVICE),
-        "low_fitness": (_MORE_OVERLAP, "preset default, which verifies more than the fitness"),
-        "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),
-        "two_places": (_OTHER_PLACE, _TOGETHER, _MORE_OVERLAP),
-        "not_in_rig": (_MORE_OVERLAP, _OTHER_PLACE, _TOGETHER),
-        "not_joined": (_MORE_OVERLAP, "another target (--target) among the LiDARs that it fits"),
-        "disputed": (
-            "one more snapshot, from another place, for a majority",
-            "a look at the result of each snapshot, in the directory of its name",
-        ),
-        "stopped_early": ("run again without --until",),
-        "unfinished": ("run again; every finished stage is in the recording",),
-        "unknown": (_MORE_OVERLAP, _MORE_FRAMES),
-    }
-)
+ADVICE: Mapping[Cause, tuple[str, ...]] = {
+    "dead_sensor": ("check power, network and driver of the LiDAR, then whether `multilica inspect` shows points",),
+    "no_returns_in_range": ("check preprocess.min_range_m and preprocess.max_range_m, and remove any cover",),
+    "dirty_sensor": ("clean the window, take off covers, and record again",),
+    "moving_vehicle": (
+        "record while the vehicle stands still, or choose another window with --start or --window auto",
+    ),
+    "unfit_input": ("a recording with at least two LiDARs that have returns; see `multilica inspect`",),
+    "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, PRIOR_ADVICE),
+    "contradiction": (
+        "a scene where nothing moves; see the red points of the pair in the recording",
+        _MORE_OVERLAP,
+        PRIOR_ADVICE,
+    ),
+    "ambiguous": (_OTHER_PLACE, _TOGETHER),
+    "not_observable": (_OTHER_PLACE, _MORE_OVERLAP, _MORE_FRAMES),
+    "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, PRIOR_ADVICE),
+    "low_fitness": (_MORE_OVERLAP, "preset default, which verifies more than the fitness"),
+    "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),
+    "two_places": (_OTHER_PLACE, _TOGETHER, _MORE_OVERLAP),
+    "not_in_rig": (_MORE_OVERLAP, _OTHER_PLACE, _TOGETHER),
+    "not_joined": (_MORE_OVERLAP, "another target (--target) among the LiDARs that it fits"),
+    "disputed": (
+        "one more snapshot, from another place, for a majority",
+        "a look at the result of each snapshot, in the directory of its name",
+    ),
+    "stopped_early": ("run again without --until",),
+    "unfinished": ("run again; every finished stage is in the recording",),
+    "unknown": (_MORE_OVERLAP, _MORE_FRAMES),
+}
 
 
 def step_of(cause: Cause, codes: Sequence[str] | None) -> str:
-    """Return the stage at which a LiDAR was left out, with the failure.
-
-    Args:
-        codes: of the reasons against the decisive pair; None without pairs.
-    """
+    """Return the stage at which a LiDAR was left out, with the failure; the codes are None without pairs."""
     if codes is None:
         return _STEPS_WITHOUT_PAIR.get(cause, "coarse: no pose was found against any other LiDAR")
     return "fine: the pair was registered but not accepted" if codes else "merge: the group was not merged"
@@ -129,10 +101,10 @@ def step_of(cause: Cause, codes: Sequence[str] | None) -> str:
 
 def cause_of_codes(codes: Sequence[str]) -> Cause:
     """Return the cause that the codes of a verdict indicate."""
-    return next((cause for code, cause in _BY_CODE if code in codes), "unknown")
+    return next((cause for code, (cause, _) in _REASONS.items() if code in codes), "unknown")
 
 
 def by_weight(codes: Iterable[str]) -> list[str]:
     """Sort the codes of a verdict, the one that names the cause first."""
-    order = {code: place for place, (code, _) in enumerate(_BY_CODE)}
+    order = {code: place for place, code in enumerate(_REASONS)}
     return sorted(codes, key=lambda code: order.get(code, len(order)))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Explanation of a result document."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from multilica.config import STAGES
@@ -14,7 +14,6 @@ from multilica.diagnosis.comparisons import (
     merge_refusal,
     next_best_sentence,
 )
-from multilica.diagnosis.doubts import warnings_of
 from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed
 from multilica.diagnosis.progress import known_so_far, progress_sentence
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
@@ -22,6 +21,7 @@ from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 __all__ = ["explain"]
 
 _BEFORE_PLACES = STAGES[: STAGES.index("merge")]
+_OUTLIER_WEIGHT = 0.5
 
 
 def explain(document: ResultDocument) -> Explanation:
@@ -43,7 +43,7 @@ def explain(document: ResultDocument) -> Explanation:
             _placed(name, entry, target) for name, entry in document.lidars.items() if entry.placed and name != target
         ),
         missing=missing,
-        warnings=tuple(warnings_of(document)),
+        warnings=tuple(_warnings(document)),
     )
 
 
@@ -54,7 +54,7 @@ def _without_places(document: ResultDocument, headline: str, cause: Cause, known
         cause=cause,
         known=tuple(known),
         advice=ADVICE[cause],
-        warnings=tuple(warnings_of(document)),
+        warnings=tuple(_warnings(document)),
     )
 
 
@@ -108,8 +108,9 @@ def _missing_by(
 ) -> Missing:
     had_prior = document.lidars[name].prior is not None
     advice = tuple(one for one in ADVICE[cause] if not (had_prior and one == PRIOR_ADVICE))
+    headline = f"{name} is not placed: {WORDS[cause]}."
     step = step_of(cause, None if decisive is None else decisive.codes)
-    return Missing(name, cause, _not_placed(name, cause), step, decisive, next_best=next_best, advice=advice)
+    return Missing(name, cause, headline, step, decisive, next_best=next_best, advice=advice)
 
 
 def _missing_from_rig(
@@ -136,20 +137,12 @@ def _missing_jointly(
     unplaced: Cause = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
     cause = _sensor_fault(document, name) or unplaced
     by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
-    step = step_of(cause, None)
-    return Missing(name, cause, _not_placed(name, cause), step, by_snapshot=by_snapshot, advice=ADVICE[cause])
-
-
-def _not_placed(name: str, cause: Cause) -> str:
-    return f"{name} is not placed: {WORDS[cause]}."
+    return replace(_missing_by(document, name, cause, None, ""), by_snapshot=by_snapshot)
 
 
 def _cause(document: ResultDocument, name: str, decisive: DecisivePair | None) -> Cause:
     """Return the fault of the sensor, from which that of its pairs may follow, else the fault of the pair."""
-    fault = _sensor_fault(document, name)
-    if fault is not None:
-        return fault
-    return "no_overlap" if decisive is None else cause_of_codes(decisive.codes)
+    return _sensor_fault(document, name) or ("no_overlap" if decisive is None else cause_of_codes(decisive.codes))
 
 
 def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
@@ -163,3 +156,20 @@ def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
     cleaned = (document.stages.preprocess or {}).get(name) if document.stages is not None else None
     # Of several snapshots, the one that is shown may lack the LiDAR.
     return "no_returns_in_range" if cleaned is not None and cleaned.points == 0 and not silent else None
+
+
+def _warnings(document: ResultDocument) -> Iterator[str]:
+    """Yield a sentence per dirty sensor, placement far from its prior, and pair that contradicts the others."""
+    for name, entry in document.lidars.items():
+        for reason in entry.health.reasons if entry.health is not None else ():
+            if reason.code == "dirty":
+                yield f"{name} has a dirty or covered window: {reason.text}."
+    for entry in document.lidars.values():
+        if entry.prior is not None and entry.prior.surprise:
+            yield entry.prior.surprise
+    for pair in document.refinement.pairs if document.refinement is not None else ():
+        if pair.weight < _OUTLIER_WEIGHT:
+            yield (
+                f"the pair {pair.source} against {pair.target} contradicts the others by "
+                f"{pair.after_m or 0.0:.3f} m, {pair.after_deg or 0.0:.2f} deg; one of the two LiDARs may be misplaced."
+            )

@@ -36,7 +36,6 @@ class DecisivePair:
     """The registered pair that decided whether a LiDAR is placed.
 
     Args:
-        target, source: names, as the pair was registered.
         codes: of the reasons against it, see `multilica.results.Reason`; none for an accepted pair.
         sentence: the most important reason with its figures.
     """
@@ -49,11 +48,7 @@ class DecisivePair:
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """A placed LiDAR other than the target.
-
-    Args:
-        sigma_m, sigma_deg: largest standard deviation over the axes; None if there is no covariance.
-    """
+    """A placed LiDAR other than the target; each sigma is the largest over the axes, None without a covariance."""
 
     lidar: str
     sigma_m: float | None

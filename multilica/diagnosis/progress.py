@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Progress of a run that has placed nothing."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from multilica.results.document import ResultDocument
-from multilica.results.document.stages import MergeFigures, VerifyFigures
+from multilica.results.document.stages import StageFigures, VerifyFigures
 
 __all__ = ["known_so_far", "progress_sentence"]
 
@@ -19,14 +19,19 @@ def progress_sentence(document: ResultDocument) -> str:
 
 def known_so_far(document: ResultDocument) -> Iterator[str]:
     """Yield the figures of the last stage of pairs and the merge steps; before there are pairs, those per LiDAR."""
-    stages = document.stages
-    if stages is None:
-        return
+    if document.stages is not None:
+        yield from _last_figures(document.stages)
+        for step, figures in (document.stages.merge or {}).items():
+            yield f"merge {step}: merged {figures.chosen or 'nothing'}; groups {figures.groups}."
+
+
+def _last_figures(stages: StageFigures) -> Iterator[str]:
     if stages.fine is not None:
         for pair, fine in stages.fine.items():
             yield f"{pair}: {fine.verdict}, fitness {fine.fitness or 0.0:.2f}."
     elif stages.verify is not None:
-        yield from _verified(stages.verify)
+        for pair, verified in stages.verify.items():
+            yield f"{pair}: {_verified(verified)}."
     elif stages.coarse is not None:
         for pair, coarse in stages.coarse.items():
             yield f"{pair}: {coarse.hypotheses} hypotheses."
@@ -36,19 +41,10 @@ def known_so_far(document: ResultDocument) -> Iterator[str]:
     else:
         for name, cloud in (stages.preprocess or {}).items():
             yield f"{name}: {cloud.points:,} points after preprocessing."
-    yield from _merged(stages.merge or {})
 
 
-def _verified(pairs: Mapping[str, VerifyFigures]) -> Iterator[str]:
-    for pair, figures in pairs.items():
-        best = f"{figures.agree} points agree, {figures.violate} are in empty space"
-        yield (
-            f"{pair}: {figures.distinct} distinct poses; at the best {best}."
-            if figures.distinct
-            else f"{pair}: no pose."
-        )
-
-
-def _merged(steps: Mapping[str, MergeFigures]) -> Iterator[str]:
-    for step, figures in steps.items():
-        yield f"merge {step}: merged {figures.chosen or 'nothing'}; groups {figures.groups}."
+def _verified(figures: VerifyFigures) -> str:
+    if not figures.distinct:
+        return "no pose"
+    best = f"{figures.agree} points agree, {figures.violate} are in empty space"
+    return f"{figures.distinct} distinct poses; at the best {best}"

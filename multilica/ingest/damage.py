@@ -9,34 +9,21 @@ from multilica.errors import MultilicaError, UnreadableSourceError
 __all__ = ["DamagedRecordingError", "damage_named", "reason_of"]
 
 _REASONS = {
-    "its records make no sense": (
-        "AssertionError",
-        "AttributeError",
-        "IndexError",
-        "OSError",
-        "TypeError",
-        "UnicodeDecodeError",
-        "error",
-    ),
-    "a checksum does not match its data": ("CRCValidationError",),
-    "the file ends too early": ("EndOfFile", "EndOfFileError", "StopIteration"),
-    "a record refers to another that does not exist": ("KeyError",),
-    "a record claims more memory than there is": ("MemoryError",),
-    "a record claims an impossible size": ("OverflowError", "RecordLengthLimitExceeded"),
-    "permission is denied": ("PermissionError",),
-    "compressed data cannot be unpacked": ("RuntimeError", "ZstdError"),
+    "its records make no sense": "AssertionError AttributeError IndexError OSError TypeError UnicodeDecodeError error",
+    "a checksum does not match its data": "CRCValidationError",
+    "the file ends too early": "EndOfFile EndOfFileError StopIteration",
+    "a record refers to another that does not exist": "KeyError",
+    "a record claims more memory than there is": "MemoryError",
+    "a record claims an impossible size": "OverflowError RecordLengthLimitExceeded",
+    "permission is denied": "PermissionError",
+    "compressed data cannot be unpacked": "RuntimeError ZstdError",
 }
 """Reason -> names of exception classes; by name, so that no library is imported for it."""
-_REASON_OF_CLASS = {name: reason for reason, names in _REASONS.items() for name in names}
+_REASON_OF_CLASS = {name: reason for reason, names in _REASONS.items() for name in names.split()}
 
 
 class DamagedRecordingError(UnreadableSourceError):
-    """A recording cannot be read, or not beyond some point.
-
-    Args:
-        where: the file, for the message.
-        reason: what is wrong, as a clause without full stop.
-    """
+    """A recording cannot be read, or not beyond some point; `reason` is a clause without full stop."""
 
     def __init__(self, where: str, reason: str) -> None:
         self.where = where
@@ -46,11 +33,7 @@ class DamagedRecordingError(UnreadableSourceError):
 
 @contextmanager
 def damage_named(where: str) -> Iterator[None]:
-    """Turn any error of a library into one sentence.
-
-    Raises:
-        DamagedRecordingError: the block failed.
-    """
+    """Turn any error of a library into a `DamagedRecordingError` with one sentence."""
     try:
         yield
     except MultilicaError:

@@ -28,11 +28,7 @@ ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: bool = False) -> memoryview:
-    """Decompress data to exactly `size` bytes, and never to more.
-
-    Args:
-        compression: ``zstd``, ``lz4`` or ``bz2``; empty or ``none`` if nothing is compressed.
-        partial: accept data that end too early, and return what they hold.
+    """Decompress data to exactly `size` bytes, and never to more; if `partial`, to fewer if they end too early.
 
     Raises:
         ValueError: the size is impossible, or not that of the data; the text is a clause.
@@ -49,23 +45,18 @@ def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: 
 
 
 def unpack_zstd_message(packed: bytes | memoryview) -> memoryview:
-    """Decompress a zstd frame that states its own size.
-
-    Raises:
-        ValueError: it is too large, states no size, or is broken; the text is a clause.
-    """
-    size = _stated_size(packed)
+    """Decompress a zstd frame that states its size; raise ValueError, with a clause as its text, if it is broken."""
+    try:
+        size = zstandard.frame_content_size(packed)
+    except zstandard.ZstdError as error:
+        raise ValueError("compressed data cannot be unpacked") from error
     if size < 0:
         raise ValueError("a compressed message does not state its size")
     return unpack("zstd", packed, size)
 
 
 def require_checksum(data: bytes | memoryview, crc32: int) -> None:
-    """Check data against their CRC-32; 0 means that there is none.
-
-    Raises:
-        ValueError: they differ; the text is a clause.
-    """
+    """Raise ValueError, with a clause as its text, if data contradict their CRC-32; 0 means that there is none."""
     if crc32 and crc32_of(data) != crc32:
         raise ValueError("a checksum does not match its data")
 
@@ -87,7 +78,7 @@ def _unpacked(compression: str, packed: bytes | memoryview, size: int, *, partia
 
 
 def _unpacked_zstd(packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
-    stated_size = _stated_size(packed)
+    stated_size = zstandard.frame_content_size(packed)
     if stated_size not in (-1, size) and not partial:
         raise ValueError(f"a record unpacks to {stated_size} bytes, yet claims {size}")
     unpacked = np.empty(size, np.uint8).data
@@ -96,11 +87,3 @@ def _unpacked_zstd(packed: bytes | memoryview, size: int, *, partial: bool) -> m
     if not partial and stream.read(1):
         raise ValueError(f"a record unpacks to more than the {size} bytes that it claims")
     return unpacked[:length]
-
-
-def _stated_size(packed: bytes | memoryview) -> int:
-    """Return the size in the header of a zstd frame; -1 if it states none."""
-    try:
-        return int(zstandard.frame_content_size(packed))
-    except zstandard.ZstdError as error:
-        raise ValueError("compressed data cannot be unpacked") from error

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.decompression import ZSTD_MAGIC
 from multilica.ingest.remote.remote_file import SourceFile
 
 __all__ = ["FORMATS", "Content", "FileFormat", "detect_format", "name_unpacked", "named_format", "require_format"]
@@ -34,7 +35,8 @@ class FileFormat:
         content: what the reader yields.
         reader: module in `multilica.ingest`, imported on first use, with `open_file(path, where) -> Recording` for
             recordings, `decode_cloud(message) -> Cloud` for point clouds, `open_packed(path, where, open_file)` for
-            others; `where` is the file's name for messages.
+            others; `where` is the file's name for messages. The first and the last raise `DamagedRecordingError` if
+            not a single message can be read.
         magic: first bytes, any of these; none if only the suffix tells.
         first_words: words that the first line that is no comment may start with.
         reads_ranges: the reader takes remote files; for other formats they are copied to disk first.
@@ -59,7 +61,6 @@ class FileFormat:
 
 
 _MESSAGES, _CLOUD = Content.RECORDING, Content.CLOUD
-_KILLED_RECORDER = ".bag.active"
 _ENTRIES = (
     FileFormat(
         "mcap", "an MCAP file", (".mcap",), _MESSAGES, "containers.mcap_file", (b"\x89MCAP0\r\n",), reads_ranges=True
@@ -67,14 +68,9 @@ _ENTRIES = (
     FileFormat(
         "sqlite3", "an SQLite file (ROS 2 bag)", (".db3",), _MESSAGES, "containers.ros2_sqlite", (b"SQLite format 3\0",)
     ),
-    FileFormat("ros1", "a ROS 1 bag", (".bag", _KILLED_RECORDER), _MESSAGES, "containers.ros1_bag", (b"#ROSBAG V2.0",)),
+    FileFormat("ros1", "a ROS 1 bag", (".bag", ".bag.active"), _MESSAGES, "containers.ros1_bag", (b"#ROSBAG V2.0",)),
     FileFormat(
-        "zstd",
-        "compressed with zstd",
-        (".zst", ".zstd"),
-        Content.FILE,
-        "containers.packed_file",
-        (b"\x28\xb5\x2f\xfd",),
+        "zstd", "compressed with zstd", (".zst", ".zstd"), Content.FILE, "containers.packed_file", (ZSTD_MAGIC,)
     ),
     FileFormat("ply", "a PLY file", (".ply",), _CLOUD, "point_files.ply", (b"ply\n", b"ply\r")),
     FileFormat("las", "a LAS file", (".las", ".laz"), _CLOUD, "point_files.las", (b"LASF",)),
@@ -85,6 +81,7 @@ _ENTRIES = (
 )
 FORMATS = {entry.name: entry for entry in _ENTRIES}
 """Name -> format; the first one that matches is taken."""
+_NAMED = {suffix: entry for entry in _ENTRIES for suffix in entry.suffixes if entry.content is not Content.FILE}
 
 _UNSUPPORTED = (
     (b"#ROSBAG", "a ROS 1 bag of an old version; convert it with `rosbag migrate`"),
@@ -98,13 +95,7 @@ _UNSUPPORTED = (
 def named_format(path: SourceFile) -> FileFormat | None:
     """Return the format that the suffix of a file's name stands for; None if none, or if the file is compressed."""
     name = path.name.lower()
-    by_suffix = {
-        suffix: entry
-        for entry in FORMATS.values()
-        for suffix in entry.suffixes
-        if entry.content is not Content.FILE and name.endswith(suffix)
-    }
-    return by_suffix[max(by_suffix, key=len)] if by_suffix else None
+    return _NAMED.get(max((suffix for suffix in _NAMED if name.endswith(suffix)), key=len, default=""))
 
 
 def name_unpacked(name: str) -> str:
@@ -114,11 +105,7 @@ def name_unpacked(name: str) -> str:
 
 
 def detect_format(path: SourceFile) -> FileFormat:
-    """Return the format of a file by its first bytes.
-
-    Raises:
-        UnreadableSourceError: the file is empty, of an unknown format, or of another format than its name says.
-    """
+    """Return the format of a file by its first bytes; raise UnreadableSourceError if it is unknown or misnamed."""
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     try:
@@ -128,15 +115,7 @@ def detect_format(path: SourceFile) -> FileFormat:
 
 
 def require_format(head: bytes | memoryview, named: FileFormat | None) -> FileFormat:
-    """Return the format of a file that begins with `head`.
-
-    Args:
-        head: the first `HEAD_BYTES` bytes or more; less if the file is shorter.
-        named: the format that the file's name stands for.
-
-    Raises:
-        ValueError: empty, of an unknown format, or not as named; the text is a predicate.
-    """
+    """Return the format of a file by its beginning; raise ValueError, with a predicate as its text, if none fits."""
     start = bytes(head[:HEAD_BYTES])
     if not start:
         raise ValueError("is empty")

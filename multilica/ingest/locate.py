@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import dropwhile, takewhile
 from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
@@ -30,7 +31,6 @@ class Source:
     """The files of a source: of one bag, point files, or a bag per recorder.
 
     Args:
-        label: the source as the user named it.
         recordings: the files of one bag, oldest first.
         frames: the point files of each LiDAR.
         recorders: bags of the same moment with different LiDARs.
@@ -70,11 +70,7 @@ def find_source(source: PathLike | Sequence[PathLike]) -> Source:
 
 
 def locate(source: PathLike) -> SourceFile:
-    """Return a source as a path on disk or a remote file; it need not exist.
-
-    Raises:
-        UsageError: an address of an unknown kind.
-    """
+    """Return a path on disk or a remote file, which need not exist; raise UsageError if the address is not valid."""
     if isinstance(source, RemoteFile):
         return source
     require_readable(source)
@@ -82,11 +78,7 @@ def locate(source: PathLike) -> SourceFile:
 
 
 def require_distinct(paths: Sequence[SourceFile]) -> None:
-    """Check that no path is given twice.
-
-    Raises:
-        UsageError: one is.
-    """
+    """Raise UsageError if a path is given twice."""
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise UsageError(f"{repeated[0]} is given more than once.")
@@ -100,10 +92,8 @@ def _find(paths: list[SourceFile]) -> Source:
 
 
 def _look_at(path: SourceFile) -> Source:
-    return _folder(path) if isinstance(path, Path) and path.is_dir() else _file(path)
-
-
-def _file(path: SourceFile) -> Source:
+    if isinstance(path, Path) and path.is_dir():
+        return _folder(path)
     if not path.is_file():
         raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
     if detect_format(path).content is not Content.CLOUD:
@@ -206,16 +196,6 @@ def _missing_parts(folder: Path, recordings: Sequence[Path]) -> tuple[str, ...]:
     except OSError:
         return ()
     existing = {name_unpacked(path.name) for path in recordings}
-    named = [Path(name).name for name in _named_parts(lines)]
+    behind = list(dropwhile(lambda line: line.strip() != "relative_file_paths:", lines))[1:]
+    named = [Path(found[1]).name for found in takewhile(bool, map(_PART.fullmatch, behind)) if found]
     return tuple(name for name in named if name_unpacked(name) not in existing)
-
-
-def _named_parts(lines: Sequence[str]) -> list[str]:
-    begins = [number for number, line in enumerate(lines) if line.strip() == "relative_file_paths:"]
-    named: list[str] = []
-    for line in lines[begins[0] + 1 :] if begins else ():
-        found = _PART.fullmatch(line)
-        if found is None:
-            break
-        named.append(found[1])
-    return named

@@ -26,7 +26,8 @@ class MessageType:
     Args:
         names: ``package/msg/Name`` in ROS, the name of the schema elsewhere; drivers have several for one layout.
         encodings: those that the decoder reads.
-        decoder: module in `multilica.ingest` with `decode_cloud(message) -> Cloud`, imported on first use.
+        decoder: module in `multilica.ingest` with `decode_cloud(message) -> Cloud`, imported on first use; raises
+            ValueError for a broken message, with a predicate as its text.
         requires: optional package of the decoder, as ``module`` or ``module:attribute``.
         packets: what raw packets hold and how to get points of them without a decoder; empty for point clouds.
         incomplete: the same where the decoder is installed, yet the recording lacks what it needs.
@@ -100,11 +101,7 @@ def is_packets(message_type: str) -> bool:
 
 @cache
 def is_installed(requires: str) -> bool:
-    """Return whether the optional package of a decoder can be imported in a version that has what is needed.
-
-    Args:
-        requires: as in `MessageType`; empty if nothing is required.
-    """
+    """Return whether the optional package of a decoder can be imported in a version that has what is needed."""
     module, _, attribute = requires.partition(":")
     try:
         return not requires or hasattr(import_module(module), attribute or "__name__")

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any, cast
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.containers.joined_recording import JoinedRecording
+from multilica.ingest.containers.combined_recordings import JoinedRecording, SplitRecording
 from multilica.ingest.containers.ouster_recording import with_turns
-from multilica.ingest.containers.split_recording import SplitRecording
 from multilica.ingest.formats import Content, FileFormat, detect_format
 from multilica.ingest.locate import Source, locate
-from multilica.ingest.point_files.cloud_files import open_frames
+from multilica.ingest.point_files.cloud_files import CloudFiles
 from multilica.ingest.recording import Recording
 from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
 
@@ -20,13 +19,9 @@ __all__ = ["open_source"]
 
 
 def open_source(source: Source) -> Recording:
-    """Open the files of a source as one recording.
-
-    Raises:
-        UnreadableSourceError: none of the files can be read.
-    """
+    """Open the files of a source as one recording; raise UnreadableSourceError if none can be read."""
     if source.frames:
-        return open_frames(source.frames)
+        return CloudFiles(source.frames)
     if source.recorders:
         return _open_recorders(source.recorders)
     files = source.recordings

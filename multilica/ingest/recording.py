@@ -36,7 +36,6 @@ class Topic:
         name: topic; for point files, the name of the file or folder.
         message_type: ROS 2 notation, ``package/msg/Name``, also for ROS 1.
         encoding: of the messages' bytes, for instance ``cdr``, ``ros1`` or ``pcd``.
-        count: number of messages.
         lidar: the LiDAR's name in the recording; empty to name it after its frame id.
     """
 
@@ -47,11 +46,7 @@ class Topic:
     lidar: str = ""
 
     def message(self, log_time_ns: int, data: bytes | memoryview, source: object, *, fault: str = "") -> RawMessage:
-        """Return a message on this topic.
-
-        Args:
-            source: the file, for error messages.
-        """
+        """Return a message on this topic; `source` is the file, for error messages."""
         origin = f"In {source}, a scan of '{self.name}'"
         return RawMessage(self.name, self.message_type, self.encoding, log_time_ns, data, origin, self.lidar, fault)
 
@@ -115,11 +110,7 @@ class Recording(Protocol):
 
 
 class WrappedRecording:
-    """A recording that passes everything on to another one; subclasses change part of it.
-
-    Args:
-        recording: closed together with this one.
-    """
+    """A recording that passes everything on to another one; subclasses change part of it."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -154,11 +145,7 @@ def joint_span(spans: Iterable[Span | None]) -> Span | None:
 
 
 def joint_topics(counts: Iterable[tuple[Topic, int]]) -> tuple[Topic, ...]:
-    """Add up messages by topic, sorted by name.
-
-    Args:
-        counts: a topic, whose own count is ignored, and a number of its messages.
-    """
+    """Add up numbers of messages by topic, sorted by name; the topics' own counts are ignored."""
     totals: Counter[Topic] = Counter()
     for topic, count in counts:
         totals[replace(topic, count=0)] += count

@@ -3,7 +3,7 @@
 
 import json
 from collections.abc import Collection, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from io import BytesIO
 
 from mcap.data_stream import ReadDataStream
@@ -63,17 +63,14 @@ def _notes(path: SourceFile) -> list[str]:
 
 def _metadata(path: SourceFile) -> dict[str, str]:
     """Return the metadata; empty for every other file, and for a file that cannot be read, which fails later."""
-    try:
-        with damage_named(str(path)):
-            if named_format(path) is not FORMATS["mcap"] or not (path.exists() and path.is_file()):
-                return {}
-            with closing(ExactReader(path)) as stream:
-                summary = make_reader(stream).get_summary()
-                for index in summary.metadata_indexes if summary else ():
-                    if index.name == SNAPSHOT_METADATA_NAME and index.length <= _MAX_BYTES:
-                        stream.seek(index.offset + RECORD_HEAD.size)
-                        record = stream.read(index.length - RECORD_HEAD.size)
-                        return dict(Metadata.read(ReadDataStream(BytesIO(record))).metadata)
-    except DamagedRecordingError:
-        pass
+    with suppress(DamagedRecordingError), damage_named(str(path)):
+        if named_format(path) is not FORMATS["mcap"] or not (path.exists() and path.is_file()):
+            return {}
+        with closing(ExactReader(path)) as stream:
+            summary = make_reader(stream).get_summary()
+            for index in summary.metadata_indexes if summary else ():
+                if index.name == SNAPSHOT_METADATA_NAME and index.length <= _MAX_BYTES:
+                    stream.seek(index.offset + RECORD_HEAD.size)
+                    record = stream.read(index.length - RECORD_HEAD.size)
+                    return dict(Metadata.read(ReadDataStream(BytesIO(record))).metadata)
     return {}

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The way from a source to its snapshot."""
 
-from collections import Counter
+import hashlib
+import os
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
@@ -9,19 +11,31 @@ from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
 from multilica.errors import UsageError
-from multilica.ingest.fingerprint import sha256_of_files
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import MessageObserver, Recording, sanitize_text
 from multilica.ingest.remote.address import is_live, without_secrets
-from multilica.ingest.remote.remote_file import SourceFile
+from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 from multilica.ingest.selection.topics import choose_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.snapshot_metadata import config_for, notes_recorded
 from multilica.ingest.transforms.static_transforms import StaticTransforms, read_static_transforms
 from multilica.snapshot import LidarScans, Snapshot
 
-__all__ = ["TakenSnapshot", "assemble_snapshot", "read_snapshot", "take_snapshot", "with_recorded_notes"]
+__all__ = [
+    "TakenSnapshot",
+    "assemble_snapshot",
+    "read_snapshot",
+    "sha256_of_files",
+    "take_snapshot",
+    "with_recorded_notes",
+]
+
+WHOLE_FILE_BYTES = 256 << 20
+"""Of larger files, only the size, the beginning and the end are hashed."""
+_EDGE_BYTES = 64 << 20
+_REMOTE_EDGE_BYTES = 1 << 20
+_BLOCK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,7 +59,6 @@ def take_snapshot(
 
     Args:
         sources: as for `read_snapshot`, or a single ``ws://`` or ``wss://`` address.
-        config: `IngestConfig()` if None.
         observe: called with each message of a running vehicle.
 
     Raises:
@@ -110,18 +123,14 @@ def assemble_snapshot(
     """Name the LiDARs of a window: by the given name, else the frame id, else the topic.
 
     Args:
-        label: the source as the user named it.
         given: topic -> name, or empty; other topics of the window are left out.
-        notes: further notes for the user.
     """
     clouds = {topic: frames for topic, frames in window.clouds.items() if topic in given}
     frame_ids = {topic: frames[0].frame_id for topic, frames in clouds.items()}
-    counts = Counter(frame_id for frame_id in frame_ids.values() if frame_id)
-    shared = {
-        frame_id: sorted(topic for topic in frame_ids if frame_ids[topic] == frame_id)
-        for frame_id, count in sorted(counts.items())
-        if count > 1
-    }
+    topics_of: dict[str, list[str]] = defaultdict(list)
+    for topic, frame_id in sorted(frame_ids.items()):
+        topics_of[frame_id].append(topic)
+    shared = {frame_id: topics for frame_id, topics in sorted(topics_of.items()) if frame_id and len(topics) > 1}
     names = _unique_names(
         {
             topic: given[topic] or ("" if frame_id in shared else frame_id) or topic.strip("/") or topic
@@ -164,3 +173,34 @@ def _unique_names(wanted: Mapping[str, str]) -> dict[str, str]:
             name = f"{base}_{number}"
         names[topic] = name
     return names
+
+
+def sha256_of_files(files: Sequence[SourceFile]) -> str:
+    """Return the SHA-256 in hexadecimal.
+
+    One file: as `sha256sum`. Several files: the hash of the lines ``<hash>  <name>`` of `sha256sum`, sorted by path.
+    For files above 256 MiB, the hash is that of the size in ASCII digits and the first and last 64 MiB, so that a log
+    of 30 GB takes no longer than the data that is read of it; for remote files above 2 MiB, the first and last 1 MiB,
+    where an MCAP file has its index.
+    """
+    if len(files) == 1:
+        return _sha256_of_file(files[0])
+    lines = [f"{_sha256_of_file(path)}  {path.name}\n" for path in sorted(files, key=str)]
+    return hashlib.sha256(os.fsencode("".join(lines))).hexdigest()
+
+
+def _sha256_of_file(path: SourceFile) -> str:
+    digest = hashlib.sha256()
+    size = path.stat().st_size
+    parts = [(0, size)]
+    is_remote = isinstance(path, RemoteFile)
+    edge_bytes = _REMOTE_EDGE_BYTES if is_remote else _EDGE_BYTES
+    if size > (2 * edge_bytes if is_remote else WHOLE_FILE_BYTES):
+        digest.update(str(size).encode())
+        parts = [(0, edge_bytes), (size - edge_bytes, edge_bytes)]
+    with path.open("rb") as file:
+        for start, length in parts:
+            file.seek(start)
+            for offset in range(0, length, _BLOCK_BYTES):
+                digest.update(file.read(min(_BLOCK_BYTES, length - offset)))
+    return digest.hexdigest()

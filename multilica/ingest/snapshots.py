@@ -39,9 +39,6 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig | None =
     Several recordings, or folders with a bag each, are several snapshots if they share LiDAR names. Recordings without
     a common LiDAR, as from one recorder per LiDAR, are one snapshot; so are point files.
 
-    Args:
-        config: `IngestConfig()` if None.
-
     Raises:
         SourceNotFoundError: nothing exists at one of the paths.
         UnreadableSourceError: a recording cannot be read.
@@ -67,22 +64,14 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig | None =
 
 
 def require_lidar(name: str, sources: Sequence[SnapshotSource]) -> None:
-    """Check that one of the snapshots has a LiDAR of that name.
-
-    Raises:
-        UnknownNameError: none has.
-    """
+    """Raise UnknownNameError unless one of the snapshots has a LiDAR of that name."""
     lidars = {lidar for source in sources for lidar in source.lidars}
     if name not in lidars:
         raise UnknownNameError("LiDAR", name, lidars, ", ".join(str(path) for each in sources for path in each.paths))
 
 
 def require_calibratable(snapshot: Snapshot) -> None:
-    """Check that at least two LiDARs have points.
-
-    Raises:
-        UnfitSnapshotError: fewer have.
-    """
+    """Raise UnfitSnapshotError unless at least two LiDARs have points."""
     source = snapshot.source or "The snapshot"
     if len(snapshot.lidars) < 2:
         only = f"only one LiDAR ({snapshot.names[0]})" if snapshot.names else "no LiDAR"

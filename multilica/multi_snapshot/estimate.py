@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses and covariances that a set of registrations determines."""
+"""Poses that the registrations of each snapshot determine, with their scatter over snapshots."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import PairKey, PairRegistration
+from multilica.results import PairKey, PairRegistration, Spread
 from multilica.stages.refine import RefinedRig, refine
 
-__all__ = ["Estimate", "chained", "estimate_pairs", "estimate_poses"]
+__all__ = ["Estimate", "chained", "estimate_pairs", "estimate_poses", "scatter_ratio", "spread_of"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,3 +59,31 @@ def _rooted_at(root: str, rigs: Sequence[RefinedRig]) -> dict[str, RigidTransfor
 
 def _estimates(rig: RefinedRig) -> dict[str, Estimate]:
     return {name: Estimate(rig.poses[name], covariance) for name, covariance in rig.covariances.items()}
+
+
+def spread_of(estimates: Sequence[Estimate]) -> Spread:
+    """Compute the sample standard deviations of one LiDAR's poses in several snapshots."""
+    if len(estimates) < 2:
+        return Spread(len(estimates))
+    sigma = np.std(_offsets(estimates), axis=0, ddof=1)
+    return Spread(len(estimates), sigma[3:], np.rad2deg(sigma[:3]))
+
+
+def scatter_ratio(estimates: Sequence[Estimate]) -> FloatArray:
+    """Compute the (6,) ratios of the measured scatter to that which the covariances predict, at least 1.
+
+    Per axis Birge's ratio (Phys. Rev. 40, 1932): the square root of chi squared per degree of freedom about the
+    weighted mean. The standard error of the mean times this ratio agrees with the measured scatter. Unlike the plain
+    standard error it lets a snapshot with a large covariance scatter accordingly.
+    """
+    if len(estimates) < 2:
+        return np.ones(6)
+    offsets = _offsets(estimates)
+    weights = 1.0 / np.array([np.diag(estimate.covariance) for estimate in estimates])
+    mean = np.sum(weights * offsets, axis=0) / np.sum(weights, axis=0)
+    chi_squared = np.sum(weights * (offsets - mean) ** 2, axis=0)
+    return np.asarray(np.sqrt(np.maximum(1.0, chi_squared / (len(estimates) - 1))))
+
+
+def _offsets(estimates: Sequence[Estimate]) -> FloatArray:
+    return np.array([estimate.pose.offset_from(estimates[0].pose) for estimate in estimates])

@@ -1,32 +1,68 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint result of several snapshots of one rig."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import fsum
 
 import numpy as np
 
-from multilica.config import CalibrationConfig
-from multilica.errors import UnfitSnapshotError
+from multilica.config import STAGES, CalibrationConfig
+from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.disputes import Dispute, SnapshotPairs, blamed_lidars, resolve_disputes
-from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses
+from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses, scatter_ratio, spread_of
 from multilica.multi_snapshot.replay import shown_snapshot
-from multilica.multi_snapshot.snapshot_run import SnapshotRun
-from multilica.multi_snapshot.spread import scatter_ratio, spread_of, widened
-from multilica.multi_snapshot.target import choose_target
 from multilica.results import (
     CalibrationResult,
     LidarPlacement,
+    PairRegistration,
     Refinement,
     SnapshotDeviation,
     SnapshotReport,
 )
-from multilica.stages.outcome import contested_place
 from multilica.stages.refine import RefinedRig, refine
+from multilica.steps.outcome import contested_place
 
-__all__ = ["join"]
+__all__ = ["SnapshotRun", "choose_target", "join", "require_joinable"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SnapshotRun:
+    """One snapshot with its own calibration.
+
+    Args:
+        name: unique name of the snapshot.
+        result: None if the snapshot was refused.
+        source, source_sha256: as in `Snapshot`.
+        refusal: why it was refused; empty if it was calibrated.
+    """
+
+    name: str
+    result: CalibrationResult | None
+    source: str = ""
+    source_sha256: str = ""
+    refusal: str = ""
+
+
+def require_joinable(config: CalibrationConfig) -> None:
+    """Check that calibrations with this configuration can be joined.
+
+    Raises:
+        UsageError: they stop too early, or do not compute the covariance of a pair.
+    """
+    if STAGES.index(config.until) < STAGES.index("refine"):
+        raise UsageError(
+            f"Found several snapshots with --until {config.until}; "
+            "a joint result needs the stages up to refine: leave --until out, or give one snapshot."
+        )
+    if not config.refine.enabled or config.fine.engine != "small_gicp":
+        raise UsageError(
+            f"Found several snapshots with refine.enabled={str(config.refine.enabled).lower()} and "
+            f"fine.engine={config.fine.engine} (preset {config.preset}); a joint result weighs pairs by what "
+            "refinement measures with small_gicp: use both, or give one snapshot."
+        )
 
 
 def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -> CalibrationResult:
@@ -81,6 +117,40 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         for place in result.placements
     )
     return replace(result, placements=placements, pairs=shown.pairs, health=shown.health)
+
+
+def choose_target(pairs: SnapshotPairs, lidars: Sequence[str], asked_for: str) -> tuple[str, str]:
+    """Choose the LiDAR that the user names, else the one with the most overlap in the most snapshots.
+
+    Args:
+        pairs: of at least one snapshot, without contradicting ones, so that the target is not disputed.
+        lidars: all names, in order.
+        asked_for: empty if the user names none.
+
+    Returns:
+        The name of the target and the reason in words.
+
+    Raises:
+        UnknownNameError: no snapshot has the LiDAR that the user names.
+    """
+    if asked_for:
+        if asked_for not in lidars:
+            raise UnknownNameError("LiDAR", asked_for, lidars)
+        return asked_for, "set by --target"
+    overlaps = [_overlap(own) for own in pairs.values()]
+    first = Counter(max(sorted(overlap), key=overlap.__getitem__) for overlap in overlaps if overlap)
+    total = {name: fsum(overlap.get(name, 0.0) for overlap in overlaps) for name in lidars}
+    best = max(lidars, key=lambda name: (first[name], total[name]))
+    return best, f"most overlap in {first[best]} of {len(pairs)} snapshots"
+
+
+def _overlap(pairs: Sequence[PairRegistration]) -> dict[str, float]:
+    """Sum the fitness of each LiDAR's pairs; equal sums are equal in any order of the pairs."""
+    fitness: defaultdict[str, list[float]] = defaultdict(list)
+    for pair in pairs:
+        for name in (pair.target, pair.source):
+            fitness[name].append(pair.fitness)
+    return {name: fsum(values) for name, values in fitness.items()}
 
 
 def _rig(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> RefinedRig:
@@ -142,7 +212,7 @@ class _JointRig:
             T_target_source=self.rig.poses[lidar],
             fitness=best.fitness,
             rmse_m=best.rmse_m,
-            covariance=widened(self.rig.covariances[lidar], ratio),
+            covariance=self.rig.covariances[lidar] * np.outer(ratio, ratio),
             sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
             spread=spread_of(estimates),
         )

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 
 import numpy as np
 import open3d as o3d
@@ -26,18 +26,14 @@ _MIN_POINTS = 20
 
 
 def register(
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    T_target_source: RigidTransform,
-    config: FineConfig,
-    threads: int,
+    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: FineConfig
 ) -> PairRegistration:
     """Run GICP (Segal et al., RSS 2009) from coarse to fine correspondence distances.
 
+    With clouds prepared for one thread, the result is the same to the bit.
+
     Args:
-        target, source: clouds, each in the frame of its name.
         T_target_source: where to start.
-        threads: with one the result is the same to the bit.
 
     Returns:
         The pose with `fitness` and `rmse_m` as `fitness_and_rmse` defines them, for both engines.
@@ -45,12 +41,12 @@ def register(
     small = config.engine == "small_gicp"
     run = _run_small_gicp if small else _run_open3d
     state = _Gicp(T_target_source)
-    within_reach = _within_reach(target, source, T_target_source, config, threads) if small else source
+    within_reach = _within_reach(target, source, T_target_source, config) if small else source
     converged = True
     for distance_m in config.max_correspondence_distances_m:
-        state = run(state, target, within_reach, distance_m, config, threads)
+        state = run(state, target, within_reach, distance_m, config)
         converged &= state.converged
-    fitness, rmse_m, inliers = fitness_and_rmse(target, source, state.pose, config.fitness_distance_m, threads)
+    fitness, rmse_m, inliers = fitness_and_rmse(target, source, state.pose, config.fitness_distance_m)
     return PairRegistration(
         target=target.name,
         source=source.name,
@@ -67,11 +63,7 @@ def register(
 
 
 def register_narrower(
-    first: RegistrationCloud,
-    second: RegistrationCloud,
-    T_first_second: RigidTransform,
-    config: FineConfig,
-    threads: int,
+    first: RegistrationCloud, second: RegistrationCloud, T_first_second: RigidTransform, config: FineConfig
 ) -> PairRegistration:
     """Register the cloud with fewer points, as the source, to the other.
 
@@ -79,16 +71,12 @@ def register_narrower(
     and costs more.
     """
     if len(second.points_m) > len(first.points_m):
-        return register(second, first, T_first_second.inverse(), config, threads)
-    return register(first, second, T_first_second, config, threads)
+        return register(second, first, T_first_second.inverse(), config)
+    return register(first, second, T_first_second, config)
 
 
 def fitness_and_rmse(
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    T_target_source: RigidTransform,
-    distance_m: float,
-    threads: int,
+    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, distance_m: float
 ) -> tuple[float, float, int]:
     """Return the share of source points with a target point within the distance, their RMS distance and number.
 
@@ -96,7 +84,7 @@ def fitness_and_rmse(
     RMSE is infinite.
     """
     moved = T_target_source.apply(source.points_m)
-    distances, _ = target.near_tree.query(moved, distance_upper_bound=distance_m, workers=threads)
+    distances, _ = target.near_tree.query(moved, distance_upper_bound=distance_m, workers=target.tree.threads)
     inlier_distances = distances[np.isfinite(distances)]
     if len(inlier_distances) == 0:
         return 0.0, float("inf"), 0
@@ -112,43 +100,39 @@ class _Gicp:
     iterations: int = 0
     converged: bool = False
     hessian: FloatArray | None = None
-    steps: tuple[GicpStep, ...] = field(default=())
+    steps: tuple[GicpStep, ...] = ()
 
-    def moved(self, matrix: FloatArray, iterations: int, *, converged: bool, hessian: FloatArray | None) -> _Gicp:
-        pose = RigidTransform.from_rotation_translation(
-            self.pose.target, self.pose.source, matrix[:3, :3], matrix[:3, 3]
-        )
-        return _Gicp(pose, self.iterations + iterations, converged, hessian, self.steps)
-
-    def observed(self, previous: RigidTransform, distance_m: float, inliers: int, error: float) -> _Gicp:
-        translation_m, rotation_rad = previous.distance_to(self.pose)
-        step = GicpStep(self.iterations, distance_m, inliers, error, translation_m, rotation_rad)
-        return replace(self, steps=(*self.steps, step))
+    def moved(
+        self,
+        matrix: FloatArray,
+        iterations: int,
+        distance_m: float,
+        inliers: int,
+        error: float,
+        *,
+        converged: bool,
+        hessian: FloatArray | None = None,
+    ) -> _Gicp:
+        before, iterations = self.pose, self.iterations + iterations
+        pose = RigidTransform.from_rotation_translation(before.target, before.source, matrix[:3, :3], matrix[:3, 3])
+        step = GicpStep(iterations, distance_m, inliers, error, *before.distance_to(pose))
+        return _Gicp(pose, iterations, converged, hessian, (*self.steps, step))
 
 
 def _within_reach(
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    T_target_source: RigidTransform,
-    config: FineConfig,
-    threads: int,
+    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: FineConfig
 ) -> RegistrationCloud:
     reach_m = _REACH * max(config.max_correspondence_distances_m)
     moved = T_target_source.apply(source.points_m)
-    distances_m, _ = target.tree.nearest(moved, threads)
+    distances_m, _ = target.tree.nearest(moved)
     near = distances_m <= reach_m
     if not _MIN_POINTS <= np.count_nonzero(near) <= _WORTH_CROPPING * len(near):
         return source
-    return prepare_registration_cloud(source.name, source.points_m[near], config, threads)
+    return prepare_registration_cloud(source.name, source.points_m[near], config, source.tree.threads)
 
 
 def _run_small_gicp(
-    state: _Gicp,
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    distance_m: float,
-    config: FineConfig,
-    threads: int,
+    state: _Gicp, target: RegistrationCloud, source: RegistrationCloud, distance_m: float, config: FineConfig
 ) -> _Gicp:
     """Run a few iterations at a time, so that progress can be recorded."""
     for start in range(0, config.max_iterations, _OBSERVED_ITERATIONS):
@@ -159,29 +143,23 @@ def _run_small_gicp(
             init_T_target_source=state.pose.matrix,
             registration_type="GICP",
             max_correspondence_distance=distance_m,
-            num_threads=threads,
+            num_threads=target.tree.threads,
             max_iterations=min(_OBSERVED_ITERATIONS, config.max_iterations - start),
             rotation_epsilon=config.rotation_epsilon_rad,
             translation_epsilon=config.translation_epsilon_m,
         )
-        previous = state.pose
-        state = state.moved(
-            result.T_target_source, result.iterations + 1, converged=bool(result.converged), hessian=np.array(result.H)
-        ).observed(previous, distance_m, int(result.num_inliers), float(result.error))
+        matrix, inliers, error = result.T_target_source, int(result.num_inliers), float(result.error)
+        converged, hessian = bool(result.converged), np.array(result.H)
+        iterations = result.iterations + 1
+        state = state.moved(matrix, iterations, distance_m, inliers, error, converged=converged, hessian=hessian)
         if state.converged:
             break
     return state
 
 
 def _run_open3d(
-    state: _Gicp,
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    distance_m: float,
-    config: FineConfig,
-    threads: int,
+    state: _Gicp, target: RegistrationCloud, source: RegistrationCloud, distance_m: float, config: FineConfig
 ) -> _Gicp:
-    del threads
     registration = o3d.pipelines.registration
     result = registration.registration_generalized_icp(
         source.engine_cloud,
@@ -191,8 +169,5 @@ def _run_open3d(
         registration.TransformationEstimationForGeneralizedICP(epsilon=config.gicp_epsilon),
         registration.ICPConvergenceCriteria(config.relative_fitness, config.relative_rmse, config.max_iterations),
     )
-    previous = state.pose
-    inliers = len(result.correspondence_set)
-    return state.moved(result.transformation, config.max_iterations, converged=inliers > 0, hessian=None).observed(
-        previous, distance_m, inliers, float("nan")
-    )
+    inliers, iterations = len(result.correspondence_set), config.max_iterations
+    return state.moved(result.transformation, iterations, distance_m, inliers, float("nan"), converged=inliers > 0)

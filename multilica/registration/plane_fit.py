@@ -4,14 +4,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from multilica.config import RefineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.registration.poses import moved
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.registration.stability import arc_between_m
 
-__all__ = ["PlaneFit", "fit_planes", "pose_information"]
+__all__ = ["fit_planes", "pose_information"]
 
 _MIN_MATCHES = 20
 
@@ -43,7 +43,6 @@ class _Overlap:
     points_m: FloatArray
     normals: FloatArray
     distance_m: float
-    threads: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,25 +68,9 @@ class _Residuals:
         return np.asarray(self.jacobian.T @ (self.jacobian * self.weight[:, None]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PlaneFit:
-    """A pose fitted to planes.
-
-    Args:
-        information: as `pose_information`.
-    """
-
-    T_target_source: RigidTransform
-    information: FloatArray | None
-
-
 def fit_planes(
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    T_target_source: RigidTransform,
-    config: RefineConfig,
-    threads: int,
-) -> PlaneFit:
+    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: RefineConfig
+) -> tuple[RigidTransform, FloatArray | None]:
     """Refine a pose by point-to-plane registration (Chen and Medioni, 1992) on planar surroundings only.
 
     GICP gives every match the same weight, so bushes, edges and single scan lines pull as much as walls. Here a
@@ -95,29 +78,26 @@ def fit_planes(
     McClure, 1985, with the scale from the median residual).
 
     Returns:
-        The given pose where too few points match, or where the fit moves it by more than `distance_m`.
+        The pose and its information. Where too few points match, the given pose and None; where the fit moves the pose
+        by more than `distance_m`, the given one.
     """
-    overlap = _overlap(target, source, T_target_source, config, threads)
+    overlap = _overlap(target, source, T_target_source, config)
     pose = T_target_source
     for _ in range(_ITERATIONS):
         residuals = _residuals(overlap, pose)
         if residuals is None:
-            return PlaneFit(T_target_source, None)
+            return T_target_source, None
         step = _solved(residuals.hessian, -residuals.gradient)
-        pose = _moved(pose, step)
+        pose = moved(pose, step[:3], step[3:])
         if np.abs(step / _SCALE).max() < _SETTLED_M:
             break
     if arc_between_m(pose, T_target_source) > config.distance_m:
         pose = T_target_source
-    return PlaneFit(pose, _information(overlap, pose, config))
+    return pose, _information(overlap, pose, config)
 
 
 def pose_information(
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    T_target_source: RigidTransform,
-    config: RefineConfig,
-    threads: int,
+    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: RefineConfig
 ) -> FloatArray | None:
     """Compute the information (inverse covariance) of a registered pose.
 
@@ -130,7 +110,7 @@ def pose_information(
         (6, 6), order rotation (rad), translation (m), both along the target's axes, the rotation about the source's
         origin; None where too few points match.
     """
-    return _information(_overlap(target, source, T_target_source, config, threads), T_target_source, config)
+    return _information(_overlap(target, source, T_target_source, config), T_target_source, config)
 
 
 def _information(overlap: _Overlap, pose: RigidTransform, config: RefineConfig) -> FloatArray | None:
@@ -146,39 +126,35 @@ def _information(overlap: _Overlap, pose: RigidTransform, config: RefineConfig) 
 
 
 def _overlap(
-    target: RegistrationCloud,
-    source: RegistrationCloud,
-    pose: RigidTransform,
-    config: RefineConfig,
-    threads: int,
+    target: RegistrationCloud, source: RegistrationCloud, pose: RigidTransform, config: RefineConfig
 ) -> _Overlap:
     """Select the points that may match, thinned evenly to the number allowed."""
     reach_m = 1.5 * config.distance_m
-    distance_m, _ = target.tree.nearest(pose.apply(source.points_m), threads)
+    distance_m, _ = target.tree.nearest(pose.apply(source.points_m))
     near = np.flatnonzero(distance_m <= reach_m)
     if len(near) > config.max_points:
         near = near[np.linspace(0, len(near) - 1, config.max_points).astype(np.intp)]
     normals, _ = source.surface.at(near)
-    return _Overlap(target, source.points_m[near], normals, config.distance_m, threads)
+    return _Overlap(target, source.points_m[near], normals, config.distance_m)
 
 
 def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = None) -> _Residuals | None:
     arms = pose.rotate(overlap.points_m)
-    moved = arms + pose.xyz_m
-    distance_m, index = overlap.target.tree.nearest(moved, overlap.threads)
+    points_m = arms + pose.xyz_m
+    distance_m, index = overlap.target.tree.nearest(points_m)
     matched = distance_m <= overlap.distance_m
     if np.count_nonzero(matched) < _MIN_MATCHES:
         return None
-    arms, moved, index = arms[matched], moved[matched], index[matched]
+    arms, points_m, index = arms[matched], points_m[matched], index[matched]
     normals, flatness = overlap.target.surface.at(index)
-    residual_m = np.einsum("ij,ij->i", normals, moved - overlap.target.points_m[index])
+    residual_m = np.einsum("ij,ij->i", normals, points_m - overlap.target.points_m[index])
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
     if sigma_m is None:
         sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))
     weight = flatness**_FLATNESS_POWER * agreement**_AGREEMENT_POWER
     weight /= (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2) ** 2
     jacobian = np.concatenate([np.cross(arms, normals), normals], axis=1)
-    return _Residuals(residual_m, jacobian, weight, moved, sigma_m)
+    return _Residuals(residual_m, jacobian, weight, points_m, sigma_m)
 
 
 def _summed_by_patch(points_m: FloatArray, pulls: FloatArray) -> FloatArray:
@@ -198,8 +174,9 @@ def _remaining_hessian(overlap: _Overlap, pose: RigidTransform, residuals: _Resi
     left = np.empty((6, 6))
     for axis, direction in enumerate(directions.T):
         step = residuals.sigma_m * _SCALE * direction
-        moved = [_residuals(overlap, _moved(pose, sign * step), residuals.sigma_m) for sign in (1.0, -1.0)]
-        ahead, behind = (np.zeros(6) if each is None else each.gradient for each in moved)
+        poses = (moved(pose, sign * step[:3], sign * step[3:]) for sign in (1.0, -1.0))
+        around = (_residuals(overlap, each, residuals.sigma_m) for each in poses)
+        ahead, behind = (np.zeros(6) if each is None else each.gradient for each in around)
         slope = directions.T @ (_SCALE * (ahead - behind)) / (2.0 * residuals.sigma_m)
         left[:, axis] = slope / (roots * roots[axis])
     shares, mixed = np.linalg.eigh(0.5 * (left + left.T))
@@ -221,10 +198,3 @@ def _solved(hessian: FloatArray, pull: FloatArray) -> FloatArray:
     values, directions = np.linalg.eigh(hessian * np.outer(_SCALE, _SCALE))
     values = np.maximum(values, 1e-6 * max(values[-1], 1e-6))
     return np.asarray(_SCALE * (directions @ ((directions.T @ (_SCALE * pull)) / values)))
-
-
-def _moved(pose: RigidTransform, step: FloatArray) -> RigidTransform:
-    turn = Rotation.from_rotvec(step[:3]).as_matrix()
-    return RigidTransform.from_rotation_translation(
-        pose.target, pose.source, turn @ pose.rotation, pose.xyz_m + step[3:]
-    )

@@ -4,32 +4,43 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import Registration
 
-__all__ = ["SAME_POSE_M", "SAME_POSE_RAD", "is_distinct", "slid", "within_baseline"]
+__all__ = ["is_distinct", "is_near", "moved", "slid", "within_baseline"]
 
-SAME_POSE_M = 0.3
-SAME_POSE_RAD = float(np.deg2rad(3.0))
-"""Poses as near as this lie in one basin of GICP."""
+# Poses as near as this lie in one basin of GICP.
+_SAME_POSE_M = 0.3
+_SAME_POSE_RAD = float(np.deg2rad(3.0))
 
 
 def is_distinct(
     pose: RigidTransform,
     others: Iterable[RigidTransform],
-    same_m: float = SAME_POSE_M,
-    same_rad: float = SAME_POSE_RAD,
+    same_m: float = _SAME_POSE_M,
+    same_rad: float = _SAME_POSE_RAD,
 ) -> bool:
     """Tell whether the pose differs from all others, in translation or in rotation."""
     distances = (pose.distance_to(other) for other in others)
     return all(metres > same_m or radians > same_rad for metres, radians in distances)
 
 
+def is_near(pose: RigidTransform, max_baseline_m: float) -> bool:
+    """Tell whether the origins of both frames are no farther apart than this."""
+    return float(np.linalg.norm(pose.xyz_m)) <= max_baseline_m
+
+
+def moved(pose: RigidTransform, turn_rad: FloatArray, shift_m: FloatArray) -> RigidTransform:
+    """Turn a pose by a rotation vector (3,), and shift it by (3,), both along the target's axes."""
+    rotation = Rotation.from_rotvec(turn_rad).as_matrix() @ pose.rotation
+    return RigidTransform.from_rotation_translation(pose.target, pose.source, rotation, pose.xyz_m + shift_m)
+
+
 def within_baseline(registrations: Sequence[Registration], max_baseline_m: float) -> list[Registration]:
     """Select the poses that leave both LiDARs on one vehicle; all of them if none does."""
-    near = [each for each in registrations if float(np.linalg.norm(each.T_target_source.xyz_m)) <= max_baseline_m]
-    return near or list(registrations)
+    return [each for each in registrations if is_near(each.T_target_source, max_baseline_m)] or list(registrations)
 
 
 def slid(
@@ -41,11 +52,6 @@ def slid(
         direction: (3,) unit vector in the target's frame.
         steps: number of steps to either side.
     """
-    positions_m = [
-        pose.xyz_m + side * step * (step_m * direction) for step in range(1, steps + 1) for side in (-1.0, 1.0)
-    ]
-    return [
-        RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
-        for xyz_m in positions_m
-        if np.linalg.norm(xyz_m) <= max_baseline_m
-    ]
+    shifts_m = (side * step * (step_m * direction) for step in range(1, steps + 1) for side in (-1.0, 1.0))
+    poses = (moved(pose, np.zeros(3), shift_m) for shift_m in shifts_m)
+    return [each for each in poses if is_near(each, max_baseline_m)]

@@ -11,9 +11,7 @@ from scipy.spatial import cKDTree
 
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray
-from multilica.registration.neighbours import PointTree
-from multilica.registration.normals import Surface
-from multilica.registration.voxel_grid import thin
+from multilica.registration.neighbours import PointTree, Surface, thin
 
 __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
 
@@ -54,19 +52,10 @@ def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConf
         thinned = thin(thinned, voxel_size_m)
     tree = PointTree(thinned, threads)
     near_tree = cKDTree(thinned, balanced_tree=False, compact_nodes=False)
-    estimated = _with_covariances if config.engine == "small_gicp" else _in_open3d
-    return RegistrationCloud(name, thinned, tree, near_tree, estimated(tree, config, threads), config.neighbours)
-
-
-def _with_covariances(tree: PointTree, config: FineConfig, threads: int) -> small_gicp.PointCloud:
-    small_gicp.estimate_normals_covariances(
-        tree.cloud, tree.engine, num_neighbors=config.neighbours, num_threads=threads
-    )
-    return tree.cloud
-
-
-def _in_open3d(tree: PointTree, config: FineConfig, threads: int) -> o3d.geometry.PointCloud:
-    del threads
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
-    cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(config.neighbours))
-    return cloud
+    neighbours, engine_cloud = config.neighbours, tree.cloud
+    if config.engine == "small_gicp":
+        small_gicp.estimate_normals_covariances(tree.cloud, tree.engine, num_neighbors=neighbours, num_threads=threads)
+    else:
+        engine_cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
+        engine_cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(neighbours))
+    return RegistrationCloud(name, thinned, tree, near_tree, engine_cloud, neighbours)

@@ -2,21 +2,15 @@
 """Stability of a registered pose: curvature, pushes and standard deviations."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from multilica.config import FineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import register
+from multilica.registration.poses import moved
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import PairRegistration, Stability
 
-__all__ = [
-    "arc_between_m",
-    "check_stability",
-    "pushed_ends",
-    "weakest_curvature",
-    "weakest_sigmas",
-]
+__all__ = ["arc_between_m", "check_stability", "pushed_ends", "weakest_curvature", "weakest_sigmas"]
 
 
 def weakest_curvature(registration: PairRegistration) -> float:
@@ -34,17 +28,11 @@ def pushed_ends(
     weakest_direction: FloatArray,
     push_m: float,
     fine: FineConfig,
-    threads: int,
 ) -> tuple[RigidTransform, RigidTransform]:
-    """Register target and source from both sides of the pose, pushed along its weakest direction.
-
-    Args:
-        weakest_direction: (6,) unit vector as `VisibilityScore.weakest_direction`.
-    """
-    back, forth = (
-        register(*clouds, _pushed(pose, side * push_m * weakest_direction), fine, threads).T_target_source
-        for side in (-1.0, 1.0)
-    )
+    """Register target and source from both sides of the pose, pushed along `VisibilityScore.weakest_direction`."""
+    pushes = (side * push_m * weakest_direction for side in (-1.0, 1.0))
+    starts = (moved(pose, push[:3] / LEVER_ARM_M, push[3:]) for push in pushes)
+    back, forth = (register(*clouds, start, fine).T_target_source for start in starts)
     return back, forth
 
 
@@ -55,7 +43,6 @@ def check_stability(
     ends: tuple[RigidTransform, RigidTransform],
     push_m: float,
     fine: FineConfig,
-    threads: int,
 ) -> Stability:
     """Measure how far a registered pose moves when it is pushed, and when points are removed.
 
@@ -65,14 +52,11 @@ def check_stability(
     Args:
         thinned: target and source with fewer points; None where they have few anyway.
         pose: where GICP ended.
-        information: as `pose_information`.
         ends: of `pushed_ends` for that pose.
     """
-    sigma_m, sigma_rad = weakest_sigmas(information)
-    of_fewer = pose if thinned is None else register(*thinned, pose, fine, threads).T_target_source
+    of_fewer = pose if thinned is None else register(*thinned, pose, fine).T_target_source
     return Stability(
-        sigma_m,
-        sigma_rad,
+        *weakest_sigmas(information),
         push_m,
         pushed_off_m=max(arc_between_m(pose, end) for end in ends),
         thinned_off_m=arc_between_m(pose, of_fewer),
@@ -83,13 +67,6 @@ def arc_between_m(pose: RigidTransform, other: RigidTransform) -> float:
     """Return the distance between two poses, a rotation counted as the arc at `LEVER_ARM_M`."""
     metres, radians = pose.distance_to(other)
     return metres + LEVER_ARM_M * radians
-
-
-def _pushed(pose: RigidTransform, motion: FloatArray) -> RigidTransform:
-    turn = Rotation.from_rotvec(motion[:3] / LEVER_ARM_M).as_matrix()
-    return RigidTransform.from_rotation_translation(
-        pose.target, pose.source, turn @ pose.rotation, pose.xyz_m + motion[3:]
-    )
 
 
 def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:

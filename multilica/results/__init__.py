@@ -1,7 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the stages, each a frozen type."""
 
-from multilica.results.calibration import LEVEL_FRAME, CalibrationResult, Status
+from multilica.results.calibration import (
+    LEVEL_FRAME,
+    CalibrationResult,
+    Refusal,
+    SnapshotDeviation,
+    SnapshotReport,
+    Status,
+)
 from multilica.results.clouds import FeatureCloud, PreprocessedCloud, SensorHealth
 from multilica.results.hypotheses import (
     PRIOR,
@@ -24,7 +31,6 @@ from multilica.results.registrations import (
     Verdict,
     connected,
 )
-from multilica.results.snapshots import Refusal, SnapshotDeviation, SnapshotReport
 from multilica.results.visibility_score import BeamLabel, VisibilityScore
 
 __all__ = [

@@ -33,7 +33,6 @@ class PreprocessedCloud:
     """One LiDAR's returns after cleaning.
 
     Args:
-        lidar: name.
         returns_m: (R, 3) every kept return in the LiDAR's own frame: one beam each.
         points_m: (N, 3) the same, thinned on the voxel grid.
         dropped_m: per reason, the (K, 3) points that were dropped.

@@ -27,7 +27,6 @@ PairKey = tuple[str, str]
 """(target, source): names of the two LiDARs."""
 PRIOR = "prior"
 """Origin and name of the hypothesis that the prior gives."""
-_NO_INLIERS = np.zeros(0, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +76,7 @@ class Hypothesis:
     """
 
     T_target_source: RigidTransform
-    inliers: BoolArray = field(default_factory=lambda: _NO_INLIERS)
+    inliers: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     score: float = 0.0
     origin: str = ""
     index: int = -1

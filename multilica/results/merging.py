@@ -105,15 +105,11 @@ class Refinement:
     @property
     def cycle_error_m(self) -> tuple[float, float]:
         """Largest disagreement in metres before and after."""
-        return (
-            max((pair.before_m for pair in self.pairs), default=0.0),
-            max((pair.after_m for pair in self.pairs), default=0.0),
-        )
+        before_m, after_m = [pair.before_m for pair in self.pairs], [pair.after_m for pair in self.pairs]
+        return max(before_m, default=0.0), max(after_m, default=0.0)
 
     @property
     def cycle_error_deg(self) -> tuple[float, float]:
         """Largest disagreement in degrees before and after."""
-        return (
-            max((pair.before_deg for pair in self.pairs), default=0.0),
-            max((pair.after_deg for pair in self.pairs), default=0.0),
-        )
+        before_deg, after_deg = [pair.before_deg for pair in self.pairs], [pair.after_deg for pair in self.pairs]
+        return max(before_deg, default=0.0), max(after_deg, default=0.0)

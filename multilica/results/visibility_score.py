@@ -45,10 +45,7 @@ class VisibilityScore:
     """Labels and counts that the beams of both sides give to each other's points.
 
     Args:
-        agree: points on a surface that the other side measured.
-        violate: points in space that the other side's beams passed through.
-        occluded: points behind a measured surface, which prove nothing.
-        unseen: points outside the other side's field of view.
+        agree, violate, occluded, unseen: number of points with that `BeamLabel`, of both sides.
         information: (6, 6) sum of J J^T over the agreeing points, J = (turn, shift) by which a small motion lifts a
             point off its surface; order rotation, translation in the target's axes about the source's origin,
             rotations scaled by `LEVER_ARM_M` of geometry.

@@ -1,23 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of two runs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 
 from multilica.diagnosis import explain
 from multilica.errors import InputError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray
 from multilica.results.document import ResultDocument
-from multilica.results.document.values import Entry
-from multilica.runs.first_difference import Parting, partings_of
+from multilica.results.document.values import Entry, Number, Vector3
+from multilica.runs.first_difference import Change, Parting, partings_of
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import RunDocument
 
-__all__ = ["Move", "PlacedByNeither", "RunDifference", "StatusChange", "compare_runs", "extrinsics_of"]
+__all__ = ["DifferenceDocument", "RunDifference", "compare_runs", "difference_document"]
+
+PlacementStatus = Literal["placed", "not placed", "missing"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,8 +43,8 @@ class StatusChange(Entry):
     """A LiDAR that only one of the runs placed; with the cause from the other run."""
 
     lidar: str
-    before: Literal["placed", "not placed", "missing"]
-    after: Literal["placed", "not placed", "missing"]
+    before: PlacementStatus
+    after: PlacementStatus
     why: str
 
 
@@ -58,9 +61,7 @@ class RunDifference:
     """Differences between two runs.
 
     Args:
-        names: of the two runs.
         target: LiDAR in whose axes the moves are.
-        targets: of the two runs.
         moves: per LiDAR that both placed, in name order, without the target.
         statuses: per LiDAR that one of them placed.
         neither: per LiDAR that none of them placed, in name order.
@@ -88,6 +89,33 @@ class RunDifference:
         return bool(self.neither) and self.target in {each.lidar for each in self.neither} and not self.statuses
 
 
+class MoveEntry(Entry):
+    """A LiDAR that both runs place; second run - first run, along the axes of the first run's target."""
+
+    moved: bool
+    distance_m: float
+    angle_deg: float
+    translation_m: Vector3
+    rotation_deg: Vector3
+    sigmas: Number
+
+
+class DifferenceDocument(Entry):
+    """The output of `multilica diff --json`; null stands for what is not known."""
+
+    schema_: Literal["multilica/difference/1"] = Field("multilica/difference/1", alias="schema")
+    runs: tuple[str, str]
+    same: bool
+    target: str
+    targets: tuple[str, str]
+    moves: Mapping[str, MoveEntry]
+    placed_by_neither: Mapping[str, PlacedByNeither]
+    statuses: Mapping[str, StatusChange]
+    first_difference: str | None
+    differences: Mapping[str, tuple[Change, ...]]
+    notes: tuple[str, ...]
+
+
 def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, within_rad: float) -> RunDifference:
     """Compare the second run with the first.
 
@@ -100,8 +128,9 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
     first, second = before.document, after.document
     if not {*first.lidars} & {*second.lidars}:
         raise InputError(f"{before.path} and {after.path} have no LiDAR in common; give two runs of one rig.")
-    rigs = extrinsics_of(first), extrinsics_of(second)
+    rigs = Extrinsics(first.target, first.poses), Extrinsics(second.target, second.poses)
     common = first.placed & second.placed
+    found = {name: (_status(first, name), _status(second, name)) for name in sorted({*first.lidars, *second.lidars})}
     return RunDifference(
         names=(str(before.path), str(after.path)),
         target=first.target,
@@ -111,16 +140,19 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
             for name in sorted(common - {first.target})
             if first.target in common
         ),
-        statuses=_status_changes(first, second),
-        neither=_placed_by_neither(first, second),
+        statuses=tuple(
+            StatusChange(lidar=name, before=status, after=later, why=_why((second, first), name))
+            for name, (status, later) in found.items()
+            if status != later
+        ),
+        neither=tuple(
+            PlacedByNeither(lidar=name, before=_why((first,), name), after=_why((second,), name))
+            for name, statuses in found.items()
+            if statuses == ("not placed", "not placed")
+        ),
         partings=partings_of(first, second),
         notes=_notes(before, after),
     )
-
-
-def extrinsics_of(document: ResultDocument) -> Extrinsics:
-    """Return the poses of the placed LiDARs."""
-    return Extrinsics(document.target, dict(sorted(document.poses.items())))
 
 
 def _move(
@@ -146,29 +178,7 @@ def _variances(before: ResultDocument, after: ResultDocument, lidar: str) -> Flo
     return np.asarray(np.diag(np.asarray(first)) + np.diag(np.asarray(second)))
 
 
-def _status_changes(before: ResultDocument, after: ResultDocument) -> tuple[StatusChange, ...]:
-    names = sorted({*before.lidars, *after.lidars})
-    return tuple(
-        StatusChange(
-            lidar=name,
-            before=_status(before, name),
-            after=_status(after, name),
-            why=_why((after, before), name),
-        )
-        for name in names
-        if _status(before, name) != _status(after, name)
-    )
-
-
-def _placed_by_neither(before: ResultDocument, after: ResultDocument) -> tuple[PlacedByNeither, ...]:
-    return tuple(
-        PlacedByNeither(lidar=name, before=_why((before,), name), after=_why((after,), name))
-        for name in sorted(before.lidars)
-        if {_status(before, name), _status(after, name)} == {"not placed"}
-    )
-
-
-def _status(document: ResultDocument, lidar: str) -> Literal["placed", "not placed", "missing"]:
+def _status(document: ResultDocument, lidar: str) -> PlacementStatus:
     if lidar not in document.lidars:
         return "missing"
     return "placed" if document.lidars[lidar].placed else "not placed"
@@ -195,3 +205,19 @@ def _notes(before: RunDocument, after: RunDocument) -> tuple[str, ...]:
         if target not in run.document.placed
     ]
     return (*without, *unplaced)
+
+
+def difference_document(difference: RunDifference) -> DifferenceDocument:
+    """Convert a difference to its JSON document."""
+    return DifferenceDocument.of(
+        difference,
+        runs=difference.names,
+        moves={
+            move.lidar: MoveEntry.of(move, move.error, rotation_deg=np.rad2deg(move.error.rotation_rad))
+            for move in difference.moves
+        },
+        placed_by_neither={each.lidar: each for each in difference.neither},
+        statuses={change.lidar: change for change in difference.statuses},
+        first_difference=difference.partings[0].step if difference.partings else None,
+        differences={parting.step: parting.changes for parting in difference.partings},
+    )

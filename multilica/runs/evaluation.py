@@ -13,7 +13,7 @@ from multilica.errors import InputError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.results.document.values import Entry
 from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
-from multilica.runs.saved_run import SavedPlacement, SavedRun
+from multilica.runs.run_documents import SavedPlacement, SavedRun
 
 __all__ = [
     "Comparison",
@@ -37,8 +37,7 @@ class Tolerances:
     Args:
         within_m, within_rad: a placed LiDAR off by no more than both is a success.
         wrong_m, wrong_rad: a placed LiDAR off by more than either is a false accept.
-        wrong_sigma: so is one that is off by more than this many sigma of its own covariance (`as_sigma`), however
-            few metres that is.
+        wrong_sigma: so is one that is off by more sigma of its own covariance (`as_sigma`).
 
     Raises:
         UsageError: a limit is not above zero, or `within` is above `wrong`.
@@ -81,18 +80,13 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """The true poses of the LiDARs.
-
-    Args:
-        name: the file, for people.
-        extrinsics: in any common frame.
-    """
+    """The true poses of the LiDARs in any common frame, with the name of their file."""
 
     name: str
     extrinsics: Extrinsics
 
     def __contains__(self, lidar: str) -> bool:
-        return lidar == self.extrinsics.target or lidar in self.extrinsics.T_target_source
+        return lidar in self.extrinsics.members
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +94,6 @@ class Comparison:
     """One LiDAR of one run compared with the truth.
 
     Args:
-        run, truth: names of the two.
         error: None if the run did not place the LiDAR.
         normalised: the `normalised_error`; None also if the run has no covariance.
     """
@@ -129,11 +122,7 @@ class LeftOut(Entry):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """Counts of outcomes, with statistics of the errors of all placed LiDARs, right or wrong.
-
-    Args:
-        rmse, median, largest: per component, of absolute values; None if nothing was placed.
-    """
+    """Counts of outcomes, with statistics per component of the absolute errors; None if nothing was placed."""
 
     within: int
     between: int
@@ -151,12 +140,7 @@ class Summary:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evaluation:
-    """All runs compared with the truth.
-
-    Args:
-        runs: names in the given order.
-        comparisons: per run in that order, per LiDAR in name order; targets have none.
-    """
+    """All runs compared with the truth, in the given order, per LiDAR in name order; targets are not compared."""
 
     tolerances: Tolerances
     runs: tuple[str, ...]
@@ -195,12 +179,19 @@ def evaluate(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: Tole
     """
     tolerances = tolerances or Tolerances()
     names = [run.name for run in runs]
-    _require_distinct(names)
+    repeated = [name for name, count in Counter(names).items() if count > 1]
+    if repeated:
+        raise UsageError(f"Run {repeated[0]} is given more than once; give each run once, or it counts twice.")
     comparisons: list[Comparison] = []
     left_out: list[LeftOut] = []
     for run, truth in zip(runs, _one_each(truths, len(runs)), strict=True):
         left_out += _left_out(run, truth)
-        comparisons += _comparisons(run, truth, tolerances)
+        found = [
+            one
+            for one in run.placements
+            if one.lidar != run.target and {one.lidar, run.target} <= truth.extrinsics.members
+        ]
+        comparisons += [_comparison(run, truth, one, tolerances) for one in found]
     if not comparisons:
         why = f": {left_out[0].reason}" if left_out else ""
         raise InputError(f"No LiDAR of {', '.join(names) or 'no run'} can be compared with the truth{why}.")
@@ -220,12 +211,6 @@ def summarise(comparisons: Sequence[Comparison]) -> Summary:
         median=PoseError.statistic(errors, lambda rows: np.median(rows, axis=0)),
         largest=PoseError.statistic(errors, lambda rows: np.max(rows, axis=0)),
     )
-
-
-def _require_distinct(names: Sequence[str]) -> None:
-    repeated = [name for name, count in Counter(names).items() if count > 1]
-    if repeated:
-        raise UsageError(f"Run {repeated[0]} is given more than once; give each run once, or it counts twice.")
 
 
 def _one_each(truths: Sequence[Truth], runs: int) -> Sequence[Truth]:
@@ -248,13 +233,6 @@ def _left_out(run: SavedRun, truth: Truth) -> list[LeftOut]:
         sorted({*truth.extrinsics.T_target_source} - seen), f"{truth.name} has it, the run does not"
     )
     return [LeftOut(run=run.name, lidar=name, reason=reason) for name, reason in reasons.items()]
-
-
-def _comparisons(run: SavedRun, truth: Truth, tolerances: Tolerances) -> list[Comparison]:
-    if run.target not in truth:
-        return []
-    placements = [one for one in run.placements if one.lidar != run.target and one.lidar in truth]
-    return [_comparison(run, truth, placement, tolerances) for placement in placements]
 
 
 def _comparison(run: SavedRun, truth: Truth, placement: SavedPlacement, tolerances: Tolerances) -> Comparison:

@@ -1,18 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evaluation of runs as JSON and as rows of a table."""
+"""Evaluation of runs as JSON, Parquet or CSV."""
 
+import csv
+import io
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from pathlib import Path
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 from pydantic import Field
 
+from multilica.errors import UsageError
 from multilica.results.document.values import Entry, Number
-from multilica.runs.evaluation import Comparison, Evaluation, LeftOut, Outcome, Summary, Tolerances
+from multilica.runs.evaluation import Comparison, Evaluation, LeftOut, Outcome, Summary
 from multilica.runs.pose_error import PoseError
+from multilica.sinks.files.atomic import atomic_file
 
-__all__ = ["ComparisonRow", "EvaluationDocument", "comparison_row", "evaluation_document"]
+__all__ = ["EvaluationDocument", "comparison_row", "evaluation_document", "require_table_name", "write_table"]
+
+_TABLE_SUFFIXES = (".parquet", ".csv")
+_TEXT_COLUMNS = frozenset({"run", "truth", "target", "lidar", "outcome", "reason"})
 
 
 class ErrorEntry(Entry):
@@ -97,8 +105,11 @@ class EvaluationDocument(Entry):
 
 def evaluation_document(evaluation: Evaluation) -> EvaluationDocument:
     """Convert an evaluation to its JSON document."""
+    limits = evaluation.tolerances
     return EvaluationDocument(
-        tolerances=_tolerances(evaluation.tolerances),
+        tolerances=TolerancesEntry.of(
+            limits, within_deg=math.degrees(limits.within_rad), wrong_deg=math.degrees(limits.wrong_rad)
+        ),
         runs=RunsEntry(
             given=evaluation.runs,
             compared=len(evaluation.compared_runs),
@@ -113,44 +124,14 @@ def evaluation_document(evaluation: Evaluation) -> EvaluationDocument:
 
 def comparison_row(comparison: Comparison) -> ComparisonRow:
     """Convert one LiDAR of one run to a flat row."""
-    placement, error = comparison.placement, _error(comparison.error)
-    return ComparisonRow(
-        run=comparison.run,
-        truth=comparison.truth,
-        target=comparison.target,
-        lidar=placement.lidar,
-        placed=comparison.error is not None,
-        outcome=comparison.outcome,
-        **{f"error_{name}": value for name, value in error},
-        error_normalised=comparison.normalised,
-        error_sigma=comparison.error_sigma,
-        fitness=placement.fitness,
-        reason=placement.reason,
-    )
-
-
-def _tolerances(tolerances: Tolerances) -> TolerancesEntry:
-    return TolerancesEntry(
-        within_m=tolerances.within_m,
-        within_deg=math.degrees(tolerances.within_rad),
-        wrong_m=tolerances.wrong_m,
-        wrong_deg=math.degrees(tolerances.wrong_rad),
-        wrong_sigma=tolerances.wrong_sigma,
-    )
+    errors = {f"error_{name}": value for name, value in _error(comparison.error)}
+    placed, normalised = comparison.error is not None, comparison.normalised
+    return ComparisonRow.of(comparison, comparison.placement, placed=placed, error_normalised=normalised, **errors)
 
 
 def _summary(summary: Summary) -> SummaryEntry:
-    return SummaryEntry(
-        lidars=summary.lidars,
-        within=summary.within,
-        between=summary.between,
-        false_accept=summary.false_accept,
-        false_refuse=summary.false_refuse,
-        success_rate=summary.within / summary.lidars,
-        rmse=_error(summary.rmse),
-        median=_error(summary.median),
-        largest=_error(summary.largest),
-    )
+    errors = {name: _error(getattr(summary, name)) for name in ("rmse", "median", "largest")}
+    return SummaryEntry.of(summary, success_rate=summary.within / summary.lidars, **errors)
 
 
 def _error(error: PoseError | None) -> ErrorEntry:
@@ -159,3 +140,53 @@ def _error(error: PoseError | None) -> ErrorEntry:
     angles_deg = [*np.rad2deg(error.rotation_rad), math.degrees(error.angle_rad)]
     values: list[Any] = [*error.translation_m, error.distance_m, *angles_deg]
     return ErrorEntry(**dict(zip(ErrorEntry.model_fields, values, strict=True)))
+
+
+def require_table_name(path: Path) -> None:
+    """Check that the name ends in a known suffix.
+
+    Raises:
+        UsageError: it does not.
+    """
+    if path.suffix not in _TABLE_SUFFIXES:
+        raise UsageError(f"Found the table name {path}; expected one that ends in {' or '.join(_TABLE_SUFFIXES)}.")
+
+
+def write_table(evaluation: Evaluation, path: Path) -> None:
+    """Write the rows in the format of the suffix; missing folders are created.
+
+    Columns name their unit. Errors of a LiDAR that was not placed are null, in CSV empty. Parquet has the rest of the
+    evaluation document as JSON in its metadata, under the key `multilica`.
+
+    Raises:
+        UsageError: unknown suffix.
+    """
+    require_table_name(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as file:
+        (_write_parquet if path.suffix == ".parquet" else _write_csv)(evaluation, file)
+
+
+def _write_csv(evaluation: Evaluation, file: BinaryIO) -> None:
+    rows = [comparison_row(comparison).model_dump() for comparison in evaluation.comparisons]
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(ComparisonRow.model_fields), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    file.write(text.getvalue().encode("utf-8"))
+
+
+def _write_parquet(evaluation: Evaluation, file: BinaryIO) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    document = evaluation_document(evaluation)
+    types = {name: _column_type(pa, name) for name in ComparisonRow.model_fields}
+    schema = pa.schema(types, metadata={"multilica": document.model_dump_json(exclude={"lidars"})})
+    parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in document.lidars], schema=schema), file)
+
+
+def _column_type(pa: Any, name: str) -> Any:  # noqa: ANN401
+    if name in _TEXT_COLUMNS:
+        return pa.string()
+    return pa.bool_() if name == "placed" else pa.float64()

@@ -28,21 +28,14 @@ class Change(Entry):
 
 @dataclass(frozen=True, slots=True)
 class Parting:
-    """A step at which two runs differ.
-
-    Args:
-        step: `input`, `config`, `versions`, or a stage.
-    """
+    """A step at which two runs differ: `input`, `config`, `versions`, or a stage."""
 
     step: str
     changes: tuple[Change, ...]
 
 
 def partings_of(before: ResultDocument, after: ResultDocument) -> tuple[Parting, ...]:
-    """Return every step at which two runs differ, in the order of the run.
-
-    Stages are compared if both documents have figures of them.
-    """
+    """Return every step at which two runs differ, in order; stages are compared if both have figures of them."""
     return tuple(Parting(step, changes) for step, changes in _steps(before, after) if changes)
 
 

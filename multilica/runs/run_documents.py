@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of the result document of a saved run."""
+"""Readers of saved runs."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from multilica.diagnosis import Explanation, explain
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.results.document import ResultDocument, parse_result
+from multilica.geometry import FloatArray, RigidTransform, read_only
+from multilica.results.document import LidarEntry, ResultDocument, parse_result
 from multilica.sinks.files.result_files import RESULT_JSON
 
-__all__ = ["RunDocument", "read_result_json", "read_run_document"]
+__all__ = ["RunDocument", "SavedPlacement", "SavedRun", "explain_run", "read_run", "read_run_document"]
 
 _RECORDINGS = ("recording.rrd", "recording.partial.rrd")
 _MCAPS = ("result.mcap", "result.partial.mcap")
@@ -28,6 +32,38 @@ class RunDocument:
     recording: Path | None
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedPlacement:
+    """The placement of one LiDAR.
+
+    Args:
+        T_target_source: its pose in the run's target frame; None if the run did not place it.
+        covariance: (6, 6) of the pose, order rotation (rad), translation (m), along the target's axes.
+
+    Raises:
+        ValueError: the covariance is not a positive definite 6x6 matrix.
+    """
+
+    lidar: str
+    T_target_source: RigidTransform | None
+    fitness: float | None
+    reason: str
+    covariance: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        if self.covariance is not None and not np.all(np.linalg.eigvalsh(self.covariance) > 0.0):
+            raise ValueError(f"the covariance of LiDAR '{self.lidar}' is not a positive definite 6x6 matrix")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedRun:
+    """The outcome of one run, named by its directory, with a placement per LiDAR, the target among them."""
+
+    name: str
+    target: str
+    placements: tuple[SavedPlacement, ...]
+
+
 def read_run_document(path: Path) -> RunDocument:
     """Read a run directory, its `result.json`, a recording, also a cut-off one, or its `result.mcap`.
 
@@ -45,7 +81,7 @@ def read_run_document(path: Path) -> RunDocument:
     recording, mcap = _first_in(directory, _RECORDINGS), _first_in(directory, _MCAPS)
     file = path / RESULT_JSON if path.is_dir() else path
     if file.exists():
-        return RunDocument(path, read_result_json(file), recording)
+        return RunDocument(path, _read_result_json(file), recording)
     left = [one for one in (recording, mcap) if one is not None]
     if not left:
         raise SourceNotFoundError(_no_run(path, directory))
@@ -84,7 +120,7 @@ def _recorded(files: list[Path]) -> ResultDocument:
         return _recorded(others)
 
 
-def read_result_json(file: Path) -> ResultDocument:
+def _read_result_json(file: Path) -> ResultDocument:
     """Read a `result.json`.
 
     Raises:
@@ -95,3 +131,48 @@ def read_result_json(file: Path) -> ResultDocument:
     except OSError as error:
         raise UnreadableSourceError(f"{file} is not a JSON file that can be read: {error}.") from error
     return parse_result(file, text)
+
+
+def explain_run(path: Path) -> Explanation:
+    """Explain a run directory, its `result.json`, a recording, also a cut-off one, or its `result.mcap`.
+
+    Raises:
+        SourceNotFoundError: nothing there, or a directory without a run.
+        UnreadableSourceError: damaged, or not of a run.
+    """
+    return explain(read_run_document(path).document)
+
+
+def read_run(path: Path) -> SavedRun:
+    """Read a run directory or its `result.json`.
+
+    Raises:
+        SourceNotFoundError: nothing there, or a directory without a result.
+        UnreadableSourceError: not JSON, of another schema, or damaged.
+    """
+    file = _result_file(path)
+    document = _read_result_json(file)
+    try:
+        placements = tuple(_placement(document, lidar, entry) for lidar, entry in sorted(document.lidars.items()))
+    except ValueError as error:
+        raise UnreadableSourceError(f"{file} is not a whole result: {error}.") from error
+    return SavedRun(str(file.parent), document.target, placements)
+
+
+def _result_file(path: Path) -> Path:
+    if not path.exists():
+        raise SourceNotFoundError(f"No run at {path}; give a run directory or its {RESULT_JSON}.")
+    if not path.is_dir():
+        return path
+    file = path / RESULT_JSON
+    if not file.exists():
+        raise SourceNotFoundError(
+            f"{path} is not the directory of a finished run: it has no {RESULT_JSON}, "
+            "which `multilica calibrate --out` leaves when it ends."
+        )
+    return file
+
+
+def _placement(document: ResultDocument, lidar: str, entry: LidarEntry) -> SavedPlacement:
+    covariance = None if entry.covariance is None else read_only(entry.covariance, np.float64)
+    return SavedPlacement(lidar, document.pose(lidar), entry.fitness, entry.reason, covariance)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report of a saved run."""
+"""Report of a saved run, with its picture."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from multilica.errors import SourceNotFoundError
+from multilica.errors import SourceNotFoundError, UsageError
 from multilica.geometry import RigidTransform
 from multilica.results import LEVEL_FRAME
 from multilica.results.document import PairEntry
@@ -14,10 +14,12 @@ from multilica.runs.run_documents import read_run_document
 from multilica.sinks.report.contents import ReportContents, ScoredPoints
 from multilica.sinks.report.page import report_html
 from multilica.sinks.rerun.reading import RecordedScores, read_recorded_cloud, read_recorded_scores
+from multilica.sinks.rerun.viewer import viewer_picture
 from multilica.stages.ground import estimate_level
 
-__all__ = ["contents_of_run", "report_of_run"]
+__all__ = ["contents_of_run", "picture_of_run", "recording_of_run", "report_of_run"]
 
+_SIDE_PX = (64, 8192)
 _SAME_POSE = 1e-4
 """Metres and radians: a recording holds poses in single precision."""
 
@@ -73,3 +75,38 @@ def _points_at(pose: RigidTransform, finalists: list[RigidTransform], found: Rec
     if rank is None or rank >= len(found.labels):
         return ScoredPoints(pose, np.empty((0, 3)), np.empty(0, dtype=np.uint8))
     return ScoredPoints(pose, found.points_m.astype(np.float64), found.labels[rank])
+
+
+def recording_of_run(path: Path) -> Path:
+    """Return the recording of a run directory, whole or cut off, or the recording itself.
+
+    Raises:
+        SourceNotFoundError: nothing there, or no recording.
+    """
+    if path.suffix == ".rrd" and path.is_file():
+        return path
+    recording = read_run_document(path).recording
+    if recording is None:
+        raise SourceNotFoundError(f"{path} has no recording beside it, which `multilica calibrate` writes.")
+    return recording
+
+
+def picture_of_run(path: Path, size_px: tuple[int, int]) -> bytes:
+    """Draw the first view of a run as PNG, without a screen.
+
+    Args:
+        path: a run directory or a recording.
+        size_px: width and height.
+
+    Raises:
+        SourceNotFoundError: nothing there, or no recording.
+        UnreadableSourceError: damaged, or not of a run.
+        UsageError: the size is out of range.
+        ViewerError: Rerun's viewer does not run here.
+    """
+    if not all(_SIDE_PX[0] <= side <= _SIDE_PX[1] for side in size_px):
+        raise UsageError(
+            f"Found a picture size of {size_px[0]} x {size_px[1]} pixels; expected {_SIDE_PX[0]} to {_SIDE_PX[1]} "
+            "per side."
+        )
+    return viewer_picture(recording_of_run(path), size_px)

@@ -2,30 +2,48 @@
 """Disturbances of a snapshot, by name."""
 
 from collections.abc import Collection, Mapping
-from types import MappingProxyType
+from dataclasses import dataclass
 
 import numpy as np
 
 from multilica.errors import UnknownNameError, UsageError
-from multilica.geometry import FloatArray
-from multilica.simulate.sensors import SensorModel
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.simulate.raycast import Surroundings
+from multilica.simulate.rigs import BASE, Mount
+from multilica.simulate.scenes import Scene
+from multilica.simulate.sensors import SensorModel, unit_directions
+from multilica.simulate.shapes.mesh import Mesh, merged
+from multilica.simulate.shapes.vehicles import pedestrian, truck
 
-__all__ = ["DISTURBANCES", "add_dirt", "add_rain", "blocked_beams", "require_known"]
+__all__ = [
+    "DISTURBANCES",
+    "Walker",
+    "add_dirt",
+    "add_rain",
+    "blocked_beams",
+    "pedestrians",
+    "random_walkers",
+    "require_known",
+    "truck_beside",
+]
 
-DISTURBANCES: Mapping[str, str] = MappingProxyType(
-    {
-        "dead:<lidar>": "that LiDAR returns nothing",
-        "dirty:<lidar>": "a connected half of that LiDAR's beams is blocked at its window",
-        "low_overlap": "rig chain only: neighbours share about one tenth of their field of view",
-        "moving": "the vehicle drives on at 3 m/s",
-        "pedestrians": "people walk around the vehicle",
-        "rain": "2 % of the returns are strays at random nearer ranges",
-        "truck": "a truck beside the vehicle blocks about half of one LiDAR's view",
-    }
-)
+DISTURBANCES: Mapping[str, str] = {
+    "dead:<lidar>": "that LiDAR returns nothing",
+    "dirty:<lidar>": "a connected half of that LiDAR's beams is blocked at its window",
+    "low_overlap": "rig chain only: neighbours share about one tenth of their field of view",
+    "moving": "the vehicle drives on at 3 m/s",
+    "pedestrians": "people walk around the vehicle",
+    "rain": "2 % of the returns are strays at random nearer ranges",
+    "truck": "a truck beside the vehicle blocks about half of one LiDAR's view",
+}
 _RAIN_SHARE = 0.02
 _DIRT_ECHO_SHARE = 0.3
 _DIRT_ECHO_M = (0.3, 0.95)
+_TRUCK_HEIGHT_M = 3.9
+_TRUCK_GAPS_M = (0.5, 0.9, 1.5)
+_STEP_M = 0.7
+_EYE_M = 1.1
+_NEAREST_WALKER_M = 3.5
 
 
 def require_known(disturbances: Collection[str], rig: str, lidars: Collection[str]) -> None:
@@ -64,3 +82,63 @@ def blocked_beams(directions: FloatArray, axis: FloatArray) -> np.ndarray[tuple[
     """Return a mask of the half of the beams (N, 3) closest to the axis (3,): one connected patch of the window."""
     lean = directions @ axis
     return np.asarray(lean > np.median(lean))
+
+
+@dataclass(frozen=True, slots=True)
+class Walker:
+    """A pedestrian who walks straight on from a place in the world frame."""
+
+    xy_m: tuple[float, float]
+    heading_rad: float
+    speed_m_s: float
+    height_m: float
+    phase_rad: float
+
+
+def random_walkers(scene: Scene, fixed: Surroundings, rng: np.random.Generator) -> tuple[Walker, ...]:
+    """Place up to ten people 3.5 to 16 m away, in plain view of the vehicle and not walking towards it."""
+    azimuths_rad = rng.uniform(-np.pi, np.pi, size=30)
+    origin = RigidTransform.from_xyz_rpy(BASE, "eye", (0.0, 0.0, _EYE_M), (0.0, 0.0, 0.0))
+    T_world_eye = scene.T_world_base @ origin
+    free_m = fixed.cast(T_world_eye, unit_directions(azimuths_rad, np.zeros(30))).ranges_m - 0.8
+    visible = np.flatnonzero(free_m > _NEAREST_WALKER_M)[:10]
+    ranges_m = rng.uniform(_NEAREST_WALKER_M, np.minimum(free_m[visible], 16.0))
+    walkers = []
+    for azimuth_rad, range_m in zip(azimuths_rad[visible].tolist(), ranges_m.tolist(), strict=True):
+        spot_m = [range_m * float(np.cos(azimuth_rad)), range_m * float(np.sin(azimuth_rad)), 0.0]
+        x_m, y_m, _ = T_world_eye.apply(spot_m).tolist()
+        heading_rad = float(T_world_eye.rpy_rad[2]) + azimuth_rad + rng.uniform(-0.6, 0.6) * np.pi
+        speed_m_s, height_m, phase_rad = rng.uniform(0.8, 1.7), rng.uniform(1.2, 1.9), rng.uniform(0.0, np.pi)
+        walkers.append(Walker((x_m, y_m), heading_rad, speed_m_s, height_m, phase_rad))
+    return tuple(walkers)
+
+
+def pedestrians(scene: Scene, walkers: tuple[Walker, ...], time_s: float) -> Mesh:
+    """Build the walkers in the world frame at a time after the first frame."""
+    meshes = []
+    for walker in walkers:
+        way_m = walker.speed_m_s * time_s
+        stride_rad = 0.45 * float(np.sin(np.pi * way_m / _STEP_M + walker.phase_rad))
+        x_m = walker.xy_m[0] + way_m * float(np.cos(walker.heading_rad))
+        y_m = walker.xy_m[1] + way_m * float(np.sin(walker.heading_rad))
+        meshes.append(scene.terrain.place(pedestrian(walker.height_m, stride_rad), x_m, y_m, walker.heading_rad))
+    return merged(meshes)
+
+
+def truck_beside(scene: Scene, mount: Mount, T_base_lidar: RigidTransform, rng: np.random.Generator) -> Mesh:
+    """Build a truck in the world frame, at the place where it blocks closest to half of the LiDAR's beams."""
+    body = truck(rng.uniform(10.0, 14.0), min(_TRUCK_HEIGHT_M, scene.headroom_m))
+    directions = mount.sensor.pattern.directions(0, rng)[::41]
+    half_m = float(body.vertices_m[:, 0].max())
+    parked = []
+    for across, away_m, reach_m in ((False, 0.9, half_m), (True, 2.3, half_m + 1.0)):
+        for side in (-1.0, 1.0):
+            for gap_m in _TRUCK_GAPS_M:
+                for along_m in np.linspace(-reach_m, reach_m, 9).tolist():
+                    beside_m = side * (away_m + gap_m + 1.25)
+                    if across:
+                        parked.append(body.moved(beside_m, along_m, yaw_rad=np.pi / 2.0))
+                    else:
+                        parked.append(body.moved(along_m, beside_m))
+    blocked = [np.isfinite(Surroundings(mesh).cast(T_base_lidar, directions).ranges_m).mean() for mesh in parked]
+    return parked[int(np.argmin(np.abs(np.array(blocked) - 0.5)))].transformed(scene.T_world_base)

@@ -27,11 +27,7 @@ class Hits:
 
 
 class Surroundings:
-    """A mesh that beams can be cast into.
-
-    Args:
-        mesh: surfaces in the frame in which the LiDAR's pose is given.
-    """
+    """A mesh that beams can be cast into, in the frame in which the LiDAR's pose is given."""
 
     def __init__(self, mesh: Mesh) -> None:
         import open3d as o3d

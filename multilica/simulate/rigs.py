@@ -3,14 +3,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 
 from multilica.geometry import RigidTransform
-from multilica.simulate import sensors
-from multilica.simulate.shapes.mesh import Mesh, merged
-from multilica.simulate.shapes.primitives import tapered_box
+from multilica.simulate.sensors import RasterPattern, RosettePattern, SensorModel, SpinningPattern
+from multilica.simulate.shapes.mesh import Mesh, merged, tapered_box
 
 __all__ = ["BASE", "RIGS", "Mount", "Rig", "as_built", "fan", "misjudged", "vehicle_body"]
 
@@ -18,18 +16,23 @@ BASE = "base"
 _BUILD_SIGMA_M, _BUILD_SIGMA_RAD = 0.02, float(np.deg2rad(1.0))
 _DRAWING_SIGMA_M, _DRAWING_SIGMA_RAD = 0.05, float(np.deg2rad(2.0))
 
+_OS1_128 = SensorModel(SpinningPattern(128, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-128
+_OS2_128 = SensorModel(SpinningPattern(128, 1024, (-11.25, 11.25)), 120.0, 0.8)  # Ouster OS2-128
+_VLP_16 = SensorModel(SpinningPattern(16, 1800, (-15.0, 15.0)), 90.0, 0.4, 0.015)  # Velodyne VLP-16
+_ROOF_64 = SensorModel(SpinningPattern(64, 1800, (-25.0, 15.0)), 110.0, 0.5, 0.015)  # 64-channel roof LiDAR
+_SIDE_32 = SensorModel(SpinningPattern(32, 900, (-32.0, 48.0)), 60.0, 0.3, 0.02, 0.03)  # 32-channel side LiDAR
+_FALCON = SensorModel(RasterPattern(104, 640, 120.0, 25.0), 120.0, 0.5, 0.02, 0.02)  # Seyond Falcon
+_AVIA = SensorModel(RosettePattern(24_000, 70.4, 77.2), 100.0, 0.5, 0.02, 0.03)  # Livox Avia
+_AERIES_II = SensorModel(RasterPattern(64, 800, 120.0, 19.2), 120.0, 0.8, 0.016, 0.03)  # Aeva Aeries II
+_NARROW = SensorModel(RasterPattern(120, 400, 70.0, 30.0), 90.0, 0.4, 0.018, 0.02)  # narrow solid-state LiDAR
+
 
 @dataclass(frozen=True, slots=True)
 class Mount:
-    """A LiDAR on the vehicle.
-
-    Args:
-        xyz_m: position in the base frame.
-        rpy_deg: extrinsic xyz attitude in the base frame.
-    """
+    """A LiDAR on the vehicle, with position and extrinsic xyz attitude in the base frame."""
 
     name: str
-    sensor: sensors.SensorModel
+    sensor: SensorModel
     xyz_m: tuple[float, float, float]
     rpy_deg: tuple[float, float, float]
 
@@ -42,12 +45,7 @@ class Mount:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A vehicle with its LiDARs.
-
-    Args:
-        mounts: in the order of the rig's drawing.
-        roof_m: height, length and width of the roof.
-    """
+    """A vehicle with its LiDARs; `roof_m` is height, length and width of the roof."""
 
     name: str
     mounts: tuple[Mount, ...]
@@ -81,13 +79,13 @@ def vehicle_body(rig: Rig) -> Mesh:
 
 def fan(overlap_deg: float) -> Rig:
     """Build a rig of four narrow LiDARs on the roof, of which neighbours overlap by that angle."""
-    step_deg = sensors.NARROW.pattern.horizontal_fov_deg - overlap_deg
+    step_deg = _NARROW.pattern.horizontal_fov_deg - overlap_deg
     mounts = []
     for index, name in enumerate(("right", "front_right", "front_left", "left")):
         yaw_deg = step_deg * (index - 1.5)
         yaw_rad = np.deg2rad(yaw_deg)
         xyz_m = (0.3 * float(np.cos(yaw_rad)), 0.3 * float(np.sin(yaw_rad)), 1.95)
-        mounts.append(Mount(name, sensors.NARROW, xyz_m, (0.0, 4.0 + 2.0 * (index % 2), yaw_deg)))
+        mounts.append(Mount(name, _NARROW, xyz_m, (0.0, 4.0 + 2.0 * (index % 2), yaw_deg)))
     return Rig("chain", tuple(mounts), (1.7, 1.2, 1.1))
 
 
@@ -95,10 +93,10 @@ def fan(overlap_deg: float) -> Rig:
 _EDGAR = Rig(
     "edgar",
     (
-        Mount("front", sensors.FALCON, (1.45, 0.0, 2.12), (1.0, 6.0, 0.0)),
-        Mount("left", sensors.OS1_128, (0.15, 0.72, 2.14), (2.0, 18.0, 88.0)),
-        Mount("rear", sensors.FALCON, (-1.45, 0.0, 2.12), (-1.0, 8.0, 180.0)),
-        Mount("right", sensors.OS1_128, (0.15, -0.72, 2.14), (-3.0, 17.0, -91.0)),
+        Mount("front", _FALCON, (1.45, 0.0, 2.12), (1.0, 6.0, 0.0)),
+        Mount("left", _OS1_128, (0.15, 0.72, 2.14), (2.0, 18.0, 88.0)),
+        Mount("rear", _FALCON, (-1.45, 0.0, 2.12), (-1.0, 8.0, 180.0)),
+        Mount("right", _OS1_128, (0.15, -0.72, 2.14), (-3.0, 17.0, -91.0)),
     ),
     (1.95, 2.7, 1.5),
 )
@@ -106,10 +104,10 @@ _EDGAR = Rig(
 _HELIPR = Rig(
     "helipr",
     (
-        Mount("aeva", sensors.AERIES_II, (0.65, -0.22, 1.95), (0.5, 1.0, -1.0)),
-        Mount("livox", sensors.AVIA, (0.75, 0.25, 2.10), (-0.5, 1.0, 1.5)),
-        Mount("ouster", sensors.OS2_128, (0.0, 0.0, 2.20), (0.5, 0.5, 0.0)),
-        Mount("velodyne", sensors.VLP_16, (-0.45, 0.05, 2.05), (0.0, -1.0, 2.0)),
+        Mount("aeva", _AERIES_II, (0.65, -0.22, 1.95), (0.5, 1.0, -1.0)),
+        Mount("livox", _AVIA, (0.75, 0.25, 2.10), (-0.5, 1.0, 1.5)),
+        Mount("ouster", _OS2_128, (0.0, 0.0, 2.20), (0.5, 0.5, 0.0)),
+        Mount("velodyne", _VLP_16, (-0.45, 0.05, 2.05), (0.0, -1.0, 2.0)),
     ),
     (1.72, 1.7, 1.4),
 )
@@ -117,9 +115,9 @@ _HELIPR = Rig(
 _SIDES = Rig(
     "sides",
     (
-        Mount("left", sensors.SIDE_32, (0.01, 0.57, 1.65), (-4.2, 45.1, 91.8)),
-        Mount("right", sensors.SIDE_32, (-0.03, -0.56, 1.62), (-0.5, 45.8, -86.1)),
-        Mount("top", sensors.ROOF_64, (0.0, 0.0, 2.05), (0.0, 0.0, 0.0)),
+        Mount("left", _SIDE_32, (0.01, 0.57, 1.65), (-4.2, 45.1, 91.8)),
+        Mount("right", _SIDE_32, (-0.03, -0.56, 1.62), (-0.5, 45.8, -86.1)),
+        Mount("top", _ROOF_64, (0.0, 0.0, 2.05), (0.0, 0.0, 0.0)),
     ),
     (1.52, 1.2, 1.0),
 )
@@ -127,13 +125,11 @@ _SIDES = Rig(
 _BLIND = Rig(
     "blind",
     (
-        Mount("front_left", sensors.NARROW, (1.0, 0.35, 1.9), (0.0, 5.0, 18.0)),
-        Mount("front_right", sensors.NARROW, (1.0, -0.35, 1.9), (0.0, 6.0, -18.0)),
-        Mount("rear", sensors.NARROW, (-1.0, 0.0, 1.9), (0.0, 6.0, 180.0)),
+        Mount("front_left", _NARROW, (1.0, 0.35, 1.9), (0.0, 5.0, 18.0)),
+        Mount("front_right", _NARROW, (1.0, -0.35, 1.9), (0.0, 6.0, -18.0)),
+        Mount("rear", _NARROW, (-1.0, 0.0, 1.9), (0.0, 6.0, 180.0)),
     ),
     (1.7, 1.2, 1.1),
 )
 
-RIGS: Mapping[str, Rig] = MappingProxyType(
-    {rig.name: rig for rig in (_BLIND, fan(overlap_deg=22.5), _EDGAR, _HELIPR, _SIDES)}
-)
+RIGS: Mapping[str, Rig] = {rig.name: rig for rig in (_BLIND, fan(overlap_deg=22.5), _EDGAR, _HELIPR, _SIDES)}

@@ -1,11 +1,87 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LiDAR models with the data of real products."""
+"""Models of LiDARs; beams in the LiDAR's own frame: x forward, y left, z up."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
-from multilica.simulate.patterns import BeamPattern, RasterPattern, RosettePattern, SpinningPattern
+import numpy as np
 
-__all__ = ["AERIES_II", "AVIA", "FALCON", "NARROW", "OS1_128", "OS2_128", "ROOF_64", "SIDE_32", "VLP_16", "SensorModel"]
+from multilica.geometry import FloatArray
+
+__all__ = ["BeamPattern", "RasterPattern", "RosettePattern", "SensorModel", "SpinningPattern", "unit_directions"]
+
+
+def unit_directions(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:
+    """Compute unit vectors (N, 3) from angles of a common shape."""
+    azimuth, elevation = np.broadcast_arrays(azimuth_rad, elevation_rad)
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=-1).reshape(-1, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class SpinningPattern:
+    """Channels that rotate about z and fire once per column; each frame starts at a random phase of a column."""
+
+    channels: int
+    columns: int
+    elevation_deg: tuple[float, float]
+    horizontal_fov_deg: ClassVar[float] = 360.0
+
+    def directions(self, frame: int, rng: np.random.Generator) -> FloatArray:
+        """Return (columns * channels, 3) unit vectors of one turn."""
+        del frame
+        azimuth = 2.0 * np.pi * (np.arange(self.columns) + rng.random()) / self.columns
+        elevation = np.deg2rad(np.linspace(*self.elevation_deg, self.channels))
+        return unit_directions(azimuth[:, None], elevation[None, :])
+
+
+@dataclass(frozen=True, slots=True)
+class RasterPattern:
+    """Rows and columns over a rectangular field of view, shifted within one cell from frame to frame."""
+
+    rows: int
+    columns: int
+    horizontal_fov_deg: float
+    vertical_fov_deg: float
+
+    def directions(self, frame: int, rng: np.random.Generator) -> FloatArray:
+        """Return (rows * columns, 3) unit vectors of one frame."""
+        del frame
+        column = (np.arange(self.columns) + rng.random()) / self.columns - 0.5
+        row = (np.arange(self.rows) + rng.random()) / self.rows - 0.5
+        azimuth = np.deg2rad(self.horizontal_fov_deg) * column
+        elevation = np.deg2rad(self.vertical_fov_deg) * row
+        return unit_directions(azimuth[None, :], elevation[:, None])
+
+
+@dataclass(frozen=True, slots=True)
+class RosettePattern:
+    """Petals of two counter-rotating prisms with a stack of lasers; the figure continues from frame to frame."""
+
+    beams: int
+    horizontal_fov_deg: float
+    vertical_fov_deg: float
+    lasers: int = 6
+    laser_pitch_deg: float = 0.25
+    frame_s: float = 0.1
+    prism_hz: tuple[float, float] = (124.3, -78.7)
+
+    def directions(self, frame: int, rng: np.random.Generator) -> FloatArray:
+        """Return (beams, 3) unit vectors of one frame."""
+        del rng
+        firings = self.beams // self.lasers
+        time_s = self.frame_s * (frame + np.arange(firings) / firings)
+        turns = [2.0 * np.pi * hz * time_s for hz in self.prism_hz]
+        sideways = (np.cos(turns[0]) + np.cos(turns[1])) / 2.0
+        upwards = (np.sin(turns[0]) + np.sin(turns[1])) / 2.0
+        stack_deg = self.laser_pitch_deg * (np.arange(self.lasers) - (self.lasers - 1) / 2.0)
+        swing_deg = self.vertical_fov_deg / 2.0 - stack_deg[-1]
+        azimuth = np.deg2rad(self.horizontal_fov_deg / 2.0 * sideways)
+        elevation = np.deg2rad(swing_deg * upwards[:, None] + stack_deg[None, :])
+        return unit_directions(azimuth[:, None], elevation)
+
+
+BeamPattern = SpinningPattern | RasterPattern | RosettePattern
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,8 +89,6 @@ class SensorModel:
     """Measuring properties of a LiDAR.
 
     Args:
-        pattern: directions of its beams.
-        min_range_m, max_range_m: returns outside are not reported.
         range_noise_m: standard deviation of a range.
         dropout: probability that a beam on a surface facing it does not return.
         grazing_cosine: cosine of the incidence angle at which 63 % of the beams return; below, they fade away.
@@ -26,14 +100,3 @@ class SensorModel:
     range_noise_m: float = 0.018
     dropout: float = 0.02
     grazing_cosine: float = 0.05
-
-
-OS1_128 = SensorModel(SpinningPattern(128, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-128
-OS2_128 = SensorModel(SpinningPattern(128, 1024, (-11.25, 11.25)), 120.0, 0.8)  # Ouster OS2-128
-VLP_16 = SensorModel(SpinningPattern(16, 1800, (-15.0, 15.0)), 90.0, 0.4, 0.015)  # Velodyne VLP-16
-ROOF_64 = SensorModel(SpinningPattern(64, 1800, (-25.0, 15.0)), 110.0, 0.5, 0.015)  # 64-channel roof LiDAR
-SIDE_32 = SensorModel(SpinningPattern(32, 900, (-32.0, 48.0)), 60.0, 0.3, 0.02, 0.03)  # 32-channel side LiDAR
-FALCON = SensorModel(RasterPattern(104, 640, 120.0, 25.0), 120.0, 0.5, 0.02, 0.02)  # Seyond Falcon
-AVIA = SensorModel(RosettePattern(24_000, 70.4, 77.2), 100.0, 0.5, 0.02, 0.03)  # Livox Avia
-AERIES_II = SensorModel(RasterPattern(64, 800, 120.0, 19.2), 120.0, 0.8, 0.016, 0.03)  # Aeva Aeries II
-NARROW = SensorModel(RasterPattern(120, 400, 70.0, 30.0), 90.0, 0.4, 0.018, 0.02)  # narrow solid-state LiDAR

@@ -8,12 +8,11 @@ import numpy as np
 from multilica.errors import UnknownNameError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.disturbances import add_dirt, add_rain, require_known
+from multilica.simulate.disturbances import add_dirt, add_rain, pedestrians, random_walkers, require_known, truck_beside
 from multilica.simulate.raycast import Surroundings, measure, nearer, returned_points
 from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, fan, misjudged, vehicle_body
 from multilica.simulate.scenes import SCENES
 from multilica.simulate.shapes.mesh import merged
-from multilica.simulate.traffic import pedestrians, random_walkers, truck_beside
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 __all__ = ["Simulation", "simulate_snapshot"]
@@ -29,14 +28,12 @@ class Simulation:
     """A simulated snapshot.
 
     Args:
-        snapshot: its static transforms are off by about 5 cm and 2 degrees.
+        snapshot: its static transforms are off by about 5 cm and 2 degrees; `source` is the request in one line.
         truth: ``T_base_<lidar>``, exact; base is ISO 8855, on the ground below the vehicle's middle.
-        description: the request in one line.
     """
 
     snapshot: Snapshot
     truth: Extrinsics
-    description: str
 
 
 def simulate_snapshot(
@@ -53,9 +50,6 @@ def simulate_snapshot(
     The surroundings depend on scene and seed only, the mounting on rig and build seed only.
 
     Args:
-        rig: one of `RIGS`.
-        scene: one of `SCENES`.
-        seed: any whole number from 0.
         frames: per LiDAR, at 10 Hz.
         disturbances: any of `DISTURBANCES`, for instance ``("rain", "dead:left")``.
         build_seed: chooses the vehicle; None: `seed`. A vehicle has the same truth and the same static transforms
@@ -83,7 +77,7 @@ def simulate_snapshot(
     static = tuple(misjudged(pose, priors) for pose in poses.values())
     vehicle = "" if build_seed is None else f", vehicle {build_seed}"
     description = f"simulation {world.label}{vehicle}" + (f" with {', '.join(disturbances)}" if disturbances else "")
-    return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses), description)
+    return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses))
 
 
 def _stream(*keys: object) -> np.random.Generator:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from multilica.config import Stage
 from multilica.diagnosis import DecisivePair, Missing, explain
 from multilica.results import PairKey
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 
 __all__ = ["Failure", "decisive_failure", "failures"]

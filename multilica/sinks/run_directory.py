@@ -12,10 +12,10 @@ from multilica.config import CalibrationConfig
 from multilica.errors import UsageError
 from multilica.events import Observer
 from multilica.sinks.files.atomic import begun_files, partial_path, write_text_atomically
+from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.result_files import CALIBRATION_TOML, RESULT_JSON, ResultFiles
-from multilica.sinks.files.toml_text import toml_text
 from multilica.sinks.mcap.result_mcap import ResultMcap
-from multilica.sinks.report.report_file import REPORT_HTML, ReportFile
+from multilica.sinks.report.page import REPORT_HTML, ReportFile
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
 
@@ -53,9 +53,9 @@ class RunDirectory:
     def __call__(self, event: events.Event) -> None:
         """Pass the event to every sink, at once or when the clouds are preprocessed."""
         self._queue.append(event)
-        if not self.started and not self._may_start(event):
-            return
         if not self.started:
+            if not self._may_start(event):
+                return
             self.clear()
             text = _CONFIG_HEADER + toml_text(self._config.model_dump(mode="json"))
             write_text_atomically(self.directory / _CONFIG, text)
@@ -114,7 +114,7 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
         mcap = stack.enter_context(ResultMcap(out_dir / _MCAP, encoding, attached, state))
         report = stack.enter_context(ReportFile(out_dir, state))
         recording = stack.enter_context(RerunRecording(out_dir / _RECORDING, state))
-        files = stack.enter_context(ResultFiles(out_dir, state))
+        files = ResultFiles(out_dir, state)
         run = RunDirectory(out_dir, config, (recording, mcap, files, report))
         try:
             yield run
@@ -136,30 +136,23 @@ def _holds_result(directory: Path) -> bool:
 
 
 def _outputs(directory: Path) -> tuple[Path, ...]:
+    texts = tuple(directory / name for name in _ATTACHED)
     recording, mcap = directory / _RECORDING, directory / _MCAP
-    texts = (CALIBRATION_TOML, RESULT_JSON, REPORT_HTML)
-    written_last = (recording, partial_path(recording), mcap, partial_path(mcap), directory / _CONFIG)
-    return (*(directory / name for name in texts), *written_last)
+    return (*texts, recording, partial_path(recording), mcap, partial_path(mcap), directory / _CONFIG)
 
 
 def _prepare(directory: Path) -> None:
+    config, why = directory / _CONFIG, ""
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        foreign = _is_foreign(directory / _CONFIG)
+        foreign = config.exists() and not config.read_bytes().startswith(_CONFIG_HEADER.encode())
+        if not os.access(directory, os.W_OK | os.X_OK):
+            why = "permission denied"
+        elif foreign:
+            why = f"its {_CONFIG} is not of a multilica run and would be overwritten"
     except OSError as error:
-        raise _refused(directory, error.strerror or str(error)) from error
-    if not os.access(directory, os.W_OK | os.X_OK):
-        raise _refused(directory, "permission denied")
-    if foreign:
-        raise _refused(directory, f"its {_CONFIG} is not of a multilica run and would be overwritten")
-
-
-def _is_foreign(config: Path) -> bool:
-    if not config.exists():
-        return False
-    with config.open("rb") as file:
-        return file.read(len(_CONFIG_HEADER)) != _CONFIG_HEADER.encode()
-
-
-def _refused(directory: Path, why: str) -> UsageError:
-    return UsageError(f"Cannot write to {directory}: {why}; give --out a directory that can be created or written to.")
+        why = error.strerror or str(error)
+    if why:
+        raise UsageError(
+            f"Cannot write to {directory}: {why}; give --out a directory that can be created or written to."
+        )

@@ -4,15 +4,15 @@
 from collections.abc import Callable, Mapping
 
 from multilica.config import CoarseConfig
+from multilica.geometry import RigidTransform
 from multilica.results import Correspondences
 from multilica.solvers.cliques import solve_by_cliques
-from multilica.solvers.open3d_solvers import solve_by_fgr, solve_by_ransac
-from multilica.solvers.optional import solve_by_kiss_matcher, solve_by_teaserpp
-from multilica.solvers.solver_hypotheses import SolverHypotheses
+from multilica.solvers.library_solvers import solve_by_fgr, solve_by_kiss_matcher, solve_by_ransac, solve_by_teaserpp
 
-__all__ = ["SOLVERS", "Solver", "SolverHypotheses"]
+__all__ = ["SOLVERS", "Solver"]
 
-Solver = Callable[[Correspondences, CoarseConfig, int], SolverHypotheses]
+Solver = Callable[[Correspondences, CoarseConfig, int], tuple[tuple[RigidTransform, ...], int]]
+"""Takes matches, configuration and seed to poses, the most trusted first, and the consistency graph's edges (or 0)."""
 
 SOLVERS: Mapping[str, Solver] = {
     "cliques": solve_by_cliques,

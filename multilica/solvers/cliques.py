@@ -8,7 +8,6 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import Correspondences
 from multilica.solvers.consistency_graph import build_consistency_graph, grow_cliques
 from multilica.solvers.robust_pose import align_points, robust_poses
-from multilica.solvers.solver_hypotheses import SolverHypotheses
 
 __all__ = ["solve_by_cliques"]
 
@@ -19,7 +18,9 @@ _SMALLEST_SHARE = 0.2
 _REFITS = 3
 
 
-def solve_by_cliques(matches: Correspondences, config: CoarseConfig, seed: int) -> SolverHypotheses:
+def solve_by_cliques(
+    matches: Correspondences, config: CoarseConfig, seed: int
+) -> tuple[tuple[RigidTransform, ...], int]:
     """Solve by TEASER++'s method (Yang et al., T-RO 2020), extended to several hypotheses.
 
     Build a consistency graph on invariant lengths and angles; find maximal cliques instead of the one maximum clique;
@@ -33,13 +34,12 @@ def solve_by_cliques(matches: Correspondences, config: CoarseConfig, seed: int) 
     cliques = [clique for clique in cliques if len(clique) >= smallest]
     members_m = [(matches.target_points_m[clique], matches.source_points_m[clique]) for clique in cliques]
     starts = robust_poses(members_m, config.noise_bound_m)
-    poses = tuple(_refitted(matches, *start, config.noise_bound_m) for start in starts)
-    return SolverHypotheses(poses, graph_nodes=len(matches), graph_edges=graph.edges)
+    return tuple(_refitted(matches, *start, config.noise_bound_m) for start in starts), graph.edges
 
 
 def _refitted(
     matches: Correspondences, rotation: FloatArray, translation: FloatArray, noise_bound_m: float
-) -> FloatArray:
+) -> RigidTransform:
     target_m, source_m = matches.target_points_m, matches.source_points_m
     for _ in range(_REFITS):
         residual_m = np.linalg.norm(target_m - source_m @ rotation.T - translation, axis=1)
@@ -47,4 +47,4 @@ def _refitted(
         if np.count_nonzero(agree) < 3:
             break
         rotation, translation = align_points(target_m[agree], source_m[agree])
-    return RigidTransform.from_rotation_translation("target", "source", rotation, translation).matrix
+    return RigidTransform.from_rotation_translation(matches.target, matches.source, rotation, translation)

@@ -47,10 +47,8 @@ def build_consistency_graph(
     count = len(matches)
     words = (count + 63) // 64
     rows = np.zeros((count, words), dtype=np.uint64)
-    target, source = (
-        _PairInvariants(matches.target_points_m, matches.target_normals),
-        _PairInvariants(matches.source_points_m, matches.source_normals),
-    )
+    target = _PairInvariants(matches.target_points_m, matches.target_normals)
+    source = _PairInvariants(matches.source_points_m, matches.source_normals)
     for start in range(0, count, _BLOCK):
         block = slice(start, min(start + _BLOCK, count))
         consistent = _consistent_block(target, source, block, 2.0 * noise_bound_m, normal_tolerance_deg)

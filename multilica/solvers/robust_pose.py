@@ -17,11 +17,7 @@ _MAX_PAIRS_PER_POINT = 12
 
 
 def align_points(target_m: FloatArray, source_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Compute the least-squares rotation (3, 3) and translation (3,) with ``target ~ R @ source + t`` (Kabsch).
-
-    Args:
-        target_m, source_m: (N, 3), N >= 3.
-    """
+    """Fit rotation (3, 3) and translation (3,) with ``target ~ R @ source + t`` to (N, 3) points, N >= 3 (Kabsch)."""
     target_mean, source_mean = target_m.mean(axis=0), source_m.mean(axis=0)
     centred = (target_m - target_mean)[None], (source_m - source_mean)[None]
     rotation = _weighted_rotations(*centred, np.ones((1, len(target_m))))[0]

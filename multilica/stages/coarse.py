@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from multilica.config import CoarseConfig
-from multilica.geometry import FloatArray, RigidTransform
-from multilica.registration.poses import is_distinct
+from multilica.geometry import RigidTransform
+from multilica.registration.poses import is_distinct, is_near
 from multilica.results import PRIOR, CoarseResult, Correspondences, Hypothesis, IndexArray
-from multilica.solvers import SOLVERS, SolverHypotheses
+from multilica.solvers import SOLVERS
 
 __all__ = ["find_hypotheses"]
 
@@ -32,26 +32,20 @@ def find_hypotheses(
 
     Args:
         matches: putative matches, of which 95 % and more may be wrong.
-        max_baseline_m: largest distance between the LiDARs.
-        seed: for the solvers that draw at random.
         prior: a pose that is known beforehand; one more hypothesis after the others.
 
     Raises:
         MissingDependencyError: the configured solver is not installed.
     """
-    plausible = _within_baseline(matches, max_baseline_m)
-    poses: tuple[FloatArray, ...] = ()
-    nodes, edges = len(plausible), 0
-    if len(plausible) >= _MIN_MATCHES:
-        found: SolverHypotheses = SOLVERS[config.solver](matches.subset(plausible), config, seed)
-        poses, nodes, edges = found.poses, found.graph_nodes, found.graph_edges
-    solved = [RigidTransform(matches.target, matches.source, pose) for pose in poses]
-    near = [_supported(pose, matches, config, config.solver) for pose in solved if _is_near(pose, max_baseline_m)]
+    plausible = matches.subset(_within_baseline(matches, max_baseline_m))
+    enough = len(plausible) >= _MIN_MATCHES
+    poses, edges = SOLVERS[config.solver](plausible, config, seed) if enough else ((), 0)
+    near = [_supported(pose, matches, config, config.solver) for pose in poses if is_near(pose, max_baseline_m)]
     hypotheses = _distinct(near, config.max_hypotheses)
-    if prior is not None and _is_near(prior, max_baseline_m):
+    if prior is not None and is_near(prior, max_baseline_m):
         hypotheses.append(_supported(prior, matches, config, PRIOR))
     numbered = tuple(replace(hypothesis, index=index) for index, hypothesis in enumerate(hypotheses))
-    return CoarseResult(matches.target, matches.source, numbered, nodes, edges)
+    return CoarseResult(matches.target, matches.source, numbered, len(plausible), edges)
 
 
 def _within_baseline(matches: Correspondences, max_baseline_m: float) -> IndexArray:
@@ -66,10 +60,6 @@ def _supported(pose: RigidTransform, matches: Correspondences, config: CoarseCon
     cosine = np.einsum("ij,ij->i", pose.rotate(matches.source_normals), matches.target_normals)
     agree = (residual_m <= config.noise_bound_m) & (cosine >= np.cos(np.deg2rad(config.normal_tolerance_deg)))
     return Hypothesis(pose, agree, score=float(agree.sum()), origin=origin)
-
-
-def _is_near(pose: RigidTransform, max_baseline_m: float) -> bool:
-    return float(np.linalg.norm(pose.xyz_m)) <= max_baseline_m
 
 
 def _distinct(hypotheses: Iterable[Hypothesis], most: int) -> list[Hypothesis]:

@@ -9,8 +9,6 @@ from multilica.results import Correspondences, FeatureCloud, IndexArray
 
 __all__ = ["match_features"]
 
-_SAMPLE_SEED = 0
-
 
 def match_features(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
     """Match each descriptor of the source with the nearest of the target, the closest matches first.
@@ -37,7 +35,7 @@ def _sample(cloud: FeatureCloud, most: int) -> FeatureCloud:
     """Draw at most so many descriptors."""
     if len(cloud.points_m) <= most:
         return cloud
-    kept = np.sort(np.random.default_rng(_SAMPLE_SEED).permutation(len(cloud.points_m))[:most])
+    kept = np.sort(np.random.default_rng(0).permutation(len(cloud.points_m))[:most])
     return FeatureCloud(cloud.lidar, cloud.points_m[kept], cloud.normals[kept], cloud.descriptors[kept])
 
 

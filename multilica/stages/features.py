@@ -6,7 +6,7 @@ import open3d as o3d
 
 from multilica.config import FeaturesConfig
 from multilica.geometry import read_only
-from multilica.registration.voxel_grid import thin
+from multilica.registration.neighbours import thin
 from multilica.results import FeatureCloud, PreprocessedCloud
 
 __all__ = ["compute_features"]

@@ -8,25 +8,15 @@ from functools import cached_property
 import numpy as np
 
 from multilica.acceptance.accept import competing_poses, hopeless_below, is_firm
-from multilica.config import (
-    AcceptanceConfig,
-    CalibrationConfig,
-    FineConfig,
-)
+from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import FloatArray
-from multilica.registration.gicp import fitness_and_rmse, register, register_narrower
+from multilica.registration.gicp import fitness_and_rmse, register
 from multilica.registration.plane_fit import fit_planes, pose_information
 from multilica.registration.poses import is_distinct, slid, within_baseline
 from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
-from multilica.registration.stability import (
-    arc_between_m,
-    check_stability,
-    pushed_ends,
-    weakest_curvature,
-    weakest_sigmas,
-)
+from multilica.registration.stability import arc_between_m, check_stability, pushed_ends, weakest_sigmas
 from multilica.results import Hypothesis, PairRegistration, Registration
-from multilica.visibility.sensor_view import PlacedView, score_visibility
+from multilica.visibility.sensor_view import PlacedView, score_registration, score_visibility
 
 __all__ = ["Side", "prepare_side", "register_best", "select_finalists"]
 
@@ -39,33 +29,31 @@ class Side:
     """One side of a registration: a LiDAR, or a group with known poses.
 
     Args:
-        name: the LiDAR, or the group's root.
-        cloud: the points of all members in the frame of that name.
+        cloud: the points of all members in the frame of the LiDAR or of the group's root.
         views: the members with their poses; empty where verification is off.
-        finalist_gicp, threads: how `thinned` is prepared and registered.
+        finalist_gicp: how `thinned` is prepared and registered.
     """
 
-    name: str
     cloud: RegistrationCloud
     views: tuple[PlacedView, ...]
     finalist_gicp: FineConfig
-    threads: int
 
     @cached_property
     def thinned(self) -> RegistrationCloud:
         """The cloud with fewer points, enough to compare finalists."""
         if len(self.cloud.points_m) <= self.finalist_gicp.max_points:
             return self.cloud
-        return prepare_registration_cloud(self.name, self.cloud.points_m, self.finalist_gicp, self.threads)
+        cloud, threads = self.cloud, self.cloud.tree.threads
+        return prepare_registration_cloud(cloud.name, cloud.points_m, self.finalist_gicp, threads)
 
 
 def prepare_side(name: str, points_m: FloatArray, views: Sequence[PlacedView], config: CalibrationConfig) -> Side:
     """Prepare the points (N, 3) of a LiDAR or a group, given in the frame of that name, for GICP."""
-    fine, threads = config.fine, config.runtime.threads
-    cloud = prepare_registration_cloud(name, points_m, fine, threads)
+    fine = config.fine
+    cloud = prepare_registration_cloud(name, points_m, fine, config.runtime.threads)
     iterations = min(config.verify.max_iterations, fine.max_iterations)
     finalist_gicp = fine.model_copy(update={"max_points": fine.finalist_max_points, "max_iterations": iterations})
-    return Side(name, cloud, tuple(views), finalist_gicp, threads)
+    return Side(cloud, tuple(views), finalist_gicp)
 
 
 def register_best(
@@ -85,26 +73,21 @@ def register_best(
         The narrower side is the source. `registrations` holds the distinct finalists, the best first. Its stability
         is tested if it has enough evidence, and is not firm, or is uncertain, or has a competing pose.
     """
-    if not target.views:
-        return _register_first(target, source, hypotheses[0], config)
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
         hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
+    if not target.views:
+        return _register_first(target, source, hypotheses[0], config)
     pair = _Pair(target, source, config, fit)
     finalists = pair.finalists(hypotheses)
     several = len(finalists) > 1
     registered = pair.register_thinned(finalists) if several else [pair.register(finalists[0])]
     best = pair.best_of(registered, thinned=several)
-    if not _slides(best.registrations[0], config):
+    found, verify, stability = best.registrations[0], config.verify, best.registrations[0].stability
+    if stability is None or stability.pushed_off_m <= config.stability.max_pushed_off_m:
         return best
-    found, verify = best.registrations[0], config.verify
-    poses = slid(
-        found.T_target_source,
-        found.visibility.slide_direction,
-        verify.slide_step_m,
-        verify.slide_steps,
-        config.acceptance.max_baseline_m,
-    )
+    direction, max_baseline_m = found.visibility.slide_direction, config.acceptance.max_baseline_m
+    poses = slid(found.T_target_source, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
     starts = [Hypothesis(pose, origin=found.origin, index=best.hypothesis) for pose in poses]
     beside = pair.register_thinned(starts, beside=[*registered, best])
     if any(each.evidence > best.evidence for each in beside):
@@ -123,15 +106,11 @@ def select_finalists(evidence: Sequence[float], config: AcceptanceConfig, most: 
 
 def _register_first(target: Side, source: Side, first: Hypothesis, config: CalibrationConfig) -> PairRegistration:
     """Register the first hypothesis only, as the paper does."""
-    threads = config.runtime.threads
-    found = register_narrower(target.cloud, source.cloud, first.T_target_source, config.fine, threads)
+    found = register(target.cloud, source.cloud, first.T_target_source, config.fine)
+    information = None
     if config.refine.enabled:
-        clouds = {side.name: side.cloud for side in (target, source)}
-        information = pose_information(
-            clouds[found.target], clouds[found.source], found.T_target_source, config.refine, threads
-        )
-        found = replace(found, information=information)
-    return replace(found, hypothesis=first.index)
+        information = pose_information(target.cloud, source.cloud, found.T_target_source, config.refine)
+    return replace(found, information=information, hypothesis=first.index)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,10 +121,6 @@ class _Pair:
     source: Side
     config: CalibrationConfig
     fit: bool
-
-    @property
-    def threads(self) -> int:
-        return self.config.runtime.threads
 
     @property
     def clouds(self) -> tuple[RegistrationCloud, RegistrationCloud]:
@@ -178,20 +153,18 @@ class _Pair:
         Good hypotheses come from a short GICP and need few iterations. What has not converged then goes on only if it
         may win.
         """
-        begun = [self._register_thinned(hypothesis, self.target.finalist_gicp) for hypothesis in hypotheses]
+        clouds = self.target.thinned, self.source.thinned
+        begun = [self._register(*clouds, hypothesis, self.target.finalist_gicp) for hypothesis in hypotheses]
         needed = hopeless_below(max(each.evidence for each in (*begun, *beside)), self.config.acceptance)
         kept: list[PairRegistration] = []
         for hypothesis, start in zip(hypotheses, begun, strict=True):
             found = start
             if not start.converged and start.evidence > needed:
                 further = replace(hypothesis, T_target_source=start.T_target_source)
-                found = self._register_thinned(further, self.config.fine)
+                found = self._register(*clouds, further, self.config.fine)
             if is_distinct(found.T_target_source, [other.T_target_source for other in (*beside, *kept)]):
                 kept.append(found)
         return kept
-
-    def _register_thinned(self, hypothesis: Hypothesis, gicp: FineConfig) -> PairRegistration:
-        return self._register(self.target.thinned, self.source.thinned, hypothesis, gicp)
 
     def register(self, hypothesis: Hypothesis) -> PairRegistration:
         """Register on all points."""
@@ -200,9 +173,8 @@ class _Pair:
     def _register(
         self, target: RegistrationCloud, source: RegistrationCloud, hypothesis: Hypothesis, gicp: FineConfig
     ) -> PairRegistration:
-        found = register(target, source, hypothesis.T_target_source, gicp, self.threads)
-        scored = self._scored(found, hypothesis.index, hypothesis.origin)
-        return replace(found, hypothesis=hypothesis.index, registrations=(scored,))
+        found = register(target, source, hypothesis.T_target_source, gicp)
+        return self._scored(replace(found, hypothesis=hypothesis.index), hypothesis)
 
     def best_of(self, registered: Sequence[PairRegistration], *, thinned: bool) -> PairRegistration:
         """Return the one with the most evidence, on all points and with its stability; the others follow it.
@@ -229,13 +201,13 @@ class _Pair:
 
     def _fitted(self, found: PairRegistration) -> PairRegistration:
         """Fit the pose to planes, score it again, and add its information."""
-        fit = fit_planes(*self.clouds, found.T_target_source, self.config.refine, self.threads)
-        distance_m, pose = self.config.fine.fitness_distance_m, fit.T_target_source
-        fitness, rmse_m, inliers = fitness_and_rmse(*self.clouds, pose, distance_m, self.threads)
-        moved = replace(found, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers)
+        pose, information = fit_planes(*self.clouds, found.T_target_source, self.config.refine)
+        fitness, rmse_m, inliers = fitness_and_rmse(*self.clouds, pose, self.config.fine.fitness_distance_m)
+        fitted = replace(
+            found, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers, information=information
+        )
         before = found.registrations[0]
-        scored = self._scored(moved, before.hypothesis, before.origin)
-        return replace(moved, information=fit.information, registrations=(scored,))
+        return self._scored(fitted, Hypothesis(pose, origin=before.origin, index=before.hypothesis))
 
     def _needs_stability(self, found: PairRegistration, best: Registration, others: Sequence[Registration]) -> bool:
         """Tell whether the pose may slide: not firm, uncertain, or with a competing pose."""
@@ -260,8 +232,8 @@ class _Pair:
         fine, limits = self.config.fine, self.config.stability
         for last in (False, True):
             best, pose = by_gicp.registrations[0], by_gicp.T_target_source
-            ends = pushed_ends(self.clouds, pose, best.visibility.weakest_direction, limits.push_m, fine, self.threads)
-            stability = check_stability(thinned, pose, fitted.information, ends, limits.push_m, fine, self.threads)
+            ends = pushed_ends(self.clouds, pose, best.visibility.weakest_direction, limits.push_m, fine)
+            stability = check_stability(thinned, pose, fitted.information, ends, limits.push_m, fine)
             apart = arc_between_m(*ends) > limits.max_pushed_off_m
             if last or stability.pushed_off_m <= limits.max_pushed_off_m or apart or is_distinct(ends[0], [pose]):
                 break
@@ -271,21 +243,8 @@ class _Pair:
             by_gicp, fitted = further, self._fitted(further) if self.fit else further
         return replace(fitted, registrations=(replace(fitted.registrations[0], stability=stability),))
 
-    def _scored(self, found: PairRegistration, hypothesis: int, origin: str) -> Registration:
+    def _scored(self, found: PairRegistration, hypothesis: Hypothesis) -> PairRegistration:
         limits = self.config.visibility
         tolerances = limits.fine_tolerance_m, limits.fine_tolerance_deg
-        return Registration(
-            hypothesis=hypothesis,
-            T_target_source=found.T_target_source,
-            visibility=score_visibility(self.target.views, self.source.views, found.T_target_source, *tolerances),
-            fitness=found.fitness,
-            rmse_m=found.rmse_m,
-            weakest_curvature=weakest_curvature(found),
-            probes_m=self.source.views[0][1].probes_m,
-            origin=origin,
-            target_probes_m=self.target.views[0][1].probes_m,
-        )
-
-
-def _slides(best: Registration, config: CalibrationConfig) -> bool:
-    return best.stability is not None and best.stability.pushed_off_m > config.stability.max_pushed_off_m
+        scored = score_registration(found, hypothesis, self.target.views, self.source.views, *tolerances)
+        return replace(found, registrations=(scored,))

@@ -8,7 +8,7 @@ import open3d as o3d
 
 from multilica.config import CalibrationConfig, GroundConfig
 from multilica.geometry import FloatArray, RigidTransform, read_only
-from multilica.registration.voxel_grid import thin
+from multilica.registration.neighbours import thin
 from multilica.results import LEVEL_FRAME, BoolArray, GroundPlane
 
 __all__ = ["BASE_FRAME", "estimate_ground", "estimate_level"]
@@ -51,7 +51,13 @@ def estimate_ground(
             break
         normal, offset_m, on_plane = _largest_plane(left, config)
         if _is_ground(normal, offset_m, points_m, config):
-            return _plane(target, normal, offset_m, points_m, config)
+            on_plane = np.abs(points_m @ normal + offset_m) <= config.distance_m
+            a, b, c = normal
+            roll_pitch_yaw = [np.arctan2(b, c), np.arctan2(-a, np.hypot(b, c)), 0.0]
+            pose = RigidTransform.from_xyz_rpy(BASE_FRAME, target, [0.0, 0.0, offset_m], roll_pitch_yaw)
+            plane = GroundPlane(read_only(normal, np.float64), offset_m, pose, inlier_share=float(on_plane.mean()))
+            text = f"{on_plane.sum()} of {len(points_m)} points lie on a plane {offset_m:.3f} m below {target}"
+            return plane, text
         left = left[~on_plane]
     return None, (
         f"none of the {_MAX_PLANES} largest planes lies under the rig: tilted by at most {config.max_tilt_deg:g} deg "
@@ -82,42 +88,17 @@ def _sample(points_m: FloatArray, clouds: int) -> FloatArray:
 
 
 def _largest_plane(points_m: FloatArray, config: GroundConfig) -> tuple[FloatArray, float, BoolArray]:
+    """Return normal and offset of the plane, towards the sensor, since the ground lies below it; and its points."""
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
     coefficients, inliers = cloud.segment_plane(config.distance_m, 3, config.iterations)
     on_plane = np.zeros(len(points_m), dtype=bool)
     on_plane[inliers] = True
-    normal, offset_m = _towards_sensor(np.asarray(coefficients, dtype=np.float64))
-    return normal, offset_m, on_plane
+    plane = np.asarray(coefficients, dtype=np.float64)
+    plane = plane * np.copysign(1.0, plane[3]) / np.linalg.norm(plane[:3])
+    return plane[:3], float(plane[3]), on_plane
 
 
 def _is_ground(normal: FloatArray, offset_m: float, points_m: FloatArray, config: GroundConfig) -> bool:
     tilt_deg = np.rad2deg(np.arccos(np.clip(normal[2], -1.0, 1.0)))
     below = points_m @ normal + offset_m < -_BELOW_DISTANCES * config.distance_m
     return bool(tilt_deg <= config.max_tilt_deg and below.mean() <= _MAX_SHARE_BELOW)
-
-
-def _plane(
-    target: str, normal: FloatArray, offset_m: float, points_m: FloatArray, config: GroundConfig
-) -> tuple[GroundPlane, str]:
-    on_plane = np.abs(points_m @ normal + offset_m) <= config.distance_m
-    plane = GroundPlane(
-        normal=read_only(normal, np.float64),
-        offset_m=offset_m,
-        T_base_target=_base_pose(target, normal, offset_m),
-        inlier_share=float(on_plane.mean()),
-    )
-    return plane, f"{on_plane.sum()} of {len(points_m)} points lie on a plane {offset_m:.3f} m below {target}"
-
-
-def _towards_sensor(coefficients: FloatArray) -> tuple[FloatArray, float]:
-    """Return the plane with its unit normal towards the sensor: the ground lies below the sensor."""
-    scale = np.linalg.norm(coefficients[:3])
-    sign = 1.0 if coefficients[3] >= 0.0 else -1.0
-    return coefficients[:3] * sign / scale, float(coefficients[3] * sign / scale)
-
-
-def _base_pose(target: str, normal: FloatArray, offset_m: float) -> RigidTransform:
-    a, b, c = normal
-    roll_rad = np.arctan2(b, c)
-    pitch_rad = np.arctan2(-a, np.hypot(b, c))
-    return RigidTransform.from_xyz_rpy(BASE_FRAME, target, [0.0, 0.0, offset_m], [roll_rad, pitch_rad, 0.0])

@@ -4,12 +4,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from multilica.acceptance.cycles import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
-from multilica.registration.poses import is_distinct
+from multilica.registration.poses import is_distinct, is_near
 from multilica.registration.stability import arc_between_m
 from multilica.results import Group, Hypothesis, PairKey, PairRegistration, Registration, Verdict
 
@@ -57,11 +55,17 @@ def register_groups(
     """
     accepted = [pair.T_target_source for pair in pairs if pair.verdict.accepted]
     known = [*(pair.T_target_source for pair in pairs if not is_contradicted(pair)), *verified]
-    fit, max_baseline_m = not accepted, config.acceptance.max_baseline_m
-    found = _register(group, other, known, register, max_baseline_m, fit=fit)
+    max_baseline_m = config.acceptance.max_baseline_m
+
+    def registered(poses: Sequence[RigidTransform]) -> PairRegistration | None:
+        between_roots = (group.pose_of(other, pose) for pose in poses)
+        near = [Hypothesis(pose) for pose in between_roots if is_near(pose, max_baseline_m)]
+        return register(group, other, near, not accepted) if near else None
+
+    found = registered(known)
     if found is None or found.verdict.accepted or not config.verify.enabled:
         return found
-    again = _register(group, other, accepted, register, max_baseline_m, fit=fit)
+    again = registered(accepted)
     if again is None or _has_more_evidence(found, again, max_baseline_m):
         return found
     if not again.verdict.accepted and _is_constrained_by(again, [group.pose_of(other, pose) for pose in accepted]):
@@ -69,29 +73,11 @@ def register_groups(
     return again if again.verdict.accepted else found
 
 
-def _register(
-    group: Group,
-    other: Group,
-    known: Sequence[RigidTransform],
-    register: RegisterGroups,
-    max_baseline_m: float,
-    *,
-    fit: bool,
-) -> PairRegistration | None:
-    poses = [group.pose_of(other, pose) for pose in known]
-    near = [Hypothesis(pose) for pose in poses if _is_near(pose, max_baseline_m)]
-    return register(group, other, near, fit) if near else None
-
-
-def _is_near(pose: RigidTransform, max_baseline_m: float) -> bool:
-    return float(np.linalg.norm(pose.xyz_m)) <= max_baseline_m
-
-
 def _has_more_evidence(found: PairRegistration, again: PairRegistration, max_baseline_m: float) -> bool:
     """Tell whether a registration that is not rejected has more evidence than another, at another possible pose."""
     pose = found.T_target_source
     elsewhere = is_distinct(pose, [again.T_target_source.with_target(pose.target)])
-    possible = found.verdict.outcome == "undecided" and _is_near(pose, max_baseline_m)
+    possible = found.verdict.outcome == "undecided" and is_near(pose, max_baseline_m)
     return possible and elsewhere and found.evidence > again.evidence
 
 

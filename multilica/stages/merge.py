@@ -33,11 +33,7 @@ Reregister = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistrati
 
 
 def merge(
-    target: str,
-    names: Sequence[str],
-    pairs: Sequence[PairRegistration],
-    reregister: Reregister,
-    config: MergeConfig,
+    target: str, names: Sequence[str], pairs: Sequence[PairRegistration], reregister: Reregister, config: MergeConfig
 ) -> Iterator[MergeStep]:
     """Run the paper's Algorithm 1: merge the best pair, register the rest against the grown cloud, repeat.
 
@@ -46,10 +42,8 @@ def merge(
     merged as it is, and only the rest is registered against the merged cloud.
 
     Args:
-        target: root of the result.
         names: all LiDARs, the target included.
         pairs: at most one registration per unordered pair.
-        reregister: see `Reregister`.
 
     Yields:
         One step per turn; the last one has `chosen` None unless all LiDARs are placed.
@@ -58,11 +52,20 @@ def merge(
     for step in range(len(names)):
         if len(state.groups) == 1:
             return
-        ranked = state.ranked(direct_only=config.mode == "target_first" and state.has_direct())
+        target_first = config.mode == "target_first" and state.has_direct()
+        ranked = state.ranked(direct_only=target_first)
         chosen = next((pair for pair in ranked if pair.verdict.accepted), None)
         if chosen is not None:
-            state = state.merged(chosen, reregister, keep_pairs=config.mode == "target_first" and state.has_direct())
-        yield MergeStep(_decide(step, ranked, chosen, state), chosen, state.ordered_groups())
+            state = state.merged(chosen, reregister, keep_pairs=target_first)
+        groups = state.ordered_groups()
+        decision = MergeDecision(
+            step=step,
+            candidates=tuple(_candidate(pair) for pair in ranked),
+            chosen=None if chosen is None else _candidate(chosen),
+            reason=_reason(ranked, chosen),
+            groups=tuple(group.members for group in groups),
+        )
+        yield MergeStep(decision, chosen, groups)
         if chosen is None:
             return
 
@@ -119,18 +122,6 @@ class _State:
         return (second, first, pair.T_target_source.inverse()) if swap else (first, second, pair.T_target_source)
 
 
-def _decide(
-    step: int, ranked: Sequence[PairRegistration], chosen: PairRegistration | None, after: _State
-) -> MergeDecision:
-    return MergeDecision(
-        step=step,
-        candidates=tuple(_candidate(pair) for pair in ranked),
-        chosen=None if chosen is None else _candidate(chosen),
-        reason=_reason(ranked, chosen),
-        groups=tuple(group.members for group in after.ordered_groups()),
-    )
-
-
 def _candidate(pair: PairRegistration) -> MergeCandidate:
     verdict = pair.verdict
     return MergeCandidate(
@@ -140,14 +131,13 @@ def _candidate(pair: PairRegistration) -> MergeCandidate:
 
 def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None) -> str:
     if chosen is not None:
-        return (
-            f"merged {chosen.source} into {chosen.target}: fitness {chosen.fitness:.3f}, the best accepted of "
-            f"{len(ranked)} pairs"
-        )
+        accepted = sum(pair.verdict.accepted for pair in ranked)
+        rank = "the only accepted pair" if accepted == 1 else f"the best of {accepted} accepted pairs"
+        return f"merged {chosen.source} into {chosen.target}: fitness {chosen.fitness:.3f}, {rank}"
     if not ranked:
         return "stopped: no pair is left that could be registered"
-    best = _candidate(ranked[0])
+    best = ranked[0]
     pair = f"{best.source} in {best.target}"
     if len(ranked) == 1:
-        return f"stopped: the only pair left, {pair}, is not accepted: {best.reason}"
-    return f"stopped: none of {len(ranked)} pairs is accepted; the best, {pair}: {best.reason}"
+        return f"stopped: the only pair left, {pair}, is not accepted: {best.verdict.text}"
+    return f"stopped: none of {len(ranked)} pairs is accepted; the best, {pair}: {best.verdict.text}"

@@ -7,7 +7,7 @@ import numpy as np
 
 from multilica.config import PreprocessConfig, StillnessConfig
 from multilica.geometry import read_only
-from multilica.registration.voxel_grid import thin
+from multilica.registration.neighbours import thin
 from multilica.results import PreprocessedCloud
 from multilica.snapshot import LidarScans
 from multilica.visibility.moving_points import drop_moving

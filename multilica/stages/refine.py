@@ -6,10 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform, skew
+from multilica.registration.poses import moved
 from multilica.results import PairRegistration, PairResidual, Refinement, connected
 
 __all__ = ["RefinedRig", "refine", "trusted_pairs"]
@@ -65,7 +65,13 @@ def refine(
         current = _move(current, free, step)
         if np.abs(step).max() < config.epsilon:
             break
-    normal_matrix, _ = _normal_equations(_with_shared_noise(used), current, free, config)
+    # The noise of a scan is the same in all pairs of which it is the source: they share its information.
+    count = Counter((pair.source, snapshot) for pair, snapshot in used)
+    shared = [
+        replace(pair, information=np.asarray(pair.information) / count[pair.source, snapshot])
+        for pair, snapshot in used
+    ]
+    normal_matrix, _ = _normal_equations(shared, current, free, config)
     joint = np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64)
     covariances = {name: joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(free)}
     after = [_residual(pair, current) for pair in used_pairs]
@@ -85,15 +91,6 @@ def trusted_pairs(
         if merge.source not in connected(merge.target, trusted):
             trusted.append(merge)
     return trusted
-
-
-def _with_shared_noise(used: Sequence[tuple[PairRegistration, str]]) -> list[PairRegistration]:
-    """Divide the information of pairs with the same source: the noise of its scan is the same in all of them."""
-    count = Counter((pair.source, snapshot) for pair, snapshot in used)
-    return [
-        replace(pair, information=np.asarray(pair.information) / count[pair.source, snapshot])
-        for pair, snapshot in used
-    ]
 
 
 def _residual(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> FloatArray:
@@ -139,10 +136,7 @@ def _jacobians(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> t
 
 
 def _move(poses: Mapping[str, RigidTransform], free: Sequence[str], step: FloatArray) -> dict[str, RigidTransform]:
-    moved = dict(poses)
+    after = dict(poses)
     for i, name in enumerate(free):
-        turn, shift = step[6 * i : 6 * i + 3], step[6 * i + 3 : 6 * i + 6]
-        pose = poses[name]
-        rotation = Rotation.from_rotvec(turn).as_matrix() @ pose.rotation
-        moved[name] = RigidTransform.from_rotation_translation(pose.target, pose.source, rotation, pose.xyz_m + shift)
-    return moved
+        after[name] = moved(poses[name], step[6 * i : 6 * i + 3], step[6 * i + 3 : 6 * i + 6])
+    return after

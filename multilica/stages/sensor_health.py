@@ -30,10 +30,10 @@ def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> Se
     Args:
         near_m: the calibration ignores nearer returns.
     """
-    points_m = _finite(lidar.points_m)
+    points_m = lidar.points_m
+    points_m = points_m[np.all(np.isfinite(points_m), axis=1) & np.any(points_m != 0.0, axis=1)]
     if len(points_m) == 0:
-        text = "it has no returns"
-        return SensorHealth(lidar.name, 0, 0.0, 0.0, (Reason("dead", 0.0, 1.0, text),))
+        return SensorHealth(lidar.name, 0, 0.0, 0.0, (Reason("dead", 0.0, 1.0, "it has no returns"),))
     range_m = np.linalg.norm(points_m, axis=1)
     near = range_m < near_m
     cells = _cells(points_m, range_m)
@@ -41,23 +41,13 @@ def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> Se
     through = np.bincount(cells[~near], minlength=_ROWS * _COLUMNS) > 0
     soiled = _blocks(_off_surfaces(points_m[near] / range_m[near, None], range_m[near], cells[near]) & ~through)
     soiled_share = float(_solid_angle(soiled & seen) / _solid_angle(seen))
-    return SensorHealth(
-        lidar.name, len(points_m), float(np.mean(near)), soiled_share, _reasons(soiled_share, near_m, config)
-    )
-
-
-def _reasons(soiled_share: float, near_m: float, config: HealthConfig) -> tuple[Reason, ...]:
-    if soiled_share <= config.max_soiled_share:
-        return ()
+    limit = config.max_soiled_share
     text = (
         f"{soiled_share:.0%} of its field of view ends in scattered echoes nearer than {near_m:g} m, as from dirt on "
-        f"the window (limit {config.max_soiled_share:.0%})"
+        f"the window (limit {limit:.0%})"
     )
-    return (Reason("dirty", soiled_share, config.max_soiled_share, text),)
-
-
-def _finite(points_m: FloatArray) -> FloatArray:
-    return np.asarray(points_m[np.all(np.isfinite(points_m), axis=1) & np.any(points_m != 0.0, axis=1)])
+    reasons = (Reason("dirty", soiled_share, limit, text),) if soiled_share > limit else ()
+    return SensorHealth(lidar.name, len(points_m), float(np.mean(near)), soiled_share, reasons)
 
 
 def _cells(points_m: FloatArray, range_m: FloatArray) -> IndexArray:

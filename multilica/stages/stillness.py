@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from multilica.config import StillnessConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray
-from multilica.registration.voxel_grid import thin
+from multilica.registration.neighbours import PointTree, thin
 from multilica.snapshot import Scan
 
 __all__ = ["Motion", "detect_motion", "explain_motion"]
@@ -81,41 +81,28 @@ def _surroundings(scan: Scan) -> FloatArray:
     return thin(points_m[(range_m > _BODY_M) & (range_m < _FAR_M)], _VOXEL_M)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Structure:
-    """Points with surface orientations, as types of small_gicp."""
-
-    cloud: small_gicp.PointCloud
-    tree: small_gicp.KdTree
+def _structure(points_m: FloatArray) -> PointTree:
+    tree = PointTree(points_m)
+    small_gicp.estimate_covariances(tree.cloud, tree.engine, num_neighbors=_NEIGHBOURS, num_threads=1)
+    return tree
 
 
-def _structure(points_m: FloatArray) -> _Structure:
-    cloud = small_gicp.PointCloud(np.ascontiguousarray(points_m))
-    tree = small_gicp.KdTree(cloud, num_threads=1)
-    small_gicp.estimate_covariances(cloud, tree, num_neighbors=_NEIGHBOURS, num_threads=1)
-    return _Structure(cloud, tree)
-
-
-def _register(target: _Structure, source: _Structure, start: FloatArray) -> small_gicp.RegistrationResult:
+def _register(target: PointTree, source: PointTree, start: FloatArray) -> small_gicp.RegistrationResult:
     for reach_m in _REACHES_M:
-        result = _align(target, source, start, reach_m)
+        result = small_gicp.align(
+            target.cloud,
+            source.cloud,
+            target.engine,
+            init_T_target_source=start,
+            registration_type="GICP",
+            max_correspondence_distance=reach_m,
+            num_threads=1,
+            max_iterations=15,
+            rotation_epsilon=1e-4,
+            translation_epsilon=1e-4,
+        )
         start = result.T_target_source
     return result
-
-
-def _align(target: _Structure, source: _Structure, start: FloatArray, reach_m: float) -> small_gicp.RegistrationResult:
-    return small_gicp.align(
-        target.cloud,
-        source.cloud,
-        target.tree,
-        init_T_target_source=start,
-        registration_type="GICP",
-        max_correspondence_distance=reach_m,
-        num_threads=1,
-        max_iterations=15,
-        rotation_epsilon=1e-4,
-        translation_epsilon=1e-4,
-    )
 
 
 def _motion(result: small_gicp.RegistrationResult, config: StillnessConfig) -> Motion:
@@ -135,12 +122,7 @@ def _motion(result: small_gicp.RegistrationResult, config: StillnessConfig) -> M
 
 
 def explain_motion(motions: Mapping[str, Motion], source: str = "") -> str:
-    """Explain in one sentence why a snapshot cannot be used; return "" if it can.
-
-    Args:
-        motions: per LiDAR name.
-        source: what the snapshot was read from.
-    """
+    """Explain in one sentence why a snapshot read from `source` cannot be used; return "" if it can."""
     moving = {name: motion for name, motion in motions.items() if motion.moving}
     observable = sum(motion.observable for motion in motions.values())
     if 2 * len(moving) <= observable:

@@ -11,10 +11,7 @@ __all__ = ["choose_target"]
 def choose_target(
     asked_for: str, clouds: Mapping[str, PreprocessedCloud], pairs: Sequence[PairRegistration]
 ) -> tuple[str, str]:
-    """Choose the root of the result: the LiDAR that the user names, else the one with the most overlap.
-
-    Args:
-        asked_for: empty if the user names none.
+    """Choose the root of the result: the LiDAR that the user asks for, if any, else the one with the most overlap.
 
     Returns:
         The name of the target and the reason in words.

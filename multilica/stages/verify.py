@@ -2,20 +2,19 @@
 """Verification of a pair's hypotheses by free space."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from multilica.acceptance.accept import hopeless_below, is_firm, max_violation_share
-from multilica.config import AcceptanceConfig, FineConfig, VerifyConfig, VisibilityConfig
+from multilica.config import CalibrationConfig, FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register_narrower
 from multilica.registration.poses import is_distinct, slid, within_baseline
 from multilica.registration.registration_cloud import RegistrationCloud
-from multilica.registration.stability import weakest_curvature
-from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration, VisibilityScore
-from multilica.visibility.sensor_view import SensorView, score_visibility
+from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
+from multilica.visibility.sensor_view import SensorView, score_registration, score_visibility
 from multilica.visibility.symmetric_poses import symmetric_poses
 
-__all__ = ["PreparedLidar", "VerifySettings", "short_gicp", "verify_hypotheses"]
+__all__ = ["PreparedLidar", "short_gicp", "verify_hypotheses"]
 
 # Symmetric poses come from plans with cells of 0.5 m, slid ones from steps of 1 m.
 _COMPETING_TOLERANCE_M = 0.6
@@ -23,20 +22,9 @@ _COMPETING_TOLERANCE_M = 0.6
 _SETTLED_CURVATURES = 2.0
 
 
-@dataclass(frozen=True, slots=True)
-class VerifySettings:
-    """The sections of the configuration that the stage uses, with the settings of `short_gicp`."""
-
-    verify: VerifyConfig
-    visibility: VisibilityConfig
-    acceptance: AcceptanceConfig
-    gicp: FineConfig
-    threads: int
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedLidar:
-    """A LiDAR's view with its thinned cloud for the short GICP."""
+    """A LiDAR's view with its cloud as prepared for `short_gicp`."""
 
     view: SensorView
     cloud: RegistrationCloud
@@ -59,7 +47,7 @@ def short_gicp(config: VerifyConfig, fine: FineConfig) -> FineConfig:
 
 
 def verify_hypotheses(
-    target: PreparedLidar, source: PreparedLidar, coarse: CoarseResult, settings: VerifySettings
+    target: PreparedLidar, source: PreparedLidar, coarse: CoarseResult, config: CalibrationConfig
 ) -> tuple[Registration, ...]:
     """Register each hypothesis by a short GICP and score it by the beams of both sensors.
 
@@ -74,28 +62,29 @@ def verify_hypotheses(
     Returns:
         The distinct poses, the one with the most evidence first.
     """
-    max_baseline_m = settings.acceptance.max_baseline_m
+    gicp, max_baseline_m = short_gicp(config.verify, config.fine), config.acceptance.max_baseline_m
     from_prior: list[Registration] = []
     found: list[Registration] = []
     for hypothesis in coarse.hypotheses:
         known = from_prior if hypothesis.origin == PRIOR else found
-        if known is found and _is_settled(found, settings):
+        if known is found and _is_settled(found, config):
             continue
         if not is_distinct(hypothesis.T_target_source, (other.T_target_source for other in known)):
             continue
-        for registration in _registered(target, source, hypothesis, settings):
+        for registration in _registered(target, source, hypothesis, gicp, config):
             if is_distinct(registration.T_target_source, (other.T_target_source for other in known)):
                 known.append(registration)
     for registration in from_prior:
         found = _joined(found, registration)
-    for hypothesis, gicp in _competing_hypotheses(target.view, source.view, found, settings):
+    tolerances = _COMPETING_TOLERANCE_M, config.visibility.tolerance_deg
+    for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
         pose = hypothesis.T_target_source
         if not is_distinct(pose, (other.T_target_source for other in found)):
             continue
-        rough = _score(target.view, source.view, pose, _COMPETING_TOLERANCE_M, settings.visibility.tolerance_deg)
+        rough = score_visibility(target.view.alone, source.view.alone, pose, *tolerances)
         best = max(each.evidence for each in within_baseline(found, max_baseline_m))
-        if rough.evidence > hopeless_below(best, settings.acceptance):
-            found = _joined(found, _register(target, source, hypothesis, gicp, settings))
+        if rough.evidence > hopeless_below(best, config.acceptance):
+            found = _joined(found, _register(target, source, hypothesis, settings, config))
     return tuple(sorted(within_baseline(found, max_baseline_m), key=lambda each: -each.evidence))
 
 
@@ -108,13 +97,13 @@ def _joined(found: Sequence[Registration], further: Registration) -> list[Regist
 
 
 def _competing_hypotheses(
-    target: SensorView, source: SensorView, found: Sequence[Registration], settings: VerifySettings
+    target: SensorView, source: SensorView, found: Sequence[Registration], gicp: FineConfig, config: CalibrationConfig
 ) -> list[tuple[Hypothesis, FineConfig]]:
     """Return poses that may score as well as the best, with their GICP: turned, or slid if it is not firm.
 
     A turned pose is off by less than a cell; a slid one needs the longest correspondence distance.
     """
-    verify, acceptance, gicp = settings.verify, settings.acceptance, settings.gicp
+    verify, acceptance = config.verify, config.acceptance
     max_baseline_m = acceptance.max_baseline_m
     best = max(within_baseline(found, max_baseline_m), key=lambda each: each.evidence, default=None)
     if best is None or best.visibility.agree < acceptance.min_agreeing_points:
@@ -127,59 +116,40 @@ def _competing_hypotheses(
         direction = best.visibility.slide_direction
         along = slid(pose, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
     return [
-        (Hypothesis(each, origin=best.origin, index=best.hypothesis), settings_of)
-        for poses, settings_of in ((turned, near), (along, gicp))
+        (Hypothesis(each, origin=best.origin, index=best.hypothesis), settings)
+        for poses, settings in ((turned, near), (along, gicp))
         for each in poses
     ]
 
 
 def _registered(
-    target: PreparedLidar, source: PreparedLidar, hypothesis: Hypothesis, settings: VerifySettings
+    target: PreparedLidar, source: PreparedLidar, hypothesis: Hypothesis, gicp: FineConfig, config: CalibrationConfig
 ) -> list[Registration]:
     """Register a hypothesis; one that GICP carried away is registered among near points as well.
 
     Narrow views share few points: most points within 2 m may be no matches, and draw even the true pose away.
     """
-    far = _register(target, source, hypothesis, settings.gicp, settings)
+    far = _register(target, source, hypothesis, gicp, config)
     if not is_distinct(far.T_target_source, [hypothesis.T_target_source]):
         return [far]
-    distances_m = settings.gicp.max_correspondence_distances_m[-1:]
-    nearest_only = settings.gicp.model_copy(update={"max_correspondence_distances_m": distances_m})
-    near = _register(target, source, hypothesis, nearest_only, settings)
+    nearest = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[-1:]})
+    near = _register(target, source, hypothesis, nearest, config)
     return [near, far] if near.evidence > max(far.evidence, 0.0) else [far]
 
 
 def _register(
-    target: PreparedLidar, source: PreparedLidar, hypothesis: Hypothesis, gicp: FineConfig, settings: VerifySettings
+    target: PreparedLidar, source: PreparedLidar, hypothesis: Hypothesis, gicp: FineConfig, config: CalibrationConfig
 ) -> Registration:
     start = hypothesis.T_target_source
-    registration = register_narrower(target.cloud, source.cloud, start, gicp, settings.threads)
-    pose = registration.T_target_source.with_target(start.target)
-    tolerances = settings.visibility.tolerance_m, settings.visibility.tolerance_deg
-    return Registration(
-        hypothesis=hypothesis.index,
-        T_target_source=pose,
-        visibility=_score(target.view, source.view, pose, *tolerances),
-        fitness=registration.fitness,
-        rmse_m=registration.rmse_m,
-        weakest_curvature=weakest_curvature(registration),
-        probes_m=source.view.probes_m,
-        origin=hypothesis.origin,
-        target_probes_m=target.view.probes_m,
-    )
+    found = register_narrower(target.cloud, source.cloud, start, gicp)
+    found = replace(found, T_target_source=found.T_target_source.with_target(start.target))
+    tolerances = config.visibility.tolerance_m, config.visibility.tolerance_deg
+    return score_registration(found, hypothesis, target.view.alone, source.view.alone, *tolerances)
 
 
-def _score(
-    target: SensorView, source: SensorView, pose: RigidTransform, tolerance_m: float, tolerance_deg: float
-) -> VisibilityScore:
-    here = [(RigidTransform.identity(pose.target, pose.target), target)]
-    there = [(RigidTransform.identity(pose.source, pose.source), source)]
-    return score_visibility(here, there, pose, tolerance_m, tolerance_deg)
-
-
-def _is_settled(found: Sequence[Registration], settings: VerifySettings) -> bool:
+def _is_settled(found: Sequence[Registration], config: CalibrationConfig) -> bool:
     """Tell whether one pose leads so clearly that the other hypotheses, which have fewer matches, are skipped."""
-    verify, acceptance = settings.verify, settings.acceptance
+    verify, acceptance = config.verify, config.acceptance
     found = within_baseline(found, acceptance.max_baseline_m)
     if len(found) < 2:
         return False

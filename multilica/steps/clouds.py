@@ -32,9 +32,12 @@ def require_two_lidars(snapshot: Snapshot) -> None:
 
 def preprocess_clouds(state: CalibrationState) -> None:
     """Check that the vehicle stands still, check each sensor, and clean its cloud."""
-    config = state.config
-    _require_standstill(state)
-    for lidar in state.snapshot.lidars:
+    config, snapshot = state.config, state.snapshot
+    if config.stillness.enabled:
+        motions = {lidar.name: detect_motion(lidar.scans, config.stillness) for lidar in snapshot.lidars}
+        if refusal := explain_motion(motions, snapshot.source):
+            raise UnfitSnapshotError(refusal, code="moving_vehicle")
+    for lidar in snapshot.lidars:
         health = examine_sensor(lidar, config.preprocess.min_range_m, config.health)
         cloud = replace(preprocess(lidar, config.preprocess, config.stillness), health=health)
         state.health.append(health)
@@ -42,15 +45,6 @@ def preprocess_clouds(state: CalibrationState) -> None:
             state.clouds[lidar.name] = cloud
         state.observe(events.CloudPreprocessed(cloud))
     _require_clouds(state)
-
-
-def _require_standstill(state: CalibrationState) -> None:
-    config, snapshot = state.config.stillness, state.snapshot
-    if not config.enabled:
-        return
-    refusal = explain_motion({one.name: detect_motion(one.scans, config) for one in snapshot.lidars}, snapshot.source)
-    if refusal:
-        raise UnfitSnapshotError(refusal, code="moving_vehicle")
 
 
 def _require_clouds(state: CalibrationState) -> None:

@@ -2,31 +2,37 @@
 """Stages that work on pairs of LiDARs."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from multilica import events
+from multilica.acceptance.accept import accept, accept_by_fitness
 from multilica.acceptance.cycles import check_ambiguous_chains, check_cycle_consistency
 from multilica.acceptance.symmetry import check_scene_symmetry
-from multilica.geometry import RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.registration_cloud import prepare_registration_cloud
-from multilica.results import (
-    CoarseResult,
-    Correspondences,
-    Group,
-    Hypothesis,
-    PairRegistration,
-    Registration,
-)
+from multilica.results import CoarseResult, Correspondences, Group, Hypothesis, PairKey, PairRegistration, Registration
 from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features
 from multilica.stages.features import compute_features
+from multilica.stages.fine import Side, prepare_side, register_best
+from multilica.stages.missing_pairs import unconnected_pairs
 from multilica.stages.prior import known_between
-from multilica.stages.verify import PreparedLidar, VerifySettings, short_gicp, verify_hypotheses
-from multilica.stages.wider_search import unconnected_pairs
-from multilica.steps.sides import register_pair, side_of
+from multilica.stages.verify import PreparedLidar, short_gicp, verify_hypotheses
 from multilica.steps.state import CalibrationState
 from multilica.visibility.sensor_view import prepare_sensor_view
 
-__all__ = ["find_all_hypotheses", "match_pairs", "register_pairs", "verify_pairs"]
+__all__ = [
+    "find_all_hypotheses",
+    "match_pairs",
+    "merged_points",
+    "register_pair",
+    "register_pairs",
+    "register_sides",
+    "side_of",
+    "verify_pairs",
+]
 
 
 def match_pairs(state: CalibrationState) -> None:
@@ -64,10 +70,7 @@ def verify_pairs(state: CalibrationState) -> None:
 
 
 def _verify(state: CalibrationState, coarse: CoarseResult) -> tuple[Registration, ...]:
-    config = state.config
-    gicp = short_gicp(config.verify, config.fine)
-    settings = VerifySettings(config.verify, config.visibility, config.acceptance, gicp, config.runtime.threads)
-    return verify_hypotheses(state.prepared[coarse.target], state.prepared[coarse.source], coarse, settings)
+    return verify_hypotheses(state.prepared[coarse.target], state.prepared[coarse.source], coarse, state.config)
 
 
 def register_pairs(state: CalibrationState) -> None:
@@ -137,3 +140,33 @@ def _search_again(state: CalibrationState, voxel_size_m: float) -> None:
             state.observe(events.HypothesesVerified(*pair, verified))
             state.observe(events.PairRegistered(found))
     _check_pairs(state)
+
+
+def side_of(state: CalibrationState, group: Group) -> Side:
+    """Prepare a LiDAR, or a group with its members in the frame of its root, for registration."""
+    if len(group.poses) == 1 and group.root in state.sides:
+        return state.sides[group.root]
+    placed = sorted(group.poses.items()) if state.prepared else []
+    views = [(pose, state.prepared[name].view) for name, pose in placed]
+    return prepare_side(group.root, merged_points(state, group), views, state.config)
+
+
+def merged_points(state: CalibrationState, group: Group) -> FloatArray:
+    """Return the points (N, 3) of all members in the frame of the root."""
+    return np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in sorted(group.poses.items())])
+
+
+def register_sides(
+    state: CalibrationState, target: Side, source: Side, hypotheses: Sequence[Hypothesis], *, fit: bool
+) -> PairRegistration:
+    """Register two sides as `register_best` does, with a verdict."""
+    config = state.config
+    found = register_best(target, source, hypotheses, config, fit=fit)
+    if found.registrations:
+        return replace(found, verdict=accept(found.registrations, config.acceptance, config.stability))
+    return replace(found, verdict=accept_by_fitness(found, config.merge))
+
+
+def register_pair(state: CalibrationState, pair: PairKey, hypotheses: Sequence[Hypothesis]) -> PairRegistration:
+    """Register two LiDARs as `register_best` does, with a verdict."""
+    return register_sides(state, state.sides[pair[0]], state.sides[pair[1]], hypotheses, fit=True)

@@ -2,22 +2,19 @@
 """Stages that work on the whole rig."""
 
 from collections.abc import Sequence
+from functools import partial
 
 from multilica import events
 from multilica.acceptance.cycles import is_contradicted
-from multilica.results import (
-    Group,
-    Hypothesis,
-    PairRegistration,
-)
+from multilica.results import Group, Hypothesis, PairRegistration
 from multilica.stages.fine import select_finalists
 from multilica.stages.ground import estimate_ground
 from multilica.stages.group_registration import poses_between, register_groups
-from multilica.stages.loops import open_loops
 from multilica.stages.merge import merge
+from multilica.stages.missing_pairs import open_loops
 from multilica.stages.refine import refine, trusted_pairs
 from multilica.stages.target import choose_target
-from multilica.steps.sides import merged_points, register_pair, register_sides, side_of
+from multilica.steps.pairs import merged_points, register_pair, register_sides, side_of
 from multilica.steps.state import CalibrationState
 
 __all__ = ["fit_ground", "merge_pairs", "refine_rig"]
@@ -29,10 +26,7 @@ def merge_pairs(state: CalibrationState) -> None:
     state.target, state.target_reason = choose_target(state.config.target, state.clouds, registrations)
     state.observe(events.TargetChosen(state.target, state.target_reason))
     state.group = Group.of_one(state.target)
-
-    def reregister(group: Group, other: Group, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
-        return _reregister(state, group, other, pairs)
-
+    reregister = partial(_reregister, state)
     for step in merge(state.target, tuple(state.clouds), registrations, reregister, state.config.merge):
         state.decisions.append(step.decision)
         if step.chosen is not None:

@@ -26,11 +26,7 @@ _MIN_FILLED = 0.85
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Grid:
-    """Cells of directions, about as large as the distance between neighbouring beams.
-
-    Args:
-        lowest_rad: elevation of the first row.
-    """
+    """Cells of directions, about as large as the distance between neighbouring beams; the first row is the lowest."""
 
     cell_rad: float
     lowest_rad: float
@@ -64,13 +60,10 @@ class _FrameImage:
 
 
 def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[Scan, ...], FloatArray]:
-    """Drop returns from places that another frame's beams prove empty.
+    """Drop returns of a LiDAR at rest from places that another frame's beams prove empty.
 
     A return has moved if in some other frame all beams around its direction, at least as densely as in its own,
     pass clearly beyond it.
-
-    Args:
-        scans: frames of one LiDAR that does not move itself.
 
     Returns:
         The scans without those returns, and the (K, 3) dropped points.

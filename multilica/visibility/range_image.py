@@ -28,7 +28,7 @@ class RangeImage:
         triangulation: of the stereographic projection of the beams; circles stay circles, so it is Delaunay on the
             sphere.
         planes: (T, 3) per triangle the vector c with ``c @ p == 1`` on the plane through its three returns.
-        nearest_m, farthest_m: (T,) smallest and largest range of the three returns.
+        nearest_m: (T,) smallest range of the three returns.
         usable: (T,) the three beams are neighbours.
         smooth: (T,) the three returns can lie on one surface.
         gap_rad: (T,) longest edge where it is the sensor's own gap between two beams; 0 where beams between were left
@@ -39,7 +39,6 @@ class RangeImage:
     triangulation: Any
     planes: FloatArray
     nearest_m: FloatArray
-    farthest_m: FloatArray
     usable: npt.NDArray[np.bool_]
     smooth: npt.NDArray[np.bool_]
     gap_rad: FloatArray
@@ -90,7 +89,6 @@ def build_range_image(returns_m: FloatArray) -> RangeImage | None:
         triangulation=triangulation,
         planes=planes,
         nearest_m=range_m[corners].min(axis=1),
-        farthest_m=range_m[corners].max(axis=1),
         usable=longest_rad <= min(_EDGE_FACTOR * spacing_rad, _MAX_EDGE_RAD),
         smooth=incidence >= _MIN_INCIDENCE,
         gap_rad=np.where(longest_rad > _GAP_FACTOR * cell_rad, longest_rad, 0.0),
@@ -113,7 +111,8 @@ def label_points(
             nothing. None: no object is narrow.
     """
     range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-9)
-    triangle = _triangles(image, points_m, range_m)
+    directions = points_m / range_m[:, None]
+    triangle = image.triangulation.find_simplex(_stereographic(directions @ image.to_pole.T))
     seen = (triangle >= 0) & image.usable[triangle]
     plane = image.planes[triangle]
     beyond_m = (np.einsum("ij,ij->i", plane, points_m) - 1.0) / np.linalg.norm(plane, axis=1)
@@ -128,12 +127,6 @@ def label_points(
     labels[agree] = BeamLabel.AGREE
     labels[~seen] = BeamLabel.UNSEEN
     return labels
-
-
-def _triangles(image: RangeImage, points_m: FloatArray, range_m: FloatArray) -> npt.NDArray[np.intp]:
-    """Return the index (N,) of the triangle that each point is seen through, -1 for none."""
-    directions = points_m / range_m[:, None]
-    return np.asarray(image.triangulation.find_simplex(_stereographic(directions @ image.to_pole.T)))
 
 
 def _one_per_cell(returns_m: FloatArray) -> tuple[FloatArray, float]:

@@ -8,12 +8,28 @@ import numpy as np
 
 from multilica.config import VisibilityConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
-from multilica.registration.neighbours import PointTree, principal_directions
-from multilica.registration.voxel_grid import thin
-from multilica.results import BeamLabel, BoolArray, PreprocessedCloud, Registration, VisibilityScore
+from multilica.registration.neighbours import PointTree, principal_directions, thin
+from multilica.registration.stability import weakest_curvature
+from multilica.results import (
+    BeamLabel,
+    BoolArray,
+    Hypothesis,
+    PairRegistration,
+    PreprocessedCloud,
+    Registration,
+    VisibilityScore,
+)
 from multilica.visibility.range_image import LabelArray, RangeImage, build_range_image, label_points
 
-__all__ = ["PlacedView", "ScorePose", "SensorView", "prepare_sensor_view", "score_pose", "score_visibility"]
+__all__ = [
+    "PlacedView",
+    "ScorePose",
+    "SensorView",
+    "prepare_sensor_view",
+    "score_pose",
+    "score_registration",
+    "score_visibility",
+]
 
 # Height of the bands in which probes are ordered; any value gives the same scores.
 _BAND_RAD = 0.05
@@ -56,6 +72,11 @@ class SensorView:
     normals: FloatArray
     returns: PointTree | None
 
+    @property
+    def alone(self) -> "list[PlacedView]":
+        """The only member of a group."""
+        return [(RigidTransform.identity(self.lidar, self.lidar), self)]
+
 
 PlacedView = tuple[RigidTransform, SensorView]
 """A view with its pose in a group's root frame."""
@@ -70,8 +91,14 @@ def prepare_sensor_view(cloud: PreprocessedCloud, config: VisibilityConfig) -> S
     probes_m = _along_bands(thin(near_m, config.probe_voxel_size_m))
     image = build_range_image(cloud.returns_m)
     returns = PointTree(thin(near_m, _RETURN_VOXEL_M)) if len(near_m) else None
-    flat, normals = _surfaces(probes_m, returns)
-    return SensorView(cloud.lidar, image, probes_m, flat & _opaque(image, probes_m, config), normals, returns)
+    solid, normals = _surfaces(probes_m, returns)
+    if image is None:
+        solid = np.zeros(len(probes_m), dtype=bool)
+    else:
+        # Around a fence or a pole, most of the sensor's own beams see what is behind.
+        own = label_points(image, probes_m, config.tolerance_m, float(np.deg2rad(config.tolerance_deg)))
+        solid &= own == BeamLabel.AGREE
+    return SensorView(cloud.lidar, image, probes_m, solid, normals, returns)
 
 
 def score_visibility(
@@ -128,12 +155,34 @@ def score_visibility(
     )
 
 
+def score_registration(
+    found: PairRegistration,
+    hypothesis: Hypothesis,
+    targets: Sequence[PlacedView],
+    sources: Sequence[PlacedView],
+    tolerance_m: float,
+    tolerance_deg: float,
+) -> Registration:
+    """Score a registered pose as `score_visibility` does; `hypothesis` is where the registration started."""
+    return Registration(
+        hypothesis=hypothesis.index,
+        T_target_source=found.T_target_source,
+        visibility=score_visibility(targets, sources, found.T_target_source, tolerance_m, tolerance_deg),
+        fitness=found.fitness,
+        rmse_m=found.rmse_m,
+        weakest_curvature=weakest_curvature(found),
+        probes_m=sources[0][1].probes_m,
+        origin=hypothesis.origin,
+        target_probes_m=targets[0][1].probes_m,
+    )
+
+
 def score_pose(
     target: SensorView, source: SensorView, T_target_source: RigidTransform, config: VisibilityConfig
 ) -> Registration:
     """Score a pose of two LiDARs that was not registered, with the tolerances of the fine stage."""
-    here, there = ([(RigidTransform.identity(view.lidar, view.lidar), view)] for view in (target, source))
-    score = score_visibility(here, there, T_target_source, config.fine_tolerance_m, config.fine_tolerance_deg)
+    tolerances = config.fine_tolerance_m, config.fine_tolerance_deg
+    score = score_visibility(target.alone, source.alone, T_target_source, *tolerances)
     unknown = float("nan")
     return Registration(
         -1, T_target_source, score, unknown, unknown, unknown, source.probes_m, target_probes_m=target.probes_m
@@ -219,14 +268,6 @@ def _along_bands(points_m: FloatArray) -> FloatArray:
     azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     band = np.floor(elevation_rad / _BAND_RAD)
     return np.asarray(points_m[np.lexsort((np.where(band % 2 == 0, azimuth_rad, -azimuth_rad), band))])
-
-
-def _opaque(image: RangeImage | None, probes_m: FloatArray, config: VisibilityConfig) -> BoolArray:
-    """Tell which probes the sensor's own beams confirm: around a fence or a pole, most beams see what is behind."""
-    if image is None:
-        return np.zeros(len(probes_m), dtype=bool)
-    own = label_points(image, probes_m, config.tolerance_m, float(np.deg2rad(config.tolerance_deg)))
-    return np.asarray(own == BeamLabel.AGREE)
 
 
 def _surfaces(probes_m: FloatArray, returns: PointTree | None) -> tuple[BoolArray, FloatArray]:

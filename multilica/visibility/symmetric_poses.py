@@ -27,11 +27,8 @@ def symmetric_poses(
     by chance. Plans of the walls, seen along `up`, are correlated over all shifts to find the other one.
 
     Args:
-        target, source: views of both sensors.
         pose: ``T_target_source`` to find competing poses of.
         up: (3,) unit, the commonest surface normal in the target's frame, the axis of the turns.
-        max_baseline_m: largest distance of the source from the target.
-        most: largest number of poses.
 
     Returns:
         Poses whose plans share at least half as many cells as those of `pose`, the best first.

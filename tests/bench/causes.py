@@ -14,7 +14,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.pipeline import calibrate
 from multilica.simulate import simulate_snapshot
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from tests.bench.support.claims import Claim, print_claims, print_table
 

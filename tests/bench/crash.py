@@ -18,8 +18,7 @@ from mcap.reader import make_reader
 
 from multilica.config import STAGES
 from multilica.errors import MultilicaError
-from multilica.runs.explain_run import explain_run
-from multilica.runs.run_documents import read_run_document
+from multilica.runs.run_documents import explain_run, read_run_document
 from tests.bench.support.claims import Claim, print_claims, print_table
 
 ROOT = Path(__file__).resolve().parents[2]

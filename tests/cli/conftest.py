@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from multilica import RigidTransform, read_snapshot
+from multilica_cli.commands.demo import find_sample
 from multilica_cli.main import run
-from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, Outcome, write_pcd, write_recording
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from multilica.config import CalibrationConfig, known_keys, load_config, preset
+from multilica_cli.commands.config import configuration_page, parameters
 from multilica_cli.configuration import inline_toml, resolve_config, topic_names
-from multilica_cli.parameters import configuration_page, parameters
 from tests.cli.support import ROOT, Invoke
 
 

@@ -12,8 +12,8 @@ import tomli_w
 
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.geometry import RigidTransform
+from multilica_cli.commands.demo import find_sample
 from multilica_cli.failures import ExitCode
-from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence, true_pose, write_pcd
 
 

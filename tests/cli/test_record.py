@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from multilica import read_snapshot
+from multilica_cli.commands.demo import find_sample
 from multilica_cli.failures import ExitCode
-from multilica_cli.sample import find_sample
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.ingest.support.processes import served
 from tests.ingest.support.recording_writers import make_snapshot, write_mcap

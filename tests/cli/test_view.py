@@ -31,7 +31,7 @@ def run(saved_run: Path, tmp_path: Path) -> Path:
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """A viewer that draws at once."""
-    monkeypatch.setattr("multilica.runs.run_picture.viewer_picture", lambda *_: b"\x89PNG")
+    monkeypatch.setattr("multilica.runs.run_report.viewer_picture", lambda *_: b"\x89PNG")
 
 
 @pytest.mark.usefixtures("drawn")

@@ -12,6 +12,7 @@ from multilica.config import CalibrationConfig, preset, with_overrides
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import SnapshotRun, join, require_joinable, shown_snapshot
+from multilica.multi_snapshot.join import choose_target
 from multilica.results import CalibrationResult, LidarPlacement, PairRegistration
 
 _SIGMA = np.array([1e-4] * 3 + [2e-3] * 3)
@@ -250,3 +251,20 @@ def test_the_order_of_snapshots_does_not_matter():
 def test_what_measures_no_uncertainty_cannot_be_joined(config, named):
     with pytest.raises(UsageError, match=named):
         require_joinable(config)
+
+
+def _edge(target, source, fitness):
+    pose = RigidTransform.identity(target, source)
+    return PairRegistration(
+        target, source, pose, fitness, rmse_m=0.1, inliers=9, converged=True, iterations=1, engine=""
+    )
+
+
+def test_rounding_does_not_break_a_tie():
+    """0.3 + 0.2 + 0.1 and 0.1 + 0.2 + 0.3 differ in the last bit."""
+    names, fitness = "XYZ", (0.3, 0.2, 0.1)
+    edges = tuple(_edge("A", name, each) for name, each in zip(names, fitness, strict=True))
+    edges += tuple(_edge("B", name, each) for name, each in zip(names, reversed(fitness), strict=True))
+    target, reason = choose_target({"only": edges}, ["A", "B", *names], "")
+    assert target == "A"
+    assert reason == "most overlap in 1 of 1 snapshots"

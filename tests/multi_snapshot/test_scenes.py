@@ -15,7 +15,7 @@ from multilica.multi_snapshot import SnapshotRun, join, replay, shown_snapshot
 from multilica.pipeline import calibrate
 from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.rerun.tree import pair_path

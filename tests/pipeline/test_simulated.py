@@ -17,7 +17,6 @@ from multilica.sinks.files.provenance import provenance_of
 from multilica.sinks.files.result_document import result_document
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.steps import pairs as pair_steps
-from multilica.steps import sides
 
 _SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "result.schema.json").read_text())
 _GOOD_M, _GOOD_RAD = 0.02, np.deg2rad(0.1)
@@ -107,7 +106,7 @@ def test_unconnected_lidars_are_searched_again(monkeypatch, further):
 )
 def test_an_unconstrained_pair_is_not_searched_again(monkeypatch, codes, searched):
     verdict = Verdict("undecided", tuple(Reason(code, 0.0, 1.0, "made") for code in codes))
-    monkeypatch.setattr(sides, "accept", lambda *_: verdict)
+    monkeypatch.setattr(pair_steps, "accept", lambda *_: verdict)
     _, seen = _watched(_only(_sides().snapshot, "left", "top", every=5), "until=fine")
     assert bool(_of(events.SearchWidened, seen)) == searched
 
@@ -126,13 +125,13 @@ def test_a_doubted_pair_is_not_searched_again(monkeypatch):
 
 @pytest.mark.parametrize(("code", "placed"), [("not_observable", True), ("ambiguous", False)])
 def test_an_accepted_pair_constrains_the_registration_of_groups(monkeypatch, code, placed):
-    accept = sides.accept
+    accept = pair_steps.accept
     doubt = Verdict("undecided", (Reason(code, 0.0, 1.0, "made"),))
 
     def doubtful_in_groups(registrations, *limits):
         return doubt if registrations[0].hypothesis == -1 else accept(registrations, *limits)
 
-    monkeypatch.setattr(sides, "accept", doubtful_in_groups)
+    monkeypatch.setattr(pair_steps, "accept", doubtful_in_groups)
     result, _ = _watched(_sides().snapshot, "acceptance.firm_eigenvalue=1e6")
     assert (result.status == "complete") is placed
     if placed:

@@ -14,8 +14,7 @@ from PIL import Image
 
 from multilica.config import CalibrationConfig
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.runs.run_picture import picture_of_run, recording_of_run
-from multilica.runs.run_report import contents_of_run, report_of_run
+from multilica.runs.run_report import contents_of_run, picture_of_run, recording_of_run, report_of_run
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.run_directory import open_run
 from multilica.sinks.run_state import RunState

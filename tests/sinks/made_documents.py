@@ -9,7 +9,7 @@ from typing import Any
 
 from multilica.config import Stage
 from multilica.results.document import ResultDocument
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import made_events
 

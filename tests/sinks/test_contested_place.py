@@ -18,7 +18,7 @@ from multilica.sinks.report.outcome import outcome_of
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.rerun.tree import pair_path
 from multilica.sinks.run_state import RunState
-from multilica.stages.outcome import contested_place
+from multilica.steps.outcome import contested_place
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
 from tests.sinks.recording_reader import Recording, blueprint_names
 

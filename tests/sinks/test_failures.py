@@ -14,7 +14,7 @@ from multilica.errors import InputError
 from multilica.results import PreprocessedCloud
 from multilica.sinks.failures import Failure, decisive_failure, failures
 from multilica.sinks.files.atomic import partial_path
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import UNPLACED, made_events

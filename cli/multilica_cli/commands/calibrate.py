@@ -8,7 +8,7 @@ import typer
 
 from multilica_cli import options
 from multilica_cli.configuration import ingest_options, resolve_config
-from multilica_cli.outcome import exit_code, print_run
+from multilica_cli.failures import exit_code
 
 __all__ = ["calibrate"]
 
@@ -56,6 +56,7 @@ def calibrate(
     from multilica.ingest.locate import locate
     from multilica.run import run_calibration
     from multilica_cli.progress import show_progress
+    from multilica_cli.tables.result import print_run
 
     files = [locate(source) for source in sources]
     given = {

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`multilica config`: list of all parameters."""
 
-from dataclasses import asdict
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
 from itertools import groupby
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,7 +14,24 @@ from multilica_cli.configuration import inline_toml, resolve_config
 from multilica_cli.options import ConfigFile, Preset, Settings
 from multilica_cli.terminal import print_json, stdout_console
 
-__all__ = ["config"]
+if TYPE_CHECKING:
+    from multilica.config import CalibrationConfig
+
+__all__ = ["Parameter", "config", "configuration_page", "parameters"]
+
+_UNITS = {"m": "m", "rad": "rad", "deg": "deg", "s": "s", "ns": "ns", "hz": "Hz", "voxels": "voxels"}
+_PAGE_HEAD = (
+    "<!-- Made by `make docs` from the models in multilica/config: change those. -->",
+    "",
+    "# Configuration",
+    "",
+    "Every parameter is defined once, in `multilica/config`. Values come from a preset (`--preset default|paper`) or a",
+    "TOML file (`--config FILE`; its key `preset` gives the keys that it leaves out), then from options of the command",
+    "line, then from `--set section.key=value`. Unknown keys are an error. `multilica config` prints the resulting",
+    "values, `multilica config --toml` prints them as a file to start from; `result.json` holds those of its run.",
+)
+_TABLE_HEAD = ("| key | default | `paper`, if different | unit | allowed | meaning |", "|---|---|---|---|---|---|")
+_BOUNDS = {"minimum": ">= {}", "exclusiveMinimum": "> {}", "maximum": "<= {}", "exclusiveMaximum": "< {}"}
 
 
 def config(
@@ -28,18 +47,13 @@ def config(
     from rich import box
     from rich.table import Table
 
-    from multilica_cli.parameters import configuration_file, configuration_page, parameters
-
     if as_json + as_toml + as_markdown > 1:
         raise UsageError("Found more than one of --json, --toml and --markdown; give one of them.")
     resolved = resolve_config(preset, config_file, {}, settings or ())
+    if as_toml or as_markdown:
+        typer.echo(_configuration_file(resolved) if as_toml else configuration_page(), nl=False)
+        return
     rows = parameters(resolved)
-    if as_toml:
-        typer.echo(configuration_file(resolved), nl=False)
-        return
-    if as_markdown:
-        typer.echo(configuration_page(), nl=False)
-        return
     if as_json:
         print_json([asdict(parameter) for parameter in rows])
         return
@@ -53,3 +67,77 @@ def config(
             table.add_row(row.key, inline_toml(row.value), row.unit, row.meaning_with_limits)
         table.add_section()
     stdout_console().print(table)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter with its value in TOML; parameters of the whole run have no section."""
+
+    section: str
+    name: str
+    value: Any
+    unit: str
+    allowed: str
+    meaning: str
+
+    @property
+    def key(self) -> str:
+        """Return the key that `--set` takes."""
+        return f"{self.section}.{self.name}" if self.section else self.name
+
+    @property
+    def meaning_with_limits(self) -> str:
+        """Return the meaning, followed by the allowed values if they are limited."""
+        return self.meaning + (f" ({self.allowed})" if self.allowed else "")
+
+
+def parameters(config: CalibrationConfig) -> tuple[Parameter, ...]:
+    """List all parameters with their values, those of the whole run first, then in the order of the stages."""
+    values = config.model_dump(mode="json")
+    schema = config.model_json_schema()
+    found: list[Parameter] = []
+    for name, field in schema["properties"].items():
+        if "$ref" not in field:
+            found.append(_parameter("", name, field, values[name]))
+            continue
+        keys = schema["$defs"][field["$ref"].rpartition("/")[2]]["properties"]
+        found += [_parameter(name, key, entry, values[name][key]) for key, entry in keys.items()]
+    return tuple(found)
+
+
+def _parameter(section: str, name: str, field: dict[str, Any], value: object) -> Parameter:
+    unit = _UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
+    return Parameter(section, name, value, unit, _allowed(field), field.get("description", ""))
+
+
+def _allowed(field: dict[str, Any]) -> str:
+    if "enum" in field:
+        return ", ".join(str(choice) for choice in field["enum"])
+    limits = field.get("items", field)
+    bounds = [text.format(f"{limits[bound]:g}") for bound, text in _BOUNDS.items() if bound in limits]
+    return ("each " if limits is not field and bounds else "") + ", ".join(bounds)
+
+
+def _configuration_file(config: CalibrationConfig) -> str:
+    """Write a file for `--config` with the meaning of each key as a comment."""
+    lines = ["# Keys that are left out keep the value of the preset."]
+    for section, members in groupby(parameters(config), key=lambda parameter: parameter.section):
+        lines += ["", f"[{section}]"] if section else []
+        for parameter in members:
+            lines += [f"# {parameter.meaning_with_limits}", f"{parameter.name} = {inline_toml(parameter.value)}"]
+    return "\n".join(lines) + "\n"
+
+
+def configuration_page() -> str:
+    """Write the page of the documentation: one table per section, with the values of both presets."""
+    from multilica.config import preset
+
+    paper = {parameter.key: parameter.value for parameter in parameters(preset("paper"))}
+    lines = list(_PAGE_HEAD)
+    for section, members in groupby(parameters(preset("default")), key=lambda parameter: parameter.section):
+        lines += ["", f"## `[{section}]`" if section else "## The whole run", "", *_TABLE_HEAD]
+        for each in members:
+            other = f"`{inline_toml(paper[each.key])}`" if paper[each.key] != each.value else ""
+            cells = (f"`{each.name}`", f"`{inline_toml(each.value)}`", other, each.unit, each.allowed, each.meaning)
+            lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"

@@ -19,21 +19,17 @@ def simulate(
     scene: Annotated[
         str,
         typer.Option(
-            metavar="NAME",
-            help="Scene: street, parking, garage, symmetric_garage, tunnel, open_field, fence_field.",
+            metavar="NAME", help="Scene: street, parking, garage, symmetric_garage, tunnel, open_field, fence_field."
         ),
     ],
     out: Annotated[
-        Path,
-        typer.Option(metavar="FILE.mcap", help="Recording to write, with FILE.truth.toml.", callback=mcap_name),
+        Path, typer.Option(metavar="FILE.mcap", help="Recording to write, with FILE.truth.toml.", callback=mcap_name)
     ],
     seed: Annotated[int, typer.Option(help="Seed of scene, mounting and noise.")] = 0,
     build_seed: Annotated[
         int | None,
         typer.Option(
-            metavar="N",
-            help="Seed of the mounting only: the same vehicle in another scene.",
-            show_default="as --seed",
+            metavar="N", help="Seed of the mounting only: the same vehicle in another scene.", show_default="as --seed"
         ),
     ] = None,
     frames: Annotated[int, typer.Option(help="Frames per LiDAR.")] = 5,

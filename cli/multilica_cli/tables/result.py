@@ -10,12 +10,15 @@ from typing import TYPE_CHECKING
 from rich import box
 from rich.table import Table
 
+from multilica_cli.terminal import stdout_console
+
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
-    from multilica.results import CalibrationResult, LidarPlacement
+    from multilica.results import CalibrationResult, GroundPlane, LidarPlacement
+    from multilica.run import CalibrationRun
 
-__all__ = ["POSE_COLUMNS", "placements_table", "plain_table", "pose_cells", "truth_table"]
+__all__ = ["POSE_COLUMNS", "plain_table", "pose_cells", "print_run"]
 
 _PRIOR_COLUMNS = ("to prior\nmm", "to prior\ndeg")
 _SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")
@@ -45,7 +48,33 @@ def pose_cells(pose: RigidTransform | None) -> tuple[str, ...]:
     return *(f"{value:z.3f}" for value in pose.xyz_m), *(f"{value:z.2f}" for value in pose.rpy_deg)
 
 
-def placements_table(result: CalibrationResult) -> Table:
+def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bool) -> None:
+    """Print the extrinsics, the errors if the truth is known, the files, and why a LiDAR is missing or doubtful."""
+    from multilica.runs.run_documents import explain_run
+
+    console, result = stdout_console(quiet=quiet), run.result
+    console.print(_placements_table(result))
+    if any(place.placed and place.lidar != result.target for place in result.placements):
+        console.print(f"target {result.target}: {result.target_reason}")
+    if result.ground is not None:
+        console.print(_ground_line(result.target, result.ground))
+    if truth is not None:
+        console.print(_truth_table(result, truth))
+    for snapshot in result.snapshots:
+        console.print(f"snapshot {snapshot.name}: {snapshot.text}")
+    for path in run.written:
+        console.print(f"wrote {path}")
+    for line in explain_run(run.directory).findings:
+        console.print(line)
+
+
+def _ground_line(target: str, ground: GroundPlane) -> str:
+    roll_deg, pitch_deg, _ = ground.T_base_target.rpy_deg
+    height_m = ground.T_base_target.xyz_m[2]
+    return f"ground: {target} is {height_m:.3f} m above it, roll {roll_deg:z.2f} deg, pitch {pitch_deg:z.2f} deg"
+
+
+def _placements_table(result: CalibrationResult) -> Table:
     """Tabulate the pose of each LiDAR in the target's frame."""
     prior = any(placement.T_target_source_prior is not None for placement in result.placements)
     columns = ["LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness"]
@@ -55,7 +84,10 @@ def placements_table(result: CalibrationResult) -> Table:
     for placement in result.placements:
         is_target = placement.lidar == result.target
         status = "target" if is_target else "placed" if placement.placed else "NOT PLACED"
-        scores = ("-",) * 3 if is_target or not placement.placed else _scores(placement)
+        scores = ("-",) * 3
+        if placement.placed and not is_target:
+            sigmas = _largest(placement.sigma_xyz_m, placement.sigma_rotation_deg)
+            scores = (*sigmas, f"{placement.fitness:.3f}")
         cells = (placement.lidar, status, *pose_cells(placement.T_target_source), *scores)
         if prior:
             cells += _distance_cells(None if is_target else placement.prior_deviation)
@@ -63,7 +95,7 @@ def placements_table(result: CalibrationResult) -> Table:
     return table
 
 
-def truth_table(result: CalibrationResult, truth: Extrinsics) -> Table:
+def _truth_table(result: CalibrationResult, truth: Extrinsics) -> Table:
     """Tabulate each pose with its true pose and the distance between the two."""
     table = plain_table("Ground truth", ("LiDAR", "", *POSE_COLUMNS, "error\nmm", "error\ndeg"), numbers_from=2)
     for placement in result.placements:
@@ -74,12 +106,6 @@ def truth_table(result: CalibrationResult, truth: Extrinsics) -> Table:
         error = None if found is None else true.distance_to(found)
         table.add_row("", "true", *pose_cells(true), *_distance_cells(error), end_section=True)
     return table
-
-
-def _scores(placement: LidarPlacement) -> tuple[str, str, str]:
-    """Return the standard deviations of the worst axes and the fitness."""
-    sigmas = _largest(placement.sigma_xyz_m, placement.sigma_rotation_deg)
-    return *sigmas, f"{placement.fitness:.3f}"
 
 
 def _spread(placement: LidarPlacement) -> tuple[str, str, str]:

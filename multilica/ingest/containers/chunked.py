@@ -31,13 +31,7 @@ _NOTHING = memoryview(b"")
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """A chunk according to the index.
-
-    Args:
-        offset: position in the file, in bytes.
-        start_ns, end_ns: log times of its first and last message.
-        topics: the topics of its messages; None if the index does not tell.
-    """
+    """A chunk according to the index; `topics` is None if the index does not tell."""
 
     offset: int
     start_ns: int
@@ -66,11 +60,7 @@ class PackedChunk:
         return self.compression not in UNCOMPRESSED and len(self.data) < _MAX_RATIO * self.size
 
     def unpack(self) -> memoryview:
-        """Return its records; if it is not whole, those at its beginning, without checksum.
-
-        Raises:
-            ValueError: the data are broken; the text is a clause.
-        """
+        """Return its records, or those at its beginning if it is not whole; raise ValueError if they are broken."""
         data = unpack(self.compression, self.data, self.size, partial=not self.is_whole)
         if self.is_whole:
             require_checksum(data, self.crc32)
@@ -81,8 +71,6 @@ class ChunkedRecording:
     """A recording of which only the needed chunks are read.
 
     Args:
-        title: the format's name for the user.
-        where: the file, for messages.
         chunks: in any order.
         read_chunk: reads the chunk at a place from the stream.
         split: yields the messages on the given topics from the records of a chunk.

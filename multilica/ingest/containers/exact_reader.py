@@ -2,13 +2,14 @@
 """A file whose reads are complete or fail."""
 
 from io import BufferedReader, RawIOBase
-from typing import cast
+from struct import Struct
+from typing import Any, cast
 
 import numpy as np
 
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["EndOfFileError", "ExactReader"]
+__all__ = ["EndOfFileError", "ExactReader", "unpack_head"]
 
 
 class EndOfFileError(EOFError):
@@ -31,25 +32,24 @@ class ExactReader(BufferedReader):
         return self._size - self.tell()
 
     def read(self, size: int | None = None, /) -> bytes:
-        """Read exactly `size` bytes; all that remain if None.
-
-        Raises:
-            EndOfFileError: there are fewer.
-        """
+        """Read exactly `size` bytes, all that remain if None; raise EndOfFileError if there are fewer."""
         size = self.remaining if size is None else size
         if size > self.remaining:
             raise EndOfFileError
         return super().read(size)
 
     def view(self, size: int) -> memoryview:
-        """Read exactly `size` bytes into memory that is not cleared first, which is faster than `read`.
-
-        Raises:
-            EndOfFileError: there are fewer.
-        """
+        """Read like `read`, into memory that is not cleared first, which is faster."""
         if size > self.remaining:
             raise EndOfFileError
         data = np.empty(size, np.uint8).data
         if self.readinto(data) != size:
             raise EndOfFileError
         return data
+
+
+def unpack_head(layout: Struct, data: bytes | memoryview, place: int = 0) -> tuple[Any, ...]:
+    """Return the values at a place; raise EndOfFileError if the data end before."""
+    if place + layout.size > len(data):
+        raise EndOfFileError
+    return layout.unpack_from(data, place)

@@ -2,6 +2,7 @@
 """The reader of MCAP files."""
 
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 
 from mcap.data_stream import ReadDataStream
@@ -34,14 +35,7 @@ _CRC_BYTES = 4
 
 
 def open_file(path: SourceFile, where: str) -> Recording:
-    """Open an MCAP file by its index; without a valid index, read it from front to end.
-
-    Args:
-        where: the file, for messages.
-
-    Raises:
-        DamagedRecordingError: not a single message can be read.
-    """
+    """Open an MCAP file by its index; without a valid index, read it from front to end."""
     stream = ExactReader(path)
     summary = _summary(stream)
     if summary is None or summary.statistics is None or not summary.chunk_indexes:
@@ -61,14 +55,12 @@ def open_file(path: SourceFile, where: str) -> Recording:
 
 
 def _summary(stream: ExactReader) -> Summary | None:
-    try:
-        with damage_named("the index"):
-            summary = make_reader(stream).get_summary()
-            if summary is not None:
-                _require_checksum(stream)
-            return summary
-    except DamagedRecordingError:
-        return None
+    with suppress(DamagedRecordingError), damage_named("the index"):
+        summary = make_reader(stream).get_summary()
+        if summary is not None:
+            _require_checksum(stream)
+        return summary
+    return None
 
 
 def _require_checksum(stream: ExactReader) -> None:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of MCAP files."""
+"""Records of MCAP files.
+
+Functions raise `EndOfFileError` if data end too early, and ValueError, with a clause as its text, if they are wrong.
+"""
 
 import struct
 from collections.abc import Iterator, Mapping
@@ -10,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from multilica.ingest.containers.chunked import PackedChunk
-from multilica.ingest.containers.exact_reader import EndOfFileError
+from multilica.ingest.containers.exact_reader import EndOfFileError, unpack_head
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.formats import FORMATS
 from multilica.ingest.recording import RawMessage, Span, Topic, normal_type
@@ -39,19 +42,12 @@ _MAX_RECORD_BYTES = MAX_UNPACKED_BYTES + (1 << 10)
 
 
 def records_of(data: memoryview) -> Iterator[tuple[int, memoryview]]:
-    """Yield opcode and content of each record, without a copy.
-
-    Raises:
-        EndOfFileError: a record is longer than the data.
-        ValueError: there are more than `MAX_RECORDS`; the text is a clause.
-    """
+    """Yield opcode and content of each record, without a copy; at most `MAX_RECORDS`."""
     place = 0
     for _ in range(MAX_RECORDS):
         if place == len(data):
             return
-        if len(data) - place < RECORD_HEAD.size:
-            raise EndOfFileError
-        opcode, length = RECORD_HEAD.unpack_from(data, place)
+        opcode, length = unpack_head(RECORD_HEAD, data, place)
         place += RECORD_HEAD.size
         if length > len(data) - place or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
             raise EndOfFileError
@@ -61,11 +57,7 @@ def records_of(data: memoryview) -> Iterator[tuple[int, memoryview]]:
 
 
 def record_length(head: bytes) -> tuple[int, int]:
-    """Return opcode and length in bytes of a record that is to be read into memory.
-
-    Raises:
-        ValueError: it is too large; the text is a clause.
-    """
+    """Return opcode and length in bytes of a record that is to be read into memory."""
     opcode, length = RECORD_HEAD.unpack(head)
     if length > _MAX_RECORD_BYTES:
         raise ValueError("a record claims an impossible size")
@@ -73,18 +65,10 @@ def record_length(head: bytes) -> tuple[int, int]:
 
 
 def chunk_of(record: memoryview) -> PackedChunk:
-    """Return the chunk in a record; its beginning if the record was cut off.
-
-    Raises:
-        EndOfFileError: it ends before its data begin, or before its record does.
-    """
-    if len(record) < _CHUNK_HEAD.size:
-        raise EndOfFileError
-    _, _, size, crc32, name_bytes = _CHUNK_HEAD.unpack_from(record)
+    """Return the chunk in a record; its beginning if the record was cut off."""
+    _, _, size, crc32, name_bytes = unpack_head(_CHUNK_HEAD, record)
     end = _CHUNK_HEAD.size + name_bytes
-    if end + _LENGTH.size > len(record):
-        raise EndOfFileError
-    (length,) = _LENGTH.unpack_from(record, end)
+    (length,) = unpack_head(_LENGTH, record, end)
     data = record[end + _LENGTH.size :]
     if length < len(data):
         raise EndOfFileError
@@ -93,14 +77,8 @@ def chunk_of(record: memoryview) -> PackedChunk:
 
 
 def chunk_claims(record: bytes) -> tuple[Span, int]:
-    """Return the span of a chunk and its unpacked size in bytes, as the head of its record claims.
-
-    Raises:
-        EndOfFileError: the record ends within its head.
-    """
-    if len(record) < _CHUNK_HEAD.size:
-        raise EndOfFileError
-    first_ns, last_ns, size, _, _ = _CHUNK_HEAD.unpack_from(record)
+    """Return the span of a chunk and its unpacked size in bytes, as the head of its record claims."""
+    first_ns, last_ns, size, _, _ = unpack_head(_CHUNK_HEAD, record)
     return (first_ns, last_ns), size
 
 
@@ -112,11 +90,7 @@ def topic_of(channel: Channel, schemas: Mapping[int, Schema]) -> Topic:
 
 
 class KnownChannels:
-    """The schemas and channels met so far on the way through a file.
-
-    Args:
-        where: the file, for messages.
-    """
+    """The schemas and channels met so far on the way through a file."""
 
     def __init__(self, where: str) -> None:
         self.topics: dict[int, Topic] = {}

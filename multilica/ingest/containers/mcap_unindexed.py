@@ -39,14 +39,7 @@ _INDEX_HEAD_BYTES = 6
 
 
 def open_unindexed(path: Path, where: str) -> UnindexedRecording:
-    """Open an MCAP file by reading it from the front up to the first damage.
-
-    Args:
-        where: the file, for messages.
-
-    Raises:
-        DamagedRecordingError: not a single message can be read.
-    """
+    """Open an MCAP file by reading it from the front up to the first damage."""
     known = KnownChannels(where)
     return UnindexedRecording("MCAP without index", where, partial(_parts, path, known), partial(survey, path, known))
 
@@ -91,16 +84,8 @@ def _records(stream: ExactReader, place: int) -> Iterator[tuple[int, memoryview]
     stream.read(len(MAGIC))
 
 
-class _NoIndexError(Exception):
-    """Missing or contradictory message indexes of a chunk."""
-
-
 def survey(path: Path, known: KnownChannels) -> Survey | None:
-    """Count messages by the message indexes behind the chunks; None if they are missing or make no sense.
-
-    Args:
-        known: learns every channel.
-    """
+    """Count messages by the message indexes behind the chunks; None if they are missing or make no sense."""
     found = Survey()
     stream = ExactReader(path)
     try:
@@ -116,7 +101,7 @@ def survey(path: Path, known: KnownChannels) -> Survey | None:
         return None
     finally:
         stream.close()
-    return found if found.topics else None
+    return found if found.counts else None
 
 
 def _add_next(stream: ExactReader, found: Survey, known: KnownChannels) -> bool:
@@ -156,7 +141,7 @@ def _add_chunk(stream: ExactReader, end: int, found: Survey, known: KnownChannel
             unpacked_bytes = 0
         return
     if not indexed and stream.remaining:
-        raise _NoIndexError
+        raise ValueError("a chunk has no message indexes")
     stream.seek(start)
     with damage_named(known.where):
         for message in known.messages_of(Opcode.CHUNK, stream.view(read_end - start)):
@@ -167,11 +152,7 @@ def _add_chunk(stream: ExactReader, end: int, found: Survey, known: KnownChannel
 
 
 def _message_indexes(stream: ExactReader, span: Span) -> dict[int, tuple[int, Span]]:
-    """Return the number of messages and their span per channel; empty if the file ends within the indexes.
-
-    Raises:
-        _NoIndexError: they contradict the span of the chunk.
-    """
+    """Return number of messages and span per channel; empty if the file ends within the indexes."""
     indexed: dict[int, tuple[int, Span]] = {}
     while stream.remaining:
         place = stream.tell()
@@ -188,6 +169,6 @@ def _message_indexes(stream: ExactReader, span: Span) -> dict[int, tuple[int, Sp
         if len(times):
             first, last = int(times.min()), int(times.max())
             if not span[0] <= first <= last <= span[1]:
-                raise _NoIndexError
+                raise ValueError("message indexes contradict the span of their chunk")
             indexed[int.from_bytes(record[:2], "little")] = len(times), (first, last)
     return indexed

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
@@ -35,12 +35,7 @@ def with_turns(recording: Recording) -> Recording:
 
 
 class OusterRecording(WrappedRecording):
-    """A recording with the packets of each turn joined.
-
-    Args:
-        recording: closed together with this one.
-        metadata: topic of packets -> JSON that the driver published beside it.
-    """
+    """A recording with the packets of each turn joined; `metadata` is the driver's JSON by topic of packets."""
 
     def __init__(self, recording: Recording, metadata: dict[str, str]) -> None:
         super().__init__(recording)
@@ -144,16 +139,13 @@ def _metadata_beside(recording: Recording, packets: Topic) -> str:
 
 
 def _first_messages(recording: Recording, topics: Collection[str]) -> list[RawMessage]:
-    try:
-        with closing(recording.messages(topics)) as messages:
-            return list(islice(messages, _MAX_TRIES)) if topics else []
-    except DamagedRecordingError:
-        return []
+    with suppress(DamagedRecordingError), closing(recording.messages(topics)) as messages:
+        return list(islice(messages, _MAX_TRIES)) if topics else []
+    return []
 
 
 def _packet(message: RawMessage) -> memoryview:
     """Return the packet in a ``PacketMsg``; empty if the message is broken."""
-    try:
+    with suppress(ValueError):
         return WireReader.of_message(message).octets()
-    except ValueError:
-        return memoryview(b"")
+    return memoryview(b"")

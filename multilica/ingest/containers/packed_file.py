@@ -20,14 +20,7 @@ _ALWAYS_BYTES = 64 << 20
 
 
 def open_packed(path: Path, where: str, open_file: Callable[[Path, str], Recording]) -> Recording:
-    """Unpack a file that was compressed with zstd into a temporary folder and open it there.
-
-    Args:
-        where: the compressed file, for messages.
-
-    Raises:
-        DamagedRecordingError: it cannot be unpacked or is too large.
-    """
+    """Unpack a file that was compressed with zstd into a temporary folder and open it there."""
     folder = Path(tempfile.mkdtemp(prefix="multilica-"))
     try:
         unpacked = folder / path.stem

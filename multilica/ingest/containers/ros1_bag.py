@@ -35,14 +35,7 @@ _COUNT = struct.Struct("<4sI")
 
 
 def open_file(path: Path, where: str) -> Recording:
-    """Open a ``.bag`` file by its index; without a valid index, read it from front to end.
-
-    Args:
-        where: the file, for messages.
-
-    Raises:
-        DamagedRecordingError: not a single message can be read.
-    """
+    """Open a ``.bag`` file by its index; without a valid index, read it from front to end."""
     stream = ExactReader(path)
     try:
         with damage_named(where):
@@ -53,14 +46,7 @@ def open_file(path: Path, where: str) -> Recording:
 
 
 def open_unindexed(path: Path, where: str) -> UnindexedRecording:
-    """Open a bag by reading it from the front up to the first damage.
-
-    Args:
-        where: the file, for messages.
-
-    Raises:
-        DamagedRecordingError: not a single message can be read.
-    """
+    """Open a bag by reading it from the front up to the first damage."""
     return UnindexedRecording("ROS 1 bag without index", where, partial(_parts, path, where, {}))
 
 

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records of ROS 1 bags."""
+"""Records of ROS 1 bags.
+
+Functions raise `EndOfFileError` if data end too early, and ValueError, with a clause as its text, if they are wrong.
+"""
 
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TypeAlias
 
 from multilica.ingest.containers.chunked import PackedChunk
-from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader
+from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader, unpack_head
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.recording import RawMessage, Topic, normal_type
 
@@ -43,12 +46,7 @@ def connection_topic(header: RecordHeader, data: memoryview) -> Topic:
 def messages_of(
     records: Iterable[tuple[RecordHeader, memoryview]], topics: dict[bytes, Topic], where: str
 ) -> Iterator[RawMessage]:
-    """Yield the messages in records.
-
-    Args:
-        topics: topic by connection; connections in the records are added.
-        where: the file, for messages.
-    """
+    """Yield the messages in records; add connections in the records to `topics`."""
     for header, data in records:
         if header[b"op"][0] == CONNECTION:
             topics[header[b"conn"]] = connection_topic(header, data)
@@ -63,11 +61,7 @@ def time_ns(field: bytes | memoryview) -> int:
 
 
 def read_length(stream: ExactReader) -> int:
-    """Read the length in bytes of what follows.
-
-    Raises:
-        ValueError: it is too large; the text is a clause.
-    """
+    """Read the length in bytes of what follows."""
     (length,) = _LENGTH.unpack(stream.read(_LENGTH.size))
     if length > MAX_UNPACKED_BYTES:
         raise ValueError("a record claims an impossible size")
@@ -86,12 +80,7 @@ def packed_chunk(header: RecordHeader, data: bytes | memoryview, *, is_whole: bo
 
 
 def records_of(chunk: memoryview) -> Iterator[tuple[RecordHeader, memoryview]]:
-    """Yield header and data of each record, without a copy of the data.
-
-    Raises:
-        EndOfFileError: a record is longer than the data.
-        ValueError: there are more than `MAX_RECORDS`; the text is a clause.
-    """
+    """Yield header and data of each record, without a copy of the data; at most `MAX_RECORDS`."""
     place = 0
     for _ in range(MAX_RECORDS):
         if place == len(chunk):
@@ -104,9 +93,7 @@ def records_of(chunk: memoryview) -> Iterator[tuple[RecordHeader, memoryview]]:
 
 def _part(data: memoryview, place: int) -> tuple[memoryview, int]:
     start = place + _LENGTH.size
-    if start > len(data):
-        raise EndOfFileError
-    end = start + _LENGTH.unpack_from(data, place)[0]
+    end = start + unpack_head(_LENGTH, data, place)[0]
     if end > len(data):
         raise EndOfFileError
     return data[start:end], end

@@ -41,30 +41,15 @@ _EVERY_MESSAGE = f"SELECT topic_id, {_TIME}, CAST(data AS BLOB) FROM messages OR
 
 
 def open_file(path: Path, where: str) -> Recording:
-    """Open a ``.db3`` file.
-
-    Args:
-        where: the file, for messages.
-
-    Raises:
-        DamagedRecordingError: not a single message can be read.
-        UnreadableSourceError: it is a database of something else.
-    """
+    """Open a ``.db3`` file; raise UnreadableSourceError if it is a database of something else."""
     try:
-        _require_bag(path, where)
         return _open_whole(path, where)
     except DamagedRecordingError:
         return _open_beginning(path, where)
 
 
 class Ros2Sqlite:
-    """One open storage file of a ROS 2 bag.
-
-    Args:
-        where: the file, for messages.
-        topics: topic by its id in the database.
-        damage: as in `Recording`.
-    """
+    """One open storage file of a ROS 2 bag, with `topics` by their ids in the database."""
 
     format = "ROS 2 bag (sqlite3)"
     is_indexed = True
@@ -97,24 +82,19 @@ class Ros2Sqlite:
         self._database.close()
 
 
-def _require_bag(path: Path, where: str) -> None:
+def _open_whole(path: Path, where: str) -> Ros2Sqlite:
     with _connected(path, where) as database:
         rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
-        database.close()
-    tables = {str(name) for (name,) in rows}
-    if not {"topics", "messages"} <= tables:
-        raise UnreadableSourceError(
-            f"{where} is an SQLite file but not a ROS 2 bag: expected the tables messages and topics, "
-            f"found {', '.join(sorted(tables)) or 'none'}."
-        )
-
-
-def _open_whole(path: Path, where: str) -> Ros2Sqlite:
-    with path.open("rb") as file:
-        page = _page_bytes(file.read(_HEADER_BYTES))
-    if path.stat().st_size % page:
-        raise DamagedRecordingError(where, "the file ends too early")
-    with _connected(path, where) as database:
+        tables = {str(name) for (name,) in rows}
+        if not {"topics", "messages"} <= tables:
+            raise UnreadableSourceError(
+                f"{where} is an SQLite file but not a ROS 2 bag: expected the tables messages and topics, "
+                f"found {', '.join(sorted(tables)) or 'none'}."
+            )
+        with path.open("rb") as file:
+            page = _page_bytes(file.read(_HEADER_BYTES))
+        if path.stat().st_size % page:
+            raise DamagedRecordingError(where, "the file ends too early")
         tallies = {key: (count, first, last) for key, count, first, last in database.execute(_TALLIES)}
         return Ros2Sqlite(where, database, _topics(database), tallies)
 

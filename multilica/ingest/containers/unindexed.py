@@ -31,9 +31,6 @@ class Survey:
     Args:
         counts: messages by topic; the topics' own counts are zero.
         spans: log times by name of the topic.
-        unpacked_bytes: size of the messages.
-        damage: as in `Recording`.
-        latest_ns: the latest log time.
         marks: positions in the file, each with the latest log time before it.
     """
 
@@ -67,18 +64,11 @@ class Survey:
         index = bisect_left(self.marks, start_ns, key=itemgetter(1))
         return max(least, self.marks[index - 1][0]) if index else least
 
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """Topics by name."""
-        return joint_topics(self.counts.items())
-
 
 class UnindexedRecording:
     """A recording that is read from the front up to the first damage.
 
     Args:
-        title: the format's name for the user.
-        where: the file, for messages.
         scan: yields the parts of the file from a position on, in the order of writing; raises any error where it
             cannot go on. It starts at 0 or where it has been before.
         survey: finds out what the file holds without that; returns None if it cannot.
@@ -104,7 +94,7 @@ class UnindexedRecording:
         self._error: DamagedRecordingError | None = None
         found = survey()
         self._survey = self._read() if found is None or found.unpacked_bytes <= _MAX_KEPT_BYTES else found
-        self.topics = self._survey.topics
+        self.topics = joint_topics(self._survey.counts.items())
         self.damage = self._survey.damage
 
     def span_ns(self, topics: Collection[str]) -> Span | None:

@@ -59,10 +59,6 @@ class Received:
 class FoxgloveSocket:
     """An open connection.
 
-    Args:
-        url: ``ws://`` or ``wss://``.
-        timeout_s: for connecting.
-
     Raises:
         ConnectionLost: nothing answers yet.
         UnreadableSourceError: another kind of server answers, or the address is not valid.
@@ -100,11 +96,7 @@ class FoxgloveSocket:
             )
 
     def subscribe(self, numbers: Iterable[int]) -> None:
-        """Subscribe to channels.
-
-        Raises:
-            ConnectionLost: the server is gone.
-        """
+        """Subscribe to channels; raise ConnectionLost if the server is gone."""
         wanted = [{"id": number, "channelId": number} for number in numbers]
         try:
             self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
@@ -112,11 +104,7 @@ class FoxgloveSocket:
             raise ConnectionLost(str(error)) from error
 
     def receive(self, timeout_s: float) -> Advertised | Withdrawn | Received | None:
-        """Return the next event; None for other events, or after `timeout_s` without any.
-
-        Raises:
-            ConnectionLost: the server is gone.
-        """
+        """Return the next event, None for others or without any in time; raise ConnectionLost if the server is gone."""
         try:
             frame = self._socket.recv(timeout=timeout_s)
         except TimeoutError:

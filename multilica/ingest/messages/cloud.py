@@ -49,11 +49,7 @@ def obstacle(topic: Topic) -> str:
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode a message for which `is_cloud` is true.
-
-    Raises:
-        UnreadableSourceError: the message is broken.
-    """
+    """Decode a message for which `is_cloud` is true; raise UnreadableSourceError if it is broken."""
     if message.fault:
         raise UnreadableSourceError(f"{message.origin} {message.fault}.")
     try:

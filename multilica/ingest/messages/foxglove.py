@@ -31,11 +31,7 @@ _POSE_TOLERANCE = 1e-9
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode a ``foxglove.PointCloud``; points stay in the cloud's own frame, whatever its pose.
-
-    Raises:
-        ValueError: the message is broken; the text is a predicate.
-    """
+    """Decode a ``foxglove.PointCloud``; points stay in the cloud's own frame, whatever its pose."""
     decode = _from_json if message.encoding == "json" else _from_protobuf
     stamp_ns, frame_id, pose, fields, stride, data = decode(message.data)
     width, rest = divmod(len(data), stride) if stride else (0, len(data))

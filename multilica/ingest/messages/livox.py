@@ -17,11 +17,7 @@ _POINT_BYTES = 19
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode a ``CustomMsg`` of ROS 1 or ROS 2.
-
-    Raises:
-        ValueError: the message is broken; the text is a predicate.
-    """
+    """Decode a ``CustomMsg`` of ROS 1 or ROS 2."""
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
     reader.align(8)

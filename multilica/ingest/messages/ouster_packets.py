@@ -49,11 +49,7 @@ class Sensor:
 
 @lru_cache(maxsize=16)
 def sensor_of(metadata: str) -> Sensor:
-    """Parse the JSON that the driver publishes beside the packets.
-
-    Raises:
-        ValueError: it is not valid; the text is a predicate.
-    """
+    """Parse the driver's JSON; raise ValueError, with a predicate as its text, if it is not valid."""
     try:
         info = core.SensorInfo(metadata)
         layout = core.PacketFormat(info)
@@ -76,11 +72,7 @@ def join_packets(metadata: str, packets: Sequence[memoryview]) -> bytes:
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode one turn: first returns in the driver's frame ``os_lidar``, signal as intensity.
-
-    Raises:
-        ValueError: the packets are broken; the text is a predicate.
-    """
+    """Decode one turn: first returns in the driver's frame ``os_lidar``, signal as intensity."""
     data = memoryview(message.data)
     (head_bytes,) = _LENGTH.unpack_from(data)
     metadata = str(data[_LENGTH.size : _LENGTH.size + head_bytes], "utf-8")

@@ -27,11 +27,7 @@ _VELODYNE = {
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode a ``sensor_msgs/PointCloud2``; the stamp is that of the header, or the log time if that is zero.
-
-    Raises:
-        ValueError: the message is broken; the text is a predicate.
-    """
+    """Decode a ``sensor_msgs/PointCloud2``; the stamp is that of the header, or the log time if that is zero."""
     # `rosbags` would take a third of the time that the points take.
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
@@ -56,11 +52,7 @@ def _field(reader: WireReader) -> PointField:
 
 
 def deserialize(message: RawMessage) -> Any:  # noqa: ANN401 - the classes are made by rosbags at run time
-    """Return the message as an object of `rosbags`; arrays are views of the message's bytes.
-
-    Raises:
-        ValueError: the message is broken; the text is a predicate.
-    """
+    """Return an object of `rosbags`; raise ValueError, with a predicate as its text, if the message is broken."""
     message_type = _OLD_NAMES.get(message.message_type, message.message_type)
     data, types = message_bytes(message), _types(message.encoding)
     try:

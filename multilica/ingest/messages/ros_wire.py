@@ -22,34 +22,28 @@ _SEQUENCE_BYTES = 4
 class WireReader:
     """A reader of one value after the other, without copies.
 
-    Every read raises ValueError, with a predicate as its text, if the message ends before.
+    Every method raises ValueError, with a predicate as its text, if the message is lost, broken or ends before.
 
     Args:
         order: byte order, as in `struct`.
         alignment: of numbers of four bytes; 1 if nothing is aligned.
-        start: position that alignment counts from.
         place: position of the next value.
     """
 
     data: memoryview
     order: str
     alignment: int
-    start: int
     place: int
 
     @classmethod
     def of_message(cls, message: RawMessage) -> WireReader:
-        """Start at the beginning of a message.
-
-        Raises:
-            ValueError: the message is too short, or its compression broken; the text is a predicate.
-        """
+        """Start at the beginning of a message."""
         data = message_bytes(message)
         if message.encoding == "ros1":
-            return cls(data, "<", 1, 0, 0)
+            return cls(data, "<", 1, 0)
         if len(data) < _ENCAPSULATION_BYTES:
             raise ValueError(_CUT_OFF)
-        return cls(data, "<" if data[1] & 1 else ">", 4, _ENCAPSULATION_BYTES, _ENCAPSULATION_BYTES)
+        return cls(data, "<" if data[1] & 1 else ">", 4, _ENCAPSULATION_BYTES)
 
     @property
     def remaining(self) -> int:
@@ -94,7 +88,7 @@ class WireReader:
     def align(self, size: int) -> None:
         """Skip the padding before a number of `size` bytes."""
         if self.alignment > 1:
-            self.place += (self.start - self.place) % size
+            self.place += (_ENCAPSULATION_BYTES - self.place) % size
 
     def skip(self, size: int) -> None:
         """Skip `size` bytes."""
@@ -102,11 +96,7 @@ class WireReader:
 
 
 def message_bytes(message: RawMessage) -> memoryview:
-    """Return the serialised message, unpacked if the bag has message compression.
-
-    Raises:
-        ValueError: it is lost, or cannot be unpacked; the text is a predicate.
-    """
+    """Return the serialised message, unpacked if it is compressed; errors as of `WireReader`."""
     if message.fault:
         raise ValueError(message.fault)
     # Only the bag's metadata.yaml announces message compression, but a serialised message never begins like this.

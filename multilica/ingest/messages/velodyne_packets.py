@@ -17,11 +17,7 @@ __all__ = ["decode_cloud"]
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode one turn of a Velodyne, whose model is in the packets.
-
-    Raises:
-        ValueError: the message is broken; the text is a predicate.
-    """
+    """Decode one turn of a Velodyne, whose model is in the packets."""
     scan = deserialize(message)
     packets = [
         velodyne_decoder.VelodynePacket(packet.stamp.sec + packet.stamp.nanosec * 1e-9, bytes(packet.data))

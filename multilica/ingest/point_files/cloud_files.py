@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point files as a recording: one file per LiDAR, or a folder of frames per LiDAR."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -13,7 +11,7 @@ from multilica.ingest.formats import detect_format, named_format
 from multilica.ingest.recording import Messages, RawMessage, Topic
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["CloudFiles", "FrameFiles", "open_frames"]
+__all__ = ["CloudFiles", "FrameFiles"]
 
 _MAX_FILE_BYTES = 1 << 30
 """A file with thirty million points is a map, not a scan."""
@@ -21,44 +19,27 @@ _MAX_FILE_BYTES = 1 << 30
 
 @dataclass(frozen=True, slots=True)
 class FrameFiles:
-    """The files of one LiDAR.
-
-    Args:
-        topic: name of the file or folder.
-        lidar: name of the LiDAR.
-        files: its frames, oldest first.
-    """
+    """The files of one LiDAR, oldest first; `topic` is the name of the file or folder."""
 
     topic: str
     lidar: str
     files: tuple[SourceFile, ...]
 
 
-def open_frames(lidars: Sequence[FrameFiles]) -> CloudFiles:
-    """Open point files.
+class CloudFiles:
+    """Point files as a recording whose topics are files or folders.
 
     Raises:
         UnreadableSourceError: a LiDAR's first file is empty or not a point file.
     """
-    encodings = [_encoding(lidar.files[0]) for lidar in lidars]
-    topics = [
-        Topic(lidar.topic, encoding.upper(), encoding, len(lidar.files), lidar.lidar)
-        for lidar, encoding in zip(lidars, encodings, strict=True)
-    ]
-    files = {lidar.topic: lidar.files for lidar in lidars}
-    return CloudFiles(tuple(sorted(topics, key=lambda topic: topic.name)), files)
-
-
-class CloudFiles:
-    """Point files as a recording whose topics are files or folders."""
 
     format = "point files"
     damage = ""
     is_indexed = True
 
-    def __init__(self, topics: tuple[Topic, ...], files: dict[str, tuple[SourceFile, ...]]) -> None:
-        self.topics = topics
-        self._files = files
+    def __init__(self, lidars: Sequence[FrameFiles]) -> None:
+        self._files = {lidar.topic: lidar.files for lidar in lidars}
+        self.topics = tuple(sorted(map(_topic, lidars), key=lambda topic: topic.name))
 
     def span_ns(self, topics: Collection[str]) -> None:
         """Return None: point files have no time."""
@@ -74,6 +55,11 @@ class CloudFiles:
 
     def close(self) -> None:
         """Do nothing: no file stays open."""
+
+
+def _topic(lidar: FrameFiles) -> Topic:
+    encoding = _encoding(lidar.files[0])
+    return Topic(lidar.topic, encoding.upper(), encoding, len(lidar.files), lidar.lidar)
 
 
 def _encoding(path: SourceFile) -> str:

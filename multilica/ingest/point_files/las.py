@@ -34,11 +34,7 @@ _ENGINE_S = 60.0
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode a LAS file of any version, or a LAZ file.
-
-    Raises:
-        ValueError: the file is broken; the text is a predicate.
-    """
+    """Decode a LAS file of any version, or a LAZ file."""
     data = memoryview(message.data)
     require_format(data, FORMATS["las"])
     header = _header(data)

@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The program that unpacks the points of a LAZ file, in a process of its own.
-
-`lazrs` believes the sizes in a file and ends its process when one of them is wrong.
-"""
+"""The program that unpacks the points of a LAZ file, in a process of its own; see las.py."""
 
 import resource
 import sys

@@ -10,10 +10,10 @@ import numpy as np
 
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.messages.cloud import Cloud
-from multilica.ingest.point_files.ascii_table import read_columns
+from multilica.ingest.point_files.point_table import PointTable
 from multilica.ingest.recording import RawMessage
-from multilica.pointcloud2 import DATATYPES, PointCloud2, PointField, decode_points, finite_points, point_dtype
-from multilica.snapshot import Float32Array, Scan
+from multilica.pointcloud2 import DATATYPES, PointField, finite_points
+from multilica.snapshot import Scan
 
 __all__ = ["decode_cloud"]
 
@@ -30,22 +30,13 @@ _ALIASES = {"scalar_Intensity": "intensity", "scalar_intensity": "intensity", "I
 
 
 @dataclass(frozen=True, slots=True)
-class _Element:
-    """A table of the file, with `fields` in the order of its columns."""
-
-    name: str
-    rows: int
-    fields: tuple[PointField, ...] = ()
-    row_bytes: int = 0
+class _Element(PointTable):
+    name: str = ""
     has_list: bool = False
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode the vertices of a PLY file with ascii or binary data.
-
-    Raises:
-        ValueError: the file is broken; the text is a predicate.
-    """
+    """Decode the vertices of a PLY file with ascii or binary data."""
     data = memoryview(message.data)
     require_format(data, FORMATS["ply"])
     storage, elements, start = _read_header(bytes(data[:_MAX_HEADER_BYTES]))
@@ -53,10 +44,10 @@ def decode_cloud(message: RawMessage) -> Cloud:
     if vertices.rows == 0:
         points_m, intensity = finite_points(*np.empty((3, 0), np.float32))
     elif storage == "ascii":
-        points_m, intensity = _read_ascii(vertices, sum(element.rows for element in before), bytes(data[start:]))
+        points_m, intensity = vertices.read_text(bytes(data[start:]), sum(element.rows for element in before))
     else:
         skipped = sum(element.rows * element.row_bytes for element in before)
-        points_m, intensity = _read_binary(vertices, data[start + skipped :], big_endian=storage.endswith("big_endian"))
+        points_m, intensity = vertices.read_records(data[start + skipped :], big_endian=storage.endswith("big_endian"))
     return Cloud(Scan(points_m, message.log_time_ns, intensity))
 
 
@@ -69,7 +60,7 @@ def _read_header(head: bytes) -> tuple[str, list[_Element], int]:
             case ["format", name, *_]:
                 storage = name
             case ["element", name, rows]:
-                elements.append(_Element(name, _whole_number(rows)))
+                elements.append(_Element(rows=_whole_number(rows), name=name))
             case ["property", *words] if elements:
                 elements[-1] = _with_property(elements[-1], words)
             case ["end_header"]:
@@ -105,16 +96,3 @@ def _find_vertices(elements: list[_Element]) -> tuple[list[_Element], _Element]:
     if any(element.has_list for element in elements[: index + 1]):
         raise ValueError("has lists among its vertices or before them, which cannot be read")
     return elements[:index], elements[index]
-
-
-def _read_ascii(vertices: _Element, skip: int, body: bytes) -> tuple[Float32Array, Float32Array | None]:
-    needed = point_dtype(vertices.fields, vertices.row_bytes, big_endian=False).names or ()
-    names = [field.name for field in vertices.fields]
-    return finite_points(*read_columns(body, [names.index(name) for name in needed], vertices.rows, skip))
-
-
-def _read_binary(vertices: _Element, body: memoryview, *, big_endian: bool) -> tuple[Float32Array, Float32Array | None]:
-    if vertices.rows * vertices.row_bytes > len(body):
-        raise ValueError(f"ends after {len(body) // vertices.row_bytes} of its {vertices.rows} points")
-    cloud = PointCloud2(vertices.fields, vertices.rows, 1, vertices.row_bytes, 0, body, big_endian)
-    return decode_points(cloud)

@@ -26,11 +26,7 @@ _PLAUSIBLE_SHARE = 0.9
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode rows of x, y, z in metres and, if there is one, intensity.
-
-    Raises:
-        ValueError: the file is broken or has another layout; the text is a predicate.
-    """
+    """Decode rows of x, y, z in metres and, if there is one, intensity."""
     data = memoryview(message.data)
     require_format(data, FORMATS[message.encoding])
     table = _npy(data) if message.encoding == "npy" else _rows(data, _COLUMNS[message.encoding])

@@ -29,11 +29,7 @@ def is_live(source: object) -> bool:
 
 
 def require_readable(source: str | Path) -> None:
-    """Check that a source is a path, or a valid address of a file.
-
-    Raises:
-        UsageError: it is neither.
-    """
+    """Raise UsageError unless a source is a path, or a valid address of a file."""
     scheme = scheme_of(source)
     if isinstance(source, Path) and _FLATTENED.match(str(source)):
         raise UsageError(f"The path {source} was an address, of which a Path drops a slash; give it as a text.")
@@ -52,11 +48,7 @@ def require_readable(source: str | Path) -> None:
 
 
 def require_valid(url: str) -> None:
-    """Check that an address names a host or a bucket, and no impossible port.
-
-    Raises:
-        UsageError: it does not.
-    """
+    """Raise UsageError unless an address names a host or a bucket, and no impossible port."""
     scheme = scheme_of(url)
     try:
         parts = urlsplit(url)

@@ -35,12 +35,7 @@ class WithoutRangesError(UnreadableSourceError):
 
 @contextmanager
 def remote_failures_named(where: str, scheme: str) -> Iterator[None]:
-    """Turn any error of a client library into one sentence, without its text, which may contain a key.
-
-    Args:
-        where: the address without secrets.
-        scheme: what precedes its ``://``.
-    """
+    """Turn any error of a client library into one sentence, without its text, which may contain a key."""
     try:
         yield
     except MultilicaError:

@@ -21,9 +21,6 @@ class FileCache(MMapCache):  # type: ignore[misc]  # fsspec has no types
     After a failed request, `MMapCache` would return zeros for the missing blocks; here, all blocks are loaded again.
 
     Args:
-        fetch: returns the bytes from one offset to another; missing neighbours come with one request.
-        size: of the remote file in bytes.
-        path: the sparse file.
         loaded: numbers of the blocks that are on disk already.
     """
 

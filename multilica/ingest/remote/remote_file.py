@@ -6,11 +6,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import stat
 import time
 import weakref
-from contextlib import closing
+from contextlib import closing, suppress
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from shutil import rmtree
@@ -30,9 +31,10 @@ __all__ = ["MAX_WHOLE_BYTES", "RemoteFile", "SourceFile", "path_on_disk"]
 MAX_WHOLE_BYTES = 2 << 30
 """Limit of files that are downloaded as a whole."""
 
-_WEB = ("https", "http")
 _PIECE_BYTES = 8 << 20
 _RETRY_AFTER_S = (0.5, 2.0)
+_CONNECT_S = 10
+_READ_S = 30
 
 
 class RemoteFile:
@@ -47,7 +49,8 @@ class RemoteFile:
     def __init__(self, url: str) -> None:
         self._url = url
         self._scheme = scheme_of(url)
-        self._path = PurePosixPath(urlsplit(url).path)
+        path = PurePosixPath(urlsplit(url).path)
+        self.name, self.stem, self.parent = path.name, path.stem, path.parent
         self._handle: Any = None
 
     def __str__(self) -> str:
@@ -59,36 +62,15 @@ class RemoteFile:
     def __hash__(self) -> int:
         return hash(self._url)
 
-    @property
-    def name(self) -> str:
-        """Last part of the path."""
-        return self._path.name
-
-    @property
-    def stem(self) -> str:
-        """The name without its suffix."""
-        return self._path.stem
-
-    @property
-    def suffix(self) -> str:
-        """The end of the name from its last dot on."""
-        return self._path.suffix
-
-    @property
-    def parent(self) -> PurePosixPath:
-        """The path on the server without the name."""
-        return self._path.parent
-
     def resolve(self) -> RemoteFile:
         """Return itself."""
         return self
 
     def exists(self) -> bool:
         """Return whether the server has it."""
-        try:
+        with suppress(SourceNotFoundError):
             return bool(self._cache.size >= 0)
-        except SourceNotFoundError:
-            return False
+        return False
 
     def is_file(self) -> bool:
         """Return True."""
@@ -112,23 +94,12 @@ class RemoteFile:
         return cast(IO[bytes], CachedStream(self._cache))
 
     def read_bytes(self) -> bytes:
-        """Return the whole file.
-
-        Raises:
-            UnreadableSourceError: it is larger than `MAX_WHOLE_BYTES`.
-        """
+        """Return the whole file; raise UnreadableSourceError if it is larger than `MAX_WHOLE_BYTES`."""
         self._require_size(self._cache.size, "a file of this format can only be read as a whole")
         return self._cache.read(0, self._cache.size)
 
     def copy(self, what: str) -> Path:
-        """Download the file once; the copy is removed together with this object.
-
-        Args:
-            what: what the file is, for the message.
-
-        Raises:
-            UnreadableSourceError: it is larger than `MAX_WHOLE_BYTES`.
-        """
+        """Download the file to a copy that is removed together with this object; errors as in `read_bytes`."""
         advice = "download it, or give an indexed MCAP file"
         self._require_size(self._cache.size, f"{what} can only be read as a whole", advice)
         for start in range(0, self._cache.size, _PIECE_BYTES):
@@ -145,9 +116,8 @@ class RemoteFile:
     def _cache(self) -> FileCache:
         with remote_failures_named(str(self), self._scheme):
             from multilica.ingest.remote.file_cache import BLOCK_BYTES, FileCache
-            from multilica.ingest.remote.file_systems import open_system
 
-            system, path = open_system(self._url)
+            system, path = _open_system(self._url)
             handle = system.open(path, "rb", block_size=BLOCK_BYTES, cache_type="none")
             is_folder = handle.details.get("type") == "directory"
         if is_folder:
@@ -162,7 +132,7 @@ class RemoteFile:
 
     def _serves_ranges(self, handle: Any) -> bool:  # noqa: ANN401 - fsspec has no types
         """Return whether the last byte can be read alone; a web server need not announce it."""
-        if self._scheme not in _WEB or handle.size <= handle.blocksize:
+        if self._scheme not in ("https", "http") or handle.size <= handle.blocksize:
             return True
         try:
             with remote_failures_named(str(self), self._scheme):
@@ -212,12 +182,37 @@ SourceFile: TypeAlias = Path | RemoteFile
 
 
 def path_on_disk(file: SourceFile, what: str) -> Path:
-    """Return the path of a file, or of a local copy of a remote one.
-
-    Args:
-        what: the format, for messages, for instance ``"a ROS 1 bag"``.
-
-    Raises:
-        UnreadableSourceError: a remote file is too large to be copied, or cannot be read.
-    """
+    """Return the path of a file, or of a local copy of a remote one; errors as in `RemoteFile.copy`."""
     return file.copy(what) if isinstance(file, RemoteFile) else file
+
+
+def _open_system(url: str) -> tuple[Any, str]:
+    """Return the file system of an address and the path in it."""
+    if scheme_of(url) == "gs":
+        # The default of fsspec asks for the kind of the bucket over gRPC, and waits forever if nobody answers.
+        import gcsfs.core
+
+        # Without a handler, the errors that it logs before raising would appear on the terminal.
+        logging.getLogger("gcsfs").addHandler(logging.NullHandler())
+        system = gcsfs.core.GCSFileSystem(**_options(url), skip_instance_cache=True)
+        return system, system._strip_protocol(url)  # noqa: SLF001 - as fsspec does it
+    import fsspec
+
+    opened: tuple[Any, str] = fsspec.url_to_fs(url, **_options(url), skip_instance_cache=True)
+    return opened
+
+
+def _options(url: str) -> dict[str, Any]:
+    """Return the options of a file system, most of all time limits: the defaults wait forever for a silent server."""
+    scheme = scheme_of(url)
+    if scheme == "s3":
+        return {"config_kwargs": {"connect_timeout": _CONNECT_S, "read_timeout": _READ_S}}
+    from aiohttp import ClientTimeout
+
+    timeout = ClientTimeout(sock_connect=_CONNECT_S, sock_read=_READ_S)
+    if scheme == "gs":
+        return {"requests_timeout": timeout}
+    # Ranges of a response that is compressed are not ranges of the file.
+    client = {"timeout": timeout, "headers": {"Accept-Encoding": "identity"}}
+    # The signature of an address covers its exact text.
+    return {"client_kwargs": client, "encoded": "%" in url}

@@ -30,18 +30,14 @@ def sampled(
     most: int = 1,
     jump_ns: int = _MIN_JUMP_NS,
 ) -> Iterator[tuple[int, RawMessage]]:
-    """Yield, per time and topic, the first messages from this time on and before the next one.
+    """Yield the index of each time and, per topic, the first messages from then on and before the next time.
 
     In an indexed recording, wait `PATIENCE_NS` for a silent topic rather than until the next time.
 
     Args:
-        times_ns: log times, ascending.
-        end_ns: end of the last time's messages, exclusive.
+        times_ns: log times, ascending; `end_ns` is the end of the last one's messages, exclusive.
         most: messages per time and topic.
         jump_ns: if the times are farther apart than this, skip what lies between.
-
-    Yields:
-        Index of the time, message.
     """
     if recording.is_indexed and len(times_ns) > 1 and times_ns[1] - times_ns[0] > jump_ns:
         for index, (start_ns, until_ns) in enumerate(zip(times_ns, [*times_ns[1:], end_ns], strict=True)):

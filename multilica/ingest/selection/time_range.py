@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The time range that frames are taken from."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import groupby
 
 from multilica.config import IngestConfig
 from multilica.errors import ConfigError, UnfitSnapshotError
 from multilica.ingest.messages.cloud import is_cloud
 from multilica.ingest.recording import Recording, Span
-from multilica.ingest.selection.standstill import find_standstill
+from multilica.ingest.selection.motion_evidence import Evidence, by_clouds, by_imu, by_odometry
 
 __all__ = ["TimeRange", "find_time_range", "parse_time_ns"]
 
@@ -16,16 +18,15 @@ _NS_PER_S = 1_000_000_000
 _MAX_SPREAD_S = 30.0
 _MIN_NANOSECONDS = 10**17
 """Larger numbers are nanoseconds since the epoch (this is 1973), smaller ones seconds."""
+_MIN_STANDSTILL_NS = 10**9
+"""A vehicle that turns round stands still for less."""
+_EVIDENCE: tuple[Callable[[Recording, Span], Evidence], ...] = (by_odometry, by_imu, by_clouds)
+"""The most direct first."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimeRange:
-    """A range of log times.
-
-    Args:
-        end_ns: frames are spread up to there; None to take them one after the other.
-        notes: what the user should know.
-    """
+    """A range of log times; frames are spread up to `end_ns`, or taken one after the other if it is None."""
 
     start_ns: int = 0
     end_ns: int | None = None
@@ -34,9 +35,6 @@ class TimeRange:
 
 def find_time_range(recording: Recording, config: IngestConfig, label: str) -> TimeRange:
     """Return the configured time range.
-
-    Args:
-        label: the source, for messages.
 
     Raises:
         ConfigError: a time is not valid, or two beginnings are given.
@@ -64,11 +62,7 @@ def find_time_range(recording: Recording, config: IngestConfig, label: str) -> T
 
 
 def parse_time_ns(text: str) -> int:
-    """Parse a time in ISO 8601, or in seconds or nanoseconds since the epoch, to nanoseconds since the epoch.
-
-    Raises:
-        ConfigError: it is none of these.
-    """
+    """Parse ISO 8601, or seconds or nanoseconds since the epoch, to nanoseconds; raise ConfigError for others."""
     if text.isdecimal() and int(text) >= _MIN_NANOSECONDS:
         return int(text)
     try:
@@ -105,12 +99,35 @@ def _start_ns(span: Span, config: IngestConfig, label: str) -> int:
 
 
 def _still_range(recording: Recording, config: IngestConfig, start_ns: int, span: Span, label: str) -> TimeRange:
-    found = find_standstill(recording, (start_ns, span[1]), label)
+    first_ns, last_ns, evidence = _standstill(recording, (start_ns, span[1]), label)
     longest_s = config.window_s or _MAX_SPREAD_S
-    end_ns = min(found.end_ns, found.start_ns + round(longest_s * _NS_PER_S))
-    first_s, last_s = ((time_ns - span[0]) / _NS_PER_S for time_ns in (found.start_ns, found.end_ns))
-    note = f"The vehicle stands still from {first_s:.1f} to {last_s:.1f} s by {found.evidence}; frames are from there."
-    return TimeRange(found.start_ns, end_ns, (note,))
+    end_ns = min(last_ns, first_ns + round(longest_s * _NS_PER_S))
+    first_s, last_s = ((time_ns - span[0]) / _NS_PER_S for time_ns in (first_ns, last_ns))
+    note = f"The vehicle stands still from {first_s:.1f} to {last_s:.1f} s by {evidence}; frames are from there."
+    return TimeRange(first_ns, end_ns, (note,))
+
+
+def _standstill(recording: Recording, span: Span, label: str) -> tuple[int, int, str]:
+    """Return the longest time of at least a second, or the whole span, of standstill, and what shows it.
+
+    Only a few hundred samples are read, whatever the length of the recording. Motion between two of them is left to
+    the check of the frames.
+    """
+    name, samples = next(found for look in _EVIDENCE if (found := look(recording, span)) is not None)
+    if samples and all(still for _, still in samples):
+        return *span, name
+    runs = [[time_ns for time_ns, _ in run] for still, run in groupby(samples, key=lambda s: s[1]) if still]
+    longest = max(runs, key=lambda run: run[-1] - run[0], default=[0])
+    if longest[-1] - longest[0] >= _MIN_STANDSTILL_NS:
+        return longest[0], longest[-1], name
+    if any(still is not None for _, still in samples):
+        raise UnfitSnapshotError(
+            f"In {label} the vehicle never stands still, by {name}; expected a second or more of standstill."
+        )
+    raise UnfitSnapshotError(
+        f"In {label} nothing shows when the vehicle stands still: there is no readable odometry or IMU, and {name} "
+        "show too little, as in a tunnel; choose a time with --start (ingest.start_s)."
+    )
 
 
 def _utc(time_ns: int) -> str:

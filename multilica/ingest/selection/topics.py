@@ -23,7 +23,6 @@ def choose_topics(
 
     Args:
         asked_for: LiDAR name -> topic, as in `ingest.topics`.
-        label: the source, for messages.
         only: topics without names for their LiDARs, as in `ingest.only`.
 
     Raises:

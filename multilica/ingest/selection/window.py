@@ -8,7 +8,7 @@ from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnreadableSourceError
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.messages.cloud import Cloud, is_cloud
-from multilica.ingest.recording import Messages, Recording
+from multilica.ingest.recording import Recording
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled, until_full
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
 from multilica.ingest.selection.topic_frames import TopicFrames, clock_notes
@@ -38,10 +38,6 @@ def collect_frames(recording: Recording, topics: Collection[str], config: Ingest
 
     Broken frames are skipped. Reading ends when there are enough frames, when the LiDARs that lack some have fallen
     silent, or where the recording is damaged.
-
-    Args:
-        topics: names of point cloud topics.
-        label: the source, for messages.
 
     Raises:
         UnfitSnapshotError: the recording ends before the window begins.
@@ -94,8 +90,12 @@ def _wanted(recording: Recording, topic: str, config: IngestConfig) -> int:
 
 def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeRange, frames: int) -> str:
     """Fill the streams; return why reading ended early or what is known to be missing."""
+    messages = until_full(recording, streams, times.start_ns)
+    if times.end_ns is not None:
+        spread_ns = evenly(times.start_ns, times.end_ns, frames)
+        messages = (message for _, message in sampled(recording, streams.keys(), spread_ns, times.end_ns))
     try:
-        for message in _messages(recording, streams, times, frames):
+        for message in messages:
             streams[message.topic].take(message)
             if all(stream.is_full for stream in streams.values()):
                 break
@@ -104,14 +104,6 @@ def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeR
             raise
         return error.reason
     return recording.damage
-
-
-def _messages(recording: Recording, streams: Mapping[str, TopicFrames], times: TimeRange, frames: int) -> Messages:
-    if times.end_ns is None:
-        yield from until_full(recording, streams, times.start_ns)
-    else:
-        spread_ns = evenly(times.start_ns, times.end_ns, frames)
-        yield from (message for _, message in sampled(recording, streams.keys(), spread_ns, times.end_ns))
 
 
 def _shortages(stream: TopicFrames, streams: list[TopicFrames], damage: str) -> list[str]:

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Prior poses of LiDARs from a file or from the recording's static transforms."""
 
-from collections.abc import Mapping
+from collections import defaultdict, deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitPriorError, UsageError
 from multilica.extrinsics import Extrinsics, read_extrinsics
 from multilica.geometry import RigidTransform
-from multilica.ingest.transforms.frame_tree import FramePose, FrameTree, Joint
-from multilica.ingest.transforms.urdf import read_urdf
+from multilica.ingest.transforms.urdf import Joint, read_urdf
 from multilica.snapshot import Snapshot
 
-__all__ = ["STATIC_TRANSFORMS", "Prior", "read_prior"]
+__all__ = ["STATIC_TRANSFORMS", "FramePose", "Prior", "poses_from", "read_prior"]
 
 STATIC_TRANSFORMS = "tf"
 _URDF_SUFFIXES = (".urdf", ".xml", ".xacro")
@@ -33,6 +34,14 @@ class Prior:
     notes: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePose:
+    """The pose of a frame with every joint at rest, and the first joint up to it that is not fixed."""
+
+    T_target_source: RigidTransform
+    moving: Joint | None = None
+
+
 def read_prior(source: str, snapshot: Snapshot) -> Prior:
     """Find the poses of the snapshot's LiDARs by name, else by frame id.
 
@@ -47,15 +56,17 @@ def read_prior(source: str, snapshot: Snapshot) -> Prior:
         UsageError: the file is of another kind.
     """
     where = "The recording's /tf_static" if source == STATIC_TRANSFORMS else source
-    tree = _read_tree(source, snapshot)
+    joints = _read_joints(source, snapshot)
+    ends = ((joint.T_parent_child.target, joint.T_parent_child.source) for joint in joints)
+    known = sorted(set(chain.from_iterable(ends)))
     frames = {
         lidar.name: frame
         for lidar in snapshot.lidars
-        if (frame := next((name for name in (lidar.name, lidar.frame_id) if name in tree.frames), None)) is not None
+        if (frame := next((name for name in (lidar.name, lidar.frame_id) if name in known), None)) is not None
     }
-    poses = _largest_rig(tree, frames)
+    poses = _largest_rig(joints, frames)
     if len(poses) < 2:
-        raise UnfitPriorError(_too_few(where, snapshot, frames, tree))
+        raise UnfitPriorError(_too_few(where, snapshot, frames, known))
     for pose in poses.values():
         if pose.moving is not None:
             raise UnfitPriorError(
@@ -67,33 +78,51 @@ def read_prior(source: str, snapshot: Snapshot) -> Prior:
     return Prior(Extrinsics(root, transforms), tuple(_notes(where, snapshot, frames, poses)))
 
 
-def _read_tree(source: str, snapshot: Snapshot) -> FrameTree:
+def _read_joints(source: str, snapshot: Snapshot) -> tuple[Joint, ...]:
     if source == STATIC_TRANSFORMS:
-        return FrameTree(tuple(Joint(pose) for pose in snapshot.static_transforms))
+        return tuple(Joint(pose) for pose in snapshot.static_transforms)
     path = Path(source)
     if path.suffix in _URDF_SUFFIXES:
         return read_urdf(path)
     if path.suffix == ".toml":
         poses = read_extrinsics(path).T_target_source.values()
-        return FrameTree(tuple(Joint(pose) for pose in poses if pose.target != pose.source))
+        return tuple(Joint(pose) for pose in poses if pose.target != pose.source)
     if not path.exists():
         raise SourceNotFoundError(f"No prior at {path}; {_EXPECTED}.")
     raise UsageError(f"The prior {path} is of an unknown kind; {_EXPECTED}.")
 
 
-def _largest_rig(tree: FrameTree, frames: Mapping[str, str]) -> dict[str, FramePose]:
+def _largest_rig(joints: Sequence[Joint], frames: Mapping[str, str]) -> dict[str, FramePose]:
     """Return the poses of the most LiDARs that are connected, relative to the first of them."""
     best: dict[str, FramePose] = {}
     for frame in frames.values():
-        poses = tree.poses_from(frame)
+        poses = poses_from(frame, joints)
         rig = {name: poses[other] for name, other in frames.items() if other in poses}
         best = rig if len(rig) > len(best) else best
     return best
 
 
-def _too_few(where: str, snapshot: Snapshot, frames: Mapping[str, str], tree: FrameTree) -> str:
-    listed = ", ".join(tree.frames[:_MAX_FRAMES]) or "none"
-    more = f" and {len(tree.frames) - _MAX_FRAMES} more" if len(tree.frames) > _MAX_FRAMES else ""
+def poses_from(frame: str, joints: Iterable[Joint]) -> dict[str, FramePose]:
+    """Return the pose of every frame that is connected with `frame`, itself included, over the fewest joints."""
+    steps: dict[str, list[tuple[RigidTransform, Joint]]] = defaultdict(list)
+    for joint in joints:
+        for step in (joint.T_parent_child, joint.T_parent_child.inverse()):
+            steps[step.target].append((step, joint))
+    found = {frame: FramePose(RigidTransform.identity(frame, frame))}
+    queue = deque([frame])
+    while queue:
+        here = queue.popleft()
+        for step, joint in steps[here]:
+            if step.source not in found:
+                moving = found[here].moving or (None if joint.kind == "fixed" else joint)
+                found[step.source] = FramePose(found[here].T_target_source @ step, moving)
+                queue.append(step.source)
+    return found
+
+
+def _too_few(where: str, snapshot: Snapshot, frames: Mapping[str, str], known: Sequence[str]) -> str:
+    listed = ", ".join(known[:_MAX_FRAMES]) or "none"
+    more = f" and {len(known) - _MAX_FRAMES} more" if len(known) > _MAX_FRAMES else ""
     apart = ", which are not connected" if len(frames) > 1 else ""
     return (
         f"{where} has {len(frames)} of the LiDARs {', '.join(snapshot.names)}{apart}; a prior needs two or more that "

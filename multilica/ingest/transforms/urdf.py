@@ -2,6 +2,7 @@
 """The joints of a vehicle's URDF description."""
 
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -10,14 +11,22 @@ from defusedxml import DefusedXmlException, ElementTree
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.geometry import RigidTransform
-from multilica.ingest.transforms.frame_tree import FrameTree, Joint
 
-__all__ = ["read_urdf"]
+__all__ = ["Joint", "read_urdf"]
 
 _NAMESPACE_OF_XACRO = "wiki/xacro}"
 
 
-def read_urdf(path: Path) -> FrameTree:
+@dataclass(frozen=True, slots=True, eq=False)
+class Joint:
+    """The connection of a child frame to its parent; `kind` is ``"fixed"``, or how it moves."""
+
+    T_parent_child: RigidTransform
+    name: str = ""
+    kind: str = "fixed"
+
+
+def read_urdf(path: Path) -> tuple[Joint, ...]:
     """Read every joint of a URDF file; ignore links without a joint and meshes.
 
     A joint's origin is ``T_parent_child``: xyz in metres, rpy in radians, extrinsic xyz; identity if it is missing.
@@ -38,7 +47,7 @@ def read_urdf(path: Path) -> FrameTree:
         _require_tree(joints)
     except ValueError as error:
         raise UnreadableSourceError(f"{path} is not a valid URDF file: {error}.") from error
-    return FrameTree(joints)
+    return joints
 
 
 def _parse(path: Path) -> Element:

@@ -13,12 +13,8 @@ __all__ = ["ContestedEntry", "HealthEntry", "LidarEntry", "PriorEntry", "SpreadE
 class PriorEntry(PoseEntry):
     """The pose that the prior gives, in the target frame."""
 
-    deviation_m: Number = Field(
-        description="Distance of the result from the prior; null for a LiDAR that is not placed."
-    )
-    deviation_deg: Number = Field(
-        description="Angle of the result from the prior; null for a LiDAR that is not placed."
-    )
+    deviation_m: Number = Field(description="Distance of the result from the prior; null if not placed.")
+    deviation_deg: Number = Field(description="Angle of the result from the prior; null if not placed.")
     surprise: str | None = Field(description="Warning about a result that is far from the prior; null if it is near.")
 
 
@@ -26,12 +22,8 @@ class SpreadEntry(Entry):
     """Scatter of the pose over several snapshots."""
 
     snapshots: int = Field(description="Number of snapshots that place the LiDAR.")
-    xyz_m: Vector3 | None = Field(
-        description="Sample standard deviation along the axes of the target; null below two snapshots."
-    )
-    rotation_deg: Vector3 | None = Field(
-        description="Sample standard deviation about the axes of the target; null below two snapshots."
-    )
+    xyz_m: Vector3 | None = Field(description="Sample sigma along the axes of the target; null below two snapshots.")
+    rotation_deg: Vector3 | None = Field(description="Sample sigma about these axes; null below two snapshots.")
 
 
 class HealthEntry(Entry):
@@ -56,30 +48,18 @@ class LidarEntry(Entry):
     """One LiDAR of the rig."""
 
     placed: bool = Field(description="Whether the LiDAR has a pose.")
-    T_target_source: Matrix4 | None = Field(
-        description="Rows of the homogeneous matrix: p_target = T_target_source @ p_source."
-    )
+    T_target_source: Matrix4 | None = Field(description="Rows of the matrix: p_target = T_target_source @ p_source.")
     xyz_m: Vector3 | None = Field(description="Position in the target frame.")
     rpy_deg: Vector3 | None = Field(description="Roll, pitch, yaw, extrinsic xyz, about the fixed axes of the target.")
     quaternion_xyzw: Quaternion | None = Field(description="Rotation as a unit quaternion, w last.")
     fitness: Number = Field(description="Share of the points that lie near a surface of the target cloud.")
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
-    sigma_xyz_m: Vector3 | None = Field(description="Standard deviation of the position along the axes of the target.")
-    sigma_rotation_deg: Vector3 | None = Field(
-        description="Standard deviation of the rotation about the axes of the target."
-    )
-    sigma_from: SigmaOrigin = Field(
-        description="Source of the covariance: residuals, or residuals widened to the spread over snapshots."
-    )
-    covariance: Matrix6 | None = Field(
-        description="Covariance of the pose, order rotation (rad), translation (m), along the axes of the target."
-    )
+    sigma_xyz_m: Vector3 | None = Field(description="Standard deviation along the axes of the target.")
+    sigma_rotation_deg: Vector3 | None = Field(description="Standard deviation about the axes of the target.")
+    sigma_from: SigmaOrigin = Field(description="Source of the covariance: residuals, or their widening to the spread.")
+    covariance: Matrix6 | None = Field(description="Order: rotation (rad), translation (m), along the target's axes.")
     prior: PriorEntry | None = Field(description="The pose that the prior gives; null without a prior.")
-    spread: SpreadEntry | None = Field(
-        description="Scatter over the snapshots of a joint result; null for a single snapshot."
-    )
-    contested: ContestedEntry | None = Field(
-        description="Accepted pairs that contradict each other on this LiDAR; null if none do."
-    )
+    spread: SpreadEntry | None = Field(description="Scatter over snapshots; null for a single snapshot.")
+    contested: ContestedEntry | None = Field(description="Accepted pairs that contradict each other on it, or null.")
     reason: str = Field(description="How the LiDAR was placed, or why it was not.")
     health: HealthEntry | None = Field(description="Findings about the sensor; null if it was not examined.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registered pairs in the result document."""
+"""Pairs of LiDARs in the result document, from registration to refinement."""
 
 from typing import Literal
 
@@ -9,7 +9,7 @@ from pydantic import Field
 from multilica.geometry import RigidTransform
 from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry
 
-__all__ = ["PairEntry", "ReasonEntry", "RegistrationEntry", "StabilityEntry", "VerdictEntry"]
+__all__ = ["CycleErrorEntry", "DecisionEntry", "PairEntry", "ReasonEntry", "RefinementEntry", "RegistrationEntry"]
 
 
 class ReasonEntry(Entry):
@@ -53,13 +53,11 @@ class RegistrationEntry(Entry):
     violate: int = Field(description="Points in space that beams of the other LiDAR passed through.")
     occluded: int = Field(description="Points behind a measured surface.")
     unseen: int = Field(description="Points outside the field of view of the other LiDAR.")
-    evidence: Number = Field(
-        description="Distinctive agreeing points less weighted violations; registrations are ranked by it."
-    )
+    evidence: Number = Field(description="Distinctive agreeing points less weighted violations; the rank.")
     fitness: Number = Field(description="Share of the points that lie near a surface of the target cloud.")
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
     weakest_curvature: Number = Field(
-        description="Smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by 10 m."
+        description="Smallest eigenvalue of the GICP Hessian per inlier; rotation at 10 m."
     )
     min_information_eigenvalue: Number = Field(description="Number of points that constrain the weakest direction.")
     stability: StabilityEntry | None = Field(description="Result of the stability test; null if it was not run.")
@@ -75,13 +73,9 @@ class PairEntry(PoseEntry, PairNames):
     iterations: int = Field(description="Number of GICP iterations.")
     engine: str = Field(description="GICP implementation.")
     hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
-    hessian: Matrix6 | None = Field(
-        description="Hessian of the GICP objective, order rotation, translation, about the source frame."
-    )
+    hessian: Matrix6 | None = Field(description="GICP Hessian, order rotation, translation, about the source frame.")
     verdict: VerdictEntry = Field(description="The decision on this pair.")
-    registrations: tuple[RegistrationEntry, ...] = Field(
-        description="Distinct registrations of the pair, the chosen one first; empty without verification."
-    )
+    registrations: tuple[RegistrationEntry, ...] = Field(description="Chosen first; empty without verification.")
 
     @property
     def pose(self) -> RigidTransform:
@@ -92,3 +86,49 @@ class PairEntry(PoseEntry, PairNames):
     def evidence(self) -> float:
         """Evidence of the chosen registration; the fitness without verification."""
         return (self.registrations[0].evidence if self.registrations else self.fitness) or 0.0
+
+
+class CandidateEntry(PairNames):
+    """A pair that a merge step could have chosen."""
+
+    fitness: Number = Field(description="Share of the source points that lie near a surface of the target cloud.")
+    rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
+    passes: bool = Field(description="Whether the pair may be merged.")
+    evidence: Number = Field(description="Evidence of the pair's registration.")
+    reason: str = Field(description="Why the pair does not pass; empty if it does.")
+
+
+class DecisionEntry(Entry):
+    """One merge step."""
+
+    step: int = Field(description="Number of the step, from 0.")
+    candidates: tuple[CandidateEntry, ...] = Field(description="Pairs that could have been chosen, the best first.")
+    chosen: CandidateEntry | None = Field(description="The pair that was merged; null if the merge stopped here.")
+    reason: str = Field(description="Why, with its figures.")
+    groups: tuple[tuple[str, ...], ...] = Field(description="Connected LiDARs after the step, the largest group first.")
+
+
+class CycleErrorEntry(Entry):
+    """Largest disagreement of the poses with a registered pair."""
+
+    m: Number = Field(description="Distance.")
+    deg: Number = Field(description="Angle.")
+
+
+class ResidualEntry(PairNames):
+    """Disagreement of the poses with one registered pair, before and after the refinement."""
+
+    before_m: Number = Field(description="Distance before.")
+    before_deg: Number = Field(description="Angle before.")
+    after_m: Number = Field(description="Distance after.")
+    after_deg: Number = Field(description="Angle after.")
+    weight: float = Field(description="Final weight of the pair: 1 for full trust, 0 for an outlier.")
+    snapshot: str = Field(description="Snapshot of the pair; empty for a single snapshot.")
+
+
+class RefinementEntry(Entry):
+    """The joint refinement over all accepted pairs."""
+
+    cycle_error_before: CycleErrorEntry = Field(description="Largest disagreement before.")
+    cycle_error_after: CycleErrorEntry = Field(description="Largest disagreement after.")
+    pairs: tuple[ResidualEntry, ...] = Field(description="Disagreement per pair.")

@@ -1,25 +1,98 @@
 # SPDX-License-Identifier: Apache-2.0
 """The document that `result.json` holds."""
 
+import json
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, WithJsonSchema, model_validator
+from pydantic.json_schema import GenerateJsonSchema
 
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, Stage
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.results.document.lidars import LidarEntry
-from multilica.results.document.merging import DecisionEntry, RefinementEntry
-from multilica.results.document.pairs import PairEntry
-from multilica.results.document.run import GroundEntry, InputEntry, ProgressEntry, RefusalEntry, SnapshotEntry
+from multilica.results.document.pairs import DecisionEntry, PairEntry, RefinementEntry
 from multilica.results.document.stages import StageFigures
-from multilica.results.document.values import Entry, Number
+from multilica.results.document.values import Entry, Matrix4, Number, Vector3
 
-__all__ = ["RESULT_SCHEMA", "ResultDocument", "parse_result"]
+__all__ = [
+    "RESULT_SCHEMA",
+    "GroundEntry",
+    "InputEntry",
+    "InputLidarEntry",
+    "ProgressEntry",
+    "ResultDocument",
+    "SnapshotEntry",
+    "parse_result",
+    "schema_text",
+]
 
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
+
+
+class InputLidarEntry(Entry):
+    """A LiDAR of the input."""
+
+    topic: str = Field(description="Topic in the recording; empty if there is none.")
+    frame_id: str = Field(description="Frame of its messages; empty if there is none.")
+    frames: int = Field(description="Number of frames.")
+    points: int = Field(description="Number of points.")
+
+
+class InputEntry(Entry):
+    """The snapshot that was calibrated."""
+
+    source: str = Field(description="File or address; empty for data in memory.")
+    sha256: str = Field(description="Hash of the file; empty if it is not known.")
+    lidars: Mapping[str, InputLidarEntry] = Field(description="Per LiDAR.")
+
+
+class RefusalEntry(Entry):
+    """Why the snapshot was not calibrated at all."""
+
+    code: str = Field(description="Stable name, for programs.")
+    text: str = Field(description="The reason for people.")
+
+
+class ProgressEntry(Entry):
+    """How far the run came."""
+
+    finished: tuple[Stage, ...] = Field(description="Finished stages, in order.")
+    running: Stage | None = Field(description="The stage that was running when the document was written.")
+
+
+class DeviationEntry(Entry):
+    """How far a snapshot by itself places a LiDAR from the joint result."""
+
+    lidar: str = Field(description="Name of the LiDAR.")
+    distance_m: float = Field(description="Distance.")
+    angle_deg: float = Field(description="Angle.")
+    outlier: bool = Field(description="Whether other snapshots outvoted this one.")
+
+
+class SnapshotEntry(Entry):
+    """The contribution of one snapshot to a joint result."""
+
+    name: str = Field(description="Name of the snapshot.")
+    source: str = Field(description="File or address.")
+    sha256: str = Field(description="Hash of the file; empty if it is not known.")
+    refusal: str | None = Field(description="Why the snapshot was left out; null if it was used.")
+    outliers: tuple[str, ...] = Field(description="LiDARs on which other snapshots outvoted this one.")
+    disputed: tuple[str, ...] = Field(description="LiDARs on which it contradicts other snapshots without a majority.")
+    deviations: tuple[DeviationEntry, ...] = Field(description="Per LiDAR that it places.")
+
+
+class GroundEntry(Entry):
+    """The ground plane, seen from the target LiDAR."""
+
+    normal: Vector3 = Field(description="Unit normal in the target frame, upwards.")
+    offset_m: float = Field(description="Height of the target LiDAR above the ground.")
+    T_base_target: Matrix4 = Field(description="The target in a base frame on the ground below it; x, y, yaw are 0.")
+    xyz_m: Vector3 = Field(description="Position of that pose.")
+    rpy_deg: Vector3 = Field(description="Roll, pitch, yaw of that pose.")
+    inlier_share: Number = Field(description="Share of the merged cloud that lies on the plane.")
 
 
 class ResultDocument(Entry):
@@ -39,9 +112,7 @@ class ResultDocument(Entry):
     lidars: Mapping[str, LidarEntry] = Field(description="Per LiDAR in name order, the target with the identity.")
     pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")
     decisions: tuple[DecisionEntry, ...] = Field(description="Merge steps, in order.")
-    snapshots: tuple[SnapshotEntry, ...] = Field(
-        description="Snapshots of a joint result; empty for a single snapshot."
-    )
+    snapshots: tuple[SnapshotEntry, ...] = Field(description="Snapshots of a joint result, else empty.")
     refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
@@ -115,3 +186,17 @@ def _problem(source: object, error: ValidationError) -> str:
     where = ".".join(map(str, first["loc"])) or "the document"
     what = first["msg"].removeprefix("Value error, ")
     return f"{source} is not a whole result: {where}: {what}. Calibrate again with this version of multilica."
+
+
+class UntitledSchema(GenerateJsonSchema):
+    """A schema without titles of fields, which only repeat their names."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:  # noqa: ARG002
+        """Leave out every title."""
+        return False
+
+
+def schema_text() -> str:
+    """Return the text of `docs/result.schema.json`."""
+    schema = ResultDocument.model_json_schema(schema_generator=UntitledSchema)
+    return json.dumps({"$schema": UntitledSchema.schema_dialect, **schema}, indent=1, ensure_ascii=False)

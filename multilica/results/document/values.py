@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
@@ -47,14 +47,16 @@ class Entry(BaseModel):
     """A frozen part of a document, without unknown keys or numbers that are not finite."""
 
     model_config = ConfigDict(
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-        from_attributes=True,
-        serialize_by_alias=True,
+        extra="forbid", frozen=True, allow_inf_nan=False, from_attributes=True, serialize_by_alias=True
     )
 
     _to_plain = field_validator("*", mode="before")(_plain)
+
+    @classmethod
+    def of(cls, *sources: object, **values: object) -> Self:
+        """Fill an entry with those values, else with the attributes of the same name of the last source."""
+        found = {name: getattr(each, name) for each in sources for name in cls.model_fields if hasattr(each, name)}
+        return cls(**found | values)
 
 
 class PairNames(Entry):
@@ -77,9 +79,7 @@ class PairNames(Entry):
 class PoseEntry(Entry):
     """A pose in every form that readers ask for."""
 
-    T_target_source: Matrix4 = Field(
-        description="Rows of the homogeneous matrix: p_target = T_target_source @ p_source."
-    )
+    T_target_source: Matrix4 = Field(description="Rows of the matrix: p_target = T_target_source @ p_source.")
     xyz_m: Vector3 = Field(description="Position of the source in the target frame.")
     rpy_deg: Vector3 = Field(description="Roll, pitch, yaw, extrinsic xyz, about the fixed axes of the target.")
     quaternion_xyzw: Quaternion = Field(description="Rotation as a unit quaternion, w last.")

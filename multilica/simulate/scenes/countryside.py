@@ -3,13 +3,10 @@
 
 import numpy as np
 
-from multilica.simulate.scenes.scene import Scene
+from multilica.simulate.scenes.scene import FLAT, Scene, Terrain, rolling_waves
 from multilica.simulate.shapes.buildings import shed
-from multilica.simulate.shapes.furniture import fence, hay_bale, post_fence, sign
-from multilica.simulate.shapes.mesh import Mesh, merged
-from multilica.simulate.shapes.primitives import box, cylinder
-from multilica.simulate.shapes.terrain import FLAT, Terrain, rolling_waves
-from multilica.simulate.shapes.vegetation import bush, tree
+from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged
+from multilica.simulate.shapes.outdoors import bush, fence, hay_bale, post_fence, sign, tree
 from multilica.simulate.shapes.vehicles import random_car
 
 __all__ = ["fence_field", "open_field"]

@@ -1,26 +1,75 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result of a scene builder."""
+"""A scene on its terrain."""
 
 from dataclasses import dataclass
 
-from multilica.geometry import RigidTransform
-from multilica.simulate.shapes.mesh import Mesh
-from multilica.simulate.shapes.terrain import Terrain
+import numpy as np
 
-__all__ = ["Scene"]
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.simulate.shapes.mesh import Mesh, facing_quads, merged
+
+__all__ = ["FLAT", "Scene", "Terrain", "Wave", "rolling_waves"]
+
+
+Wave = tuple[float, float, float, float]
+"""Amplitude (m), kx, ky (rad/m) and phase (rad) of ``amplitude * sin(kx * x + ky * y + phase)``."""
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """A plane through the origin with waves on it.
+
+    Args:
+        slope_x, slope_y: rise per metre.
+    """
+
+    slope_x: float = 0.0
+    slope_y: float = 0.0
+    waves: tuple[Wave, ...] = ()
+
+    def height_m(self, x_m: FloatArray, y_m: FloatArray) -> FloatArray:
+        """Return the height of the ground at points of any common shape."""
+        height = self.slope_x * np.asarray(x_m) + self.slope_y * np.asarray(y_m)
+        for amplitude_m, kx, ky, phase_rad in self.waves:
+            height = height + amplitude_m * np.sin(kx * x_m + ky * y_m + phase_rad)
+        return np.asarray(height)
+
+    def place(self, mesh: Mesh, x_m: float, y_m: float, yaw_rad: float = 0.0, sunk_m: float = 0.0) -> Mesh:
+        """Place the mesh upright on the ground, its origin `sunk_m` below it."""
+        ground_m = float(self.height_m(np.asarray(x_m), np.asarray(y_m)))
+        return mesh.moved(x_m, y_m, ground_m - sunk_m, yaw_rad)
+
+    def drape(self, mesh: Mesh) -> Mesh:
+        """Raise each vertex by the height of the ground below it: kerbs, hedges, fences."""
+        lift = self.height_m(mesh.vertices_m[:, 0], mesh.vertices_m[:, 1])
+        return Mesh(mesh.vertices_m + np.column_stack([0.0 * lift, 0.0 * lift, lift]), mesh.triangles)
+
+    def surface(self, x_m: FloatArray, y_m: FloatArray) -> Mesh:
+        """Build the ground over the grid of x (X,) and y (Y,)."""
+        x, y = np.meshgrid(x_m, y_m, indexing="ij")
+        points = np.stack([x, y, self.height_m(x, y)], axis=-1)
+        return merged([facing_quads(points[row], points[row + 1]) for row in range(len(points) - 1)])
+
+    def standing_pose(self, x_m: float, y_m: float, yaw_rad: float) -> RigidTransform:
+        """Return ``T_world_base`` of a vehicle that stands there on its four wheels."""
+        wheels = np.array([[a, b] for a in (-1.4, 1.4) for b in (-0.8, 0.8)])
+        turn = np.array([[np.cos(yaw_rad), -np.sin(yaw_rad)], [np.sin(yaw_rad), np.cos(yaw_rad)]])
+        contacts = wheels @ turn.T + [x_m, y_m]
+        heights = self.height_m(contacts[:, 0], contacts[:, 1])
+        plane = np.linalg.lstsq(np.column_stack([contacts - [x_m, y_m], np.ones(4)]), heights)[0]
+        z_axis = np.array([-plane[0], -plane[1], 1.0]) / np.linalg.norm([plane[0], plane[1], 1.0])
+        x_axis = np.append(turn[:, 0], turn[:, 0] @ plane[:2])
+        x_axis /= np.linalg.norm(x_axis)
+        rotation = np.column_stack([x_axis, np.cross(z_axis, x_axis), z_axis])
+        return RigidTransform.from_rotation_translation("world", "base", rotation, [x_m, y_m, plane[2]])
+
+
+FLAT = Terrain()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A scene with the pose of the vehicle in it.
-
-    Args:
-        mesh: all surfaces in the world frame, metres, z up.
-        terrain: the ground that vehicles and pedestrians stand on.
-        vehicle_xy_m: position of the vehicle's middle in the world frame.
-        vehicle_yaw_rad: heading of the vehicle in the world frame.
-        headroom_m: height above ground that is free for tall vehicles.
-    """
+    """All surfaces and the vehicle's middle in the world frame, z up; tall vehicles have the headroom above ground."""
 
     mesh: Mesh
     terrain: Terrain
@@ -32,3 +81,15 @@ class Scene:
     def T_world_base(self) -> RigidTransform:  # noqa: N802 - the field's notation
         """Return the pose of the vehicle's base frame in the world frame."""
         return self.terrain.standing_pose(*self.vehicle_xy_m, self.vehicle_yaw_rad)
+
+
+def rolling_waves(
+    rng: np.random.Generator, count: int, lengths_m: tuple[float, float], steepness: float
+) -> tuple[Wave, ...]:
+    """Draw waves of random direction, of lengths in a range, whose amplitude is the length times the steepness."""
+    lengths = rng.uniform(*lengths_m, size=count)
+    angles = rng.uniform(0.0, 2.0 * np.pi, size=count)
+    phases = rng.uniform(0.0, 2.0 * np.pi, size=count)
+    k = 2.0 * np.pi / lengths
+    columns = (steepness * lengths, k * np.cos(angles), k * np.sin(angles), phases)
+    return tuple(zip(*(column.tolist() for column in columns), strict=True))

@@ -6,24 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.geometry import FloatArray
-from multilica.simulate.shapes.mesh import Mesh, merged, quads
-from multilica.simulate.shapes.primitives import box, tube
+from multilica.simulate.shapes.mesh import Mesh, box, merged, quads, tube
 
 __all__ = ["FacadeStyle", "building", "shed"]
 
 
 @dataclass(frozen=True, slots=True)
 class FacadeStyle:
-    """How a facade is divided.
-
-    Args:
-        bay_m: distance from window to window.
-        storey_m, ground_storey_m: floor to floor.
-        window_m: width and height of a window.
-        recess_m: how far panes lie behind the wall.
-        balcony_share: share of the upper windows that open onto a balcony.
-        cornice_m: how far the bands between storeys stand out; 0: none.
-    """
+    """Sizes of a facade; storeys are measured from floor to floor, windows by width and height."""
 
     bay_m: float
     storey_m: float

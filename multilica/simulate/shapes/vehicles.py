@@ -5,21 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multilica.simulate.shapes.mesh import Mesh, merged
-from multilica.simulate.shapes.primitives import Rectangle, box, cylinder, sphere, tapered_box, tube
+from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged, sphere, tapered_box, tube
 
 __all__ = ["CAR_SHAPES", "CarShape", "car", "pedestrian", "random_car", "truck"]
 
 
 @dataclass(frozen=True, slots=True)
 class CarShape:
-    """Proportions of a car body; x runs forward from the middle of the car.
-
-    Args:
-        belt_m: height of the bottom edge of the windows.
-        cabin_m: x of the greenhouse at the belt, rear to front.
-        roof_m: x of the roof, rear to front.
-    """
+    """Proportions of a car body; the greenhouse has x of rear and front at the belt (`cabin_m`) and at the roof."""
 
     length_m: float
     width_m: float
@@ -52,7 +45,7 @@ def car(shape: CarShape) -> Mesh:
     return merged([sill, bonnet, cabin, *_wheels(shape.length_m * 0.29, half_y), *_mirrors(shape, half_y)])
 
 
-def _rectangle(rear_m: float, front_m: float, half_y_m: float) -> Rectangle:
+def _rectangle(rear_m: float, front_m: float, half_y_m: float) -> tuple[float, float, float, float]:
     return rear_m, front_m, -half_y_m, half_y_m
 
 

@@ -3,34 +3,23 @@
 
 import platform
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 
 import multilica
-from multilica.results.document import InputEntry, InputLidarEntry
+from multilica.results.document.result import InputEntry, InputLidarEntry
 from multilica.snapshot import Snapshot
 
 __all__ = ["Provenance", "collect_versions", "provenance_of"]
 
-_DISTRIBUTIONS = {
-    "numpy": ("numpy",),
-    "scipy": ("scipy",),
-    "open3d": ("open3d", "open3d-cpu"),
-    "small_gicp": ("small-gicp",),
-    "kiss_matcher": ("kiss-matcher",),
-    "rerun": ("rerun-sdk",),
-    "mcap": ("mcap",),
-}
+_PACKAGES = {"open3d-cpu": "open3d", "small-gicp": "small_gicp", "kiss-matcher": "kiss_matcher", "rerun-sdk": "rerun"}
+_DISTRIBUTIONS = ("numpy", "scipy", "open3d", "open3d-cpu", "small-gicp", "kiss-matcher", "rerun-sdk", "mcap")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Provenance:
-    """What must be the same for two runs to give the same result.
-
-    Args:
-        versions: per package its version; packages that are not installed are left out.
-        platform: operating system and processor.
-    """
+    """What must be the same for two runs to give the same result; versions are those of installed packages."""
 
     versions: Mapping[str, str]
     input: InputEntry
@@ -52,15 +41,7 @@ def provenance_of(snapshot: Snapshot) -> Provenance:
 def collect_versions() -> dict[str, str]:
     """Return the versions of multilica, of Python and of the packages that a result depends on."""
     versions = {"multilica": multilica.__version__, "python": platform.python_version()}
-    for package, distributions in _DISTRIBUTIONS.items():
-        found = next((installed for name in distributions if (installed := _installed(name))), None)
-        if found is not None:
-            versions[package] = found
+    for distribution in _DISTRIBUTIONS:
+        with suppress(PackageNotFoundError):
+            versions.setdefault(_PACKAGES.get(distribution, distribution), version(distribution))
     return versions
-
-
-def _installed(distribution: str) -> str | None:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:
-        return None

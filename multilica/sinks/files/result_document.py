@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Conversion of a calibration result to its document."""
+"""The result document of a run, whether it has ended or not."""
 
 import math
-from typing import Any, TypeVar
+from typing import Any
 
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
@@ -15,33 +15,54 @@ from multilica.results import (
     SensorHealth,
     SnapshotReport,
 )
-from multilica.results.document import (
-    RESULT_SCHEMA,
-    ContestedEntry,
-    CycleErrorEntry,
-    GroundEntry,
-    LidarEntry,
-    PairEntry,
-    PriorEntry,
-    RefinementEntry,
-    RegistrationEntry,
-    ResultDocument,
-    SnapshotEntry,
-)
-from multilica.results.document.values import Entry
+from multilica.results.document.lidars import ContestedEntry, LidarEntry, PriorEntry
+from multilica.results.document.pairs import CycleErrorEntry, PairEntry, RefinementEntry, RegistrationEntry
+from multilica.results.document.result import RESULT_SCHEMA, GroundEntry, ProgressEntry, ResultDocument, SnapshotEntry
 from multilica.sinks.files.provenance import Provenance
+from multilica.sinks.run_state import RunState
 from multilica.sinks.text.prior_comparison import surprise
+from multilica.sinks.text.stage_figures import stage_figures
 
-__all__ = ["result_document"]
+__all__ = ["result_document", "result_so_far", "run_document"]
 
-EntryT = TypeVar("EntryT", bound=Entry)
+
+def run_document(state: RunState) -> ResultDocument | None:
+    """Return what is known of a run so far, with progress and figures per stage; None before it has started.
+
+    Sinks that share a state share the document.
+    """
+    if state.document is None and state.config is not None and state.provenance is not None:
+        document = result_document(result_so_far(state), state.config, state.provenance)
+        running = state.stage if state.stage not in state.stages else None
+        known = {
+            "progress": ProgressEntry(finished=tuple(state.stages), running=running),
+            "stages": stage_figures(state),
+        }
+        state.document = document.model_copy(
+            update=known if state.result is not None else {"status": "unfinished", **known}
+        )
+    return state.document
+
+
+def result_so_far(state: RunState) -> CalibrationResult:
+    """Return the result, or what is known of it; before the end no LiDAR counts as placed."""
+    if state.result is not None:
+        return state.result
+    target = state.target or (state.config.target if state.config is not None else "")
+    return CalibrationResult(
+        target=target,
+        target_reason=state.target_reason or "not chosen yet",
+        placements=tuple(LidarPlacement(name, reason="the run ended before it was placed") for name in state.lidars),
+        pairs=tuple(state.registrations.values()),
+        decisions=tuple(state.decisions),
+        health=tuple(cloud.health for cloud in state.clouds.values() if cloud.health is not None),
+    )
 
 
 def result_document(result: CalibrationResult, config: CalibrationConfig, provenance: Provenance) -> ResultDocument:
     """Convert a result to the document that `result.json` holds."""
     health = {each.lidar: each for each in result.health}
-    return _entry(
-        ResultDocument,
+    return ResultDocument.of(
         result,
         provenance,
         schema=RESULT_SCHEMA,
@@ -54,12 +75,6 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
     )
 
 
-def _entry(kind: type[EntryT], *sources: object, **values: object) -> EntryT:
-    """Fill an entry with those values, else with the attributes of the same name of the sources."""
-    found = {name: getattr(source, name) for source in sources for name in kind.model_fields if hasattr(source, name)}
-    return kind(**found | values)
-
-
 def _pose(T_target_source: RigidTransform | None) -> dict[str, Any]:
     names = ("xyz_m", "rpy_deg", "quaternion_xyzw")
     matrix = None if T_target_source is None else T_target_source.matrix
@@ -68,12 +83,11 @@ def _pose(T_target_source: RigidTransform | None) -> dict[str, Any]:
 
 def _lidar(placement: LidarPlacement, health: SensorHealth | None, target: str) -> LidarEntry:
     contested, prior = placement.contested, placement.T_target_source_prior
-    return _entry(
-        LidarEntry,
+    return LidarEntry.of(
         placement,
         **_pose(placement.T_target_source),
         prior=None if prior is None else _prior(prior, placement, target),
-        contested=contested and _entry(ContestedEntry, contested, angle_deg=math.degrees(contested.angle_rad)),
+        contested=contested and ContestedEntry.of(contested, angle_deg=math.degrees(contested.angle_rad)),
         health=health,
     )
 
@@ -87,7 +101,7 @@ def _prior(prior: RigidTransform, placement: LidarPlacement, target: str) -> Pri
 def _snapshot(snapshot: SnapshotReport) -> SnapshotEntry:
     outliers = [deviation.lidar for deviation in snapshot.outliers]
     refusal = snapshot.refusal or None
-    return _entry(SnapshotEntry, snapshot, sha256=snapshot.source_sha256, refusal=refusal, outliers=outliers)
+    return SnapshotEntry.of(snapshot, sha256=snapshot.source_sha256, refusal=refusal, outliers=outliers)
 
 
 def _refinement(refinement: Refinement) -> RefinementEntry:
@@ -100,11 +114,11 @@ def _refinement(refinement: Refinement) -> RefinementEntry:
 
 def _pair(pair: PairRegistration) -> PairEntry:
     registrations = [
-        _entry(RegistrationEntry, found.visibility, found, T_target_source=found.T_target_source.matrix)
+        RegistrationEntry.of(found.visibility, found, T_target_source=found.T_target_source.matrix)
         for found in pair.registrations
     ]
-    return _entry(PairEntry, pair, **_pose(pair.T_target_source), registrations=registrations)
+    return PairEntry.of(pair, **_pose(pair.T_target_source), registrations=registrations)
 
 
 def _ground(ground: GroundPlane) -> GroundEntry:
-    return _entry(GroundEntry, ground.T_base_target, ground, T_base_target=ground.T_base_target.matrix)
+    return GroundEntry.of(ground.T_base_target, ground, T_base_target=ground.T_base_target.matrix)

@@ -2,14 +2,11 @@
 """Sink that writes `result.json` and `calibration.toml`."""
 
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from multilica import events
-from multilica.results import CalibrationResult
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.calibration_toml import calibration_toml
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 
 __all__ = ["CALIBRATION_TOML", "RESULT_JSON", "ResultFiles"]
@@ -30,23 +27,12 @@ class ResultFiles:
         self.directory = directory
         self._state = state if state is not None else RunState()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __call__(self, event: events.Event) -> None:
         """Take in an event; write at the last one."""
         self._state(event)
-        if isinstance(event, events.CalibrationFinished):
-            self._write(event.result)
-
-    def _write(self, result: CalibrationResult) -> None:
-        document, provenance = run_document(self._state), self._state.provenance
-        if document is None or provenance is None:
+        if not isinstance(event, events.CalibrationFinished):
             return
-        write_text_atomically(self.directory / RESULT_JSON, f"{document.model_dump_json(indent=2)}\n")
-        write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(result, provenance))
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        """Nothing is open."""
+        document, provenance = run_document(self._state), self._state.provenance
+        if document is not None and provenance is not None:
+            write_text_atomically(self.directory / RESULT_JSON, f"{document.model_dump_json(indent=2)}\n")
+            write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(event.result, provenance))

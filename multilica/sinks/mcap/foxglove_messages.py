@@ -6,18 +6,24 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from foxglove import messages
 from foxglove.messages import (
+    Color,
     FrameTransform,
     FrameTransforms,
+    LinePrimitive,
+    LinePrimitiveLineType,
     Log,
     LogLevel,
     PackedElementField,
     PackedElementFieldNumericType,
+    Point3,
     PointCloud,
     Pose,
     Quaternion,
+    SceneEntity,
     SceneUpdate,
+    SpherePrimitive,
+    TextPrimitive,
     Timestamp,
     Vector3,
 )
@@ -25,14 +31,17 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
-from multilica.sinks.drawing.primitives import Drawing
-from multilica.sinks.mcap.foxglove_scene import scene_update
+from multilica.sinks.drawing.palette import Rgb
+from multilica.sinks.drawing.primitives import Drawing, Ellipsoid, Label, Lines
 from multilica.sinks.mcap.messages import McapMessage, MessageSchema
 from multilica.sinks.text.log_lines import LogLine
 from multilica.snapshot import Float32Array
 
 __all__ = ["FoxgloveEncoding"]
 
+_LINE_PIXELS = 2.0
+_TEXT_PIXELS = 14.0
+_OPACITY = 0.6
 _LEVELS = {"DEBUG": LogLevel.Debug, "INFO": LogLevel.Info, "WARN": LogLevel.Warning, "ERROR": LogLevel.Error}
 
 _TEXT, _NUMBER, _FLAG = {"type": "string"}, {"type": "number"}, {"type": "boolean"}
@@ -76,7 +85,7 @@ class FoxgloveEncoding:
         cloud = PointCloud(
             timestamp=_timestamp(stamp_ns),
             frame_id=lidar,
-            pose=Pose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)),
+            pose=_pose((0.0, 0.0, 0.0)),
             point_stride=packed.itemsize * 3,
             fields=[PackedElementField(name=name, offset=4 * index, type=numeric) for index, name in enumerate("xyz")],
             data=packed.tobytes(),
@@ -85,7 +94,7 @@ class FoxgloveEncoding:
 
     def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.SceneUpdate``, an entity per drawing."""
-        update = scene_update(drawings, _timestamp(stamp_ns))
+        update = _scene_update(drawings, _timestamp(stamp_ns))
         return McapMessage(topic, _schema(SceneUpdate), update.encode())
 
     def log(self, line: LogLine, stamp_ns: int) -> McapMessage:
@@ -108,9 +117,7 @@ class FoxgloveEncoding:
         return McapMessage("/metrics", schema, json.dumps(figures, allow_nan=False).encode())
 
 
-def _schema(
-    kind: type[messages.FrameTransforms | messages.PointCloud | messages.SceneUpdate | messages.Log],
-) -> MessageSchema:
+def _schema(kind: type[FrameTransforms | PointCloud | SceneUpdate | Log]) -> MessageSchema:
     schema = kind.get_schema()
     return MessageSchema(schema.name, schema.encoding, schema.data, MessageEncoding.Protobuf)
 
@@ -120,12 +127,68 @@ def _timestamp(stamp_ns: int) -> Timestamp:
 
 
 def _transform(pose: RigidTransform, stamp_ns: int) -> FrameTransform:
-    x, y, z = pose.xyz_m.tolist()
-    qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
     return FrameTransform(
         timestamp=_timestamp(stamp_ns),
         parent_frame_id=pose.target,
         child_frame_id=pose.source,
-        translation=Vector3(x=x, y=y, z=z),
-        rotation=Quaternion(x=qx, y=qy, z=qz, w=qw),
+        translation=_vector(pose.xyz_m.tolist()),
+        rotation=Quaternion(**dict(zip("xyzw", pose.quaternion_xyzw.tolist(), strict=True))),
     )
+
+
+def _scene_update(drawings: Sequence[Drawing], timestamp: Timestamp) -> SceneUpdate:
+    """Return an entity per drawing that follows its frame."""
+    entities = [
+        SceneEntity(
+            timestamp=timestamp,
+            frame_id=drawing.frame_id,
+            id=drawing.name,
+            frame_locked=True,
+            lines=[_lines(lines) for lines in drawing.lines],
+            spheres=[_sphere(ellipsoid) for ellipsoid in drawing.ellipsoids],
+            texts=[_text(label) for label in drawing.labels],
+        )
+        for drawing in drawings
+    ]
+    return SceneUpdate(entities=entities)
+
+
+def _lines(lines: Lines) -> LinePrimitive:
+    return LinePrimitive(
+        type=LinePrimitiveLineType.LineList,
+        pose=_pose((0.0, 0.0, 0.0)),
+        thickness=_LINE_PIXELS,
+        scale_invariant=True,
+        points=[Point3(x=x, y=y, z=z) for x, y, z in lines.segments_m.reshape(-1, 3).tolist()],
+        color=_color(lines.colour),
+    )
+
+
+def _sphere(ellipsoid: Ellipsoid) -> SpherePrimitive:
+    size = _vector((2.0 * ellipsoid.half_sizes_m).tolist())
+    pose = _pose(ellipsoid.pose.xyz_m.tolist(), ellipsoid.pose.quaternion_xyzw.tolist())
+    return SpherePrimitive(pose=pose, size=size, color=_color(ellipsoid.colour, _OPACITY))
+
+
+def _text(label: Label) -> TextPrimitive:
+    return TextPrimitive(
+        pose=_pose(label.xyz_m.tolist()),
+        billboard=True,
+        font_size=_TEXT_PIXELS,
+        scale_invariant=True,
+        color=_color(label.colour),
+        text=label.text,
+    )
+
+
+def _pose(xyz_m: Sequence[float], xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
+    return Pose(position=_vector(xyz_m), orientation=Quaternion(**dict(zip("xyzw", xyzw, strict=True))))
+
+
+def _vector(xyz: Sequence[float]) -> Vector3:
+    return Vector3(**dict(zip("xyz", xyz, strict=True)))
+
+
+def _color(colour: Rgb, opacity: float = 1.0) -> Color:
+    red, green, blue = (channel / 255.0 for channel in colour)
+    return Color(r=red, g=green, b=blue, a=opacity)

@@ -1,18 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of an MCAP file."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
 
 from mcap.writer import Writer
 
-from multilica.geometry import RigidTransform
-from multilica.sinks.drawing.primitives import Drawing
-from multilica.sinks.text.log_lines import LogLine
-from multilica.snapshot import Float32Array
-
-__all__ = ["Encoding", "McapMessage", "MessageSchema", "MessageWriter"]
+__all__ = ["McapMessage", "MessageSchema", "MessageWriter"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,27 +34,6 @@ class McapMessage:
     metadata: Mapping[str, str] = field(default_factory=dict)
 
 
-class Encoding(Protocol):
-    """Encoder of a calibration into messages."""
-
-    profile: str
-
-    def transforms(self, poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:
-        """Encode static transforms."""
-
-    def cloud(self, lidar: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
-        """Encode points (N, 3) of a LiDAR in the frame of its name."""
-
-    def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> McapMessage:
-        """Encode drawings."""
-
-    def log(self, line: LogLine, stamp_ns: int) -> McapMessage:
-        """Encode a log line."""
-
-    def metrics(self, figures: Mapping[str, Any]) -> McapMessage:
-        """Encode figures of the result."""
-
-
 @dataclass(slots=True, eq=False)
 class MessageWriter:
     """Writer of messages that registers each schema and channel once."""
@@ -72,20 +45,11 @@ class MessageWriter:
 
     def write(self, message: McapMessage, stamp_ns: int) -> None:
         """Add a message, logged and published at that time."""
-        channel = self._channel(message)
-        self.writer.add_message(channel, stamp_ns, message.data, stamp_ns, self._sequence)
-        self._sequence += 1
-
-    def _channel(self, message: McapMessage) -> int:
-        if message.topic not in self._channels:
-            schema = message.schema
-            self._channels[message.topic] = self.writer.register_channel(
-                message.topic, schema.message_encoding, self._schema(schema), dict(message.metadata)
-            )
-        return self._channels[message.topic]
-
-    def _schema(self, schema: MessageSchema) -> int:
+        schema, topic = message.schema, message.topic
         if schema not in self._schemas:
-            found = self.writer.register_schema(schema.name, schema.encoding, schema.data)
-            self._schemas[schema] = int(found)
-        return self._schemas[schema]
+            self._schemas[schema] = self.writer.register_schema(schema.name, schema.encoding, schema.data)
+        if topic not in self._channels:
+            channel = (topic, schema.message_encoding, self._schemas[schema], dict(message.metadata))
+            self._channels[topic] = self.writer.register_channel(*channel)
+        self.writer.add_message(self._channels[topic], stamp_ns, message.data, stamp_ns, self._sequence)
+        self._sequence += 1

@@ -1,27 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawings of a result by topic."""
+"""Drawings of a result by topic, shown by a Foxglove layout."""
 
+import json
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
 from multilica.geometry import FloatArray
 from multilica.results import CalibrationResult
-from multilica.sinks.drawing.ellipsoid import SHOWN_ELLIPSOID_SCALE, uncertainty_ellipsoid
-from multilica.sinks.drawing.field_of_view import shown_field_of_view
-from multilica.sinks.drawing.matches import kept_matches, match_lines
-from multilica.sinks.drawing.palette import KEPT, REJECTED, VERDICT_COLOURS, VIOLATE, distinct_colours
+from multilica.sinks.drawing.palette import KEPT, REJECTED, VERDICT_COLOURS, VIOLATE, distinct_colours, hex_colour
 from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE, Drawing, Ellipsoid, Label, Lines, segments_along
+from multilica.sinks.drawing.shapes import (
+    SHOWN_ELLIPSOID_SCALE,
+    kept_matches,
+    match_lines,
+    shown_field_of_view,
+    uncertainty_ellipsoid,
+)
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
-__all__ = ["DRAWING_TOPICS", "result_drawings"]
+__all__ = ["DRAWING_TOPICS", "foxglove_layout", "result_drawings"]
 
 DRAWING_TOPICS = ("/matches", "/merge_graph", "/fields_of_view", "/uncertainty")
 
 _MAX_MATCHES = 500
 _WAITING_HEIGHT_M = 1.5
 _NODE_RADIUS_M = 0.06
+_SCENE, _LOG, _METRICS = "3D!multilica", "RosOut!multilica", "RawMessages!multilica"
+_GRID = "#ffffff20"
+_AT_FIRST = {"/matches": False}
+"""Hidden at first: hundreds of lines."""
 
 
 def result_drawings(state: RunState, result: CalibrationResult) -> Mapping[str, tuple[Drawing, ...]]:
@@ -95,3 +105,53 @@ def _uncertainty(state: RunState, result: CalibrationResult) -> Iterator[Drawing
             half_sizes_m, axes = found
             shown = Ellipsoid(axes, SHOWN_ELLIPSOID_SCALE * half_sizes_m, colours[place.lidar])
             yield Drawing(place.lidar, result.target, ellipsoids=(shown,))
+
+
+def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
+    """Return JSON for "Import from file": clouds and drawings in one scene, log and metrics beside it.
+
+    Args:
+        target: the LiDAR whose frame the scene follows.
+        cloud_topics: of every LiDAR, in order.
+    """
+    layout = {
+        "configById": {
+            _SCENE: _scene(target, cloud_topics),
+            _LOG: {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"},
+            _METRICS: {"topicPath": "/metrics", "diffEnabled": False},
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {
+            "direction": "row",
+            "first": _SCENE,
+            "second": {"direction": "column", "first": _METRICS, "second": _LOG, "splitPercentage": 50},
+            "splitPercentage": 70,
+        },
+    }
+    return json.dumps(layout, indent=2, ensure_ascii=False) + "\n"
+
+
+def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
+    colours = distinct_colours(tuple(cloud_topics))
+    clouds = {
+        topic: {
+            "visible": True,
+            "colorMode": "flat",
+            # Where none is named, the panel picks one and colours by it.
+            "colorField": "z",
+            "flatColor": hex_colour(colours[name]),
+            "pointSize": 2,
+        }
+        for name, topic in cloud_topics.items()
+    }
+    drawings = {topic: {"visible": _AT_FIRST.get(topic, True)} for topic in DRAWING_TOPICS}
+    return {
+        "followMode": "follow-pose",
+        "followTf": target,
+        "scene": {"transforms": {"showLabel": True, "axisScale": 0.5}},
+        "cameraState": {"perspective": True, "distance": 30, "phi": 55, "thetaOffset": 45, "targetOffset": [0, 0, 0]},
+        "topics": {**clouds, **drawings},
+        "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 40, "divisions": 40, "color": _GRID}},
+    }

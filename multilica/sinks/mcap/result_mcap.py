@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sink that writes an MCAP file."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from mcap.writer import CompressionType, Writer
 
@@ -14,22 +16,23 @@ from multilica.errors import UnknownNameError
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing.slots import raw_points
-from multilica.sinks.drawing.thinning import sample_points
+from multilica.sinks.drawing.clouds import sample_points
 from multilica.sinks.files.atomic import atomic_file, partial_path
-from multilica.sinks.files.run_document import result_so_far, run_document
-from multilica.sinks.files.toml_text import toml_text
-from multilica.sinks.mcap.foxglove_layout import foxglove_layout
-from multilica.sinks.mcap.messages import Encoding, McapMessage, MessageWriter
-from multilica.sinks.mcap.result_drawings import result_drawings
+from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.files.result_document import result_so_far, run_document
+from multilica.sinks.mcap.messages import McapMessage, MessageWriter
+from multilica.sinks.mcap.result_drawings import foxglove_layout, result_drawings
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, log_end, log_lines
 from multilica.snapshot import Float32Array, LidarScans, Snapshot
 
-__all__ = ["MCAP_ENCODINGS", "ResultMcap"]
+if TYPE_CHECKING:
+    from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
+    from multilica.sinks.mcap.ros2_messages import Ros2Encoding
 
-MCAP_ENCODINGS = ("foxglove", "ros2")
+__all__ = ["ResultMcap"]
 
+_ENCODINGS = ("foxglove", "ros2")
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000
 _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html": "text/html"}
@@ -72,14 +75,15 @@ class ResultMcap:
         attached: Sequence[Path] = (),
         state: RunState | None = None,
     ) -> None:
-        if encoding not in MCAP_ENCODINGS:
-            raise UnknownNameError("MCAP encoding", encoding, MCAP_ENCODINGS)
+        if encoding not in _ENCODINGS:
+            raise UnknownNameError("MCAP encoding", encoding, _ENCODINGS)
         self.path = path
         self._encoding = _encoding(encoding)
         self._attached = tuple(attached)
         self._state = state if state is not None else RunState()
         self._lines: list[LogLine] = []
-        self._messages = _Messages()
+        self._clouds: dict[str, McapMessage] = {}
+        self._drawings: list[McapMessage] = []
         self._finished = False
 
     def __enter__(self) -> Self:
@@ -88,7 +92,10 @@ class ResultMcap:
     def __call__(self, event: events.Event) -> None:
         """Update the state; write the partial file when a stage ends."""
         self._state(event)
-        self._messages.forget(event)
+        if isinstance(event, events.CloudPreprocessed):
+            self._clouds.pop(event.cloud.lidar, None)
+        if isinstance(event, _CHANGES_DRAWINGS):
+            self._drawings.clear()
         self._lines += log_lines(event)
         self._finished |= isinstance(event, events.CalibrationFinished)
         if isinstance(event, events.StageFinished):
@@ -107,12 +114,54 @@ class ResultMcap:
             self._write(partial)
 
     def _write(self, path: Path, compression: CompressionType = CompressionType.NONE) -> None:
+        snapshot, document = self._state.snapshot, run_document(self._state)
+        if snapshot is None or document is None:
+            return
+        result = result_so_far(self._state)
+        result = replace(result, target=result.target or snapshot.names[0])
+        start_ns = _first_stamp_ns(snapshot)
+        end_ns = start_ns + len(self._lines) * _LINE_SPACING_NS
         with atomic_file(path) as file:
             writer = Writer(file, compression=compression, enable_data_crcs=True)
-            _write(writer, self._state, self._lines, self._encoding, self._messages, self._attached)
+            writer.start(profile=self._encoding.profile, library=f"multilica {document.versions['multilica']}")
+            writer.add_metadata("multilica", _metadata(document))
+            messages = MessageWriter(writer)
+            self._write_scene(messages, snapshot, result, start_ns)
+            for index, line in enumerate(self._lines):
+                stamp_ns = start_ns + index * _LINE_SPACING_NS
+                messages.write(self._encoding.log(line, stamp_ns), stamp_ns)
+            messages.write(self._encoding.metrics(_metrics(document)), end_ns)
+            for name, data in self._attachments(document, result.target).items():
+                writer.add_attachment(start_ns, start_ns, name, _MEDIA_TYPES[Path(name).suffix], data)
+            writer.finish()  # type: ignore[no-untyped-call]
+
+    def _write_scene(
+        self, messages: MessageWriter, snapshot: Snapshot, result: CalibrationResult, stamp_ns: int
+    ) -> None:
+        """Write transforms first, so that a reader in time order can place every cloud; encode only what changed."""
+        messages.write(self._encoding.transforms(_static_poses(result), stamp_ns), stamp_ns)
+        for lidar in snapshot.lidars:
+            if lidar.name not in self._clouds:
+                points_m = _shown_points(self._state, lidar)
+                self._clouds[lidar.name] = self._encoding.cloud(lidar.name, points_m, stamp_ns)
+            messages.write(self._clouds[lidar.name], stamp_ns)
+        if not self._drawings:
+            drawn = result_drawings(self._state, result).items()
+            self._drawings = [self._encoding.drawings(topic, drawings, stamp_ns) for topic, drawings in drawn]
+        for drawing in self._drawings:
+            messages.write(drawing, stamp_ns)
+
+    def _attachments(self, document: ResultDocument, target: str) -> dict[str, bytes]:
+        topics = {name: self._clouds[name].topic for name in self._state.lidars}
+        return {
+            "config.toml": toml_text(document.config.model_dump(mode="json")).encode(),
+            "result.json": document.model_dump_json().encode(),
+            "foxglove-layout.json": foxglove_layout(target, topics).encode(),
+            **{path.name: path.read_bytes() for path in self._attached if path.is_file()},
+        }
 
 
-def _encoding(name: str) -> Encoding:
+def _encoding(name: str) -> FoxgloveEncoding | Ros2Encoding:
     if name == "ros2":
         from multilica.sinks.mcap.ros2_messages import Ros2Encoding
 
@@ -120,68 +169,6 @@ def _encoding(name: str) -> Encoding:
     from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
 
     return FoxgloveEncoding()
-
-
-@dataclass(slots=True, eq=False)
-class _Messages:
-    """Cache of large messages between writes: clouds per LiDAR, a drawing per topic."""
-
-    clouds: dict[str, McapMessage] = field(default_factory=dict)
-    drawings: list[McapMessage] = field(default_factory=list)
-
-    def forget(self, event: events.Event) -> None:
-        """Drop the messages that the event changes."""
-        if isinstance(event, events.CloudPreprocessed):
-            self.clouds.pop(event.cloud.lidar, None)
-        if isinstance(event, _CHANGES_DRAWINGS):
-            self.drawings.clear()
-
-    def make(self, state: RunState, result: CalibrationResult, encoding: Encoding, stamp_ns: int) -> None:
-        """Encode the missing messages."""
-        for lidar in state.snapshot.lidars if state.snapshot is not None else ():
-            if lidar.name not in self.clouds:
-                self.clouds[lidar.name] = encoding.cloud(lidar.name, _cloud(state, lidar), stamp_ns)
-        if not self.drawings:
-            drawn = result_drawings(state, result).items()
-            self.drawings += [encoding.drawings(topic, drawings, stamp_ns) for topic, drawings in drawn]
-
-
-def _write(
-    writer: Writer,
-    state: RunState,
-    lines: list[LogLine],
-    encoding: Encoding,
-    large: _Messages,
-    attached: Sequence[Path],
-) -> None:
-    """Write transforms first, so that a reader in time order can place every cloud."""
-    snapshot, document = state.snapshot, run_document(state)
-    if snapshot is None or document is None:
-        return
-    result = result_so_far(state)
-    result = replace(result, target=result.target or snapshot.names[0])
-    start_ns = _first_stamp_ns(snapshot)
-    writer.start(profile=encoding.profile, library=f"multilica {document.versions['multilica']}")
-    writer.add_metadata("multilica", _metadata(document))
-    messages = MessageWriter(writer)
-    messages.write(encoding.transforms(_static_poses(result), start_ns), start_ns)
-    large.make(state, result, encoding, start_ns)
-    clouds = {name: large.clouds[name] for name in snapshot.names}
-    for message in (*clouds.values(), *large.drawings):
-        messages.write(message, start_ns)
-    for index, line in enumerate(lines):
-        stamp_ns = start_ns + index * _LINE_SPACING_NS
-        messages.write(encoding.log(line, stamp_ns), stamp_ns)
-    messages.write(encoding.metrics(_metrics(document)), start_ns + len(lines) * _LINE_SPACING_NS)
-    texts = {
-        "config.toml": toml_text(document.config.model_dump(mode="json")),
-        "result.json": document.model_dump_json(),
-        "foxglove-layout.json": foxglove_layout(result.target, {name: cloud.topic for name, cloud in clouds.items()}),
-    }
-    found = {path.name: path.read_bytes() for path in attached if path.is_file()}
-    for name, data in ({name: text.encode("utf-8") for name, text in texts.items()} | found).items():
-        writer.add_attachment(start_ns, start_ns, name, _MEDIA_TYPES[Path(name).suffix], data)
-    writer.finish()  # type: ignore[no-untyped-call]
 
 
 def _first_stamp_ns(snapshot: Snapshot) -> int:
@@ -196,10 +183,10 @@ def _static_poses(result: CalibrationResult) -> list[RigidTransform]:
     return [*base, *(pose for pose in placed if pose is not None)]
 
 
-def _cloud(state: RunState, lidar: LidarScans) -> Float32Array:
+def _shown_points(state: RunState, lidar: LidarScans) -> Float32Array:
     """Return the thinned preprocessed cloud, else the raw one."""
     cloud = state.clouds.get(lidar.name)
-    return sample_points(raw_points(lidar) if cloud is None else cloud.points_m, _MAX_CLOUD_POINTS)
+    return sample_points(lidar.points_m if cloud is None else cloud.points_m, _MAX_CLOUD_POINTS)
 
 
 def _metadata(document: ResultDocument) -> dict[str, str]:

@@ -2,6 +2,7 @@
 """ROS 2 types with their serialisation."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from functools import cache
 from typing import Any
 
@@ -18,13 +19,16 @@ __all__ = [
     "POINT_CLOUD",
     "ROS_END_NS",
     "TRANSFORMS",
+    "header",
+    "made",
     "offered_qos",
     "point_cloud",
+    "pose_of",
     "schema_of",
     "serialised",
-    "store",
     "time_of",
     "transforms",
+    "xyz_of",
 ]
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -50,9 +54,13 @@ _VOLATILE = 2
 
 
 @cache
-def store() -> Typestore:
-    """Return all types of a ROS 2 distribution; the classes are made at run time."""
+def _store() -> Typestore:
     return get_typestore(Stores.ROS2_HUMBLE)
+
+
+def made(message_type: str, **fields: Any) -> Any:  # noqa: ANN401 - the classes are made by rosbags at run time
+    """Make a message of a ROS 2 type."""
+    return _store().types[message_type](**fields)
 
 
 def offered_qos(*, latched: bool) -> dict[str, str]:
@@ -68,16 +76,16 @@ def offered_qos(*, latched: bool) -> dict[str, str]:
 @cache
 def schema_of(message_type: str) -> MessageSchema:
     """Return the schema of a type as rosbag2 writes it."""
-    definition, _ = store().generate_msgdef(message_type, ros_version=2)
+    definition, _ = _store().generate_msgdef(message_type, ros_version=2)
     return MessageSchema(message_type, SchemaEncoding.ROS2, definition.encode(), MessageEncoding.CDR)
 
 
-def serialised(message: Any) -> bytes:  # noqa: ANN401 - see store
+def serialised(message: Any) -> bytes:  # noqa: ANN401 - see made
     """Serialise to little-endian CDR."""
-    return bytes(store().serialize_cdr(message, message.__msgtype__))
+    return bytes(_store().serialize_cdr(message, message.__msgtype__))
 
 
-def time_of(stamp_ns: int) -> Any:  # noqa: ANN401 - see store
+def time_of(stamp_ns: int) -> Any:  # noqa: ANN401 - see made
     """Make a ``builtin_interfaces/msg/Time``.
 
     Raises:
@@ -86,33 +94,43 @@ def time_of(stamp_ns: int) -> Any:  # noqa: ANN401 - see store
     if not 0 <= stamp_ns < ROS_END_NS:
         raise ValueError(f"found a stamp of {stamp_ns} ns; ROS has times from 1970 to 2038")
     seconds, nanoseconds = divmod(stamp_ns, 10**9)
-    return store().types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
+    return made("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
 
 
-def transforms(poses: Sequence[RigidTransform], stamp_ns: int) -> Any:  # noqa: ANN401 - see store
+def transforms(poses: Sequence[RigidTransform], stamp_ns: int) -> Any:  # noqa: ANN401 - see made
     """Make a ``tf2_msgs/msg/TFMessage``: each pose's source frame in its target frame."""
-    return store().types[TRANSFORMS](transforms=[_transform(pose, stamp_ns) for pose in poses])
+    return made(
+        TRANSFORMS,
+        transforms=[
+            made(
+                "geometry_msgs/msg/TransformStamped",
+                header=header(pose.target, stamp_ns),
+                child_frame_id=pose.source,
+                transform=made(
+                    "geometry_msgs/msg/Transform",
+                    translation=xyz_of("geometry_msgs/msg/Vector3", pose.xyz_m.tolist()),
+                    rotation=_quaternion(pose.quaternion_xyzw.tolist()),
+                ),
+            )
+            for pose in poses
+        ],
+    )
 
 
-def point_cloud(frame_id: str, stamp_ns: int, points_m: Float32Array, intensity: Float32Array | None = None) -> Any:  # noqa: ANN401 - see store
+def point_cloud(frame_id: str, stamp_ns: int, points_m: Float32Array, intensity: Float32Array | None = None) -> Any:  # noqa: ANN401 - see made
     """Make a ``sensor_msgs/msg/PointCloud2`` of little-endian float32: x, y, z and, if given, intensity.
 
     Args:
         points_m: (N, 3) in that frame.
         intensity: (N,).
     """
-    types = store().types
     packed = encode_points(points_m, intensity)
-    return types[POINT_CLOUD](
-        header=_header(frame_id, stamp_ns),
+    return made(
+        POINT_CLOUD,
+        header=header(frame_id, stamp_ns),
         height=packed.height,
         width=packed.width,
-        fields=[
-            types["sensor_msgs/msg/PointField"](
-                name=field.name, offset=field.offset, datatype=field.datatype, count=field.count
-            )
-            for field in packed.fields
-        ],
+        fields=[made("sensor_msgs/msg/PointField", **asdict(field)) for field in packed.fields],
         is_bigendian=packed.big_endian,
         point_step=packed.point_step,
         row_step=packed.row_step,
@@ -121,19 +139,21 @@ def point_cloud(frame_id: str, stamp_ns: int, points_m: Float32Array, intensity:
     )
 
 
-def _header(frame_id: str, stamp_ns: int) -> Any:  # noqa: ANN401 - see store
-    return store().types["std_msgs/msg/Header"](stamp=time_of(stamp_ns), frame_id=frame_id)
+def header(frame_id: str, stamp_ns: int) -> Any:  # noqa: ANN401 - see made
+    """Make a ``std_msgs/msg/Header``."""
+    return made("std_msgs/msg/Header", stamp=time_of(stamp_ns), frame_id=frame_id)
 
 
-def _transform(pose: RigidTransform, stamp_ns: int) -> Any:  # noqa: ANN401 - see store
-    types = store().types
-    x, y, z = pose.xyz_m.tolist()
-    qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
-    return types["geometry_msgs/msg/TransformStamped"](
-        header=_header(pose.target, stamp_ns),
-        child_frame_id=pose.source,
-        transform=types["geometry_msgs/msg/Transform"](
-            translation=types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z),
-            rotation=types["geometry_msgs/msg/Quaternion"](x=qx, y=qy, z=qz, w=qw),
-        ),
-    )
+def xyz_of(message_type: str, xyz: Sequence[float]) -> Any:  # noqa: ANN401 - see made
+    """Make a message of x, y and z."""
+    return made(message_type, **dict(zip("xyz", xyz, strict=True)))
+
+
+def pose_of(xyz_m: Sequence[float], xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Any:  # noqa: ANN401 - see made
+    """Make a ``geometry_msgs/msg/Pose``."""
+    position = xyz_of("geometry_msgs/msg/Point", xyz_m)
+    return made("geometry_msgs/msg/Pose", position=position, orientation=_quaternion(xyzw))
+
+
+def _quaternion(xyzw: Sequence[float]) -> Any:  # noqa: ANN401 - see made
+    return made("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", xyzw, strict=True)))

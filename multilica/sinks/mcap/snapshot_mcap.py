@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writer of snapshots as MCAP files for ROS tools."""
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,22 +9,13 @@ from mcap.well_known import MessageEncoding, Profile
 from mcap.writer import CompressionType, Writer
 
 import multilica
+from multilica.config import IngestConfig
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
 from multilica.sinks.files.atomic import atomic_file
-from multilica.sinks.mcap.ros2_types import (
-    POINT_CLOUD,
-    ROS_END_NS,
-    TRANSFORMS,
-    offered_qos,
-    point_cloud,
-    schema_of,
-    serialised,
-    transforms,
-)
-from multilica.sinks.mcap.snapshot_metadata import snapshot_metadata
+from multilica.sinks.mcap import ros2_types as ros2
 from multilica.snapshot import LidarScans, Snapshot
 
-__all__ = ["write_snapshot_mcap"]
+__all__ = ["window_metadata", "write_snapshot_mcap"]
 
 _CHUNK_BYTES = 4 << 20
 _LATEST_NS = 2**64 - 1
@@ -42,36 +34,57 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
         writer.start(profile=Profile.ROS2, library=f"multilica {multilica.__version__}")
         _write_static_transforms(writer, snapshot)
         _write_scans(writer, snapshot)
-        writer.add_metadata(SNAPSHOT_METADATA_NAME, snapshot_metadata(snapshot) | dict(metadata or {}))
+        writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
         writer.finish()  # type: ignore[no-untyped-call]
+
+
+def window_metadata(config: IngestConfig, vehicle: str = "") -> dict[str, str]:
+    """Return the options with which a snapshot was taken."""
+    window = {
+        "frames": str(config.frames),
+        "start_s": f"{config.start_s:g}",
+        "start_at": config.start_at,
+        "window": config.window,
+        "window_s": f"{config.window_s:g}",
+    }
+    return window | ({"vehicle": vehicle} if vehicle else {})
+
+
+def _origin(snapshot: Snapshot) -> dict[str, str]:
+    """Return the origin of a snapshot."""
+    stamps = [scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans] or [0]
+    return {
+        "lidars": ", ".join(snapshot.names),
+        "source": snapshot.source,
+        "source_sha256": snapshot.source_sha256,
+        "first_stamp_ns": str(min(stamps)),
+        "last_stamp_ns": str(max(stamps)),
+        "notes": json.dumps(snapshot.notes),
+        "version": multilica.__version__,
+    }
 
 
 def _write_static_transforms(writer: Writer, snapshot: Snapshot) -> None:
     if not snapshot.static_transforms:
         return
     time_ns = min((time_ns for time_ns, _, _ in _frames(snapshot)), default=0)
-    data = serialised(transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)))
-    schema = _register_schema(writer, TRANSFORMS)
-    channel = writer.register_channel("/tf_static", MessageEncoding.CDR, schema, offered_qos(latched=True))
+    data = ros2.serialised(ros2.transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)))
+    schema = _register_schema(writer, ros2.TRANSFORMS)
+    channel = writer.register_channel("/tf_static", MessageEncoding.CDR, schema, ros2.offered_qos(latched=True))
     writer.add_message(channel, time_ns, data, time_ns)
 
 
 def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
-    schema = _register_schema(writer, POINT_CLOUD)
-    topics = _topics(snapshot)
-    channels = {
-        lidar.name: writer.register_channel(
-            topics[lidar.name],
-            MessageEncoding.CDR,
-            schema,
-            {LIDAR_NAME_KEY: lidar.name, **offered_qos(latched=False)},
-        )
-        for lidar in snapshot.lidars
-    }
+    schema = _register_schema(writer, ros2.POINT_CLOUD)
+    channels = {}
+    for lidar in snapshot.lidars:
+        topic = lidar.topic if lidar.topic.startswith("/") else f"/{lidar.name}/points"  # a file has no topic
+        metadata = {LIDAR_NAME_KEY: lidar.name, **ros2.offered_qos(latched=False)}
+        channels[lidar.name] = writer.register_channel(topic, MessageEncoding.CDR, schema, metadata)
     for time_ns, lidar, index in sorted(_frames(snapshot), key=lambda frame: frame[0]):
         scan = lidar.scans[index]
-        data = serialised(point_cloud(lidar.frame_id, _ros_stamp_ns(scan.stamp_ns), scan.points_m, scan.intensity))
-        writer.add_message(channels[lidar.name], time_ns, data, time_ns, index)
+        cloud = ros2.point_cloud(lidar.frame_id, _ros_stamp_ns(scan.stamp_ns), scan.points_m, scan.intensity)
+        writer.add_message(channels[lidar.name], time_ns, ros2.serialised(cloud), time_ns, index)
 
 
 def _frames(snapshot: Snapshot) -> list[tuple[int, LidarScans, int]]:
@@ -86,16 +99,9 @@ def _frames(snapshot: Snapshot) -> list[tuple[int, LidarScans, int]]:
 
 def _ros_stamp_ns(stamp_ns: int) -> int:
     """Return the stamp, or zero if it is outside ROS time; readers then use the log time."""
-    return stamp_ns if 0 <= stamp_ns < ROS_END_NS else 0
-
-
-def _topics(snapshot: Snapshot) -> dict[str, str]:
-    """Return the topic of each LiDAR, or one made of its name if it came from a file."""
-    return {
-        lidar.name: lidar.topic if lidar.topic.startswith("/") else f"/{lidar.name}/points" for lidar in snapshot.lidars
-    }
+    return stamp_ns if 0 <= stamp_ns < ros2.ROS_END_NS else 0
 
 
 def _register_schema(writer: Writer, message_type: str) -> int:
-    schema = schema_of(message_type)
+    schema = ros2.schema_of(message_type)
     return int(writer.register_schema(schema.name, schema.encoding, schema.data))

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.sinks.drawing.clouds import every_nth
 from multilica.sinks.drawing.palette import Rgb
-from multilica.sinks.drawing.thinning import every_nth
 
 __all__ = ["GROUND_COLOUR", "Layer", "View", "draw_clouds", "png_bytes", "side_view", "top_view"]
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing.thinning import sample_points
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.drawing.clouds import sample_points
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans
 
@@ -39,7 +39,7 @@ class ReportContents:
     """Everything that a report shows of a run.
 
     Args:
-        document: see `multilica.sinks.files.run_document`.
+        document: see `multilica.sinks.files.result_document`.
         clouds: per LiDAR its preprocessed cloud (N, 3) in its own frame.
         scored: per registered pair its best pose, then the competing one, if any.
         notes: remarks of the reader of the input.

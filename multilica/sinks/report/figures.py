@@ -81,14 +81,10 @@ def pair_figures(
 ) -> list[Figure]:
     """Draw a pair from above: the best pose, then the competing one, if any."""
     words = ("at the best pose", "at a competing pose that fits about as well")
-    if _accepted(contents, pair):
+    if any(one.key == pair and one.verdict.accepted for one in contents.document.pairs):
         words = ("at the pose of this pair", "at the pose that another accepted pair implies")
     shown = zip(contents.scored.get(pair, ()), words, strict=False)
     return [_pair_figure(contents, one, level, colours, how) for one, how in shown]
-
-
-def _accepted(contents: ReportContents, pair: PairKey) -> bool:
-    return any(one.key == pair and one.verdict.accepted for one in contents.document.pairs)
 
 
 def _pair_figure(

@@ -14,10 +14,15 @@ __all__ = ["Outcome", "UnplacedLidar", "outcome_of"]
 
 @dataclass(frozen=True, slots=True)
 class UnplacedLidar:
-    """A LiDAR that is not placed, with its decisive pair as it was registered."""
+    """A LiDAR that is not placed."""
 
     missing: Missing
-    pair: PairKey | None
+
+    @property
+    def pair(self) -> PairKey | None:
+        """Return the decisive pair as it was registered."""
+        decisive = self.missing.decisive
+        return None if decisive is None else (decisive.target, decisive.source)
 
     @property
     def against(self) -> tuple[str, ...]:
@@ -54,22 +59,17 @@ def outcome_of(contents: ReportContents) -> Outcome:
     """Summarise the outcome."""
     document = contents.document
     explanation = explain(document)
-    ended_early = (contents.ended_early,) if contents.ended_early else ()
+    details: tuple[str, ...] = (contents.ended_early,) if contents.ended_early else ()
     if explanation.cause is not None:
         badge = _BADGES.get(explanation.cause, "refused")
         return Outcome(
-            badge, explanation.headline, ended_early, explanation.warnings, explanation.known, explanation.advice
+            badge, explanation.headline, details, explanation.warnings, explanation.known, explanation.advice
         )
-    failures = tuple(_failure(missing) for missing in explanation.missing)
-    headline = _headline(contents, explanation)
-    badge = _BADGES["unfinished"] if ended_early else document.status
-    return Outcome(badge, headline, (*_target(contents), *ended_early), explanation.warnings, failures=failures)
-
-
-def _target(contents: ReportContents) -> tuple[str, ...]:
-    if len(contents.placed_poses()) < 2:
-        return ()
-    return (f"Target: {contents.target} ({contents.document.target_reason.rstrip('.')}).",)
+    if len(contents.placed_poses()) > 1:
+        details = (f"Target: {contents.target} ({document.target_reason.rstrip('.')}).", *details)
+    badge = _BADGES["unfinished"] if contents.ended_early else document.status
+    failures = tuple(UnplacedLidar(missing) for missing in explanation.missing)
+    return Outcome(badge, _headline(contents, explanation), details, explanation.warnings, failures=failures)
 
 
 def _headline(contents: ReportContents, explanation: Explanation) -> str:
@@ -81,8 +81,3 @@ def _headline(contents: ReportContents, explanation: Explanation) -> str:
         return f"No LiDAR is placed relative to {contents.target}."
     verb = "is" if len(missing) == 1 else "are"
     return f"{count - len(missing)} of {count} LiDARs are placed; {' and '.join(missing)} {verb} not."
-
-
-def _failure(missing: Missing) -> UnplacedLidar:
-    decisive = missing.decisive
-    return UnplacedLidar(missing, None if decisive is None else (decisive.target, decisive.source))

@@ -3,25 +3,34 @@
 
 import base64
 import hashlib
+import math
+from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
+from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import LEVEL_FRAME
+from multilica.results.document import SnapshotEntry
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
-from multilica.sinks.files.toml_text import toml_text
-from multilica.sinks.report.contents import ReportContents
+from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
+from multilica.sinks.files.atomic import write_text_atomically
+from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
-from multilica.sinks.report.merge_graph import merge_graph
 from multilica.sinks.report.outcome import Outcome, outcome_of
 from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_scene
-from multilica.sinks.report.tables import matrix_rows, pair_rows, result_rows, snapshot_rows, stage_rows
+from multilica.sinks.run_state import RunState
 
-__all__ = ["MAX_BYTES", "report_html"]
+__all__ = ["MAX_BYTES", "REPORT_HTML", "ReportFile", "report_html"]
+
+REPORT_HTML = "report.html"
 
 MAX_BYTES = 8_000_000
 """Limit of ticket systems and mail; the clouds of the 3-D view are thinned until the page fits."""
@@ -30,6 +39,42 @@ _MAX_PICTURED = 4
 _SLACK_BYTES = 20_000
 """Reserve for the text about thinning."""
 _PACKAGE = "multilica.sinks.report"
+_GRAPH_SIZE = (640, 420)
+_GRAPH_RADII = (220.0, 150.0)
+
+
+class ReportFile:
+    """A sink that writes `report.html` when the run is over, however it ended.
+
+    Args:
+        directory: an existing directory; a report in it is replaced.
+        state: shared with other sinks of the run.
+    """
+
+    def __init__(self, directory: Path, state: RunState | None = None) -> None:
+        self.directory = directory
+        self._state = state if state is not None else RunState()
+        self._written = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __call__(self, event: events.Event) -> None:
+        """Update the state; write the report after the last event."""
+        self._state(event)
+        if isinstance(event, events.CalibrationFinished):
+            self._write()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Write the report of a run that started and has no result."""
+        if self._state.snapshot is not None and not self._written:
+            self._write(f"{error}" if error is not None and f"{error}" else "The run was stopped early.")
+
+    def _write(self, ended_early: str = "") -> None:
+        write_text_atomically(self.directory / REPORT_HTML, report_html(contents_of(self._state, ended_early)))
+        self._written = True
 
 
 def report_html(contents: ReportContents) -> str:
@@ -51,10 +96,11 @@ def report_html(contents: ReportContents) -> str:
 def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
     """Return the variables of the template, except the clouds of the 3-D view."""
     colours = distinct_colours(contents.names)
-    outcome = outcome_of(contents)
+    document, outcome = contents.document, outcome_of(contents)
+    merged = {decision.chosen.names for decision in document.decisions if decision.chosen is not None}
     return {
         "contents": contents,
-        "document": contents.document,
+        "document": document,
         "outcome": outcome,
         "pair_figures": _pair_figures(contents, outcome, level),
         "figures": rig_figures(contents, level, colours),
@@ -67,13 +113,13 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
         },
         "refused": refused_poses(contents),
         "points_total": sum(len(cloud) for cloud in contents.clouds.values()),
-        "graph": merge_graph(contents, colours),
-        "result_rows": result_rows(contents),
-        "matrix_rows": matrix_rows(contents),
-        "pair_rows": pair_rows(contents),
-        "snapshot_rows": snapshot_rows(contents),
-        "stage_rows": stage_rows(contents),
-        "config_toml": toml_text(contents.document.config.model_dump(mode="json")),
+        "graph_size": _GRAPH_SIZE,
+        "places": _graph_places(contents.names),
+        "edges": [(pair, "merged" if pair.names in merged else pair.verdict.outcome) for pair in document.pairs],
+        "label_share": EDGE_LABEL_SHARE,
+        "matrix": {pair.key: pair for pair in document.pairs},
+        "seconds": {stage: seconds for stage, seconds in document.timing_s.items() if seconds is not None},
+        "config_toml": toml_text(document.config.model_dump(mode="json")),
     }
 
 
@@ -83,6 +129,18 @@ def _pair_figures(contents: ReportContents, outcome: Outcome, level: RigidTransf
     first = {failure.pair: failure.missing.lidar for failure in reversed(outcome.failures) if failure.pair is not None}
     shown = [(pair, lidar) for pair, lidar in reversed(first.items()) if pair is not None][:_MAX_PICTURED]
     return {lidar: pair_figures(contents, pair, level, colours) for pair, lidar in shown}
+
+
+def _graph_places(names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return positions on an ellipse in name order."""
+    angles = [2.0 * math.pi * index / len(names) - 0.75 * math.pi for index in range(len(names))]
+    return {
+        name: (
+            round(_GRAPH_SIZE[0] / 2.0 + _GRAPH_RADII[0] * math.cos(angle), 1),
+            round(_GRAPH_SIZE[1] / 2.0 + _GRAPH_RADII[1] * math.sin(angle), 1),
+        )
+        for name, angle in zip(names, angles, strict=True)
+    }
 
 
 @cache
@@ -96,7 +154,7 @@ def _template() -> Template:
         lstrip_blocks=True,
     )
     own = {name: files(_PACKAGE).joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "rig_view.js")}
-    environment.filters["with_code"] = _with_code
+    environment.filters |= {"figure": _figure, "snapshot_verdict": _snapshot_verdict, "with_code": _with_code}
     environment.globals |= {
         "style": Markup(own["page.css"]),  # noqa: S704
         "script": Markup(own["rig_view.js"]),  # noqa: S704
@@ -104,6 +162,17 @@ def _template() -> Template:
         "script_hash": _hash(own["rig_view.js"]),
     }
     return environment.get_template("page.html")
+
+
+def _figure(value: float | None, scale: float, digits: int) -> str:
+    return "-" if value is None else f"{scale * value:z.{digits}f}"
+
+
+def _snapshot_verdict(snapshot: SnapshotEntry) -> str:
+    verdicts = [f"left out: {snapshot.refusal}"] if snapshot.refusal else []
+    verdicts += [f"outvoted on {lidar}" for lidar in snapshot.outliers]
+    verdicts += [f"contradicts others on {lidar} (undecided)" for lidar in snapshot.disputed]
+    return "; ".join(verdicts) or "agrees"
 
 
 def _with_code(text: str) -> Markup:

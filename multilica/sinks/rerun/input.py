@@ -1,22 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clouds of single LiDARs in a recording."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import rerun as rr
 
 from multilica import events
+from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
-from multilica.results import FeatureCloud, PreprocessedCloud
-from multilica.sinks.drawing.field_of_view import shown_field_of_view
+from multilica.sinks.drawing.clouds import sample_indices, slot_offsets_m
 from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb
-from multilica.sinks.drawing.slots import raw_points, slot_offsets_m
-from multilica.sinks.drawing.thinning import sample_indices
-from multilica.sinks.files.toml_text import toml_text
+from multilica.sinks.drawing.shapes import shown_field_of_view
+from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.rerun.tree import CONFIG, DISPLAY_FRAME, DROPPED_TABLE, lidar_frame, lidar_path, slot_frame
-from multilica.sinks.text.dropped_points import dropped_markdown
+from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
-from multilica.snapshot import LidarScans
+from multilica.sinks.text.markdown import markdown_table
 
 __all__ = ["log_dropped_table", "log_features", "log_input", "log_preprocessed"]
 
@@ -35,7 +36,11 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
         place = RigidTransform.from_xyz_rpy(DISPLAY_FRAME, frame, offset_m, (0.0, 0.0, 0.0))
         scene.log(lidar_path(lidar.name, "slot"), rigid(frame, DISPLAY_FRAME, place))
         _log_sensor(scene, lidar.name, event.snapshot.names.index(lidar.name))
-        _log_raw(scene, lidar)
+        points_m, limit = lidar.points_m, scene.limits.raw_points
+        if len(points_m) > limit:
+            scene.log_line(LogLine("INFO", f"{lidar.name}: {limit:,} of {len(points_m):,} raw points are recorded"))
+        path, frame = lidar_path(lidar.name, "raw"), lidar_frame(lidar.name)
+        scene.log_points(path, frame, points_m, scene.colour(lidar.name), limit)
 
 
 def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
@@ -49,37 +54,19 @@ def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
     scene.log(lidar_path(lidar, "name", "tip"), rr.CoordinateFrame(lidar_frame(lidar)), tip)
 
 
-def _log_raw(scene: RerunScene, lidar: LidarScans) -> None:
-    points_m = raw_points(lidar)
-    limit = scene.limits.raw_points
-    if len(points_m) > limit:
-        text = f"{lidar.name}: {limit:,} of {len(points_m):,} raw points are recorded"
-        scene.log_line(LogLine("INFO", text))
-    scene.log_points(lidar_path(lidar.name, "raw"), lidar_frame(lidar.name), points_m, scene.colour(lidar.name), limit)
-
-
 def log_preprocessed(scene: RerunScene, event: events.CloudPreprocessed) -> None:
     """Log a LiDAR's preprocessed cloud, its dropped points by reason, and its field of view."""
     cloud, limit = event.cloud, scene.limits.cloud_points
     frame = lidar_frame(cloud.lidar)
     scene.log_points(lidar_path(cloud.lidar, "preprocessed"), frame, cloud.points_m, scene.colour(cloud.lidar), limit)
-    _log_field_of_view(scene, cloud)
+    strips = shown_field_of_view(scene.state, cloud.lidar)
+    if strips:
+        lines = rr.LineStrips3D(strips, colors=[scene.colour(cloud.lidar)], radii=rr.Radius.ui_points(0.6))
+        scene.log(lidar_path(cloud.lidar, "field_of_view"), rr.CoordinateFrame(frame), lines)
     for reason, dropped_m in sorted(cloud.dropped_m.items()):
         finite_m = dropped_m[np.all(np.isfinite(dropped_m), axis=1)]
         path = lidar_path(cloud.lidar, "dropped", reason)
         scene.log_points(path, frame, finite_m, _DROP_COLOURS.get(reason, MUTED), limit)
-
-
-def log_dropped_table(scene: RerunScene) -> None:
-    """Log the table of dropped points."""
-    scene.log_document(DROPPED_TABLE, dropped_markdown(scene.state))
-
-
-def _log_field_of_view(scene: RerunScene, cloud: PreprocessedCloud) -> None:
-    strips = shown_field_of_view(scene.state, cloud.lidar)
-    if strips:
-        lines = rr.LineStrips3D(strips, colors=[scene.colour(cloud.lidar)], radii=rr.Radius.ui_points(0.6))
-        scene.log(lidar_path(cloud.lidar, "field_of_view"), rr.CoordinateFrame(lidar_frame(cloud.lidar)), lines)
 
 
 def log_features(scene: RerunScene, event: events.FeaturesComputed) -> None:
@@ -90,15 +77,48 @@ def log_features(scene: RerunScene, event: events.FeaturesComputed) -> None:
     limit = scene.limits.feature_points
     scene.log_points(path, frame, features.points_m, scene.colour(features.lidar), limit, radius_pixels=2.0)
     if scene.limits.normals:
-        normals = _normals(features, scene.limits.normals)
+        shown = sample_indices(len(features.points_m), scene.limits.normals)
+        normals = rr.Arrows3D(
+            origins=features.points_m[shown].astype(np.float32),
+            vectors=(_NORMAL_LENGTH_M * features.normals[shown]).astype(np.float32),
+            colors=[MUTED],
+            radii=rr.Radius.ui_points(0.5),
+        )
         scene.log(lidar_path(features.lidar, "features", "normals"), rr.CoordinateFrame(frame), normals)
 
 
-def _normals(features: FeatureCloud, limit: int) -> rr.Arrows3D:
-    shown = sample_indices(len(features.points_m), limit)
-    return rr.Arrows3D(
-        origins=features.points_m[shown].astype(np.float32),
-        vectors=(_NORMAL_LENGTH_M * features.normals[shown]).astype(np.float32),
-        colors=[MUTED],
-        radii=rr.Radius.ui_points(0.5),
+def log_dropped_table(scene: RerunScene) -> None:
+    """Log a table of returns, dropped points by reason and kept points of every LiDAR."""
+    state = scene.state
+    reasons = sorted({reason for cloud in state.clouds.values() for reason in cloud.dropped_m})
+    header = ("LiDAR", "returns", *reasons, "kept", "after thinning")
+    table = markdown_table(header, [_dropped_row(state, lidar, reasons) for lidar in state.lidars])
+    meanings = "\n".join(f"- `{reason}`: {_meaning(reason, state.config)}" for reason in reasons)
+    scene.log_document(DROPPED_TABLE, f"# Dropped points\n\n{table}\n\n{meanings}")
+
+
+def _dropped_row(state: RunState, lidar: str, reasons: Sequence[str]) -> Sequence[str]:
+    total = next(each.points_count for each in state.snapshot.lidars if each.name == lidar) if state.snapshot else 0
+    if lidar not in state.clouds:
+        return (lidar, f"{total:,}", *("-" for _ in reasons), "-", "-")
+    cloud = state.clouds[lidar]
+    dropped = (len(cloud.dropped_m.get(reason, ())) for reason in reasons)
+    return (
+        lidar,
+        f"{total:,}",
+        *(f"{count:,}" for count in dropped),
+        f"{len(cloud.returns_m):,}",
+        f"{len(cloud.points_m):,}" if len(cloud.returns_m) else "**none**",
     )
+
+
+def _meaning(reason: str, config: CalibrationConfig | None) -> str:
+    """Describe a reason with the parameter that decides."""
+    if config is None:
+        return ""
+    limits = config.preprocess
+    return {
+        "too_near": f"nearer than {limits.min_range_m:g} m, such as the vehicle's own body (`preprocess.min_range_m`)",
+        "too_far": f"farther than {limits.max_range_m:g} m (`preprocess.max_range_m`)",
+        "moving": "moved between frames: beams of other frames pass through its place (`stillness.beyond_m`)",
+    }.get(reason, "")

@@ -7,9 +7,9 @@ import rerun as rr
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import BoolArray, Correspondences, Hypothesis
-from multilica.sinks.drawing.matches import kept_matches, match_lines
+from multilica.sinks.drawing.clouds import shown_radius_m
 from multilica.sinks.drawing.palette import KEPT, MUTED, REJECTED, Rgb
-from multilica.sinks.drawing.slots import shown_radius_m
+from multilica.sinks.drawing.shapes import kept_matches, match_lines
 from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.rerun.tree import lidar_frame, pair_frame, pair_path
 

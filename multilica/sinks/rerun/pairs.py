@@ -1,26 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of a pair, each of which moves the source's cloud."""
 
+import numpy as np
 import rerun as rr
 
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, PairKey, PairRegistration, Registration, hypothesis_label
-from multilica.sinks.failures import failures
-from multilica.sinks.rerun.curves import log_curves
+from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.rerun.matches import log_verdict_on_matches
-from multilica.sinks.rerun.scene import RerunScene, rigid
+from multilica.sinks.rerun.scene import ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
 from multilica.sinks.rerun.scored_points import log_scored_points
-from multilica.sinks.rerun.tree import lidar_frame, pair_frame, pair_path
-from multilica.sinks.rerun.verdict import log_contested_place, log_verdict
-from multilica.sinks.text.pair_scores import pair_scores_markdown
+from multilica.sinks.rerun.tree import CURVES, curve_path, lidar_frame, pair_frame, pair_path
+from multilica.sinks.rerun.verdict import log_verdict
+from multilica.sinks.text.log_lines import pair_label
+from multilica.sinks.text.pair_tables import pair_scores_markdown
 
 __all__ = [
     "log_changed_verdict",
-    "log_contested_places",
     "log_group_registration",
     "log_hypotheses",
-    "log_loop",
     "log_registration",
     "log_verified",
     "show_best_poses",
@@ -49,55 +48,60 @@ def log_verified(scene: RerunScene, event: events.HypothesesVerified) -> None:
         _show_scored(scene, pair, scored)
 
 
-def log_registration(scene: RerunScene, event: events.PairRegistered) -> None:
-    """Log GICP's progress, the scored poses, then the registered pose with its verdict."""
+def log_registration(scene: RerunScene, event: events.PairRegistered | events.LoopRegistered) -> None:
+    """Log GICP's progress, the scored poses, then the pose with its verdict; of a refused loop no scores."""
     registration = event.registration
     pair, start = scene.state.pair_of(registration), registration.start_label
-    log_curves(scene, registration, start)
+    _log_curves(scene, registration, start)
+    if isinstance(event, events.LoopRegistered) and not registration.verdict.accepted:
+        _log_pose(scene, pair, start, registration.T_target_source.with_target(pair[0]))
+        return
     for scored in reversed(registration.registrations):
         _show_scored(scene, pair, scored)
-    _log_with_verdict(scene, pair, start, registration)
+    _log_with_verdict(scene, pair, registration)
 
 
 def log_changed_verdict(scene: RerunScene, event: events.VerdictChanged) -> None:
     """Log the pose of a registration with its new verdict."""
-    registration = event.registration
-    _log_with_verdict(scene, scene.state.pair_of(registration), registration.start_label, registration)
+    _log_with_verdict(scene, scene.state.pair_of(event.registration), event.registration)
 
 
 def log_group_registration(scene: RerunScene, event: events.GroupsRegistered) -> None:
     """Log GICP's progress and the pose of two groups, between their roots."""
-    start = f"merged-{len(scene.state.group_registrations)}"
-    _log_progress(scene, start, event.registration)
-
-
-def log_loop(scene: RerunScene, event: events.LoopRegistered) -> None:
-    """Log a loop as a registration of its pair if it was accepted, else only GICP's progress and the pose."""
-    if event.registration.verdict.accepted:
-        log_registration(scene, events.PairRegistered(event.registration))
-    else:
-        _log_progress(scene, event.registration.start_label, event.registration)
-
-
-def _log_progress(scene: RerunScene, start: str, registration: PairRegistration) -> None:
+    registration, start = event.registration, f"merged-{len(scene.state.group_registrations)}"
     pair = scene.state.pair_of(registration)
-    log_curves(scene, registration, start)
+    _log_curves(scene, registration, start)
     _log_pose(scene, pair, start, registration.T_target_source.with_target(pair[0]))
 
 
-def _log_with_verdict(scene: RerunScene, pair: PairKey, start: str, registration: PairRegistration) -> None:
+def _log_curves(scene: RerunScene, registration: PairRegistration, start: str) -> None:
+    """Log GICP's progress, one step per observed iteration."""
+    if not registration.steps:
+        return
+    pair = (registration.target, registration.source)
+    colours = distinct_colours([pair_label(*each) for each in scene.state.pairs])
+    colour = colours[pair_label(*scene.state.pair_of(registration))]
+    line = rr.SeriesLines(names=f"{pair_label(*pair)} {start}", colors=colour, widths=2.0)
+    for quantity in CURVES:
+        path = curve_path(quantity, *pair, start)
+        scene.log(path, line)
+        values = np.array([getattr(moment, quantity) for moment in registration.steps], dtype=np.float64)
+        rows = np.flatnonzero(np.isfinite(values))
+        times = [
+            rr.TimeColumn(STEP_TIMELINE, sequence=scene.step + 1 + rows),
+            rr.TimeColumn(ITERATION_TIMELINE, sequence=[registration.steps[row].iteration for row in rows]),
+        ]
+        if len(rows):  # in columns, which avoids the overhead of rows
+            scene.stream.send_columns(path, times, rr.Scalars.columns(scalars=values[rows]))
+    scene.advance(len(registration.steps) + 1)
+
+
+def _log_with_verdict(scene: RerunScene, pair: PairKey, registration: PairRegistration) -> None:
+    start = registration.start_label
     _log_pose(scene, pair, start, registration.T_target_source.with_target(pair[0]))
     _log_before(scene, pair, registration)
     log_verdict(scene, pair, start, registration)
     _log_scores(scene, pair, registration.registrations[0] if registration.registrations else None)
-
-
-def log_contested_places(scene: RerunScene) -> None:
-    """Log both places of each LiDAR that two accepted pairs put at different places."""
-    for failure in failures(scene.state):
-        if failure.pair is not None and failure.elsewhere is not None:
-            found = scene.state.registrations[failure.pair]
-            log_contested_place(scene, failure, failure.pair, found.start_label)
 
 
 def show_best_poses(scene: RerunScene) -> None:

@@ -10,33 +10,23 @@ import rerun as rr
 
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
-from multilica.sinks.files.toml_text import toml_text
+from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.rerun import pairs
 from multilica.sinks.rerun.blueprint.layout import final_blueprint, stage_blueprint
 from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed
 from multilica.sinks.rerun.matches import log_matches
-from multilica.sinks.rerun.merge import log_merge_step
-from multilica.sinks.rerun.outcome import log_ground, log_outcome
-from multilica.sinks.rerun.pairs import (
-    log_changed_verdict,
-    log_contested_places,
-    log_group_registration,
-    log_hypotheses,
-    log_loop,
-    log_registration,
-    log_verified,
-    show_best_poses,
-)
 from multilica.sinks.rerun.record_limits import limits_for
+from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
 from multilica.sinks.rerun.scene import RerunScene
 from multilica.sinks.rerun.scored_points import log_beam_labels
 from multilica.sinks.rerun.tables import log_pair_tables, log_summary
+from multilica.sinks.rerun.verdict import log_contested_places
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, cause_of_end, log_end, log_lines
 
-__all__ = ["APPLICATION_ID", "RerunRecording"]
+__all__ = ["RerunRecording"]
 
-APPLICATION_ID = "multilica"
-_PROPERTY = "multilica"
+_NAME = "multilica"
 _FLUSH_TIMEOUT_S = 60.0
 _FLUSH_TICK_S = 7 * 86_400.0
 
@@ -54,7 +44,9 @@ class RerunRecording:
 
     def __init__(self, path: Path, state: RunState | None = None) -> None:
         self.path = path
-        self._stream = rr.RecordingStream(APPLICATION_ID, send_properties=False, batcher_config=_batching())
+        # In batches by size and at flushes, never by the clock: equal runs make equal files.
+        batches = rr.ChunkBatcherConfig(flush_tick=_FLUSH_TICK_S)
+        self._stream = rr.RecordingStream(_NAME, send_properties=False, batcher_config=batches)
         self._scene = RerunScene(self._stream, state if state is not None else RunState())
 
     def __enter__(self) -> Self:
@@ -80,24 +72,11 @@ class RerunRecording:
             return
         whole = self._scene.state.result is not None
         if not whole:
-            self._log_end(error)
+            _log_end(self._scene, error)
         _flush(self._stream)
         self._stream.disconnect()
         if whole:
             partial_path(self.path).replace(self.path)
-
-    def _log_end(self, error: BaseException | None) -> None:
-        scene = self._scene
-        scene.advance()
-        scene.log_line(log_end(error))
-        log_summary(scene, cause_of_end(error))
-        _send_properties(scene, "interrupted")
-        scene.stream.send_blueprint(stage_blueprint(scene.state))
-
-
-def _batching() -> rr.ChunkBatcherConfig:
-    """Return batching by size and at flushes, never by the clock: equal runs make equal files."""
-    return rr.ChunkBatcherConfig(flush_tick=_FLUSH_TICK_S)
 
 
 def _flush(stream: rr.RecordingStream) -> None:
@@ -127,7 +106,7 @@ def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
     if event.stage == "preprocess":
         log_dropped_table(scene)
     if event.stage in ("coarse", "verify", "fine", "merge", "refine"):
-        show_best_poses(scene)
+        pairs.show_best_poses(scene)
         log_pair_tables(scene)
     log_summary(scene)
     if event.stage in ("preprocess", "coarse", "fine", "merge"):
@@ -145,6 +124,14 @@ def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
     _flush(scene.stream)
 
 
+def _log_end(scene: RerunScene, error: BaseException | None) -> None:
+    scene.advance()
+    scene.log_line(log_end(error))
+    log_summary(scene, cause_of_end(error))
+    _send_properties(scene, "interrupted")
+    scene.stream.send_blueprint(stage_blueprint(scene.state))
+
+
 def _send_properties(scene: RerunScene, status: str) -> None:
     state = scene.state
     if state.provenance is None or state.config is None:
@@ -156,7 +143,7 @@ def _send_properties(scene: RerunScene, status: str) -> None:
         input_sha256=state.provenance.input.sha256,
         config=toml_text(state.config.model_dump(mode="json")),
     )
-    scene.stream.send_property(_PROPERTY, values)
+    scene.stream.send_property(_NAME, values)
 
 
 _HANDLERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
@@ -164,12 +151,12 @@ _HANDLERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
     events.CloudPreprocessed: log_preprocessed,
     events.FeaturesComputed: log_features,
     events.CorrespondencesMatched: log_matches,
-    events.HypothesesFound: log_hypotheses,
-    events.HypothesesVerified: log_verified,
-    events.PairRegistered: log_registration,
-    events.VerdictChanged: log_changed_verdict,
-    events.GroupsRegistered: log_group_registration,
-    events.LoopRegistered: log_loop,
+    events.HypothesesFound: pairs.log_hypotheses,
+    events.HypothesesVerified: pairs.log_verified,
+    events.PairRegistered: pairs.log_registration,
+    events.VerdictChanged: pairs.log_changed_verdict,
+    events.GroupsRegistered: pairs.log_group_registration,
+    events.LoopRegistered: pairs.log_registration,
     events.MergeStepTaken: log_merge_step,
     events.GroundEstimated: log_ground,
     events.StageFinished: _finish_stage,

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recording stream with its timelines."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,8 +9,8 @@ import rerun as rr
 
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, Registration
+from multilica.sinks.drawing.clouds import sample_points
 from multilica.sinks.drawing.palette import Rgb, distinct_colours
-from multilica.sinks.drawing.thinning import sample_points
 from multilica.sinks.rerun.record_limits import NO_LIMITS, RecordLimits
 from multilica.sinks.rerun.tree import LOG
 from multilica.sinks.run_state import RunState
@@ -56,15 +55,6 @@ class RerunScene:
     def log(self, path: str, *parts: rr.AsComponents) -> None:
         """Log at the current step."""
         self.stream.log(path, *parts)
-
-    def log_curve(self, path: str, steps: Sequence[int], iterations: Sequence[int], values: Sequence[float]) -> None:
-        """Log a value per step in columns, which avoids the overhead of rows."""
-        times = [
-            rr.TimeColumn(STEP_TIMELINE, sequence=steps),
-            rr.TimeColumn(ITERATION_TIMELINE, sequence=iterations),
-        ]
-        if values:
-            self.stream.send_columns(path, times, rr.Scalars.columns(scalars=values))
 
     def log_line(self, line: LogLine) -> None:
         """Add a line to the log."""

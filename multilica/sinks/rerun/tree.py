@@ -6,6 +6,7 @@ import rerun as rr
 __all__ = [
     "CONFIG",
     "COVERAGE",
+    "CURVES",
     "DISPLAY_FRAME",
     "DROPPED_TABLE",
     "FITNESS",
@@ -43,6 +44,14 @@ MERGE_STEPS = "/merge/steps"
 GROUND = "/ground"
 
 DISPLAY_FRAME = "display"
+
+CURVES = {
+    "inliers": "inliers",
+    "error": "GICP cost",
+    "translation_step_m": "translation per step, m",
+    "rotation_step_rad": "rotation per step, rad",
+}
+"""Fields of `GicpStep` with the titles of their plots."""
 
 
 def lidar_path(lidar: str, *parts: str) -> str:

@@ -8,27 +8,19 @@ from multilica.diagnosis.causes import REASON_WORDS, by_weight
 from multilica.geometry import fixed_sign, largest_index
 from multilica.results import PairKey, PairRegistration, Registration
 from multilica.sinks.drawing.palette import UNDECIDED, VERDICT_COLOURS
-from multilica.sinks.failures import Failure
+from multilica.sinks.failures import failures
 from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.rerun.tree import lidar_frame, pair_frame, pair_path
 from multilica.sinks.text.log_lines import pair_label
 
-__all__ = ["log_contested_place", "log_verdict", "verdict_words"]
+__all__ = ["log_contested_places", "log_verdict"]
 
 _ARROW_M = 4.0
 
 
-def verdict_words(registration: PairRegistration) -> str:
-    """Return the verdict with its main reason, short enough for a label."""
-    verdict = registration.verdict
-    first, *others = by_weight(reason.code for reason in verdict.reasons) or ("",)
-    more = f" and {len(others)} more" if others else ""
-    return f"{verdict.outcome}: {REASON_WORDS.get(first, first)}{more}" if first else verdict.outcome
-
-
 def log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: PairRegistration) -> None:
     """Log the verdict at the source's origin, the competing pose, and arrows along unconstrained directions."""
-    label = f"{pair_label(*pair)} {verdict_words(registration)}"
+    label = f"{pair_label(*pair)} {_verdict_words(registration)}"
     _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, registration.verdict.outcome)
     _log_competing(scene, pair, scene.state.competing(pair), "competing pose")
     if any(reason.code == "not_observable" for reason in registration.verdict.reasons):
@@ -37,12 +29,25 @@ def log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: Pair
         _log_slide(scene, pair, registration, frame)
 
 
-def log_contested_place(scene: RerunScene, failure: Failure, pair: PairKey, start: str) -> None:
-    """Log where another accepted pair puts the LiDAR of an accepted pair."""
-    other = next(name for name in failure.elsewhere or () if name != failure.lidar)
-    label = f"{pair_label(*pair)} accept, but {other} puts {failure.lidar} elsewhere"
-    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, "undecided")
-    _log_competing(scene, pair, scene.state.competing(pair), f"where {other} puts {failure.lidar}")
+def _verdict_words(registration: PairRegistration) -> str:
+    """Return the verdict with its main reason, short enough for a label."""
+    verdict = registration.verdict
+    first, *others = by_weight(reason.code for reason in verdict.reasons) or ("",)
+    more = f" and {len(others)} more" if others else ""
+    return f"{verdict.outcome}: {REASON_WORDS.get(first, first)}{more}" if first else verdict.outcome
+
+
+def log_contested_places(scene: RerunScene) -> None:
+    """Log both places of each LiDAR that two accepted pairs put at different places."""
+    for failure in failures(scene.state):
+        pair = failure.pair
+        if pair is None or failure.elsewhere is None:
+            continue
+        other = next(name for name in failure.elsewhere if name != failure.lidar)
+        label = f"{pair_label(*pair)} accept, but {other} puts {failure.lidar} elsewhere"
+        start = scene.state.registrations[pair].start_label
+        _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, "undecided")
+        _log_competing(scene, pair, scene.state.competing(pair), f"where {other} puts {failure.lidar}")
 
 
 def _log_label(scene: RerunScene, path: str, frame: str, label: str, outcome: str) -> None:

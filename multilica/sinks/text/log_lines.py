@@ -2,12 +2,19 @@
 """Log lines of events."""
 
 from dataclasses import dataclass
-from functools import singledispatch
 from typing import Literal
 
 from multilica import events
 from multilica.errors import MultilicaError
-from multilica.results import PRIOR, PairRegistration
+from multilica.results import (
+    PRIOR,
+    CalibrationResult,
+    CoarseResult,
+    MergeDecision,
+    PairRegistration,
+    PreprocessedCloud,
+    Refinement,
+)
 from multilica.sinks.text.prior_comparison import surprises
 
 __all__ = ["LogLevel", "LogLine", "cause_of_end", "log_end", "log_lines", "pair_label"]
@@ -42,19 +49,60 @@ def cause_of_end(error: BaseException | None) -> str:
     return str(error) if isinstance(error, MultilicaError) else f"{type(error).__name__}: {error}".rstrip(": ")
 
 
-@singledispatch
-def log_lines(event: events.Event) -> tuple[LogLine, ...]:
+def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR0911, PLR0912 - one case per event type
     """Return the log lines of an event."""
-    del event
-    return ()
+    match event:
+        case events.CalibrationStarted():
+            return _started(event)
+        case events.StageStarted(stage):
+            return _line(f"stage {stage} started", "DEBUG")
+        case events.StageFinished(stage):
+            return _line(f"stage {stage} finished")
+        case events.CloudPreprocessed(cloud):
+            return _preprocessed(cloud)
+        case events.FeaturesComputed(features):
+            return _line(f"{features.lidar}: {len(features.points_m):,} descriptors")
+        case events.CorrespondencesMatched(matches):
+            text = f"{pair_label(matches.target, matches.source)}: {len(matches):,} matches"
+            return _line(text, "INFO" if len(matches) else "WARN")
+        case events.HypothesesFound(coarse, matches):
+            return _hypotheses(coarse, len(matches))
+        case events.HypothesesVerified():
+            return _verified(event)
+        case events.SearchWidened():
+            labels = ", ".join(pair_label(*pair) for pair in event.pairs)
+            size = f"{event.voxel_size_m:g} m"
+            return _line(f"no accepted pair connects these yet: searching again with voxels of {size}: {labels}")
+        case events.PairRegistered(found):
+            start = "the prior" if found.start_label == PRIOR else f"hypothesis #{found.hypothesis}"
+            return _registered(found, start)
+        case events.GroupsRegistered(found):
+            return _registered(found, "the merged pose")
+        case events.LoopRegistered(found):
+            return _registered(found, "the pose that the rig implies")
+        case events.VerdictChanged(found):
+            return _line(f"{pair_label(found.target, found.source)}: {_verdict(found)}", "WARN")
+        case events.TargetChosen(target, reason):
+            return _line(f"target: {target} ({reason})")
+        case events.MergeStepTaken(decision):
+            return _merge_step(decision)
+        case events.RigRefined(refinement):
+            return _refined(refinement)
+        case events.GroundEstimated():
+            if event.ground is None:
+                return _line(f"no ground plane: {event.reason}", "WARN")
+            return _line(f"the target is {event.ground.offset_m:.3f} m above ground: {event.reason}")
+        case events.CalibrationFinished(result):
+            return _finished(result)
+        case _:
+            raise TypeError(f"{type(event).__name__} has no log line")
 
 
 def _line(text: str, level: LogLevel = "INFO") -> tuple[LogLine, ...]:
     return (LogLine(level, text),)
 
 
-@log_lines.register
-def _(event: events.CalibrationStarted) -> tuple[LogLine, ...]:
+def _started(event: events.CalibrationStarted) -> tuple[LogLine, ...]:
     snapshot = event.snapshot
     found = ", ".join(
         f"{lidar.name} with {lidar.points_count:,} points in {len(lidar.scans)} frame(s)" for lidar in snapshot.lidars
@@ -65,19 +113,7 @@ def _(event: events.CalibrationStarted) -> tuple[LogLine, ...]:
     return lines + tuple(LogLine("WARN", note) for note in snapshot.notes)
 
 
-@log_lines.register
-def _(event: events.StageStarted) -> tuple[LogLine, ...]:
-    return _line(f"stage {event.stage} started", "DEBUG")
-
-
-@log_lines.register
-def _(event: events.StageFinished) -> tuple[LogLine, ...]:
-    return _line(f"stage {event.stage} finished")
-
-
-@log_lines.register
-def _(event: events.CloudPreprocessed) -> tuple[LogLine, ...]:
-    cloud = event.cloud
+def _preprocessed(cloud: PreprocessedCloud) -> tuple[LogLine, ...]:
     dropped = ", ".join(f"{len(points):,} {reason}" for reason, points in sorted(cloud.dropped_m.items()))
     text = f"{cloud.lidar}: {len(cloud.points_m):,} points after cleaning and thinning; dropped: {dropped or 'none'}"
     doubts = cloud.health.reasons if cloud.health is not None else ()
@@ -87,21 +123,7 @@ def _(event: events.CloudPreprocessed) -> tuple[LogLine, ...]:
     )
 
 
-@log_lines.register
-def _(event: events.FeaturesComputed) -> tuple[LogLine, ...]:
-    return _line(f"{event.features.lidar}: {len(event.features.points_m):,} descriptors")
-
-
-@log_lines.register
-def _(event: events.CorrespondencesMatched) -> tuple[LogLine, ...]:
-    matches = event.correspondences
-    text = f"{pair_label(matches.target, matches.source)}: {len(matches):,} matches"
-    return _line(text, "INFO" if len(matches) else "WARN")
-
-
-@log_lines.register
-def _(event: events.HypothesesFound) -> tuple[LogLine, ...]:
-    coarse, total = event.coarse, len(event.correspondences)
+def _hypotheses(coarse: CoarseResult, total: int) -> tuple[LogLine, ...]:
     label = pair_label(coarse.target, coarse.source)
     prior = [one for one in coarse.hypotheses if one.origin == PRIOR]
     with_prior = "".join(f"; {one.score:g} agree with the prior" for one in prior)
@@ -112,8 +134,7 @@ def _(event: events.HypothesesFound) -> tuple[LogLine, ...]:
     return _line(f"{label}: {found} hypotheses, {best.score:g} of {total:,} matches agree with the best{with_prior}")
 
 
-@log_lines.register
-def _(event: events.HypothesesVerified) -> tuple[LogLine, ...]:
+def _verified(event: events.HypothesesVerified) -> tuple[LogLine, ...]:
     label = pair_label(event.target, event.source)
     if not event.registrations:
         return _line(f"{label}: no hypothesis to score", "WARN")
@@ -126,31 +147,10 @@ def _(event: events.HypothesesVerified) -> tuple[LogLine, ...]:
     )
 
 
-@log_lines.register
-def _(event: events.SearchWidened) -> tuple[LogLine, ...]:
-    labels = ", ".join(pair_label(*pair) for pair in event.pairs)
-    return _line(
-        f"no accepted pair connects these yet: searching again with voxels of {event.voxel_size_m:g} m: {labels}"
-    )
-
-
-@log_lines.register
-def _(event: events.PairRegistered | events.GroupsRegistered | events.LoopRegistered) -> tuple[LogLine, ...]:
-    found = event.registration
-    start = "the prior" if found.start_label == PRIOR else f"hypothesis #{found.hypothesis}"
-    if isinstance(event, events.GroupsRegistered):
-        start = "the merged pose"
-    elif isinstance(event, events.LoopRegistered):
-        start = "the pose that the rig implies"
+def _registered(found: PairRegistration, start: str) -> tuple[LogLine, ...]:
     fit = f"fitness {found.fitness:.3f}, RMSE {found.rmse_m:.3f} m" if found.inliers else "no points in common"
     text = f"{pair_label(found.target, found.source)} from {start}: {fit} after {found.iterations} iterations"
     return _line(f"{text}; {_verdict(found)}", "INFO" if found.verdict.accepted else "WARN")
-
-
-@log_lines.register
-def _(event: events.VerdictChanged) -> tuple[LogLine, ...]:
-    found = event.registration
-    return _line(f"{pair_label(found.target, found.source)}: {_verdict(found)}", "WARN")
 
 
 def _verdict(found: PairRegistration) -> str:
@@ -158,48 +158,30 @@ def _verdict(found: PairRegistration) -> str:
     return f"{verdict.outcome}: {verdict.text}" if verdict.reasons else verdict.outcome
 
 
-@log_lines.register
-def _(event: events.TargetChosen) -> tuple[LogLine, ...]:
-    return _line(f"target: {event.target} ({event.reason})")
-
-
-@log_lines.register
-def _(event: events.MergeStepTaken) -> tuple[LogLine, ...]:
-    decision = event.decision
+def _merge_step(decision: MergeDecision) -> tuple[LogLine, ...]:
     groups = "; ".join(" + ".join(group) for group in decision.groups)
     level: LogLevel = "WARN" if decision.chosen is None and len(decision.groups) > 1 else "INFO"
     return _line(f"merge step {decision.step}: {decision.reason}; groups: {groups}", level)
 
 
-@log_lines.register
-def _(event: events.RigRefined) -> tuple[LogLine, ...]:
-    pairs = event.refinement.pairs
-    if not pairs:
+def _refined(refinement: Refinement) -> tuple[LogLine, ...]:
+    if not refinement.pairs:
         return _line("nothing to refine: no accepted pair carries information")
-    (before_m, after_m), (before_deg, after_deg) = event.refinement.cycle_error_m, event.refinement.cycle_error_deg
+    (before_m, after_m), (before_deg, after_deg) = refinement.cycle_error_m, refinement.cycle_error_deg
+    outliers = [pair for pair in refinement.pairs if pair.weight < _OUTLIER_WEIGHT]
     return (
         *_line(
-            f"refined over {len(pairs)} pairs: largest disagreement {before_m * 1e3:.1f} mm, {before_deg:.3f} deg "
-            f"before, {after_m * 1e3:.1f} mm, {after_deg:.3f} deg after"
+            f"refined over {len(refinement.pairs)} pairs: largest disagreement {before_m * 1e3:.1f} mm, "
+            f"{before_deg:.3f} deg before, {after_m * 1e3:.1f} mm, {after_deg:.3f} deg after"
         ),
         *(
             LogLine("WARN", f"{pair_label(pair.target, pair.source)} does not fit the others: {pair.after_m:.3f} m off")
-            for pair in pairs
-            if pair.weight < _OUTLIER_WEIGHT
+            for pair in outliers
         ),
     )
 
 
-@log_lines.register
-def _(event: events.GroundEstimated) -> tuple[LogLine, ...]:
-    if event.ground is None:
-        return _line(f"no ground plane: {event.reason}", "WARN")
-    return _line(f"the target is {event.ground.offset_m:.3f} m above ground: {event.reason}")
-
-
-@log_lines.register
-def _(event: events.CalibrationFinished) -> tuple[LogLine, ...]:
-    result = event.result
+def _finished(result: CalibrationResult) -> tuple[LogLine, ...]:
     if result.refusal is not None:
         return _line(f"refused: {result.refusal.text}", "ERROR")
     missing = [place for place in result.placements if not place.placed]

@@ -1,20 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The summary of a run as markdown."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 
-from multilica.diagnosis import explain
-from multilica.results import PRIOR, CalibrationResult, LidarPlacement, MergeDecision, PairKey
+from multilica.diagnosis import Explanation, Missing, explain
+from multilica.results import CalibrationResult, LidarPlacement
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing.ellipsoid import SHOWN_ELLIPSOID_SCALE, SIGMAS
+from multilica.sinks.drawing.shapes import SHOWN_ELLIPSOID_SCALE, SIGMAS
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.explanation_markdown import explanation_markdown
-from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.markdown import escaped, markdown_table, thousandths
 
-__all__ = ["decisions_markdown", "hypotheses_markdown", "summary_markdown"]
+__all__ = ["summary_markdown"]
 
-_SHOWN_HYPOTHESES = 3
 _PLACEMENT_HEADER = (
     *("LiDAR", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg"),
     *("sigma mm", "sigma deg", "fitness", "RMSE m"),
@@ -29,7 +26,7 @@ def summary_markdown(state: RunState, document: ResultDocument | None, ended_by:
         ended_by: why the run ended early.
     """
     parts = [
-        "" if document is None else explanation_markdown(explain(document)),
+        *([] if document is None else _explanation_parts(explain(document))),
         f"The run ended early: **{escaped(ended_by)}**" if ended_by else "",
         *_result_parts(state.result),
         _input_part(state),
@@ -38,7 +35,30 @@ def summary_markdown(state: RunState, document: ResultDocument | None, ended_by:
     return "\n\n".join(part for part in parts if part)
 
 
-def _result_parts(result: CalibrationResult | None) -> Iterable[str]:
+def _explanation_parts(explanation: Explanation) -> Iterator[str]:
+    yield f"# {explanation.headline}"
+    if explanation.warnings:
+        yield "\n".join(f"- **Warning**: {warning}" for warning in explanation.warnings)
+    if explanation.known:
+        yield "\n".join(f"- {known}" for known in explanation.known)
+    for missing in explanation.missing:
+        yield _missing_part(missing)
+    if explanation.advice:
+        yield "\n".join(f"- What helps: {advice}." for advice in explanation.advice)
+
+
+def _missing_part(missing: Missing) -> str:
+    lines = [f"- **{missing.headline}**", f"  - At stage {missing.step}."]
+    if missing.decisive is not None:
+        lines.append(f"  - Decisive: {missing.decisive.sentence}")
+    if missing.next_best:
+        lines.append(f"  - Next best: {missing.next_best}")
+    if missing.by_snapshot:
+        lines.append(f"  - By snapshot: {missing.by_snapshot}")
+    return "\n".join([*lines, *(f"  - What helps: {advice}." for advice in missing.advice)])
+
+
+def _result_parts(result: CalibrationResult | None) -> Iterator[str]:
     if result is None or result.refusal is not None:
         return
     if any(place.placed and place.lidar != result.target for place in result.placements):
@@ -81,58 +101,3 @@ def _version_part(state: RunState) -> str:
     if state.provenance is None:
         return ""
     return ", ".join(f"{package} {version}" for package, version in state.provenance.versions.items())
-
-
-def hypotheses_markdown(state: RunState) -> str:
-    """Tabulate the best poses of every pair, and that of the prior."""
-    header = ("pair", "pose", "matches", "agree", "violate", "evidence", "fitness", "RMSE m", "verdict")
-    rows = [row for pair in state.pairs for row in _hypothesis_rows(state, pair)]
-    legend = (
-        "The best of each pair first. Scored points: green agree with a surface that the other LiDAR measured, red lie "
-        "in space that its beams proved empty, grey are occluded."
-    )
-    return f"# Hypotheses\n\n{legend}\n\n{markdown_table(header, rows)}"
-
-
-def _hypothesis_rows(state: RunState, pair: PairKey) -> Iterable[Sequence[str]]:
-    label = pair_label(*pair)
-    hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
-    scored = {one.hypothesis: one.visibility for one in state.verified.get(pair, ())}
-    order = [*scored] or range(len(hypotheses))
-    if not order:
-        yield (label, "none", f"0 of {len(state.matches.get(pair, ()))}", *("-",) * 6)
-    prior = [index for index, one in enumerate(hypotheses) if one.origin == PRIOR]
-    found = state.registrations.get(pair)
-    for index in dict.fromkeys([*order[:_SHOWN_HYPOTHESES], *prior]):
-        matches = f"{hypotheses[index].score:g}" if index < len(hypotheses) else "-"
-        beams, fit = ("-",) * 3, ("-",) * 3
-        if index in scored:
-            score = scored[index]
-            beams = (f"{score.agree:,}", f"{score.violate:,}", f"{score.evidence:z,.0f}")
-        if found is not None and found.hypothesis == index:
-            fit = (thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
-        yield (label, PRIOR if index in prior else f"#{index}", matches, *beams, *fit)
-
-
-def decisions_markdown(decisions: Sequence[MergeDecision]) -> str:
-    """Tabulate the merge steps, the latest first."""
-    return "\n\n".join(_decision_part(decision) for decision in reversed(decisions))
-
-
-def _decision_part(decision: MergeDecision) -> str:
-    rows = [
-        (
-            pair_label(one.target, one.source),
-            thousandths(one.fitness),
-            thousandths(one.rmse_m),
-            "merged" if one == decision.chosen else "passes" if one.passes else "does not pass",
-        )
-        for one in decision.candidates
-    ]
-    groups = "; ".join(" + ".join(group) for group in decision.groups)
-    table = markdown_table(("pair", "fitness", "RMSE m", "verdict"), rows)
-    refused = "\n".join(
-        f"- {pair_label(one.target, one.source)}: {one.reason}" for one in decision.candidates if one.reason
-    )
-    parts = (f"# Merge step {decision.step}", decision.reason, table, refused, f"Groups after this step: {groups}")
-    return "\n\n".join(part for part in parts if part)

@@ -110,7 +110,7 @@ def _saved(result: CalibrationResult) -> list[SavedPlacement]:
 def _compared(
     case: Case, target: str, placements: Iterable[SavedPlacement], simulation: Simulation
 ) -> tuple[Comparison, ...]:
-    truth = Truth(simulation.description, simulation.truth)
+    truth = Truth(simulation.snapshot.source, simulation.truth)
     return evaluate([SavedRun(str(case), target, tuple(placements))], [truth]).comparisons
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from multilica.config import IngestConfig
-from multilica.ingest import fingerprint, inspect_source, snapshot_reader
+from multilica.ingest import inspect_source, snapshot_reader
 from multilica.snapshot import Snapshot
 
 FRAMES = 10
@@ -23,7 +23,7 @@ Value = TypeVar("Value")
 def main(path: Path) -> None:
     """Print the figures as JSON: bytes that were asked of the system, seconds, memory."""
     middle_s = (inspect_source(path, config=IngestConfig(frames=1)).duration_s or 0.0) / 2.0
-    hash_bytes, hash_s, digest = _cost(lambda: fingerprint.sha256_of_files([path]))
+    hash_bytes, hash_s, digest = _cost(lambda: snapshot_reader.sha256_of_files([path]))
     snapshot_reader.sha256_of_files = lambda _: digest
     before_bytes = _resident_bytes()
     config = IngestConfig(frames=FRAMES, start_s=middle_s)

@@ -17,8 +17,7 @@ from multilica.config import IngestConfig
 from multilica.errors import MultilicaError
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.ingest.message_types import OUSTER, is_installed
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
-from multilica.sinks.mcap.snapshot_metadata import window_metadata
+from multilica.sinks.mcap.snapshot_mcap import window_metadata, write_snapshot_mcap
 from multilica.snapshot import Scan, Snapshot
 from tests.ingest.support.format_writers import (
     POINT_WRITERS,

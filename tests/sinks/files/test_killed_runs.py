@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from multilica.runs.explain_run import explain_run
+from multilica.runs.run_documents import explain_run
 from tests.sinks.recording_reader import Recording, blueprint_names
 
 ROOT = Path(__file__).resolve().parents[3]

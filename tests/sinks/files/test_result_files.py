@@ -14,11 +14,11 @@ import pytest
 
 from multilica.extrinsics import read_extrinsics
 from multilica.results.document import parse_result
-from multilica.results.document.schema import schema_text
+from multilica.results.document.result import schema_text
+from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.provenance import collect_versions, provenance_of
 from multilica.sinks.files.result_document import result_document
 from multilica.sinks.files.result_files import ResultFiles
-from multilica.sinks.files.toml_text import toml_text
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -32,9 +32,9 @@ def refuse_constant(name: str) -> None:
 @pytest.fixture
 def written(tmp_path, request):
     outcome, until = getattr(request, "param", ("complete", "ground"))
-    with ResultFiles(tmp_path) as observe:
-        for event in made_events(outcome, until):
-            observe(event)
+    observe = ResultFiles(tmp_path)
+    for event in made_events(outcome, until):
+        observe(event)
     return tmp_path
 
 
@@ -122,9 +122,9 @@ def test_calibration_toml_spells_out_units_and_frames(written):
 
 
 def test_nothing_is_written_before_the_end(tmp_path):
-    with ResultFiles(tmp_path) as observe:
-        for event in list(made_events())[:-1]:
-            observe(event)
+    observe = ResultFiles(tmp_path)
+    for event in list(made_events())[:-1]:
+        observe(event)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -56,7 +56,7 @@ def test_sinks_that_share_a_state_tell_what_each_tells_alone(tmp_path):
     alone.mkdir()
     sinks = (RerunRecording(alone / "recording.rrd"), ResultMcap(alone / "result.mcap"), ResultFiles(alone))
     with ExitStack() as stack:
-        for sink in sinks:
+        for sink in sinks[:-1]:
             stack.enter_context(sink)
         for event in made_events():
             for sink in sinks:

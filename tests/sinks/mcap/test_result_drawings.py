@@ -16,8 +16,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from multilica.sinks.mcap.foxglove_layout import foxglove_layout
-from multilica.sinks.mcap.result_drawings import DRAWING_TOPICS
+from multilica.sinks.mcap.result_drawings import DRAWING_TOPICS, foxglove_layout
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from tests.sinks.made_events import TARGET, TRUTH, made_events
 

@@ -13,8 +13,7 @@ from playwright.sync_api import Browser, Page
 
 from multilica.results.document import ResultDocument
 from multilica.sinks.report.contents import ReportContents, contents_of
-from multilica.sinks.report.page import report_html
-from multilica.sinks.report.report_file import ReportFile
+from multilica.sinks.report.page import ReportFile, report_html
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import made_events
 

@@ -10,10 +10,11 @@ import pytest
 
 from multilica import events
 from multilica.results import CoarseResult, MergeCandidate, MergeDecision
-from multilica.sinks.files.run_document import run_document
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
-from multilica.sinks.text.run_summary import decisions_markdown, hypotheses_markdown, summary_markdown
+from multilica.sinks.text.pair_tables import decisions_markdown, hypotheses_markdown
+from multilica.sinks.text.run_summary import summary_markdown
 from tests.sinks.made_events import LIDARS, UNPLACED, made_events
 
 

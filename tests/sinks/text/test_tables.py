@@ -11,8 +11,7 @@ import pytest
 from multilica import events
 from multilica.results.visibility_score import VisibilityScore
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.pair_scores import pair_scores_markdown
-from multilica.sinks.text.run_summary import hypotheses_markdown
+from multilica.sinks.text.pair_tables import hypotheses_markdown, pair_scores_markdown
 from tests.sinks.made_events import made_events
 
 

@@ -192,7 +192,7 @@ def test_unexplained_structure_leaves_it_undecided(min_information_eigenvalue, s
     assert verdict.outcome == "undecided"
     assert _codes(verdict) == ["structure_unexplained"]
     assert verdict.reasons[0].value == pytest.approx(explained)
-    for figure in (f"{structure[0]} points", f"{structure[2]} are hidden", f"{structure[1]} stand", f"{explained:.0%}"):
+    for figure in (f"{structure[0]} points", f"{structure[2]} are hidden", f"{structure[1]} lie", f"{explained:.0%}"):
         assert figure in verdict.reasons[0].text
 
 

@@ -11,7 +11,7 @@ from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
 from multilica.runs import PoseError
 from multilica.runs.evaluation import Comparison
-from multilica.runs.saved_run import SavedPlacement
+from multilica.runs.run_documents import SavedPlacement
 from tests import opencalib
 from tests.bench import __main__ as bench
 from tests.bench import harder, real_scans, repeat, simulated, speed

@@ -25,15 +25,15 @@ def _registered(objects):
     ready = tuple(prepare_registration_cloud(cloud.lidar, cloud.points_m, _FINE, 1) for cloud in clouds)
     fewer = _FINE.model_copy(update={"max_points": 2000})
     thinned = tuple(prepare_registration_cloud(cloud.name, cloud.points_m, fewer, 1) for cloud in ready)
-    registration = register(*ready, _TRUTH, _FINE, 1)
-    information = pose_information(*ready, registration.T_target_source, RefineConfig(), 1)
+    registration = register(*ready, _TRUTH, _FINE)
+    information = pose_information(*ready, registration.T_target_source, RefineConfig())
     return ready, thinned, replace(registration, information=information)
 
 
 def _stability(clouds, thinned, registration):
-    ends = pushed_ends(clouds, registration.T_target_source, _ALONG, _CONFIG.push_m, _FINE, 1)
+    ends = pushed_ends(clouds, registration.T_target_source, _ALONG, _CONFIG.push_m, _FINE)
     pose, information = registration.T_target_source, registration.information
-    return check_stability(thinned, pose, information, ends, _CONFIG.push_m, _FINE, 1)
+    return check_stability(thinned, pose, information, ends, _CONFIG.push_m, _FINE)
 
 
 @pytest.fixture(scope="module")

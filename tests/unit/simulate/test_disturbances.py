@@ -9,11 +9,10 @@ from scipy.spatial import cKDTree
 
 from multilica.errors import UnknownNameError, UsageError
 from multilica.simulate import RIGS, simulate_snapshot
-from multilica.simulate.disturbances import blocked_beams, require_known
+from multilica.simulate.disturbances import blocked_beams, require_known, truck_beside
 from multilica.simulate.raycast import Surroundings
 from multilica.simulate.rigs import as_built
 from multilica.simulate.scenes import SCENES
-from multilica.simulate.traffic import truck_beside
 
 
 def both(rig: str, scene: str, *disturbances: str, frames: int = 1):

@@ -6,11 +6,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multilica.simulate.patterns import RasterPattern, RosettePattern, SpinningPattern
 from multilica.simulate.scenes import SCENES
-from multilica.simulate.shapes.mesh import merged
-from multilica.simulate.shapes.primitives import box, cylinder, sheet, tube
-from multilica.simulate.shapes.terrain import Terrain, rolling_waves
+from multilica.simulate.scenes.scene import FLAT, Terrain, rolling_waves
+from multilica.simulate.sensors import RasterPattern, RosettePattern, SpinningPattern
+from multilica.simulate.shapes.mesh import box, cylinder, merged, tube
 from multilica.simulate.shapes.vehicles import CAR_SHAPES, car
 
 
@@ -22,7 +21,7 @@ def area_m2(mesh) -> float:
 def test_primitives_have_their_area():
     assert area_m2(box((0, 0, 0), (1, 2, 3))) == pytest.approx(22.0)
     assert area_m2(cylinder(1.0, 0.0, 2.0, sides=200)) == pytest.approx(6.0 * np.pi, rel=1e-3)
-    assert area_m2(sheet([0, 1, 3], [0, 2], lambda x, y: 0.0 * x * y)) == pytest.approx(6.0)
+    assert area_m2(FLAT.surface(np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0]))) == pytest.approx(6.0)
 
 
 def test_a_tube_joins_its_ends():
@@ -61,7 +60,7 @@ def test_a_vehicle_stands_square_on_a_slope():
 
 def test_waves_follow_their_steepness():
     waves = rolling_waves(np.random.default_rng(1), 5, (10.0, 20.0), 0.01)
-    assert all(0.1 <= wave.amplitude_m <= 0.2 for wave in waves)
+    assert all(0.1 <= amplitude_m <= 0.2 for amplitude_m, *_ in waves)
 
 
 @pytest.mark.parametrize("name", sorted(SCENES))
@@ -76,16 +75,19 @@ def test_vehicles_stand_clear_of_the_scene(name):
 
 
 @pytest.mark.parametrize(
-    "pattern",
-    [SpinningPattern(32, 90, (-15.0, 15.0)), RasterPattern(20, 60, 120.0, 25.0), RosettePattern(2400, 70.0, 77.0)],
+    ("pattern", "vertical_fov_deg"),
+    [
+        (SpinningPattern(32, 90, (-15.0, 15.0)), 30.0),
+        (RasterPattern(20, 60, 120.0, 25.0), 25.0),
+        (RosettePattern(2400, 70.0, 77.0), 77.0),
+    ],
 )
-def test_patterns_fill_their_field_of_view(pattern):
+def test_patterns_fill_their_field_of_view(pattern, vertical_fov_deg):
     directions = pattern.directions(0, np.random.default_rng(1))
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0)
     elevation = np.rad2deg(np.arcsin(directions[:, 2]))
     azimuth = np.rad2deg(np.arctan2(directions[:, 1], directions[:, 0]))
-    low, high = pattern.elevation_deg
-    assert np.ptp(elevation) > 0.9 * (high - low)
+    assert np.ptp(elevation) > 0.9 * vertical_fov_deg
     assert np.ptp(azimuth) > 0.9 * pattern.horizontal_fov_deg
 
 

@@ -119,7 +119,8 @@ def test_returns_stay_within_the_field_of_view(rig):
         ranges = np.linalg.norm(points, axis=1)
         elevation = np.rad2deg(np.arcsin(points[:, 2] / ranges))
         azimuth = np.rad2deg(np.arctan2(points[:, 1], points[:, 0]))
-        low, high = mount.sensor.pattern.elevation_deg
+        half_deg = getattr(mount.sensor.pattern, "vertical_fov_deg", 0.0) / 2.0
+        low, high = getattr(mount.sensor.pattern, "elevation_deg", (-half_deg, half_deg))
         assert len(points) > 1000
         assert low - 0.01 <= elevation.min() < elevation.max() <= high + 0.01
         assert np.abs(azimuth).max() <= mount.sensor.pattern.horizontal_fov_deg / 2.0 + 0.01

@@ -49,12 +49,10 @@ def _matches(seed, count, wrong_share):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_finds_the_pose_that_the_right_matches_agree_on(solver, seed):
     matches = _matches(seed, 600, _WRONG_SHARE[solver])
-    found = SOLVERS[solver](matches, _CONFIG, 0)
-    best = RigidTransform("t", "s", found.poses[0])
+    (best, *_), _ = SOLVERS[solver](matches, _CONFIG, 0)
     metres, radians = best.distance_to(_truth(seed))
     assert metres < 0.1
     assert radians < np.deg2rad(0.5)
-    assert found.graph_nodes == len(matches)
 
 
 def test_the_stage_names_the_solver_and_counts_who_agrees(solver):
@@ -76,8 +74,8 @@ def test_a_handful_of_matches_is_no_crash(solver, count):
 
 def test_the_same_seed_gives_the_same_bits(solver):
     matches = _matches(4, 400, _WRONG_SHARE[solver])
-    first, second = (SOLVERS[solver](matches, _CONFIG, 7).poses for _ in range(2))
-    assert [pose.tobytes() for pose in first] == [pose.tobytes() for pose in second]
+    first, second = (SOLVERS[solver](matches, _CONFIG, 7)[0] for _ in range(2))
+    assert [pose.matrix.tobytes() for pose in first] == [pose.matrix.tobytes() for pose in second]
 
 
 @pytest.mark.parametrize(("name", "package"), _PACKAGES.items())

@@ -7,7 +7,6 @@ import pytest
 from multilica.config import AcceptanceConfig, CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register
-from multilica.registration.plane_fit import PlaneFit
 from multilica.results import Hypothesis
 from multilica.stages import fine
 from multilica.stages.fine import prepare_side, register_best, select_finalists
@@ -138,7 +137,7 @@ def test_the_stability_is_tested_if_a_pose_competes(sides):
 def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
     elsewhere = _near(_TRUTH, (0.004, 0.0, 0.0), 0.0)
     information = np.diag([1e8] * 3 + [1e6] * 3)
-    monkeypatch.setattr(fine, "fit_planes", lambda *_: PlaneFit(elsewhere, information))
+    monkeypatch.setattr(fine, "fit_planes", lambda *_: (elsewhere, information))
     result = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     assert result.T_target_source is elsewhere
     assert result.registrations[0].T_target_source is elsewhere
@@ -156,10 +155,10 @@ def test_without_the_fit_there_is_no_information(sides, monkeypatch):
 def test_only_finalists_that_may_win_go_on(sides, monkeypatch):
     went_on = []
 
-    def watched(target, source, pose, gicp, threads):
+    def watched(target, source, pose, gicp):
         if gicp.max_iterations == _CONFIG.fine.max_iterations:
             went_on.append(pose.distance_to(_TRUTH)[1] < 0.1)
-        return register(target, source, pose, gicp, threads)
+        return register(target, source, pose, gicp)
 
     monkeypatch.setattr(fine, "register", watched)
     hypotheses = [_hypothesis(_near(pose, yaw_rad=0.05), evidence=1.0) for pose in (_HALF_TURN, _TRUTH)]

@@ -4,7 +4,7 @@ import pytest
 
 from multilica.config import HealthConfig
 from multilica.simulate import simulate_snapshot
-from multilica.simulate.patterns import RasterPattern, SpinningPattern
+from multilica.simulate.sensors import RasterPattern, SpinningPattern
 from multilica.snapshot import LidarScans, Scan
 from multilica.stages.sensor_health import examine_sensor
 

@@ -5,13 +5,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.config import AcceptanceConfig, FineConfig, VerifyConfig, VisibilityConfig
+from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig, VerifyConfig, VisibilityConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register_narrower
 from multilica.registration.registration_cloud import prepare_registration_cloud
 from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages import verify
-from multilica.stages.verify import PreparedLidar, VerifySettings, short_gicp, verify_hypotheses
+from multilica.stages.verify import PreparedLidar, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_rooms import HALL, box, scan
 
@@ -47,9 +47,8 @@ def hall():
 def _verified(lidars, *poses, limits=_LIMITS, prior=None, **changed):
     origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
     hypotheses = tuple(Hypothesis(pose, origin=origin, index=index) for index, (pose, origin) in enumerate(origins))
-    config = _CONFIG.model_copy(update=changed)
-    settings = VerifySettings(config, VisibilityConfig(), limits, _GICP, 1)
-    return verify_hypotheses(*lidars, CoarseResult("t", "s", hypotheses), settings)
+    config = CalibrationConfig(verify=_CONFIG.model_copy(update=changed), acceptance=limits)
+    return verify_hypotheses(*lidars, CoarseResult("t", "s", hypotheses), config)
 
 
 def test_the_true_pose_wins_over_one_with_more_matches(hall):
@@ -108,9 +107,9 @@ def test_hopeless_competing_poses_are_not_registered(hall, monkeypatch):
 def test_turned_poses_start_with_a_shorter_distance(hall, monkeypatch):
     started = []
 
-    def watched(target, source, pose, gicp, threads):
+    def watched(target, source, pose, gicp):
         started.append((pose.distance_to(_TRUTH)[1] > 1.0, len(gicp.max_correspondence_distances_m)))
-        return register_narrower(target, source, pose, gicp, threads)
+        return register_narrower(target, source, pose, gicp)
 
     monkeypatch.setattr(verify, "register_narrower", watched)
     monkeypatch.setattr(verify, "hopeless_below", lambda *_: -np.inf)
@@ -122,9 +121,9 @@ def test_turned_poses_start_with_a_shorter_distance(hall, monkeypatch):
 def test_a_hypothesis_carried_away_is_tried_with_near_points(hall, monkeypatch):
     reaches_m = []
 
-    def carried_away_by_far_points(target, source, start, gicp, threads):
+    def carried_away_by_far_points(target, source, start, gicp):
         reaches_m.append(gicp.max_correspondence_distances_m[0])
-        registered = register_narrower(target, source, start, gicp, threads)
+        registered = register_narrower(target, source, start, gicp)
         pose = registered.T_target_source
         away_m = np.add(pose.xyz_m, [3.0 if reaches_m[-1] > 1.0 else 0.0, 0.0, 0.0])
         carried = RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, away_m)

@@ -5,8 +5,7 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from multilica.geometry import FloatArray
-from multilica.sinks.drawing.slots import shown_radius_m, slot_offsets_m
-from multilica.sinks.drawing.thinning import sample_points
+from multilica.sinks.drawing.clouds import sample_points, shown_radius_m, slot_offsets_m
 from multilica.sinks.run_state import RunState
 
 __all__ = ["above_group", "around_lidar", "around_rig", "beside_lidar", "sampled_cloud", "three_quarter", "up_axis"]

@@ -7,30 +7,15 @@ import rerun.blueprint as rrb
 
 from multilica.config import Stage
 from multilica.results import PairKey
+from multilica.sinks.rerun import tree
 from multilica.sinks.rerun.blueprint.camera import above_group
 from multilica.sinks.rerun.blueprint.views import (
-    before_view,
     document_view,
     matches_view,
-    registered_view,
+    pair_view,
     scene_view,
     scored_view,
     single_lidar_view,
-)
-from multilica.sinks.rerun.curves import CURVES
-from multilica.sinks.rerun.tree import (
-    COVERAGE,
-    DISPLAY_FRAME,
-    DROPPED_TABLE,
-    FITNESS,
-    HYPOTHESES_TABLE,
-    MERGE_GRAPH,
-    MERGE_STEPS,
-    PAIRS_TABLE,
-    VERDICTS,
-    curve_path,
-    lidar_path,
-    pair_path,
 )
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
@@ -65,7 +50,7 @@ def _preprocess_tab(state: RunState) -> Tab | None:
     ]
     if not views:
         return None
-    table = document_view(DROPPED_TABLE, "Dropped points")
+    table = document_view(tree.DROPPED_TABLE, "Dropped points")
     return rrb.Vertical(rrb.Grid(*views), table, row_shares=[3, 1], name="Preprocess")
 
 
@@ -92,13 +77,13 @@ def _coarse_tab(state: RunState) -> Tab | None:
     tabs = [
         rrb.Horizontal(
             scored_view(state, pair),
-            document_view(pair_path(*pair, "scores"), "Scores"),
+            document_view(tree.pair_path(*pair, "scores"), "Scores"),
             column_shares=[3, 2],
             name=pair_label(*pair),
         )
         for pair in pairs
     ]
-    table = document_view(HYPOTHESES_TABLE, "All pairs")
+    table = document_view(tree.HYPOTHESES_TABLE, "All pairs")
     return rrb.Tabs(*tabs, table, name="Coarse + verify" if state.verified else "Coarse")
 
 
@@ -106,23 +91,29 @@ def _fine_tab(state: RunState) -> Tab | None:
     if not state.registrations:
         return None
     matrices = [_matrix_view(path, name) for path, name in _MATRICES.items()]
-    table = document_view(PAIRS_TABLE, "Pairs")
+    table = document_view(tree.PAIRS_TABLE, "Pairs")
     figures = rrb.Vertical(rrb.Horizontal(*matrices), table, row_shares=[3, 2], name="Matrices")
     legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
     curves = [
-        rrb.TimeSeriesView(origin=curve_path(quantity), name=title, plot_legend=legend)
-        for quantity, title in CURVES.items()
+        rrb.TimeSeriesView(origin=tree.curve_path(quantity), name=title, plot_legend=legend)
+        for quantity, title in tree.CURVES.items()
     ]
     pairs = [pair for pair in _shown_pairs(state) if pair in state.registrations]
-    moved = [
-        rrb.Horizontal(before_view(state, pair), registered_view(state, pair), name=pair_label(*pair)) for pair in pairs
-    ]
+    moved = [_before_and_after(state, pair) for pair in pairs]
     return rrb.Tabs(
         figures, rrb.Grid(*curves, grid_columns=2, name="GICP"), rrb.Tabs(*moved, name="Before and after"), name="Fine"
     )
 
 
-_MATRICES = {FITNESS: "Fitness", COVERAGE: "Coverage", VERDICTS: "Verdicts"}
+def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
+    """Show a pair at the hypothesis from which GICP started, and at the pose of the step, last the registered one."""
+    target = tree.lidar_path(pair[0], "preprocessed")
+    before = pair_view(state, pair, "Before GICP", [target, f"{tree.pair_path(*pair, 'before')}/**"])
+    after = pair_view(state, pair, "After GICP", [target, tree.pair_path(*pair, "source")])
+    return rrb.Horizontal(before, after, name=pair_label(*pair))
+
+
+_MATRICES = {tree.FITNESS: "Fitness", tree.COVERAGE: "Coverage", tree.VERDICTS: "Verdicts"}
 
 
 def _matrix_view(path: str, name: str) -> rrb.View:
@@ -132,12 +123,12 @@ def _matrix_view(path: str, name: str) -> rrb.View:
 def _merge_tab(state: RunState) -> Tab | None:
     if not state.decisions:
         return None
-    graph = rrb.GraphView(origin=MERGE_GRAPH, name="Merge graph")
+    graph = rrb.GraphView(origin=tree.MERGE_GRAPH, name="Merge graph")
     contents = [
-        f"{lidar_path(lidar, part)}/**" for lidar in state.lidars for part in ("preprocessed", "sensor", "name")
+        f"{tree.lidar_path(lidar, part)}/**" for lidar in state.lidars for part in ("preprocessed", "sensor", "name")
     ]
-    growing = scene_view("Growing cloud", DISPLAY_FRAME, contents, above_group(state))
-    side = rrb.Vertical(graph, document_view(MERGE_STEPS, "Merge steps"))
+    growing = scene_view("Growing cloud", tree.DISPLAY_FRAME, contents, above_group(state))
+    side = rrb.Vertical(graph, document_view(tree.MERGE_STEPS, "Merge steps"))
     return rrb.Horizontal(growing, side, column_shares=[3, 2], name="Merge")
 
 

@@ -15,12 +15,10 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
 __all__ = [
-    "before_view",
-    "competing_view",
     "document_view",
     "log_view",
     "matches_view",
-    "registered_view",
+    "pair_view",
     "scene_view",
     "scored_view",
     "single_lidar_view",
@@ -63,41 +61,25 @@ def single_lidar_view(state: RunState, lidar: str, parts: Sequence[str], name: s
 def matches_view(state: RunState, pair: PairKey) -> rrb.Spatial3DView:
     """Show the matches of a pair, from far enough to see both layers."""
     contents = [lidar_path(pair[0], "features"), f"{pair_path(*pair, 'matches')}/**"]
-    return _pair_view(state, pair, pair_label(*pair), contents, zoom=0.6)
+    return pair_view(state, pair, pair_label(*pair), contents, zoom=0.6)
 
 
 def scored_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Spatial3DView:
     """Show a pair at the pose of the step, its clouds dimmed below the scored points."""
     clouds = {lidar_path(pair[0], "preprocessed"): pair[0], pair_path(*pair, "source"): pair[1]}
     contents = [*clouds, f"{pair_path(*pair, 'scored')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
-    name = f"{pair_label(*pair)}{_SCORED_LEGEND if _is_scored(state, pair) else ''}"
-    return _pair_view(state, pair, name, contents, wide=wide, overrides=_dimmed(state, clouds))
+    colours, found = distinct_colours(state.lidars), state.registrations.get(pair)
+    dimmed = {path: [int(_DIM * channel) for channel in colours[lidar]] for path, lidar in clouds.items()}
+    overrides: dict[EntityPathLike, rr.Points3D] = {
+        path: rr.Points3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.0))
+        for path, colour in dimmed.items()
+    }
+    is_scored = state.verified.get(pair) or (found is not None and found.registrations)
+    name = f"{pair_label(*pair)}{_SCORED_LEGEND if is_scored else ''}"
+    return pair_view(state, pair, name, contents, wide=wide, overrides=overrides)
 
 
-def _is_scored(state: RunState, pair: PairKey) -> bool:
-    found = state.registrations.get(pair)
-    return bool(state.verified.get(pair) or (found is not None and found.registrations))
-
-
-def competing_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Spatial3DView:
-    """Show a pair at its competing pose."""
-    contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'competing')}/**"]
-    return _pair_view(state, pair, f"{pair_label(*pair)}, competing pose", contents, wide=wide)
-
-
-def before_view(state: RunState, pair: PairKey) -> rrb.Spatial3DView:
-    """Show a pair at the hypothesis from which GICP started."""
-    contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'before')}/**"]
-    return _pair_view(state, pair, "Before GICP", contents)
-
-
-def registered_view(state: RunState, pair: PairKey) -> rrb.Spatial3DView:
-    """Show a pair at the pose of the step; at the last step, the registered one."""
-    contents = [lidar_path(pair[0], "preprocessed"), pair_path(*pair, "source")]
-    return _pair_view(state, pair, "After GICP", contents)
-
-
-def _pair_view(
+def pair_view(
     state: RunState,
     pair: PairKey,
     name: str,
@@ -111,17 +93,6 @@ def _pair_view(
     eye = beside_lidar(state, pair[0]) if wide else around_lidar(state, pair[0], zoom=zoom)
     sensor = lidar_path(pair[0], "sensor")
     return scene_view(name, lidar_frame(pair[0]), [sensor, *contents], eye, overrides=overrides)
-
-
-def _dimmed(state: RunState, clouds: Mapping[str, str]) -> dict[EntityPathLike, rr.Points3D]:
-    """Return a darker colour of its LiDAR per path of a cloud."""
-    colours = distinct_colours(state.lidars)
-    return {
-        path: rr.Points3D.from_fields(
-            colors=[tuple(int(_DIM * channel) for channel in colours[lidar])], radii=rr.Radius.ui_points(1.0)
-        )
-        for path, lidar in clouds.items()
-    }
 
 
 def log_view(name: str = "Log", levels: Sequence[str] = ("INFO", "WARN", "ERROR")) -> rrb.TextLogView:

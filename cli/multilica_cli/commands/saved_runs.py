@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that read saved runs: `explain`, `diff`, `evaluate`, `view`, `report`."""
+
+from dataclasses import asdict
+from math import radians
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from multilica.errors import UsageError
+from multilica_cli.failures import ExitCode
+from multilica_cli.options import Json, Quiet
+from multilica_cli.terminal import print_json, stdout_console
+
+__all__ = ["diff", "evaluate", "explain", "report", "view"]
+
+
+def _run(meaning: str, metavar: str = "RUN") -> Any:  # noqa: ANN401 - typer's own type is private
+    return typer.Argument(metavar=metavar, help=meaning, show_default=False)
+
+
+def explain(
+    run: Annotated[
+        Path, _run("Run directory, its result.json, its result.mcap, or a recording (.rrd), complete or not.")
+    ],
+    *,
+    as_json: Json = False,
+) -> None:
+    """Explain a run: which LiDARs are placed and how accurately, which are not and why, and what would help."""
+    from multilica.runs.run_documents import explain_run
+
+    explanation = explain_run(run)
+    if as_json:
+        print_json(asdict(explanation))
+        return
+    console = stdout_console()
+    for line in explanation.lines:
+        console.print(line)
+
+
+def diff(
+    run_a: Annotated[Path, _run("A run directory, its result.json, or a recording (.rrd).", "RUN_A")],
+    run_b: Annotated[Path, _run("A run directory, its result.json, or a recording (.rrd).", "RUN_B")],
+    *,
+    within_m: Annotated[
+        float, typer.Option(metavar="M", min=0.0, help="A LiDAR that moved by no more stands where it stood.")
+    ] = 1e-4,
+    within_deg: Annotated[float, typer.Option(metavar="DEG", min=0.0, help="The same for the angle.")] = 1e-3,
+    as_json: Json = False,
+) -> int:
+    """Tell which extrinsics moved between two runs, which LiDARs changed status, and where the runs part.
+
+    Ends with 0 if both place the same LiDARs at the same places, with 5 if not.
+    """
+    from multilica.runs.difference import compare_runs, difference_document
+    from multilica.runs.run_documents import read_run_document
+    from multilica_cli.tables.errors import print_difference
+
+    before, after = read_run_document(run_a), read_run_document(run_b)
+    difference = compare_runs(before, after, within_m=within_m, within_rad=radians(within_deg))
+    if as_json:
+        typer.echo(difference_document(difference).model_dump_json(indent=2))
+    else:
+        print_difference(difference, stdout_console())
+    return ExitCode.DONE if difference.same else ExitCode.DIFFERENT
+
+
+def evaluate(
+    runs: Annotated[list[Path], _run("Run directory or its result.json; one or more.")],
+    *,
+    truths: Annotated[
+        list[Path],
+        typer.Option(
+            "--truth",
+            metavar="FILE",
+            help="Ground truth as `simulate` writes it: one file for all runs, or repeated, one per run in order.",
+            show_default=False,
+        ),
+    ],
+    within_m: Annotated[float, typer.Option(metavar="M", help="Largest position error of a success.")] = 0.02,
+    within_deg: Annotated[float, typer.Option(metavar="DEG", help="Largest rotation error of a success.")] = 0.1,
+    wrong_m: Annotated[
+        float, typer.Option(metavar="M", help="Position error above which it is a false accept.")
+    ] = 0.05,
+    wrong_deg: Annotated[
+        float, typer.Option(metavar="DEG", help="Rotation error above which it is a false accept.")
+    ] = 0.5,
+    wrong_sigma: Annotated[
+        float, typer.Option(metavar="N", help="Sigmas above which an error is a false accept.")
+    ] = 4.0,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Also write a .parquet or .csv table with a row per LiDAR.")
+    ] = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Compare runs with ground truth: RMSE per axis, success rate, false accepts and false refusals."""
+    from multilica import runs as saved
+    from multilica.extrinsics import read_extrinsics
+    from multilica.runs.evaluation_document import evaluation_document, require_table_name, write_table
+    from multilica_cli.tables.errors import print_evaluation
+
+    if out is not None:
+        require_table_name(out)
+    tolerances = saved.Tolerances(within_m, radians(within_deg), wrong_m, radians(wrong_deg), wrong_sigma)
+    known = [saved.Truth(str(path), read_extrinsics(path)) for path in truths]
+    evaluation = saved.evaluate([saved.read_run(path) for path in runs], known, tolerances)
+    if out is not None:
+        write_table(evaluation, out)
+    if as_json:
+        typer.echo(evaluation_document(evaluation).model_dump_json(indent=2))
+        return
+    console = stdout_console(quiet=quiet)
+    print_evaluation(evaluation, console)
+    if out is not None:
+        console.print(f"wrote {out}")
+
+
+def view(
+    run: Annotated[Path, _run("A run directory or a recording (.rrd), also one that was cut off.")],
+    *,
+    png: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw a picture instead of opening a window; needs no screen.")
+    ] = None,
+    width_px: Annotated[int, typer.Option("--width", metavar="PX", help="Width of the picture.")] = 1600,
+    height_px: Annotated[int, typer.Option("--height", metavar="PX", help="Height of the picture.")] = 900,
+    quiet: Quiet = False,
+) -> None:
+    """Open the recording of a run in Rerun's viewer, or draw it into a file."""
+    from multilica.runs.run_report import picture_of_run, recording_of_run
+    from multilica.sinks.files.atomic import atomic_file
+    from multilica.sinks.rerun.viewer import show_recording
+
+    if png is None:
+        show_recording(recording_of_run(run))
+        return
+    picture = picture_of_run(run, (width_px, height_px))
+    with atomic_file(png) as file:
+        file.write(picture)
+    stdout_console(quiet=quiet).print(f"wrote {png}")
+
+
+def report(
+    run: Annotated[Path, _run("Run directory or recording (.rrd), complete or not.")],
+    *,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="RUN/report.html")
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Create report.html for a run that was killed before it wrote one."""
+    from multilica.runs.run_report import report_of_run
+    from multilica.sinks.files.atomic import write_text_atomically
+    from multilica.sinks.report.page import REPORT_HTML
+
+    file = out or (run if run.is_dir() else run.parent) / REPORT_HTML
+    if out is None and file.exists():
+        raise UsageError(f"{file} already exists and may show more than a new one; give --out FILE.")
+    write_text_atomically(file, report_of_run(run))
+    stdout_console(quiet=quiet).print(f"wrote {file}")

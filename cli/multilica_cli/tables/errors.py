@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of pose errors: of runs against ground truth, of a run against another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import groupby
+from math import degrees
+from os.path import commonpath
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.table import Table
+
+from multilica_cli.tables.result import plain_table
+
+if TYPE_CHECKING:
+    from multilica.runs.difference import RunDifference
+    from multilica.runs.evaluation import Evaluation, Summary
+    from multilica.runs.first_difference import Change
+    from multilica.runs.pose_error import PoseError
+
+__all__ = ["print_difference", "print_evaluation"]
+
+_ERROR_COLUMNS = ("x\nmm", "y\nmm", "z\nmm", "total\nmm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg", "total\ndeg")
+_WORDS = {"false_accept": "FALSE ACCEPT", "false_refuse": "FALSE REFUSE"}
+_MOST_ROWS = 40
+_MOST_CHANGES = 8
+_MOST_CHARACTERS = 60
+
+
+def print_evaluation(evaluation: Evaluation, console: Console) -> None:
+    """Print errors per LiDAR, statistics, counts, and what was left out."""
+    for table in (_detail_table(evaluation), _statistics_table(evaluation), _outcome_table(evaluation)):
+        console.print(table)
+    runs, faultless = len(evaluation.compared_runs), len(evaluation.faultless_runs)
+    console.print(f"runs with every compared LiDAR within tolerance: {faultless} of {runs}")
+    targets = sorted({one.target for one in evaluation.comparisons})
+    if len(targets) > 1:
+        console.print(f"note: the axes are those of each run's own target: {', '.join(targets)}")
+    for left_out in evaluation.left_out:
+        what = left_out.run if left_out.lidar is None else f"{left_out.run}, LiDAR {left_out.lidar}"
+        console.print(f"left out: {what}: {left_out.reason}")
+
+
+def _error_cells(error: PoseError | None) -> tuple[str, ...]:
+    """Format an error for `_ERROR_COLUMNS`."""
+    if error is None:
+        return ("-",) * len(_ERROR_COLUMNS)
+    millimetres = (*error.translation_m, error.distance_m)
+    angles = (*error.rotation_rad, error.angle_rad)
+    return *(f"{1e3 * value:z.1f}" for value in millimetres), *(f"{degrees(value):z.3f}" for value in angles)
+
+
+def _detail_table(evaluation: Evaluation) -> Table:
+    every = evaluation.comparisons
+    shown = every if len(every) <= _MOST_ROWS else [one for one in every if one.outcome != "within"]
+    title = "Error (found - true) in the target's axes"
+    if len(shown) < len(every):
+        title += f"; {len(every) - len(shown)} LiDARs within tolerance are not listed"
+    table = plain_table(title, ("run", "LiDAR", "outcome", *_ERROR_COLUMNS, "total\nsigma"), numbers_from=3)
+    labels = _short_names(evaluation.runs)
+    for run, comparisons in groupby(shown, key=lambda one: one.run):
+        label = labels[run]
+        for one in comparisons:
+            sigma = "-" if one.error_sigma is None else f"{one.error_sigma:.1f}"
+            table.add_row(
+                label, one.placement.lidar, _WORDS.get(one.outcome, one.outcome), *_error_cells(one.error), sigma
+            )
+            label = ""
+        table.add_section()
+    return table
+
+
+def _short_names(runs: tuple[str, ...]) -> dict[str, str]:
+    """Return each run without the folder that is common to all."""
+    try:
+        shared = commonpath([Path(run).parent for run in runs])
+    except ValueError:
+        return {run: run for run in runs}
+    return {run: str(Path(run).relative_to(shared)) for run in runs}
+
+
+def _statistics_table(evaluation: Evaluation) -> Table:
+    table = plain_table("Errors of all placed LiDARs", ("LiDAR", "", *_ERROR_COLUMNS), numbers_from=2)
+    if len(evaluation.compared_runs) > 1:
+        _add_per_lidar(table, evaluation, lambda summary: ("RMSE", *_error_cells(summary.rmse)))
+    overall = evaluation.overall
+    table.add_row("all", "RMSE", *_error_cells(overall.rmse))
+    table.add_row("", "median", *_error_cells(overall.median))
+    table.add_row("", "largest", *_error_cells(overall.largest))
+    return table
+
+
+def _outcome_table(evaluation: Evaluation) -> Table:
+    limits = evaluation.tolerances
+    within = f"within\n{1e3 * limits.within_m:g} mm, {degrees(limits.within_rad):g} deg"
+    wrong = f"false accept\n> {1e3 * limits.wrong_m:g} mm, {degrees(limits.wrong_rad):g} deg"
+    wrong += f" or {limits.wrong_sigma:g} sigma"
+    table = plain_table("Outcomes", ("LiDAR", "compared", within, "between", wrong, "false refuse\nnot placed"))
+    _add_per_lidar(table, evaluation, _counts)
+    table.add_row("all", *_counts(evaluation.overall))
+    return table
+
+
+def _add_per_lidar(table: Table, evaluation: Evaluation, cells: Callable[[Summary], tuple[str, ...]]) -> None:
+    """Add a row per LiDAR if there are several."""
+    if len(evaluation.by_lidar) > 1:
+        for lidar, summary in evaluation.by_lidar.items():
+            table.add_row(lidar, *cells(summary))
+        table.add_section()
+
+
+def _counts(summary: Summary) -> tuple[str, ...]:
+    counts = (summary.within, summary.between, summary.false_accept, summary.false_refuse)
+    return str(summary.lidars), *(f"{count} ({count / summary.lidars:.1%})" for count in counts)
+
+
+def print_difference(difference: RunDifference, console: Console) -> None:
+    """Print which LiDARs moved, which changed status, and at which step the runs first differ."""
+    before, after = difference.names
+    console.print(f"A: {before}\nB: {after}")
+    if difference.moves:
+        console.print(_moves_table(difference))
+    for change in difference.statuses:
+        console.print(f"{change.lidar}: {change.before} in A, {change.after} in B. {change.why}")
+    _print_placed_by_neither(difference, console)
+    if difference.targets[0] != difference.targets[1]:
+        console.print(f"note: the target is {difference.targets[0]} in A and {difference.targets[1]} in B")
+    for note in difference.notes:
+        console.print(f"note: {note}")
+    _print_partings(difference, console)
+    console.print(_verdict(difference))
+
+
+def _print_placed_by_neither(difference: RunDifference, console: Console) -> None:
+    """Print LiDARs with the same cause, such as a refused snapshot, in one line."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for each in difference.neither:
+        names.setdefault((each.before, each.after), []).append(each.lidar)
+    for (before, after), lidars in names.items():
+        why = before if before == after else f"In A: {before} In B: {after}"
+        console.print(f"{', '.join(lidars)}: placed neither in A nor in B. {why}")
+
+
+def _moves_table(difference: RunDifference) -> Table:
+    title = f"Change (B - A) in the axes of {difference.target}"
+    table = plain_table(title, ("LiDAR", "", *_ERROR_COLUMNS, "sigma"), numbers_from=2)
+    for move in difference.moves:
+        sigma = "-" if move.sigmas is None else f"{move.sigmas:.1f}"
+        table.add_row(move.lidar, "MOVED" if move.moved else "same", *_error_cells(move.error), sigma)
+    return table
+
+
+def _print_partings(difference: RunDifference, console: Console) -> None:
+    if not difference.partings:
+        console.print("The runs do not differ at any step.")
+        return
+    first, *later = difference.partings
+    console.print(f"The runs first differ at: {first.step}")
+    for change in first.changes[:_MOST_CHANGES]:
+        console.print(f"  {change.what}: {_shown(change)}")
+    if len(first.changes) > _MOST_CHANGES:
+        console.print(f"  and {len(first.changes) - _MOST_CHANGES} more, see --json")
+    if later:
+        console.print(f"after it: {', '.join(parting.step for parting in later)}")
+
+
+def _shown(change: Change) -> str:
+    texts = ("none" if value is None else str(value) for value in (change.before, change.after))
+    cut = (text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..." for text in texts)
+    return " -> ".join(cut)
+
+
+def _verdict(difference: RunDifference) -> str:
+    moved = [move.lidar for move in difference.moves if move.moved]
+    if difference.same:
+        if difference.places_nothing:
+            return "Neither run places any LiDAR."
+        missing = ", ".join(each.lidar for each in difference.neither)
+        return f"Both runs place the same LiDARs at the same places{f'; neither places {missing}' if missing else ''}."
+    told = [f"{len(moved)} of {len(difference.moves)} LiDARs moved"] if moved else []
+    told += [f"{len(difference.statuses)} changed status"] if difference.statuses else []
+    return f"The runs differ: {', '.join(told)}."

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Matches, fields of view, uncertainties as shapes."""
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from multilica.geometry import FloatArray, RigidTransform, fixed_sign, largest_index
+from multilica.results import BoolArray, Correspondences, Hypothesis, LidarPlacement
+from multilica.sinks.drawing.clouds import every_nth, sample_indices
+from multilica.sinks.run_state import RunState
+
+__all__ = [
+    "SHOWN_ELLIPSOID_SCALE",
+    "SIGMAS",
+    "field_of_view",
+    "kept_matches",
+    "match_lines",
+    "shown_field_of_view",
+    "uncertainty_ellipsoid",
+]
+
+SIGMAS = 3.0
+"""Half axes, in standard deviations."""
+
+SHOWN_ELLIPSOID_SCALE = 50.0
+"""Scale of drawn ellipsoids: millimetres would be invisible."""
+
+_RADIUS_M = 2.0
+_LARGEST_GAP_RAD = float(np.deg2rad(20.0))
+_STEP_RAD = float(np.deg2rad(3.0))
+_MAX_RAYS = 8
+_ENOUGH_RETURNS = 20_000
+
+
+def kept_matches(state: RunState, matches: Correspondences, hypothesis: Hypothesis) -> BoolArray:
+    """Return which matches (M,) agree with the hypothesis, by distance if the solver does not say."""
+    if len(hypothesis.inliers) == len(matches) and hypothesis.inliers.any():
+        return hypothesis.inliers
+    bound_m = state.config.coarse.noise_bound_m if state.config is not None else 0.0
+    moved_m = hypothesis.T_target_source.apply(matches.source_points_m)
+    return np.asarray(np.linalg.norm(moved_m - matches.target_points_m, axis=1) <= bound_m)
+
+
+def match_lines(matches: Correspondences, chosen: BoolArray, pose: RigidTransform, limit: int) -> FloatArray:
+    """Return lines (K, 2, 3) of at most `limit` chosen matches, from target points to source points at a pose."""
+    rows = np.flatnonzero(chosen)
+    rows = rows[sample_indices(len(rows), limit)]
+    return np.stack([matches.target_points_m[rows], pose.apply(matches.source_points_m[rows])], axis=1)
+
+
+def uncertainty_ellipsoid(place: LidarPlacement) -> tuple[FloatArray, RigidTransform] | None:
+    """Return half axes (3,) in metres, true to size, with the ellipsoid's pose; None without a covariance."""
+    pose = place.T_target_source
+    if place.covariance is None or pose is None:
+        return None
+    variances, axes = np.linalg.eigh(place.covariance[3:, 3:])
+    axes = np.apply_along_axis(fixed_sign, 0, axes)
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    half_sizes_m = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+    return half_sizes_m, RigidTransform.from_rotation_translation(pose.target, pose.source, axes, pose.xyz_m)
+
+
+def shown_field_of_view(state: RunState, lidar: str) -> tuple[FloatArray, ...]:
+    """Return the cached field of view of a LiDAR whose cloud is preprocessed."""
+    if lidar not in state.outlines:
+        state.outlines[lidar] = field_of_view(state.clouds[lidar].returns_m)
+    return state.outlines[lidar]
+
+
+def field_of_view(returns_m: FloatArray, radius_m: float = _RADIUS_M) -> tuple[FloatArray, ...]:
+    """Return the convex outline, in azimuth and elevation, of a LiDAR's returns.
+
+    A LiDAR that sees all around, with no gap of 20 degrees, gets a circle at its lowest and its highest elevation.
+
+    Args:
+        returns_m: (N, 3) in the sensor's own frame.
+        radius_m: distance at which the outline is drawn.
+
+    Returns:
+        Polylines (K, 3): the outline or both circles, then rays from the sensor; none if the returns span no area.
+    """
+    directions = every_nth(returns_m, _ENOUGH_RETURNS)
+    directions = directions[np.linalg.norm(directions, axis=1) > 0.0]
+    if len(directions) < 3:
+        return ()
+    azimuth_rad = np.arctan2(directions[:, 1], directions[:, 0])
+    elevation_rad = np.arctan2(directions[:, 2], np.linalg.norm(directions[:, :2], axis=1))
+    start_rad, gap_rad = _widest_gap(azimuth_rad)
+    if gap_rad < _LARGEST_GAP_RAD:
+        circle = np.arange(0.0, 2.0 * np.pi + _STEP_RAD, _STEP_RAD)
+        outlines = [
+            np.column_stack([circle, np.full_like(circle, end)]) for end in (elevation_rad.min(), elevation_rad.max())
+        ]
+        corners = np.concatenate([outline[:: len(outline) // 4][:4] for outline in outlines])
+    else:
+        try:
+            angles_rad = np.column_stack([(azimuth_rad - start_rad) % (2.0 * np.pi), elevation_rad])
+            corners = angles_rad[ConvexHull(angles_rad).vertices]
+        except QhullError:
+            return ()
+        corners[:, 0] += start_rad
+        outlines = [_densely(corners)]
+    rays = corners[:: max(1, -(-len(corners) // _MAX_RAYS))]
+    tips_m = _on_sphere(rays, radius_m)
+    strips = [*(_on_sphere(outline, radius_m) for outline in outlines), *np.stack([0.0 * tips_m, tips_m], axis=1)]
+    return tuple(strips)
+
+
+def _widest_gap(azimuth_rad: FloatArray) -> tuple[float, float]:
+    """Return the end and the width of the widest gap between azimuths."""
+    ordered = np.sort(azimuth_rad)
+    gaps = np.diff(ordered, append=ordered[0] + 2.0 * np.pi)
+    widest = largest_index(gaps)
+    return float(ordered[(widest + 1) % len(ordered)]), float(gaps[widest])
+
+
+def _densely(corners: FloatArray) -> FloatArray:
+    """Close the outline; add points in between to follow the sphere."""
+    pieces = []
+    for start, end in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        count = max(1, int(np.ceil(np.abs(end - start).max() / _STEP_RAD)))
+        pieces.append(np.linspace(start, end, count, endpoint=False))
+    return np.concatenate([*pieces, corners[:1]])
+
+
+def _on_sphere(angles_rad: FloatArray, radius_m: float) -> FloatArray:
+    azimuth, elevation = angles_rad.T
+    return radius_m * np.column_stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )

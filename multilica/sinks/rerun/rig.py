@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The rig in a recording, from the first merge step to the ground plane."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from multilica import events
+from multilica.results import GroundPlane, LidarPlacement, MergeCandidate, MergeDecision, PairKey
+from multilica.sinks.drawing.palette import MUTED, VERDICT_COLOURS
+from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
+from multilica.sinks.drawing.shapes import SHOWN_ELLIPSOID_SCALE, uncertainty_ellipsoid
+from multilica.sinks.rerun.scene import RerunScene, rigid
+from multilica.sinks.rerun.tree import GROUND, MERGE_GRAPH, MERGE_STEPS, lidar_frame, lidar_path, slot_frame
+from multilica.sinks.text.log_lines import pair_label
+from multilica.sinks.text.pair_tables import decisions_markdown
+
+__all__ = ["log_ground", "log_merge_step", "log_outcome"]
+
+_GRID_HALF_SIZE_M = 15.0
+_GRID_SPACING_M = 2.5
+_NODE_RADIUS = 12.0
+_LABEL_RADIUS = 4.0
+_CIRCLE_RADIUS = 160.0
+
+
+def log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
+    """Log the pairs of a merge step, the graph, and the group that grew."""
+    for pose in event.poses:
+        member, is_root = pose.source, pose.source == pose.target
+        parent = slot_frame(member) if is_root else lidar_frame(pose.target)
+        scene.log(lidar_path(member, "sensor"), rigid(lidar_frame(member), parent, None if is_root else pose))
+    scene.log_document(MERGE_STEPS, decisions_markdown(scene.state.decisions))
+    _log_graph(scene, scene.state.decisions)
+
+
+def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision]) -> None:
+    """Log LiDARs on a circle; each pair is an edge through a small node with its fitness."""
+    latest, merged = _latest_pairs(decisions), [decision.chosen for decision in decisions]
+    angles = np.linspace(0.0, 2.0 * np.pi, len(scene.state.lidars), endpoint=False) - np.pi / 2.0
+    circle = _CIRCLE_RADIUS * np.column_stack([np.cos(angles), np.sin(angles)])
+    places = dict(zip(scene.state.lidars, circle, strict=True))
+    pairs = [pair for pair in latest if pair[0] in places and pair[1] in places]
+    middles = [places[end] + EDGE_LABEL_SHARE * (places[start] - places[end]) for end, start in pairs]
+    outcomes = {pair: _outcome(scene, latest[pair]) for pair in pairs}
+    words = {pair: "merged" if latest[pair] in merged else outcomes[pair] for pair in pairs}
+    nodes = rr.GraphNodes(
+        node_ids=[*places, *(pair_label(*pair) for pair in pairs)],
+        positions=[*places.values(), *middles],
+        labels=[*places, *(f"{latest[pair].fitness:.2f} {words[pair]}" for pair in pairs)],
+        colors=[*map(scene.colour, places), *(VERDICT_COLOURS[outcomes[pair]] for pair in pairs)],
+        radii=[_NODE_RADIUS] * len(places) + [_LABEL_RADIUS] * len(pairs),
+        show_labels=True,
+    )
+    edges = [edge for pair in pairs for edge in ((pair[1], pair_label(*pair)), (pair_label(*pair), pair[0]))]
+    scene.log(MERGE_GRAPH, nodes, rr.GraphEdges(edges=edges, graph_type="directed"))
+
+
+def _latest_pairs(decisions: Sequence[MergeDecision]) -> dict[PairKey, MergeCandidate]:
+    """Return the latest state of every pair so far, in name order; its merge, if it was merged."""
+    seen = [one for decision in decisions for one in decision.candidates]
+    merged = [decision.chosen for decision in decisions if decision.chosen is not None]
+    latest = {frozenset((one.target, one.source)): one for one in (*seen, *merged)}
+    return {(one.target, one.source): one for one in sorted(latest.values(), key=lambda one: (one.target, one.source))}
+
+
+def _outcome(scene: RerunScene, pair: MergeCandidate) -> str:
+    """Return the verdict of the latest registration of the two, single or of groups."""
+    if pair.passes:
+        return "accept"
+    state, names = scene.state, {pair.target, pair.source}
+    known = [*state.registrations.values(), *state.group_registrations]
+    latest = next((each for each in reversed(known) if {each.target, each.source} == names), None)
+    return "reject" if latest is None else latest.verdict.outcome
+
+
+def log_outcome(scene: RerunScene, event: events.CalibrationFinished) -> None:
+    """Log every placed LiDAR in the target's frame."""
+    result = event.result
+    if result.target in scene.state.lidars:
+        scene.log(lidar_path(result.target, "sensor"), rigid(lidar_frame(result.target), slot_frame(result.target)))
+    for place in result.placements:
+        if place.placed and place.T_target_source is not None and place.lidar != result.target:
+            pose = rigid(lidar_frame(place.lidar), lidar_frame(result.target), place.T_target_source)
+            scene.log(lidar_path(place.lidar, "sensor"), pose)
+            if place.covariance is not None:
+                _log_uncertainty(scene, result.target, place)
+
+
+def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement) -> None:
+    """Log the enlarged ellipsoid of the position in the target's frame."""
+    ellipsoid = uncertainty_ellipsoid(place)
+    if ellipsoid is None:
+        return
+    half_sizes_m, axes = ellipsoid
+    shape = rr.Ellipsoids3D(
+        centers=[place.T_target_source.xyz_m] if place.T_target_source else [],
+        half_sizes=[SHOWN_ELLIPSOID_SCALE * half_sizes_m],
+        quaternions=[rr.Quaternion(xyzw=axes.quaternion_xyzw)],
+        colors=[scene.colour(place.lidar)],
+        fill_mode=rr.components.FillMode.DenseWireframe,
+    )
+    scene.log(lidar_path(place.lidar, "uncertainty"), rr.CoordinateFrame(lidar_frame(target)), shape)
+
+
+def log_ground(scene: RerunScene, event: events.GroundEstimated) -> None:
+    """Log the ground plane as a grid around the point below the target LiDAR."""
+    if event.ground is None or not scene.state.target:
+        return
+    strips = rr.LineStrips3D(_grid(event.ground), colors=[MUTED], radii=rr.Radius.ui_points(0.5))
+    scene.log(GROUND, rr.CoordinateFrame(lidar_frame(scene.state.target)), strips)
+
+
+def _grid(ground: GroundPlane) -> npt.NDArray[np.float32]:
+    """Return segments (K, 2, 3) in the target's frame."""
+    forward, left = ground.T_base_target.rotation[0], ground.T_base_target.rotation[1]
+    centre = -ground.offset_m * ground.normal
+    ticks = np.arange(-_GRID_HALF_SIZE_M, _GRID_HALF_SIZE_M + _GRID_SPACING_M, _GRID_SPACING_M)
+    ends = np.array([-_GRID_HALF_SIZE_M, _GRID_HALF_SIZE_M])
+    along = centre + ticks[:, None, None] * left + ends[None, :, None] * forward
+    across = centre + ticks[:, None, None] * forward + ends[None, :, None] * left
+    return np.concatenate([along, across]).astype(np.float32)

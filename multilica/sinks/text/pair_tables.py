@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of pairs as markdown."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from multilica.results import (
+    PRIOR,
+    Hypothesis,
+    MergeDecision,
+    PairKey,
+    PairRegistration,
+    Registration,
+    hypothesis_label,
+)
+from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import pair_label
+from multilica.sinks.text.markdown import markdown_table, thousandths
+
+__all__ = ["coverage_of", "decisions_markdown", "hypotheses_markdown", "pair_figures_markdown", "pair_scores_markdown"]
+
+Shown = Registration | Hypothesis
+
+_SHOWN_HYPOTHESES = 3
+_FIGURES_HEADER = (
+    "pair",
+    "matches",
+    "graph nodes",
+    "graph edges",
+    "fitness",
+    "coverage",
+    "violate",
+    "verdict",
+    "reasons",
+)
+_FIGURES_NOTE = (
+    "Fitness: share of source points near the target's cloud. Coverage: share of agreeing points among those in the "
+    "other LiDAR's view. Matrices have the target in rows, the source in columns."
+)
+_SCORES_HEADER = ("pose", "step", "matches", "GICP", "agree", "violate", "occluded", "evidence", "fitness", "RMSE m")
+_SCORES_LEGEND = (
+    "Points of both LiDARs by what the other one's beams prove: green lie on a measured surface, red in proven-empty "
+    "space, grey behind a surface, dark out of view. To see a pose, go to its step on the timeline `step`."
+)
+
+
+def coverage_of(pair: PairRegistration) -> float:
+    """Return the share of agreeing points among those in the other LiDAR's view; NaN without verification."""
+    if not pair.registrations:
+        return float("nan")
+    beams = pair.registrations[0].visibility
+    covered = beams.agree + beams.violate + beams.occluded
+    return beams.agree / covered if covered else 0.0
+
+
+def pair_figures_markdown(state: RunState) -> str:
+    """Tabulate the figures of every pair."""
+    table = markdown_table(_FIGURES_HEADER, [_figures_row(state, pair) for pair in state.pairs])
+    return f"# Pairs\n\n{table}\n\n{_FIGURES_NOTE}"
+
+
+def _figures_row(state: RunState, pair: PairKey) -> Sequence[str]:
+    coarse, found = state.coarse.get(pair), state.registrations.get(pair)
+    nodes, edges = (coarse.graph_nodes, coarse.graph_edges) if coarse is not None else (0, 0)
+    counts = (pair_label(*pair), f"{len(state.matches.get(pair, ())):,}", f"{nodes:,}", f"{edges:,}")
+    if found is None:
+        return (*counts, "-", "-", "-", "no pose", "-")
+    reasons = ", ".join(reason.code.replace("_", " ") for reason in found.verdict.reasons) or "-"
+    violate = f"{found.registrations[0].visibility.violation_share:.1%}" if found.registrations else "-"
+    return (*counts, f"{found.fitness:.3f}", f"{coverage_of(found):.3f}", violate, found.verdict.outcome, reasons)
+
+
+def pair_scores_markdown(state: RunState, pair: PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]) -> str:
+    """Describe the verdict and the search; add a row per pose, the one with the most evidence first.
+
+    Args:
+        shown: the pose that the view shows at this step; its row is bold.
+        shown_at: the step at which each pose is shown.
+    """
+    found, coarse = state.registrations.get(pair), state.coarse.get(pair)
+    parts = [f"# {pair_label(*pair)}"]
+    if found is not None:
+        parts.append("\n- ".join([f"**{found.verdict.outcome}**", *(reason.text for reason in found.verdict.reasons)]))
+    if coarse is not None:
+        graph = f"consistency graph: {coarse.graph_nodes:,} nodes, {coarse.graph_edges:,} edges; "
+        matches = f"{len(state.matches.get(pair, ())):,} matches; {graph if coarse.graph_nodes else ''}"
+        parts.append(f"{matches}hypotheses: {len(coarse.hypotheses)}")
+    rows = _score_rows(state, pair, shown, shown_at)
+    parts += [markdown_table(_SCORES_HEADER, rows)] if rows else []
+    return "\n\n".join([*parts, _SCORES_LEGEND])
+
+
+def _score_rows(
+    state: RunState, pair: PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]
+) -> list[tuple[str, ...]]:
+    """Return the poses after full GICP, those after a short one, each by evidence, then the others."""
+    hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
+    full = state.registrations[pair].registrations if pair in state.registrations else ()
+    known = {one.hypothesis for one in full}
+    short = [one for one in state.verified.get(pair, ()) if one.hypothesis not in known]
+    known |= {one.hypothesis for one in short}
+    rows: list[tuple[Shown, str, int, tuple[str, ...]]] = [
+        (one, one.label, one.hypothesis, (how, *_scores(one)))
+        for how, scored in (("full", full), ("short", short))
+        for one in scored
+    ]
+    rows += [
+        (one, hypothesis_label(index, one.origin), index, ("-",) * 7)
+        for index, one in enumerate(hypotheses)
+        if index not in known
+    ]
+    lines = []
+    for one, label, index, scores in rows:
+        name = label if label == PRIOR else f"#{label}"
+        matches = f"{hypotheses[index].score:g}" if 0 <= index < len(hypotheses) else "-"
+        line = (name, str(shown_at.get(one, "-")), matches, *scores)
+        lines.append(tuple(f"**{cell}**" for cell in line) if one is shown else line)
+    return lines
+
+
+def _scores(one: Registration) -> Sequence[str]:
+    beams = one.visibility
+    counts = (f"{beams.agree:,}", f"{beams.violate:,}", f"{beams.occluded:,}", f"{beams.evidence:z,.0f}")
+    return (*counts, thousandths(one.fitness), thousandths(one.rmse_m))
+
+
+def hypotheses_markdown(state: RunState) -> str:
+    """Tabulate the best poses of every pair, and that of the prior."""
+    header = ("pair", "pose", "matches", "agree", "violate", "evidence", "fitness", "RMSE m", "verdict")
+    rows = [row for pair in state.pairs for row in _hypothesis_rows(state, pair)]
+    legend = (
+        "The best of each pair first. Scored points: green agree with a surface that the other LiDAR measured, red lie "
+        "in space that its beams proved empty, grey are occluded."
+    )
+    return f"# Hypotheses\n\n{legend}\n\n{markdown_table(header, rows)}"
+
+
+def _hypothesis_rows(state: RunState, pair: PairKey) -> Iterable[Sequence[str]]:
+    label = pair_label(*pair)
+    hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
+    scored = {one.hypothesis: one.visibility for one in state.verified.get(pair, ())}
+    order = [*scored] or range(len(hypotheses))
+    if not order:
+        yield (label, "none", f"0 of {len(state.matches.get(pair, ()))}", *("-",) * 6)
+    prior = [index for index, one in enumerate(hypotheses) if one.origin == PRIOR]
+    found = state.registrations.get(pair)
+    for index in dict.fromkeys([*order[:_SHOWN_HYPOTHESES], *prior]):
+        matches = f"{hypotheses[index].score:g}" if index < len(hypotheses) else "-"
+        beams, fit = ("-",) * 3, ("-",) * 3
+        if index in scored:
+            score = scored[index]
+            beams = (f"{score.agree:,}", f"{score.violate:,}", f"{score.evidence:z,.0f}")
+        if found is not None and found.hypothesis == index:
+            fit = (thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
+        yield (label, PRIOR if index in prior else f"#{index}", matches, *beams, *fit)
+
+
+def decisions_markdown(decisions: Sequence[MergeDecision]) -> str:
+    """Tabulate the merge steps, the latest first."""
+    return "\n\n".join(_decision_part(decision) for decision in reversed(decisions))
+
+
+def _decision_part(decision: MergeDecision) -> str:
+    rows = [
+        (
+            pair_label(one.target, one.source),
+            thousandths(one.fitness),
+            thousandths(one.rmse_m),
+            "merged" if one == decision.chosen else "passes" if one.passes else "does not pass",
+        )
+        for one in decision.candidates
+    ]
+    groups = "; ".join(" + ".join(group) for group in decision.groups)
+    table = markdown_table(("pair", "fitness", "RMSE m", "verdict"), rows)
+    refused = "\n".join(
+        f"- {pair_label(one.target, one.source)}: {one.reason}" for one in decision.candidates if one.reason
+    )
+    parts = (f"# Merge step {decision.step}", decision.reason, table, refused, f"Groups after this step: {groups}")
+    return "\n\n".join(part for part in parts if part)

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from multilica.config import CalibrationConfig
+from multilica.events import ignore
+from multilica.extrinsics import Extrinsics
+from multilica.results import Group, MergeCandidate, MergeDecision
+from multilica.steps.outcome import contested_place, placement_of
+from multilica.steps.state import CalibrationState
+from tests.unit.made_pairs import pair, pose, registration, undecided
+
+_POSES = {"a": pose("a", "a"), "b": pose("a", "b", (1.0, 0.0, 0.0), 0.3)}
+_PLACE = pose("a", "c", (0.0, 2.0, 0.0))
+_OTHER = pose("a", "c", (0.0, 5.0, 0.0), np.pi / 2)
+_FROM_B = _POSES["b"].inverse() @ _OTHER
+
+
+def test_two_accepted_pairs_contest_the_place_of_a_lidar():
+    pairs = [pair(_FROM_B, fitness=0.4), pair(_PLACE, fitness=0.9)]
+    contested = contested_place("c", _POSES, pairs, registration)
+    assert (contested.pair, contested.other) == (("a", "c"), ("b", "c"))
+    assert (contested.distance_m, contested.angle_rad) == pytest.approx((3.0, np.pi / 2))
+    assert contested.competing.T_target_source.distance_to(_OTHER) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_the_competing_pose_goes_the_way_of_its_pair():
+    pairs = [pair(_FROM_B, fitness=0.4), pair(_PLACE.inverse(), fitness=0.9)]
+    contested = contested_place("c", _POSES, pairs, registration)
+    assert contested.pair == ("c", "a")
+    competing = contested.competing.T_target_source
+    assert competing.distance_to(_OTHER.inverse()) == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+def test_without_verification_the_competing_pose_is_unknown():
+    contested = contested_place("c", _POSES, [pair(_PLACE), pair(_FROM_B)])
+    assert contested.competing is None
+
+
+@pytest.mark.parametrize(
+    "second",
+    [
+        pair(_POSES["b"].inverse() @ _PLACE),
+        pair(_FROM_B, undecided("ambiguous")),
+        pair(pose("d", "c", (9.0, 0.0, 0.0))),
+        pair(pose("b", "d", (9.0, 0.0, 0.0))),
+    ],
+    ids=["agrees", "not accepted", "with a LiDAR that is not placed", "of another LiDAR"],
+)
+def test_a_place_is_contested_only_by_accepted_pairs(second):
+    assert contested_place("c", _POSES, [pair(_PLACE), second]) is None
+
+
+_CHOSEN = MergeCandidate("a", "b", 0.6, 0.04, passes=True)
+_REFUSED = MergeCandidate("a", "c", 0.3, 0.05, passes=False, reason="too little in common")
+
+
+def _placement(name, *pairs, with_returns="abc", until="ground", prior=None):
+    state = CalibrationState(
+        snapshot=None,
+        config=CalibrationConfig(until=until),
+        observe=ignore,
+        prior=prior,
+        clouds=dict.fromkeys(with_returns),
+        registrations={(each.target, each.source): each for each in pairs},
+        decisions=[MergeDecision(0, (_CHOSEN, _REFUSED), _CHOSEN, "made", (("a", "b"), ("c",)))],
+        group=Group("a", _POSES),
+        covariances={"b": np.eye(6)},
+    )
+    return placement_of(name, "a", state)
+
+
+def test_the_target_has_the_identity():
+    placement = _placement("a")
+    assert placement.placed
+    assert placement.reason == "the target"
+    assert np.array_equal(placement.T_target_source.matrix, np.eye(4))
+
+
+def test_a_placed_lidar_has_the_figures_of_its_merge():
+    placement = _placement("b", prior=Extrinsics("a", {"b": pose("a", "b", (1.0, 0.1, 0.0), 0.3)}))
+    assert placement.T_target_source is _POSES["b"]
+    assert (placement.fitness, placement.rmse_m, placement.reason) == (0.6, 0.04, "placed")
+    assert np.array_equal(placement.covariance, np.eye(6))
+    assert placement.prior_deviation == pytest.approx((0.1, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("pairs", "found", "reason"),
+    [
+        ([], {"with_returns": "ab"}, "it has no returns in range"),
+        ([], {"until": "fine"}, "the run stopped after stage fine (--until)"),
+        ([], {}, "no pose was found against any other LiDAR"),
+        (
+            [pair(_PLACE, undecided("ambiguous")), pair(_FROM_B, undecided("too_far_apart"), fitness=0.1)],
+            {},
+            "its best registration, with a: made ambiguous",
+        ),
+        ([pair(_PLACE)], {}, "its best registration, with a: too little in common"),
+    ],
+    ids=["no returns", "stopped", "no pair", "refused", "refused by the merge"],
+)
+def test_a_lidar_that_is_not_placed_has_a_reason(pairs, found, reason):
+    placement = _placement("c", *pairs, **found)
+    assert not placement.placed
+    assert placement.T_target_source is None
+    assert placement.reason == reason

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outlines of fields of view; uncertainties as ellipsoids."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from multilica.geometry import RigidTransform
+from multilica.results import LidarPlacement
+from multilica.sinks.drawing.shapes import field_of_view, uncertainty_ellipsoid
+
+
+def returns(azimuth_deg: tuple[float, float], elevation_deg: tuple[float, float]) -> np.ndarray:
+    azimuth, elevation = np.meshgrid(np.linspace(*azimuth_deg, 60), np.linspace(*elevation_deg, 12))
+    azimuth, elevation = np.deg2rad(azimuth.ravel()), np.deg2rad(elevation.ravel())
+    directions = np.column_stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    )
+    return directions * np.linspace(2.0, 40.0, len(directions))[:, None]
+
+
+def angles_deg(outline: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    azimuth = np.arctan2(outline[:, 1], outline[:, 0])
+    return np.rad2deg(azimuth), np.rad2deg(np.arcsin(outline[:, 2] / np.linalg.norm(outline, axis=1)))
+
+
+def test_a_narrow_lidar_has_one_closed_outline_at_its_own_limits():
+    outline, *rays = field_of_view(returns((-60.0, 60.0), (-10.0, 15.0)), radius_m=2.0)
+    np.testing.assert_allclose(np.linalg.norm(outline, axis=1), 2.0, rtol=1e-5)
+    np.testing.assert_allclose(outline[0], outline[-1], atol=1e-6)
+    azimuth, elevation = angles_deg(outline)
+    np.testing.assert_allclose([azimuth.min(), azimuth.max()], [-60.0, 60.0], atol=0.1)
+    np.testing.assert_allclose([elevation.min(), elevation.max()], [-10.0, 15.0], atol=0.1)
+    assert all(not ray[0].any() for ray in rays)
+
+
+def test_an_outline_may_cross_the_seam_of_azimuths():
+    outline, *_ = field_of_view(returns((150.0, 210.0), (-5.0, 5.0)))
+    azimuth, _ = angles_deg(outline)
+    assert np.all(np.abs(azimuth) > 149.0)
+
+
+def test_a_spinning_lidar_has_a_circle_at_either_end():
+    low, high, *_ = field_of_view(returns((-180.0, 177.0), (-20.0, 12.0)))
+    for circle, expected in ((low, -20.0), (high, 12.0)):
+        np.testing.assert_allclose(angles_deg(circle)[1], expected, atol=0.1)
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((5, 3)), np.tile([[1.0, 0.0, 0.0]], (9, 1))])
+def test_returns_that_span_nothing_have_no_outline(points):
+    assert field_of_view(points) == ()
+
+
+def test_of_two_equal_gaps_rounding_chooses_none():
+    ahead, behind = returns((-40.0, 40.0), (-5.0, 5.0)), returns((140.0, 220.0), (-5.0, 5.0))
+    starts = []
+    for turned_deg in (-1e-9, 1e-9):
+        turn = Rotation.from_euler("z", turned_deg, degrees=True).as_matrix()
+        starts.append(field_of_view(np.concatenate([ahead, behind @ turn.T]))[0][0])
+    np.testing.assert_allclose(*starts, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_axes_have_fixed_signs_and_are_right_handed(seed):
+    turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+    covariance = np.eye(6)
+    covariance[3:, 3:] = turn @ np.diag([1e-6, 4e-6, 9e-6]) @ turn.T
+    pose = RigidTransform.identity("top", "rear")
+    place = LidarPlacement("rear", "placed", placed=True, T_target_source=pose, covariance=covariance)
+    half_sizes_m, axes = uncertainty_ellipsoid(place)
+    np.testing.assert_allclose(half_sizes_m, [3e-3, 6e-3, 9e-3])
+    np.testing.assert_allclose(np.abs(np.diag(turn.T @ axes.rotation)), 1.0)
+    assert all(axis[np.argmax(np.abs(axis))] > 0.0 for axis in axes.rotation.T[:2])
