@@ -33,7 +33,7 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class SnapshotDeviation:
-    """How far one snapshot by itself places a LiDAR from where the joint result has it.
+    """Deviation of a LiDAR in one snapshot alone from its pose in the joint result.
 
     Args:
         outlier: whether the snapshot was outvoted on this LiDAR.

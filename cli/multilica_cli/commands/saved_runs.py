@@ -44,12 +44,14 @@ def diff(
     run_b: Annotated[Path, _run("A run directory, its result.json, or a recording (.rrd).", "RUN_B")],
     *,
     within_m: Annotated[
-        float, typer.Option(metavar="M", min=0.0, help="A LiDAR that moved by no more stands where it stood.")
+        float, typer.Option(metavar="M", min=0.0, help="Largest distance that does not count as a move.")
     ] = 1e-4,
-    within_deg: Annotated[float, typer.Option(metavar="DEG", min=0.0, help="The same for the angle.")] = 1e-3,
+    within_deg: Annotated[
+        float, typer.Option(metavar="DEG", min=0.0, help="Largest rotation that does not count as a move.")
+    ] = 1e-3,
     as_json: Json = False,
 ) -> int:
-    """Tell which extrinsics moved between two runs, which LiDARs changed status, and where the runs part.
+    """Compare two runs: which poses moved, which LiDARs changed status, which stage differs first.
 
     Ends with 0 if both place the same LiDARs at the same places, with 5 if not.
     """

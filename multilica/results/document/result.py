@@ -64,7 +64,7 @@ class ProgressEntry(Entry):
 
 
 class DeviationEntry(Entry):
-    """How far a snapshot by itself places a LiDAR from the joint result."""
+    """Deviation of a LiDAR in one snapshot alone from its pose in the joint result."""
 
     lidar: str = Field(description="Name of the LiDAR.")
     distance_m: float = Field(description="Distance.")
