@@ -32,7 +32,7 @@ lint: $(READY)
 pytest: $(READY) pictures node ros2
 	$(BIN)/python -m pytest -n 2 --dist loadgroup
 
-bench: $(READY) ## Measure what must be seen to hold; an hour or more.
+bench: $(READY) ## Measure every claim on simulated and real scenes; an hour or more.
 	$(BIN)/python -m tests.bench
 
 sample: $(READY) ## Make the embedded sample anew.
@@ -42,7 +42,7 @@ docs: $(READY) ## Write docs/configuration.md and docs/result.schema.json from t
 	$(BIN)/multilica config --markdown > docs/configuration.md
 	$(BIN)/python -c "from multilica.results.document.result import schema_text; print(schema_text())" > docs/result.schema.json
 
-format: $(READY) ## Format the code, mend what the linter can mend.
+format: $(READY) ## Format the code, fix what the linter can fix.
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

@@ -72,7 +72,7 @@ def calibrate(
         config: the default preset if None.
         observe: called with each event of `multilica.events` as it happens.
         prior: poses that the user claims, by the LiDARs' names: one more hypothesis for each pair that it has,
-            verified as the others are. The result has whole poses all the same.
+            verified like the others. The result still has full poses, not corrections to the prior.
 
     Returns:
         A pose or a reason per LiDAR; a LiDAR that cannot be placed is a normal outcome.

@@ -14,7 +14,7 @@ from multilica_cli.commands.demo import demo
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
 from multilica_cli.commands.simulate import simulate
-from multilica_cli.failures import print_failure, unwind_on_signals
+from multilica_cli.exit_codes import print_failure, unwind_on_signals
 
 __all__ = ["app", "main", "run"]
 
@@ -24,7 +24,8 @@ app = typer.Typer(
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 all LiDARs placed, 1 system error or bug, 2 wrong usage, 3 unusable input, "
-    "4 a LiDAR not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM.",
+    "4 a LiDAR not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM, "
+    "129 SIGHUP.",
 )
 for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, demo):
     app.command()(command)

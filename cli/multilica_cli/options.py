@@ -33,8 +33,8 @@ Sources = Annotated[
     typer.Argument(
         metavar="SOURCE",
         help="MCAP file, ROS 1 or ROS 2 bag, or point files (PCD, PLY, ...) with one file or directory per LiDAR; "
-        "local or at s3://, gs:// or https://. Recordings of different LiDARs form one snapshot, recordings of the "
-        "same LiDARs one each.",
+        "local or at s3://, gs:// or https://. Recordings of different LiDARs form one snapshot; recordings of the "
+        "same LiDARs form one snapshot each.",
         show_default=False,
     ),
 ]

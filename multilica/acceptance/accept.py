@@ -209,7 +209,7 @@ def _distance(best: Registration, config: AcceptanceConfig) -> Reason | None:
         return None
     text = (
         f"the LiDARs would be {distance_m:.1f} m apart; the limit is {limit_m:g} m (acceptance.{key}) for a pose "
-        f"that {best.visibility.min_information_eigenvalue:z.1f} points constrain"
+        f"with smallest information eigenvalue {best.visibility.min_information_eigenvalue:z.1f}"
     )
     return Reason("too_far_apart", distance_m, limit_m, text)
 

@@ -26,9 +26,9 @@ def check_scene_symmetry(
 ) -> list[PairRegistration]:
     """Leave accepted pairs undecided if a symmetry of the scene turns them into another possible pose.
 
-    Two LiDARs that look apart share nothing. In a hall that looks the same from both ends they fit each other all the
-    same, turned around, and none of their beams contradicts it. A pair that sees the whole hall finds two poses. The
-    motion between these is the symmetry of the hall; it takes the pose of the first two to one that may be correct.
+    Two LiDARs that face away from each other see no common surface. In a hall with similar ends they still fit each
+    other at a pose turned by 180 degrees, and no beam contradicts it. A pair that sees the whole hall finds two poses.
+    The motion between these is the symmetry of the hall; it takes the pose of the first two to one that may be correct.
 
     Returns:
         The pairs in their order, some with another verdict.

@@ -27,7 +27,7 @@ STAGES: tuple[Stage, ...] = get_args(Stage)
 
 
 class CalibrationConfig(Section):
-    """The whole configuration; one table per stage."""
+    """The whole configuration; one table per section."""
 
     preset: Literal["default", "paper"] = Field("default", description="preset that the configuration started from")
     target: str = Field("", description="name of the target LiDAR; empty: the one with the most overlap")

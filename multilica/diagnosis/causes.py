@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words, advice and stages per cause."""
+"""Texts for each cause: description, advice, stage."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -31,12 +31,12 @@ WORDS: Mapping[Cause, str] = {
     "moving_vehicle": "the vehicle moved while the snapshot was taken",
     "unfit_input": "the snapshot has too little data to calibrate",
     "no_overlap": "it shares too few surfaces with the others (no overlap)",
-    "contradiction": "every pose found puts surfaces where beams proved empty space",
+    "contradiction": "every pose found puts surfaces into space that beams proved empty",
     "ambiguous": "the scene looks the same from two places (a symmetric scene)",
     "not_observable": "the scene does not constrain it in one direction",
     "unexplained": "at the best pose too few of the visible surfaces match (a chance agreement)",
     "low_fitness": "too few of its points lie near those of other LiDARs",
-    "against_prior": "its pose contradicts the prior, as if it were mounted the other way round",
+    "against_prior": "its pose contradicts the prior; the LiDAR or the prior may be turned the wrong way",
     "two_places": "two accepted pairs put it at different places",
     "not_in_rig": "it fits another LiDAR, but not the merged rig",
     "not_joined": "it is connected only to LiDARs that are not placed",
@@ -77,14 +77,14 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = {
     "ambiguous": (_OTHER_PLACE, _TOGETHER),
     "not_observable": (_OTHER_PLACE, _MORE_OVERLAP, _MORE_FRAMES),
     "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, PRIOR_ADVICE),
-    "low_fitness": (_MORE_OVERLAP, "preset default, which verifies more than the fitness"),
+    "low_fitness": (_MORE_OVERLAP, "--preset default, which checks more than the fitness"),
     "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),
     "two_places": (_OTHER_PLACE, _TOGETHER, _MORE_OVERLAP),
     "not_in_rig": (_MORE_OVERLAP, _OTHER_PLACE, _TOGETHER),
     "not_joined": (_MORE_OVERLAP, "another target (--target) among the LiDARs that it fits"),
     "disputed": (
         "one more snapshot, from another place, for a majority",
-        "a look at the result of each snapshot, in the directory of its name",
+        "check the result of each snapshot, in the subdirectory with its name",
     ),
     "stopped_early": ("run again without --until",),
     "unfinished": ("run again; every finished stage is in the recording",),

@@ -15,7 +15,7 @@ from multilica.diagnosis.comparisons import (
     next_best_sentence,
 )
 from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed
-from multilica.diagnosis.progress import known_so_far, progress_sentence
+from multilica.diagnosis.unfinished import known_so_far, progress_sentence
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 
 __all__ = ["explain"]

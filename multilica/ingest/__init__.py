@@ -3,7 +3,7 @@
 
 from multilica.ingest.snapshot_metadata import frames_recorded
 from multilica.ingest.snapshot_reader import TakenSnapshot, read_snapshot, take_snapshot
-from multilica.ingest.snapshots import SnapshotSource, find_snapshots, require_calibratable, require_lidar
+from multilica.ingest.split_sources import SnapshotSource, find_snapshots, require_calibratable, require_lidar
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
 from multilica.ingest.transforms.prior import Prior, read_prior
 

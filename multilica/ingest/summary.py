@@ -19,7 +19,7 @@ from multilica.ingest.selection.topics import choose_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.snapshot_metadata import config_for
 from multilica.ingest.snapshot_reader import assemble_snapshot, with_recorded_notes
-from multilica.ingest.snapshots import require_calibratable
+from multilica.ingest.split_sources import require_calibratable
 from multilica.ingest.transforms.static_transforms import read_static_transforms
 from multilica.snapshot import Snapshot
 

@@ -61,9 +61,9 @@ def register_best(
 ) -> PairRegistration:
     """Register the finalists by GICP, and the one with the most evidence on all points.
 
-    The result of GICP is fitted to the planes that both sides share. A pose that slides may have left a constrained
-    one, into which GICP falls from one side only: GICP is started all along the slide, and the result with the most
-    evidence is taken. A pose that stopped short of a constrained one is moved there.
+    The result of GICP is fitted to the planes that both sides share. If a pose slides, GICP may have missed a
+    constrained pose that it finds from one side only. GICP is therefore started at steps along the slide, and the
+    result with the most evidence is taken. A pose that stopped before a constrained one is moved there.
 
     Args:
         hypotheses: at least one, the most promising first.

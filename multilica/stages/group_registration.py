@@ -42,8 +42,8 @@ def register_groups(
 ) -> PairRegistration | None:
     """Register two groups from all that is known of their members; if that is refused, from accepted pairs alone.
 
-    Two groups have more poses that fit by chance than two LiDARs. A chance pose, for which no pair was accepted, does
-    not refuse a pose for which one was, unless it has more evidence and is not rejected. A registration that starts
+    Two groups have more poses that fit by chance than two LiDARs. A pose without an accepted
+    pair does not overrule a pose with one, unless it has more evidence and is not rejected. A registration that starts
     from an accepted pair takes its information from that pair.
 
     Args:

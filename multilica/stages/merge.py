@@ -132,7 +132,7 @@ def _candidate(pair: PairRegistration) -> MergeCandidate:
 def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None) -> str:
     if chosen is not None:
         accepted = sum(pair.verdict.accepted for pair in ranked)
-        rank = "the only accepted pair" if accepted == 1 else f"the best of {accepted} accepted pairs"
+        rank = "the only accepted pair" if accepted == 1 else f"ranked first of {accepted} accepted pairs"
         return f"merged {chosen.source} into {chosen.target}: fitness {chosen.fitness:.3f}, {rank}"
     if not ranked:
         return "stopped: no pair is left that could be registered"

@@ -95,7 +95,7 @@ def contested_place(
     pairs: Sequence[PairRegistration],
     score_pose: ScorePose | None = None,
 ) -> ContestedPlace | None:
-    """Find the two accepted pairs that put a LiDAR at the places farthest from each other, to the millimetre.
+    """Find the two accepted pairs whose poses of a LiDAR are farthest apart; distances are rounded to 1 mm.
 
     Args:
         lidar: one that is not placed.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses that a scene of right angles confuses with a given one."""
+"""Poses that look like a given one in a scene with right angles."""
 
 import numpy as np
 import numpy.typing as npt

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from multilica import read_extrinsics
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import (
     Invoke,
     command_of_process,

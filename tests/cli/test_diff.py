@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.sinks.made_documents import made_document
 

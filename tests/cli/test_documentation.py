@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import ROOT, Invoke
 
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])

@@ -7,7 +7,7 @@ import pytest
 
 from multilica.errors import InputError, MultilicaError, UnknownNameError
 from multilica_cli import main
-from multilica_cli.failures import ExitCode, Interrupted, describe_failure
+from multilica_cli.exit_codes import ExitCode, Interrupted, describe_failure
 from tests.cli.support import Invoke, assert_one_sentence
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from multilica_cli.failures import Interrupted, unwind_on_signals
+from multilica_cli.exit_codes import Interrupted, unwind_on_signals
 from tests.cli.support import command_of_process, environment_of_process
 
 

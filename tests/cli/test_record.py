@@ -11,7 +11,7 @@ import pytest
 
 from multilica import read_snapshot
 from multilica_cli.commands.demo import find_sample
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.ingest.support.processes import served
 from tests.ingest.support.recording_writers import make_snapshot, write_mcap

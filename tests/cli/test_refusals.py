@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence, write_pcd
 
 

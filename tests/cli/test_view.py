@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from multilica_cli import main
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 
 

@@ -11,13 +11,13 @@ import pytest
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Verdict
-from multilica.sinks.failures import failures
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.figures import pair_figures
 from multilica.sinks.report.outcome import outcome_of
+from multilica.sinks.rerun.entity_paths import pair_path
 from multilica.sinks.rerun.recording import RerunRecording
-from multilica.sinks.rerun.tree import pair_path
 from multilica.sinks.run_state import RunState
+from multilica.sinks.unplaced import failures
 from multilica.steps.outcome import contested_place
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
 from tests.sinks.recording_reader import Recording, blueprint_names

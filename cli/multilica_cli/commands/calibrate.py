@@ -8,7 +8,7 @@ import typer
 
 from multilica_cli import options
 from multilica_cli.configuration import ingest_options, resolve_config
-from multilica_cli.failures import exit_code
+from multilica_cli.exit_codes import exit_code
 
 __all__ = ["calibrate"]
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from multilica_cli.failures import exit_code
+from multilica_cli.exit_codes import exit_code
 from multilica_cli.options import Quiet
 
 __all__ = ["SAMPLE_NAME", "Sample", "demo", "find_sample"]

@@ -8,7 +8,7 @@ import typer
 
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica_cli.configuration import ingest_options, resolve_config
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Frames, Json, Quiet, Sources, Start, Strict, Topics, Window, WindowSeconds, mcap_name
 from multilica_cli.terminal import print_json, stderr_console, stdout_console
 

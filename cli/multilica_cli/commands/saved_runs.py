@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from multilica.errors import UsageError
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Json, Quiet
 from multilica_cli.terminal import print_json, stdout_console
 

@@ -21,7 +21,7 @@ from urllib.parse import urlsplit
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.ingest.remote.address import scheme_of, without_secrets
-from multilica.ingest.remote.failures import ConnectionLostError, WithoutRangesError, remote_failures_named
+from multilica.ingest.remote.error_texts import ConnectionLostError, WithoutRangesError, remote_failures_named
 
 if TYPE_CHECKING:
     from multilica.ingest.remote.file_cache import FileCache

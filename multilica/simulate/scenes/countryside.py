@@ -6,7 +6,7 @@ import numpy as np
 from multilica.simulate.scenes.scene import FLAT, Scene, Terrain, rolling_waves
 from multilica.simulate.shapes.buildings import shed
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged
-from multilica.simulate.shapes.outdoors import bush, fence, hay_bale, post_fence, sign, tree
+from multilica.simulate.shapes.street_objects import bush, fence, hay_bale, post_fence, sign, tree
 from multilica.simulate.shapes.vehicles import random_car
 
 __all__ = ["fence_field", "open_field"]

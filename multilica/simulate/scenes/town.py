@@ -8,7 +8,16 @@ import numpy as np
 from multilica.simulate.scenes.scene import Scene, Terrain, rolling_waves
 from multilica.simulate.shapes.buildings import building
 from multilica.simulate.shapes.mesh import Mesh, box, extrusion, merged
-from multilica.simulate.shapes.outdoors import bench, bush, hedge, lamp_post, refuse_bin, sign, tree, trolley_shelter
+from multilica.simulate.shapes.street_objects import (
+    bench,
+    bush,
+    hedge,
+    lamp_post,
+    refuse_bin,
+    sign,
+    tree,
+    trolley_shelter,
+)
 from multilica.simulate.shapes.vehicles import random_car
 
 __all__ = ["parking", "street"]

@@ -13,8 +13,8 @@ from multilica.sinks.drawing.clouds import sample_indices, slot_offsets_m
 from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb
 from multilica.sinks.drawing.shapes import shown_field_of_view
 from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.rerun.entity_paths import CONFIG, DISPLAY_FRAME, DROPPED_TABLE, lidar_frame, lidar_path, slot_frame
 from multilica.sinks.rerun.scene import RerunScene, rigid
-from multilica.sinks.rerun.tree import CONFIG, DISPLAY_FRAME, DROPPED_TABLE, lidar_frame, lidar_path, slot_frame
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 from multilica.sinks.text.markdown import markdown_table

@@ -10,8 +10,8 @@ from multilica.results import BoolArray, Correspondences, Hypothesis
 from multilica.sinks.drawing.clouds import shown_radius_m
 from multilica.sinks.drawing.palette import KEPT, MUTED, REJECTED, Rgb
 from multilica.sinks.drawing.shapes import kept_matches, match_lines
+from multilica.sinks.rerun.entity_paths import lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene, rigid
-from multilica.sinks.rerun.tree import lidar_frame, pair_frame, pair_path
 
 __all__ = ["log_matches", "log_verdict_on_matches"]
 

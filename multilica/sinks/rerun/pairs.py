@@ -8,10 +8,10 @@ from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, PairKey, PairRegistration, Registration, hypothesis_label
 from multilica.sinks.drawing.palette import distinct_colours
+from multilica.sinks.rerun.entity_paths import CURVES, curve_path, lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.matches import log_verdict_on_matches
 from multilica.sinks.rerun.scene import ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
 from multilica.sinks.rerun.scored_points import log_scored_points
-from multilica.sinks.rerun.tree import CURVES, curve_path, lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.verdict import log_verdict
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import pair_scores_markdown

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.results.document import ResultDocument, parse_result
-from multilica.sinks.rerun.tree import RESULT, lidar_path, pair_path
+from multilica.sinks.rerun.entity_paths import RESULT, lidar_path, pair_path
 
 __all__ = ["RecordedScores", "read_recorded_cloud", "read_recorded_document", "read_recorded_scores"]
 

@@ -12,8 +12,8 @@ from multilica.results import GroundPlane, LidarPlacement, MergeCandidate, Merge
 from multilica.sinks.drawing.palette import MUTED, VERDICT_COLOURS
 from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
 from multilica.sinks.drawing.shapes import SHOWN_ELLIPSOID_SCALE, uncertainty_ellipsoid
+from multilica.sinks.rerun.entity_paths import GROUND, MERGE_GRAPH, MERGE_STEPS, lidar_frame, lidar_path, slot_frame
 from multilica.sinks.rerun.scene import RerunScene, rigid
-from multilica.sinks.rerun.tree import GROUND, MERGE_GRAPH, MERGE_STEPS, lidar_frame, lidar_path, slot_frame
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import decisions_markdown
 

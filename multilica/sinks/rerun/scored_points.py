@@ -9,8 +9,8 @@ from multilica.geometry import FloatArray
 from multilica.results import BeamLabel, PairKey, Registration
 from multilica.sinks.drawing.clouds import sample_indices
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, UNSEEN, VIOLATE
+from multilica.sinks.rerun.entity_paths import PAIRS, lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene
-from multilica.sinks.rerun.tree import PAIRS, lidar_frame, pair_frame, pair_path
 
 __all__ = ["log_beam_labels", "log_scored_points"]
 

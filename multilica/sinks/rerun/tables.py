@@ -10,8 +10,16 @@ import rerun as rr
 from multilica.results import PairRegistration
 from multilica.sinks.drawing.palette import VERDICT_COLOURS, heat_colours
 from multilica.sinks.files.result_document import run_document
+from multilica.sinks.rerun.entity_paths import (
+    COVERAGE,
+    FITNESS,
+    HYPOTHESES_TABLE,
+    PAIRS_TABLE,
+    RESULT,
+    SUMMARY,
+    VERDICTS,
+)
 from multilica.sinks.rerun.scene import RerunScene
-from multilica.sinks.rerun.tree import COVERAGE, FITNESS, HYPOTHESES_TABLE, PAIRS_TABLE, RESULT, SUMMARY, VERDICTS
 from multilica.sinks.text.pair_tables import coverage_of, hypotheses_markdown, pair_figures_markdown
 from multilica.sinks.text.run_summary import summary_markdown
 

@@ -8,10 +8,10 @@ from multilica.diagnosis.causes import REASON_WORDS, by_weight
 from multilica.geometry import fixed_sign, largest_index
 from multilica.results import PairKey, PairRegistration, Registration
 from multilica.sinks.drawing.palette import UNDECIDED, VERDICT_COLOURS
-from multilica.sinks.failures import failures
+from multilica.sinks.rerun.entity_paths import lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene, rigid
-from multilica.sinks.rerun.tree import lidar_frame, pair_frame, pair_path
 from multilica.sinks.text.log_lines import pair_label
+from multilica.sinks.unplaced import failures
 
 __all__ = ["log_contested_places", "log_verdict"]
 

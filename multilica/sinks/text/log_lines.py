@@ -166,7 +166,7 @@ def _merge_step(decision: MergeDecision) -> tuple[LogLine, ...]:
 
 def _refined(refinement: Refinement) -> tuple[LogLine, ...]:
     if not refinement.pairs:
-        return _line("nothing to refine: no accepted pair carries information")
+        return _line("nothing to refine: no accepted pair with a known uncertainty connects to the target")
     (before_m, after_m), (before_deg, after_deg) = refinement.cycle_error_m, refinement.cycle_error_deg
     outliers = [pair for pair in refinement.pairs if pair.weight < _OUTLIER_WEIGHT]
     return (

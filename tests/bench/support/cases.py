@@ -13,7 +13,7 @@ from multilica.results import CalibrationResult
 from multilica.runs import SavedPlacement, SavedRun, Truth, evaluate
 from multilica.runs.evaluation import Comparison
 from multilica.simulate import Simulation, simulate_snapshot
-from tests.bench.support.truth_on_trial import Members, Trial, Watch, is_borne_out, try_truth
+from tests.bench.support.true_pose_check import Members, Trial, Watch, is_borne_out, try_truth
 
 __all__ = ["NEW_SEEDS", "Case", "LidarOutcome", "run_case"]
 

@@ -18,7 +18,7 @@ from tests.bench import harder, real_scans, repeat, simulated, speed
 from tests.bench.support import cases
 from tests.bench.support.cases import Case, LidarOutcome
 from tests.bench.support.claims import Claim, print_claims
-from tests.bench.support.truth_on_trial import Trial
+from tests.bench.support.true_pose_check import Trial
 
 _CASE = Case("sides", "garage", 1)
 _STILL = RigidTransform.identity("top", "left")

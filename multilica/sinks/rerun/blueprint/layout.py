@@ -6,14 +6,14 @@ import rerun.blueprint as rrb
 
 from multilica.geometry import FloatArray
 from multilica.results import CalibrationResult
-from multilica.sinks.failures import Failure, decisive_failure, failures
 from multilica.sinks.rerun.blueprint import views
 from multilica.sinks.rerun.blueprint.camera import around_rig, three_quarter, up_axis
 from multilica.sinks.rerun.blueprint.stage_tabs import stage_tab, stage_tabs
+from multilica.sinks.rerun.entity_paths import CONFIG, GROUND, MERGE_STEPS, lidar_frame, lidar_path, pair_path
 from multilica.sinks.rerun.scene import STEP_TIMELINE
-from multilica.sinks.rerun.tree import CONFIG, GROUND, MERGE_STEPS, lidar_frame, lidar_path, pair_path
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
+from multilica.sinks.unplaced import Failure, decisive_failure, failures
 
 __all__ = ["final_blueprint", "stage_blueprint"]
 

@@ -7,7 +7,7 @@ import rerun.blueprint as rrb
 
 from multilica.config import Stage
 from multilica.results import PairKey
-from multilica.sinks.rerun import tree
+from multilica.sinks.rerun import entity_paths
 from multilica.sinks.rerun.blueprint.camera import above_group
 from multilica.sinks.rerun.blueprint.views import (
     document_view,
@@ -50,7 +50,7 @@ def _preprocess_tab(state: RunState) -> Tab | None:
     ]
     if not views:
         return None
-    table = document_view(tree.DROPPED_TABLE, "Dropped points")
+    table = document_view(entity_paths.DROPPED_TABLE, "Dropped points")
     return rrb.Vertical(rrb.Grid(*views), table, row_shares=[3, 1], name="Preprocess")
 
 
@@ -77,13 +77,13 @@ def _coarse_tab(state: RunState) -> Tab | None:
     tabs = [
         rrb.Horizontal(
             scored_view(state, pair),
-            document_view(tree.pair_path(*pair, "scores"), "Scores"),
+            document_view(entity_paths.pair_path(*pair, "scores"), "Scores"),
             column_shares=[3, 2],
             name=pair_label(*pair),
         )
         for pair in pairs
     ]
-    table = document_view(tree.HYPOTHESES_TABLE, "All pairs")
+    table = document_view(entity_paths.HYPOTHESES_TABLE, "All pairs")
     return rrb.Tabs(*tabs, table, name="Coarse + verify" if state.verified else "Coarse")
 
 
@@ -91,12 +91,12 @@ def _fine_tab(state: RunState) -> Tab | None:
     if not state.registrations:
         return None
     matrices = [_matrix_view(path, name) for path, name in _MATRICES.items()]
-    table = document_view(tree.PAIRS_TABLE, "Pairs")
+    table = document_view(entity_paths.PAIRS_TABLE, "Pairs")
     figures = rrb.Vertical(rrb.Horizontal(*matrices), table, row_shares=[3, 2], name="Matrices")
     legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
     curves = [
-        rrb.TimeSeriesView(origin=tree.curve_path(quantity), name=title, plot_legend=legend)
-        for quantity, title in tree.CURVES.items()
+        rrb.TimeSeriesView(origin=entity_paths.curve_path(quantity), name=title, plot_legend=legend)
+        for quantity, title in entity_paths.CURVES.items()
     ]
     pairs = [pair for pair in _shown_pairs(state) if pair in state.registrations]
     moved = [_before_and_after(state, pair) for pair in pairs]
@@ -107,13 +107,13 @@ def _fine_tab(state: RunState) -> Tab | None:
 
 def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
     """Show a pair at the hypothesis from which GICP started, and at the pose of the step, last the registered one."""
-    target = tree.lidar_path(pair[0], "preprocessed")
-    before = pair_view(state, pair, "Before GICP", [target, f"{tree.pair_path(*pair, 'before')}/**"])
-    after = pair_view(state, pair, "After GICP", [target, tree.pair_path(*pair, "source")])
+    target = entity_paths.lidar_path(pair[0], "preprocessed")
+    before = pair_view(state, pair, "Before GICP", [target, f"{entity_paths.pair_path(*pair, 'before')}/**"])
+    after = pair_view(state, pair, "After GICP", [target, entity_paths.pair_path(*pair, "source")])
     return rrb.Horizontal(before, after, name=pair_label(*pair))
 
 
-_MATRICES = {tree.FITNESS: "Fitness", tree.COVERAGE: "Coverage", tree.VERDICTS: "Verdicts"}
+_MATRICES = {entity_paths.FITNESS: "Fitness", entity_paths.COVERAGE: "Coverage", entity_paths.VERDICTS: "Verdicts"}
 
 
 def _matrix_view(path: str, name: str) -> rrb.View:
@@ -123,12 +123,14 @@ def _matrix_view(path: str, name: str) -> rrb.View:
 def _merge_tab(state: RunState) -> Tab | None:
     if not state.decisions:
         return None
-    graph = rrb.GraphView(origin=tree.MERGE_GRAPH, name="Merge graph")
+    graph = rrb.GraphView(origin=entity_paths.MERGE_GRAPH, name="Merge graph")
     contents = [
-        f"{tree.lidar_path(lidar, part)}/**" for lidar in state.lidars for part in ("preprocessed", "sensor", "name")
+        f"{entity_paths.lidar_path(lidar, part)}/**"
+        for lidar in state.lidars
+        for part in ("preprocessed", "sensor", "name")
     ]
-    growing = scene_view("Growing cloud", tree.DISPLAY_FRAME, contents, above_group(state))
-    side = rrb.Vertical(graph, document_view(tree.MERGE_STEPS, "Merge steps"))
+    growing = scene_view("Growing cloud", entity_paths.DISPLAY_FRAME, contents, above_group(state))
+    side = rrb.Vertical(graph, document_view(entity_paths.MERGE_STEPS, "Merge steps"))
     return rrb.Horizontal(growing, side, column_shares=[3, 2], name="Merge")
 
 

@@ -10,7 +10,7 @@ from rerun.encodings import EntityPathLike
 from multilica.results import PairKey
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.rerun.blueprint.camera import around_lidar, beside_lidar
-from multilica.sinks.rerun.tree import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
+from multilica.sinks.rerun.entity_paths import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 

@@ -11,7 +11,7 @@ import pytest
 
 from multilica import read_extrinsics
 from multilica_cli.commands.demo import find_sample
-from multilica_cli.failures import ExitCode
+from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose
 
 SCHEMA = json.loads((ROOT / "docs" / "result.schema.json").read_text(encoding="utf-8"))

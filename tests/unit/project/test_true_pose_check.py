@@ -10,8 +10,8 @@ from multilica.events import CloudPreprocessed, PairRegistered
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import PairRegistration, Reason, Verdict
-from tests.bench.support import truth_on_trial
-from tests.bench.support.truth_on_trial import Trial, Watch, is_borne_out, try_truth
+from tests.bench.support import true_pose_check
+from tests.bench.support.true_pose_check import Trial, Watch, is_borne_out, try_truth
 from tests.unit.made_rooms import HALL, box, scan
 
 _POSES = {
@@ -67,7 +67,7 @@ def test_true_poses_join_a_lidar_by_way_of_another_group(monkeypatch):
     def tried(_, first, second, *__):
         return accepted.get(first[0] + second[0], refusal)
 
-    monkeypatch.setattr(truth_on_trial, "_try", tried)
+    monkeypatch.setattr(true_pose_check, "_try", tried)
     trials = try_truth(Watch(), [("a",), ("b", "e"), ("c",), ("d",)], _TRUTH, CalibrationConfig())
     assert {name: trial.accepted for name, trial in trials.items()} == {"b": True, "e": True, "c": True, "d": False}
     assert trials["c"].codes == refusal.codes
