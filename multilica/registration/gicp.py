@@ -16,6 +16,7 @@ from multilica.results import GicpStep, PairRegistration
 
 __all__ = ["fitness_and_rmse", "register", "register_narrower"]
 
+# Iterations between two recorded steps.
 _OBSERVED_ITERATIONS = 3
 
 # Unbounded neighbour searches are slowest for points far from everything. Points beyond this many correspondence

@@ -15,6 +15,7 @@ from multilica.registration.neighbours import PointTree, Surface, thin
 
 __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
 
+# Growth of the voxels until the cloud is small enough: a step removes about a third of the points.
 _COARSER = 1.2
 
 

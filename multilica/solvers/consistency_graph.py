@@ -11,6 +11,7 @@ from multilica.results import Correspondences, IndexArray
 
 __all__ = ["ConsistencyGraph", "build_consistency_graph", "grow_cliques"]
 
+# Rows of the graph that are computed at once: bounds memory.
 _BLOCK = 512
 
 

@@ -11,6 +11,7 @@ from multilica.results import Correspondences
 
 __all__ = ["solve_by_fgr", "solve_by_kiss_matcher", "solve_by_ransac", "solve_by_teaserpp"]
 
+# As in the example of Open3D for FPFH matches, with ten times the iterations for more outliers.
 _RANSAC_ITERATIONS = 1_000_000
 _RANSAC_CONFIDENCE = 0.999
 _EDGE_LENGTH_SIMILARITY = 0.9

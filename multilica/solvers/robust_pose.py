@@ -10,9 +10,11 @@ from multilica.results import IndexArray
 
 __all__ = ["align_points", "gnc_tls_rotations", "robust_poses", "tls_translation"]
 
+# The defaults of TEASER++.
 _GNC_FACTOR = 1.4
 _GNC_MAX_ITERATIONS = 100
 _GNC_COST_TOLERANCE = 1e-6
+# Bound on time; strides from neighbours to half the set constrain the rotation.
 _MAX_PAIRS_PER_POINT = 12
 
 

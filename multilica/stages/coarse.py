@@ -18,6 +18,7 @@ __all__ = ["find_hypotheses"]
 _DISTINCT_M = 0.5
 _DISTINCT_RAD = float(np.deg2rad(5.0))
 
+# Fewer points do not determine a pose.
 _MIN_MATCHES = 3
 
 

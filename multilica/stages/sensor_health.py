@@ -11,6 +11,7 @@ from multilica.snapshot import LidarScans
 
 __all__ = ["examine_sensor"]
 
+# Wider than the gaps between beams of 16 channels (2 deg), so every cell in view has beams.
 _CELL_RAD = float(np.deg2rad(5.0))
 _ROWS, _COLUMNS = 36, 72
 # Three directions determine a plane; a few more show whether there is one.

@@ -15,10 +15,13 @@ from multilica.snapshot import Scan
 
 __all__ = ["drop_moving"]
 
+# 0.2 deg, the usual step of spinning LiDARs.
 _FINEST_CELL_RAD = 0.0035
+# Bound on time.
 _SPACING_SAMPLES = 4000
 # The fourth neighbour on a grid is one larger step away, unless one step is over twice the other.
 _SPACING_NEIGHBOUR = 4
+# Bound on time: more frames show little more of what moved.
 _REFERENCE_FRAMES = 10
 # With fewer returns than in the point's own frame, the beam that would hit it may be lost.
 _MIN_FILLED = 0.85

@@ -11,10 +11,14 @@ from multilica.visibility.sensor_view import SensorView
 
 __all__ = ["symmetric_poses"]
 
+# GICP corrects an error of one cell; 256 cells span the common view of two LiDARs.
 _CELL_M = 0.5
 _CELLS = 256
+# Nearer maxima belong to one pose.
 _APART_M = 2.0
+# Surfaces steeper than 45 deg are walls.
 _STRUCTURE = float(np.cos(np.deg2rad(45.0)))
+# Fewer points of walls make no plan.
 _MIN_POINTS = 50
 
 
