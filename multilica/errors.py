@@ -13,13 +13,15 @@
     │   ├── UnreadableSourceError   broken, truncated, or not what its name says
     │   ├── UnfitSnapshotError      readable, yet nothing that can be calibrated
     │   └── UnfitPriorError         readable, yet no poses of this rig's LiDARs
-    └── ViewerError                 no viewer can be shown on this machine  exit code 1
+    ├── ViewerError                 no viewer can be shown on this machine  exit code 1
+    └── WorkerDiedError             a worker process was killed or crashed  exit code 1
 
 Each message is one sentence that says what was found, where, what was expected and what to do.
 """
 
 import difflib
 from collections.abc import Iterable
+from typing import Self
 
 __all__ = [
     "ConfigError",
@@ -33,6 +35,7 @@ __all__ = [
     "UnreadableSourceError",
     "UsageError",
     "ViewerError",
+    "WorkerDiedError",
 ]
 
 
@@ -53,11 +56,15 @@ class UnknownNameError(UsageError):
 
     def __init__(self, kind: str, name: str, available: Iterable[str], where: str = "") -> None:
         self.available = tuple(sorted(available))
+        self._arguments = kind, name, self.available, where
         place = f" in {where}" if where else ""
         close = difflib.get_close_matches(name, self.available, n=1)
         hint = f" Did you mean '{close[0]}'?" if close else ""
         listed = ", ".join(self.available) or "none"
         super().__init__(f"There is no {kind} '{name}'{place}; available: {listed}.{hint}")
+
+    def __reduce__(self) -> tuple[type[Self], tuple[str, str, tuple[str, ...], str]]:
+        return type(self), self._arguments
 
 
 class MissingDependencyError(UsageError):
@@ -90,3 +97,7 @@ class UnfitPriorError(InputError):
 
 class ViewerError(MultilicaError):
     """A Rerun viewer that does not start or does not respond."""
+
+
+class WorkerDiedError(MultilicaError):
+    """A worker process that was killed, ran out of memory or crashed."""

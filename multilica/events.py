@@ -148,7 +148,7 @@ class GroupsRegistered(Event):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeStepTaken(Event):
-    """Algorithm 1 took a step; `poses` of the group that grew are in its root frame, none when it stopped."""
+    """Two groups were merged, or merging stopped; `poses` of the group that grew are in its root frame, else none."""
 
     decision: results.MergeDecision
     poses: tuple[RigidTransform, ...]
@@ -156,7 +156,7 @@ class MergeStepTaken(Event):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoopRegistered(Event):
-    """Two placed LiDARs were registered from the pose that the rig implies; ignored unless it is accepted."""
+    """Two LiDARs were registered from the pose that accepted pairs imply; ignored unless it is accepted."""
 
     registration: results.PairRegistration
 

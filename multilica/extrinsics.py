@@ -95,6 +95,7 @@ class ExtrinsicsTable(BaseModel):
     length_unit: str = "m"
     rpy_convention: str = "degrees, extrinsic xyz: roll, then pitch, then yaw about the fixed axes of the target"
     lidars: Mapping[str, PoseTable]
+    uncertain: Mapping[str, PoseTable] = Field(default_factory=dict, exclude=True)
 
 
 def extrinsics_table(extrinsics: Extrinsics) -> dict[str, Any]:
@@ -113,8 +114,11 @@ def pose_values(pose: RigidTransform) -> dict[str, Any]:
     }
 
 
-def read_extrinsics(path: Path) -> Extrinsics:
+def read_extrinsics(path: Path, *, with_uncertain: bool = False) -> Extrinsics:
     """Read extrinsics from a TOML table, such as `calibration.toml` or a truth file; further keys are ignored.
+
+    Args:
+        with_uncertain: also take the LiDARs that `calibration.toml` lists as uncertain.
 
     Raises:
         SourceNotFoundError: no such file.
@@ -137,4 +141,5 @@ def read_extrinsics(path: Path) -> Extrinsics:
         first = error.errors()[0]
         where, what = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
         raise UnreadableSourceError(f"{path} is not a table of extrinsics: {where}: {what}.") from error
-    return Extrinsics(table.target, {name: entry.pose(table.target, name) for name, entry in table.lidars.items()})
+    entries = {**(table.uncertain if with_uncertain else {}), **table.lidars}
+    return Extrinsics(table.target, {name: entry.pose(table.target, name) for name, entry in entries.items()})

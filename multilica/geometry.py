@@ -17,6 +17,7 @@ __all__ = [
     "RigidTransform",
     "fixed_sign",
     "largest_index",
+    "lengths",
     "read_only",
     "rotation_angle_rad",
     "rotation_vector_rad",
@@ -46,6 +47,15 @@ def read_only(array: npt.ArrayLike, dtype: type[ScalarT]) -> npt.NDArray[ScalarT
     copy = np.array(array, dtype=dtype, order="C", copy=True)
     copy.setflags(write=False)
     return copy
+
+
+def lengths(vectors: npt.NDArray[np.floating]) -> FloatArray:
+    """Return the lengths (N,) of vectors (N, 3); not finite where a component is not.
+
+    A third of the time of `numpy.linalg.norm`.
+    """
+    vectors = vectors.astype(np.float64, copy=False)
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
 
 
 def skew(vectors: FloatArray) -> FloatArray:

@@ -2,7 +2,8 @@
 """The stages of a calibration in their order."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 
 from threadpoolctl import threadpool_limits
 
@@ -14,49 +15,30 @@ from multilica.extrinsics import Extrinsics
 from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
 from multilica.stages.prior import require_usable
-from multilica.steps import clouds, outcome, pairs, rig
+from multilica.steps import clouds, outcome, rig
+from multilica.steps.pairs import PAIR_STAGES
+from multilica.steps.search import search_pairs
 from multilica.steps.state import CalibrationState
+from multilica.workers import Workers, open_workers
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate", "open_workers_for"]
 
-
-def _all_lidars(state: CalibrationState) -> int:
-    return len(state.snapshot.lidars)
-
-
-def _lidars(state: CalibrationState) -> int:
-    return len(state.clouds)
+# What tasks need, imported once for all workers.
+_WORKER_MODULES = ("multilica.steps.worker_imports",)
 
 
-def _pairs(state: CalibrationState) -> int:
-    return len(state.pairs)
+_STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (
+    (("preprocess",), lambda state, _: clouds.preprocess_clouds(state)),
+    (("features",), lambda state, _: clouds.prepare_lidars(state)),
+    (PAIR_STAGES, search_pairs),
+    (("merge",), lambda state, _: rig.merge_pairs(state)),
+    (("refine",), lambda state, _: rig.refine_rig(state)),
+    (("ground",), lambda state, _: rig.fit_ground(state)),
+)
+"""The stages that are run together, with their function, which gets the last of them to run.
 
-
-def _merges(state: CalibrationState) -> int:
-    return len(state.clouds) - 1
-
-
-def _once(_: CalibrationState) -> int:
-    return 1
-
-
-def _nothing(_: CalibrationState) -> None:
-    """Do nothing: the snapshot is read before the calibration starts."""
-
-
-_STEPS: Mapping[Stage, tuple[Callable[[CalibrationState], None], Callable[[CalibrationState], int]]] = {
-    "ingest": (_nothing, lambda _: 0),
-    "preprocess": (clouds.preprocess_clouds, _all_lidars),
-    "features": (clouds.compute_all_features, _lidars),
-    "correspond": (pairs.match_pairs, _pairs),
-    "coarse": (pairs.find_all_hypotheses, _pairs),
-    "verify": (pairs.verify_pairs, _pairs),
-    "fine": (pairs.register_pairs, _pairs),
-    "merge": (rig.merge_pairs, _merges),
-    "refine": (rig.refine_rig, _once),
-    "ground": (rig.fit_ground, _once),
-}
-"""Per stage its function, and the number of LiDARs, pairs or steps that it works on."""
+A pair goes through all of its stages before the next pairs are chosen.
+"""
 
 
 def calibrate(
@@ -64,6 +46,7 @@ def calibrate(
     config: CalibrationConfig | None = None,
     observe: Observer = events.ignore,
     prior: Extrinsics | None = None,
+    workers: Workers | None = None,
 ) -> CalibrationResult:
     """Find where every LiDAR of the snapshot sits relative to the target LiDAR.
 
@@ -73,6 +56,7 @@ def calibrate(
         observe: called with each event of `multilica.events` as it happens.
         prior: poses that the user claims, by the LiDARs' names: one more hypothesis for each pair that it has,
             verified like the others. The result still has full poses, not corrections to the prior.
+        workers: an open pool, to start it once for several calibrations; None: a pool of its own.
 
     Returns:
         A pose or a reason per LiDAR; a LiDAR that cannot be placed is a normal outcome.
@@ -82,6 +66,7 @@ def calibrate(
         UnknownNameError: the snapshot has no LiDAR of the target's name.
         UsageError: the prior lacks two of the LiDARs, or verification is off, so that nothing could check it.
         MissingDependencyError: the configuration asks for an engine that is not installed.
+        WorkerDiedError: a worker process was killed or crashed.
     """
     config = config or CalibrationConfig()
     clouds.require_two_lidars(snapshot)
@@ -92,9 +77,8 @@ def calibrate(
     state = CalibrationState(snapshot, config, observe, prior)
     observe(events.CalibrationStarted(snapshot, config, prior))
     try:
-        with threadpool_limits(config.runtime.threads):
-            for stage in STAGES[: STAGES.index(config.until) + 1]:
-                _run(stage, state)
+        with threadpool_limits(1), _opened(workers, config) as state.workers:
+            _run_stages(state)
     except UnfitSnapshotError as error:
         observe(events.CalibrationFinished(outcome.refused(state, Refusal(error.code, str(error)))))
         raise
@@ -103,11 +87,47 @@ def calibrate(
     return result
 
 
-def _run(stage: Stage, state: CalibrationState) -> None:
-    """Run one stage between its two events."""
-    run, count = _STEPS[stage]
-    state.observe(events.StageStarted(stage, count(state)))
-    start = time.perf_counter()
-    run(state)
-    state.timing_s[stage] = time.perf_counter() - start
-    state.observe(events.StageFinished(stage, state.timing_s[stage]))
+def open_workers_for(config: CalibrationConfig) -> AbstractContextManager[Workers]:
+    """Open the worker processes for calibrations with that configuration; none if it stops before they have work."""
+    return open_workers(1 if config.until == "ingest" else config.runtime.workers, _WORKER_MODULES)
+
+
+def _opened(workers: Workers | None, config: CalibrationConfig) -> AbstractContextManager[Workers]:
+    if workers is None:
+        return open_workers_for(config)
+    workers.forget()
+    return nullcontext(workers)
+
+
+def _run_stages(state: CalibrationState) -> None:
+    """Run the stages as far as the configuration says, each between its two events."""
+    wanted = STAGES[: STAGES.index(state.config.until) + 1]
+    _nothing_to_do(state, "ingest")
+    for stages, run in _STEPS:
+        due = [stage for stage in stages if stage in wanted]
+        if not due:
+            return
+        steps = _steps_of(due[0], state)
+        for stage in due:
+            state.observe(events.StageStarted(stage, steps))
+        start_s = time.perf_counter()
+        run(state, due[-1])
+        if len(stages) == 1:
+            state.timing_s[due[0]] = time.perf_counter() - start_s
+        for stage in due:
+            state.observe(events.StageFinished(stage, state.timing_s.setdefault(stage, 0.0)))
+
+
+def _nothing_to_do(state: CalibrationState, stage: Stage) -> None:
+    """Tell of the stage that was done when the snapshot was read."""
+    state.timing_s[stage] = 0.0
+    state.observe(events.StageStarted(stage, 0))
+    state.observe(events.StageFinished(stage, 0.0))
+
+
+def _steps_of(stage: Stage, state: CalibrationState) -> int:
+    """Return the number of events to come, 0 if unknown."""
+    if stage in PAIR_STAGES:
+        return 0
+    counts = {"preprocess": len(state.snapshot.lidars), "features": len(state.clouds), "merge": len(state.clouds) - 1}
+    return counts.get(stage, 1)

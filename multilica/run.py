@@ -23,11 +23,12 @@ from multilica.ingest.locate import PathLike, locate
 from multilica.ingest.remote.address import stem_of
 from multilica.ingest.snapshot_metadata import config_for
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
-from multilica.pipeline import calibrate
+from multilica.pipeline import calibrate, open_workers_for
 from multilica.results import CalibrationResult
 from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
 from multilica.stages.prior import require_usable
+from multilica.workers import Workers
 
 __all__ = ["CalibrationRun", "default_directory", "run_calibration"]
 
@@ -54,6 +55,7 @@ class _Request:
     prior: str | None
     mcap_encoding: str
     observe: RunObserver
+    workers: Workers
 
 
 def run_calibration(
@@ -86,15 +88,17 @@ def run_calibration(
         InputError: the sources or the prior cannot be read, or no snapshot can be calibrated.
         UsageError: the configuration names something that does not exist or cannot be used with these sources, or
             `out` cannot be written to.
+        WorkerDiedError: a worker process was killed or crashed.
     """
     files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
     config = config or CalibrationConfig(ingest=config_for(files))
     found = find_snapshots(files, config=config.ingest)
     directory = default_directory(files, len(found)) if out is None else Path(out)
-    request = _Request(config, prior, mcap_encoding, observe)
-    if len(found) > 1:
-        return _run_jointly(found, directory, request)
-    return _run_one(_read(found[0], config, observe), directory, request)
+    with open_workers_for(config) as workers:
+        request = _Request(config, prior, mcap_encoding, observe, workers)
+        if len(found) > 1:
+            return _run_jointly(found, directory, request)
+        return _run_one(_read(found[0], config, observe), directory, request)
 
 
 def default_directory(sources: Sequence[PathLike], snapshots: int = 1) -> Path:
@@ -132,7 +136,7 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
             if getattr(event, "stage", "") != "ingest":  # sent when the snapshot was read
                 request.observe(event)
 
-        result = calibrate(snapshot, request.config, observe, prior)
+        result = calibrate(snapshot, request.config, observe, prior, request.workers)
     return CalibrationRun(result, request.config, directory, run.written)
 
 

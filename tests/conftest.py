@@ -1,9 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 import signal
 
+import pytest
+
 # A shell without job control has what it starts in the background ignore Ctrl-C, and nohup has it ignore a hang-up; the
 # processes of the tests would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_core():
+    """Starting workers takes longer than most calibrations of the tests; commands that tests start have all cores."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("multilica.workers.processes.available_cores", lambda: 1)
+        yield

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +15,7 @@ from multilica.errors import UsageError
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
-__all__ = ["ingest_options", "inline_toml", "resolve_config", "topic_names"]
+__all__ = ["ingest_options", "inline_toml", "resolve_config", "sigma_limits", "topic_names"]
 
 _LONGEST_LOG_S = 1e8
 """Three years; larger numbers of --start are seconds since 1970."""
@@ -91,6 +92,26 @@ def ingest_options(
         "ingest.window_s": window_s,
         "ingest.strict": strict or None,
     }
+
+
+def sigma_limits(text: str | None) -> dict[str, object]:
+    """Return the limits of `--max-sigma MM,DEG`, as `resolve_config` takes them.
+
+    Raises:
+        UsageError: not two numbers above zero.
+    """
+    if text is None:
+        return {}
+    try:
+        millimetres, degrees = map(float, text.split(","))
+    except ValueError:
+        millimetres = degrees = 0.0
+    if not (0.0 < millimetres < inf and 0.0 < degrees < inf):
+        raise UsageError(
+            f"Cannot read --max-sigma '{text}'; expected MM,DEG: two numbers above zero, in millimetres and degrees, "
+            "for example --max-sigma 50,0.5."
+        )
+    return {"acceptance.max_sigma_m": millimetres / 1000.0, "acceptance.max_sigma_deg": degrees}
 
 
 def topic_names(texts: Sequence[str]) -> dict[str, str] | None:

@@ -98,7 +98,7 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: PLR091
         case InputError():
             return ExitCode.INPUT, _with_notes(failure)
         case MultilicaError():
-            return ExitCode.BROKEN, str(failure)
+            return ExitCode.BROKEN, _with_notes(failure)
         case Interrupted():
             return failure.exit_code, _with_notes(failure)
         case typer.TyperException():

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command `multilica`."""
 
+import gc
+import os
 import sys
 from collections.abc import Sequence
 from typing import Annotated
@@ -24,15 +26,23 @@ app = typer.Typer(
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 all LiDARs placed, 1 system error or bug, 2 wrong usage, 3 unusable input, "
-    "4 a LiDAR not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM, "
+    "4 a LiDAR uncertain, not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM, "
     "129 SIGHUP.",
 )
 for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, demo):
     app.command()(command)
 
 
+_OBJECTS_BEFORE_COLLECTION = 500_000
+"""More than the modules of all libraries have: a run leaves a thousand objects to collect, so collections, by default
+after each 700 new objects, take time for nothing."""
+
+
 def main() -> None:
     """Run the command line of this process."""
+    # Cores are used by worker processes. Libraries read this when they are loaded.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
     unwind_on_signals()
     sys.exit(run())
 

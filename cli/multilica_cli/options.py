@@ -12,6 +12,7 @@ __all__ = [
     "ConfigFile",
     "Frames",
     "Json",
+    "MaxSigma",
     "McapEncoding",
     "Preset",
     "PriorSource",
@@ -21,10 +22,10 @@ __all__ = [
     "Sources",
     "Start",
     "Strict",
-    "Threads",
     "Topics",
     "Window",
     "WindowSeconds",
+    "Workers",
     "mcap_name",
 ]
 
@@ -88,8 +89,23 @@ Settings = Annotated[
         "--set", metavar="SECTION.KEY=VALUE", help="Set one parameter, for example fine.max_iterations=30. Repeatable."
     ),
 ]
-Threads = Annotated[
-    int | None, typer.Option("--threads", metavar="N", help="Number of threads; with 1, results repeat bit for bit.")
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        "--workers",
+        metavar="N",
+        help="Worker processes; 1: none. Results are the same bits with any number.",
+        show_default="one per core",
+    ),
+]
+MaxSigma = Annotated[
+    str | None,
+    typer.Option(
+        "--max-sigma",
+        metavar="MM,DEG",
+        help="Largest standard deviations of a placed LiDAR; above one of them it is uncertain.",
+        show_default="20,0.2",
+    ),
 ]
 McapEncoding = Annotated[
     Literal["foxglove", "ros2"],

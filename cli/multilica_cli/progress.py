@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -45,21 +45,32 @@ def _print_event(event: events.RunEvent, console: Console) -> None:
             console.print(f"left out: {reason}")
 
 
+_STAGE_OF: Mapping[type, str] = {
+    events.CorrespondencesMatched: "correspond",
+    events.HypothesesFound: "coarse",
+    events.HypothesesVerified: "verify",
+}
+"""The stage of events that come while further stages run."""
+
+
 class _StageBars:
     """An observer with a bar per stage; each snapshot starts a new block of bars."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._progress: Progress | None = None
-        self._task = TaskID(0)
+        self._tasks: dict[str, TaskID] = {}
+        self._stage = ""
 
     def __call__(self, event: events.RunEvent) -> None:
         match event:
             case events.StageStarted(stage, steps):
-                self._task = self._started().add_task(f"{stage:<10}", total=steps or None)
-            case events.StageFinished():
-                done = max(self._started().tasks[-1].completed, 1)
-                self._started().update(self._task, total=done, completed=done)
+                self._stage = stage
+                self._tasks[stage] = self._started().add_task(f"{stage:<10}", total=steps or None)
+            case events.StageFinished(stage):
+                bars, task = self._started(), self._tasks[stage]
+                done = max(bars.tasks[bars.task_ids.index(task)].completed, 1)
+                bars.update(task, total=done, completed=done)
             case events.SnapshotStarted():
                 self.stop()
                 _print_event(event, self._console)
@@ -68,7 +79,8 @@ class _StageBars:
             case events.CalibrationStarted() | events.CalibrationFinished():
                 pass
             case _:
-                self._started().advance(self._task)
+                of_event = _STAGE_OF.get(type(event), self._stage)
+                self._started().advance(self._tasks.get(of_event, self._tasks[self._stage]))
 
     def _started(self) -> Progress:
         if self._progress is None:

@@ -5,7 +5,7 @@ from multilica.config.acceptance import AcceptanceConfig
 from multilica.config.calibration import PRESETS, STAGES, CalibrationConfig, Stage
 from multilica.config.coarse import CoarseConfig
 from multilica.config.features import CorrespondConfig, FeaturesConfig
-from multilica.config.fine import FineConfig, StabilityConfig
+from multilica.config.fine import FineConfig
 from multilica.config.ground import GroundConfig
 from multilica.config.ingest import IngestConfig
 from multilica.config.loading import known_keys, load_config, preset, with_overrides
@@ -34,7 +34,6 @@ __all__ = [
     "RefineConfig",
     "RuntimeConfig",
     "Section",
-    "StabilityConfig",
     "Stage",
     "StillnessConfig",
     "VerifyConfig",

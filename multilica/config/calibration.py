@@ -9,7 +9,7 @@ from pydantic import Field
 from multilica.config.acceptance import AcceptanceConfig
 from multilica.config.coarse import CoarseConfig
 from multilica.config.features import CorrespondConfig, FeaturesConfig
-from multilica.config.fine import FineConfig, StabilityConfig
+from multilica.config.fine import FineConfig
 from multilica.config.ground import GroundConfig
 from multilica.config.ingest import IngestConfig
 from multilica.config.merge import JointConfig, MergeConfig, RefineConfig
@@ -42,7 +42,6 @@ class CalibrationConfig(Section):
     visibility: VisibilityConfig = VisibilityConfig()
     verify: VerifyConfig = VerifyConfig()
     fine: FineConfig = FineConfig()
-    stability: StabilityConfig = StabilityConfig()
     acceptance: AcceptanceConfig = AcceptanceConfig()
     merge: MergeConfig = MergeConfig()
     refine: RefineConfig = RefineConfig()

@@ -7,7 +7,7 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
-__all__ = ["FineConfig", "StabilityConfig"]
+__all__ = ["FineConfig"]
 
 
 class FineConfig(Section):
@@ -31,17 +31,7 @@ class FineConfig(Section):
     fitness_distance_m: PositiveMetres = Field(
         0.25, description="a point nearer than this to the other cloud is an inlier of fitness and RMSE"
     )
-    max_finalists: Count = Field(16, description="distinct hypotheses per pair that are registered finely")
+    max_finalists: Count = Field(
+        6, description="distinct hypotheses per pair that are registered finely; the true one was always among four"
+    )
     finalist_max_points: Count = Field(10_000, description="points per LiDAR with which finalists are compared")
-
-
-class StabilityConfig(Section):
-    """Test whether a registration returns to its pose."""
-
-    push_m: PositiveMetres = Field(0.3, description="push along the weakest direction; rotations count as arcs at 10 m")
-    max_pushed_off_m: PositiveMetres = Field(
-        0.01, description="largest distance between the pose and where the pushed registration ends"
-    )
-    max_thinned_off_m: PositiveMetres = Field(
-        0.3, description="largest distance between the pose and the registration of fine.finalist_max_points points"
-    )

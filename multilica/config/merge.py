@@ -13,9 +13,10 @@ __all__ = ["JointConfig", "MergeConfig", "RefineConfig"]
 class MergeConfig(Section):
     """Growth of the calibrated cloud."""
 
-    mode: Literal["algorithm1", "target_first"] = Field(
-        "algorithm1",
-        description="algorithm1: the paper's; target_first: all to the target, then the rest to the merged cloud",
+    mode: Literal["graph", "algorithm1", "target_first"] = Field(
+        "graph",
+        description="graph: accepted pairs join their LiDARs, groups are registered only where none does; algorithm1: "
+        "the paper's; target_first: all to the target, then the rest to the merged cloud",
     )
     fitness_threshold: Share = Field(0.2, description="smallest fitness of a pair where verification is off")
 

@@ -5,15 +5,20 @@ from typing import Literal
 
 from pydantic import Field
 
-from multilica.config.section import Count, Positive, Section
+from multilica.config.section import Positive, Section
 
 __all__ = ["RecordConfig", "RuntimeConfig"]
 
 
 class RuntimeConfig(Section):
-    """Threads and random numbers."""
+    """Worker processes and random numbers."""
 
-    threads: Count = Field(1, description="threads; with one the same input gives the same bits")
+    workers: int = Field(
+        0,
+        ge=0,
+        description="worker processes; 0: one per core that this process may use; 1: none, this process does all work; "
+        "any number gives the same bits",
+    )
     seed: int = Field(0, ge=0, description="seed of everything random")
 
 

@@ -3,7 +3,7 @@
 
 from pydantic import Field
 
-from multilica.config.section import Count, Positive, PositiveMetres, Section, Share
+from multilica.config.section import Count, Positive, PositiveMetres, Section
 
 __all__ = ["VerifyConfig", "VisibilityConfig"]
 
@@ -17,6 +17,16 @@ class VisibilityConfig(Section):
     tolerance_deg: Positive = Field(0.5, description="growth of that tolerance with range: the rotation's error")
     fine_tolerance_m: PositiveMetres = Field(0.08, description="as tolerance_m, after the fine registration")
     fine_tolerance_deg: Positive = Field(0.2, description="as tolerance_deg, after the fine registration")
+
+    @property
+    def rough_tolerances(self) -> tuple[float, float]:
+        """Metres and degrees of `tolerance_m` and `tolerance_deg`."""
+        return self.tolerance_m, self.tolerance_deg
+
+    @property
+    def fine_tolerances(self) -> tuple[float, float]:
+        """The same after the fine registration."""
+        return self.fine_tolerance_m, self.fine_tolerance_deg
 
 
 class VerifyConfig(Section):
@@ -32,7 +42,6 @@ class VerifyConfig(Section):
     )
     settled_after: Count = Field(6, ge=2, description="distinct poses after which the search may stop early")
     settled_after_firm: Count = Field(2, ge=2, description="as settled_after, if the best is firm")
-    settled_ratio: Share = Field(0.5, description="it stops if the runner-up has at most this share of the evidence")
     max_symmetric_poses: int = Field(6, ge=0, description="poses turned by right angles that are tested as well")
     slide_step_m: PositiveMetres = Field(
         1.0, description="step along the weakest direction at which poses are tested if the best is not firm or slides"

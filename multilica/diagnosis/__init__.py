@@ -2,6 +2,6 @@
 """Explanations of a run in sentences for people."""
 
 from multilica.diagnosis.explain import explain
-from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed
+from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed, Uncertain
 
-__all__ = ["Cause", "DecisivePair", "Explanation", "Missing", "Placed", "explain"]
+__all__ = ["Cause", "DecisivePair", "Explanation", "Missing", "Placed", "Uncertain", "explain"]

@@ -9,15 +9,14 @@ __all__ = ["ADVICE", "PRIOR_ADVICE", "REASON_WORDS", "WORDS", "by_weight", "caus
 
 _REASONS: Mapping[str, tuple[Cause, str]] = {
     "against_prior": ("against_prior", "contradicts the prior"),
-    "too_little_overlap": ("no_overlap", "too little overlap"),
     "too_little_evidence": ("no_overlap", "too little evidence"),
     "empty_space_violated": ("contradiction", "points in empty space"),
-    "place_proven_empty": ("contradiction", "placed in empty space"),
     "cycle_contradicted": ("two_places", "another pair contradicts it"),
     "ambiguous": ("ambiguous", "another pose not ruled out"),
     "not_observable": ("not_observable", "not constrained in one direction"),
     "structure_unexplained": ("unexplained", "walls and objects unexplained"),
     "too_far_apart": ("unexplained", "LiDARs too far apart"),
+    "imprecise": ("uncertain", "sigma above the limit"),
     "low_fitness": ("low_fitness", "low fitness"),
 }
 """Cause and short label per reason code; the first of these codes in a verdict names the cause."""
@@ -34,7 +33,8 @@ WORDS: Mapping[Cause, str] = {
     "contradiction": "every pose found puts surfaces into space that beams proved empty",
     "ambiguous": "the scene looks the same from two places (a symmetric scene)",
     "not_observable": "the scene does not constrain it in one direction",
-    "unexplained": "at the best pose too few of the visible surfaces match (a chance agreement)",
+    "uncertain": "one pose fits, but its sigma is above the limit",
+    "unexplained": "its best pose is too unlikely: surfaces do not match, or it is far off (a chance agreement)",
     "low_fitness": "too few of its points lie near those of other LiDARs",
     "against_prior": "its pose contradicts the prior; the LiDAR or the prior may be turned the wrong way",
     "two_places": "two accepted pairs put it at different places",
@@ -76,6 +76,12 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = {
     ),
     "ambiguous": (_OTHER_PLACE, _TOGETHER),
     "not_observable": (_OTHER_PLACE, _MORE_OVERLAP, _MORE_FRAMES),
+    "uncertain": (
+        _MORE_OVERLAP,
+        _OTHER_PLACE,
+        _TOGETHER,
+        "a higher limit, if the task allows this sigma (--max-sigma MM,DEG)",
+    ),
     "unexplained": (_MORE_OVERLAP, _OTHER_PLACE, PRIOR_ADVICE),
     "low_fitness": (_MORE_OVERLAP, "--preset default, which checks more than the fitness"),
     "against_prior": ("check how the LiDAR is mounted, and the sign of its angles in the prior",),

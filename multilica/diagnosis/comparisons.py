@@ -9,7 +9,7 @@ from multilica.results.document import PairEntry, ResultDocument
 
 __all__ = ["contested_places", "crossing_pairs", "decisive_pair", "group_of", "merge_refusal", "next_best_sentence"]
 
-_RANK = {"accept": 0, "undecided": 1, "reject": 2}
+_RANK = {"accept": 0, "uncertain": 1, "undecided": 2, "reject": 3}
 
 
 def group_of(document: ResultDocument, lidar: str) -> tuple[str, ...]:
@@ -70,8 +70,8 @@ def next_best_sentence(pairs: Sequence[PairEntry]) -> str:
     if pairs and len(pairs[0].registrations) > 1:
         first, second = pairs[0].registrations[:2]
         return (
-            f"another pose of {pairs[0].source} against {pairs[0].target} with {second.evidence or 0.0:z,.0f} "
-            f"distinctive points (the decisive pose has {first.evidence or 0.0:z,.0f}); {second.agree:,} points agree, "
-            f"{second.violate:,} are in empty space."
+            f"another pose of {pairs[0].source} against {pairs[0].target} has an evidence of "
+            f"{second.evidence or 0.0:z.1f} (the decisive pose {first.evidence or 0.0:z.1f}); {second.agree:,} points "
+            f"agree, {second.violate:,} are in empty space."
         )
     return decisive_pair(pairs[1]).sentence if len(pairs) > 1 else ""

@@ -14,7 +14,8 @@ from multilica.diagnosis.comparisons import (
     merge_refusal,
     next_best_sentence,
 )
-from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed
+from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed, Uncertain
+from multilica.diagnosis.uncertain import explain_uncertain
 from multilica.diagnosis.unfinished import known_so_far, progress_sentence
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 
@@ -25,7 +26,7 @@ _OUTLIER_WEIGHT = 0.5
 
 
 def explain(document: ResultDocument) -> Explanation:
-    """Explain a run: which LiDARs are placed, which are not, why, and what would help."""
+    """Explain a run: which LiDARs are placed, which are uncertain or not placed, why, and what would help."""
     if document.refusal is not None:
         cause: Cause = "moving_vehicle" if document.refusal.code == "moving_vehicle" else "unfit_input"
         return _without_places(document, f"Nothing was calibrated: {WORDS[cause]}.", cause, (document.refusal.text,))
@@ -35,14 +36,18 @@ def explain(document: ResultDocument) -> Explanation:
     if until in _BEFORE_PLACES:
         headline = f"The run stopped after stage {until} (--until); no LiDAR is placed yet."
         return _without_places(document, headline, "stopped_early", known_so_far(document))
-    missing = tuple(_missing(document, name) for name, entry in document.lidars.items() if not entry.placed)
+    missing = tuple(_missing(document, name) for name, entry in document.lidars.items() if entry.status == "not_placed")
+    uncertain = tuple(
+        explain_uncertain(document, name) for name, entry in document.lidars.items() if entry.status == "uncertain"
+    )
     return Explanation(
-        headline=_headline(document, missing),
+        headline=_headline(document, missing, uncertain),
         input=_input(document),
         placed=tuple(
             _placed(name, entry, target) for name, entry in document.lidars.items() if entry.placed and name != target
         ),
         missing=missing,
+        uncertain=uncertain,
         warnings=tuple(_warnings(document)),
     )
 
@@ -58,13 +63,17 @@ def _without_places(document: ResultDocument, headline: str, cause: Cause, known
     )
 
 
-def _headline(document: ResultDocument, missing: Sequence[Missing]) -> str:
+def _headline(document: ResultDocument, missing: Sequence[Missing], uncertain: Sequence[Uncertain]) -> str:
     count = len(document.lidars)
-    if not missing:
+    if not missing and not uncertain:
         return f"All {count} LiDARs are placed; the target is {document.target}."
-    causes = dict.fromkeys(one.cause for one in missing)
-    parts = [f"{_listed(one.lidar for one in missing if one.cause == cause)}: {WORDS[cause]}" for cause in causes]
-    return f"{len(missing)} of {count} LiDARs {'is' if len(missing) == 1 else 'are'} not placed. {'; '.join(parts)}."
+    sentences = []
+    for found, status in ((missing, "not placed"), (uncertain, "uncertain")):
+        causes = dict.fromkeys(one.cause for one in found)
+        parts = [f"{_listed(one.lidar for one in found if one.cause == cause)}: {WORDS[cause]}" for cause in causes]
+        verb = "is" if len(found) == 1 else "are"
+        sentences += [f"{len(found)} of {count} LiDARs {verb} {status}. {'; '.join(parts)}."] if found else []
+    return " ".join(sentences)
 
 
 def _listed(names: Iterable[str]) -> str:

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of an explanation."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Cause", "DecisivePair", "Explanation", "Missing", "Placed"]
+__all__ = ["Cause", "DecisivePair", "Explanation", "Missing", "Placed", "Uncertain"]
 
 Cause = Literal[
     "dead_sensor",
@@ -17,6 +17,7 @@ Cause = Literal[
     "contradiction",
     "ambiguous",
     "not_observable",
+    "uncertain",
     "unexplained",
     "low_fitness",
     "against_prior",
@@ -28,7 +29,7 @@ Cause = Literal[
     "unfinished",
     "unknown",
 ]
-"""Why a LiDAR, or a whole run, has no result; a stable name for programs."""
+"""Why a LiDAR, or a whole run, has no result, or one that is in doubt; a stable name for programs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +83,29 @@ class Missing:
 
 
 @dataclass(frozen=True, slots=True)
+class Uncertain:
+    """A LiDAR with one pose, uncontradicted, whose standard deviation is above the limit.
+
+    Args:
+        headline: the LiDAR with its figure, direction and limit, in one sentence.
+        direction: the one that exceeds its limit, such as "along x of top" or "about z of top".
+        sigma_m, sigma_deg: standard deviations of position and rotation in their weakest directions.
+        max_sigma_m, max_sigma_deg: the limits.
+        advice: what would help, the most promising first.
+    """
+
+    lidar: str
+    headline: str
+    direction: str
+    sigma_m: float
+    sigma_deg: float
+    max_sigma_m: float
+    max_sigma_deg: float
+    advice: tuple[str, ...]
+    cause: Cause = "uncertain"
+
+
+@dataclass(frozen=True, slots=True)
 class Explanation:
     """The outcome of a run for people.
 
@@ -98,6 +122,7 @@ class Explanation:
     input: str
     placed: tuple[Placed, ...] = ()
     missing: tuple[Missing, ...] = ()
+    uncertain: tuple[Uncertain, ...] = ()
     cause: Cause | None = None
     known: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
@@ -111,12 +136,15 @@ class Explanation:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """The lines that a table of the placed LiDARs lacks: headline, missing LiDARs, warnings."""
+        """The lines that a table of the placed LiDARs lacks: headline, missing and uncertain LiDARs, warnings."""
         return (self.headline, *self._findings())
 
     def _findings(self) -> Iterator[str]:
         for missing in self.missing:
             yield from _missing_lines(missing)
+        for uncertain in self.uncertain:
+            yield uncertain.headline
+            yield from _advice_lines(uncertain.advice)
         for advice in self.advice:
             yield f"What helps: {advice}."
         for warning in self.warnings:
@@ -132,5 +160,9 @@ def _missing_lines(missing: Missing) -> Iterator[str]:
         yield f"  Next best: {missing.next_best}"
     if missing.by_snapshot:
         yield f"  By snapshot: {missing.by_snapshot}"
-    for advice in missing.advice:
-        yield f"  What helps: {advice}."
+    yield from _advice_lines(missing.advice)
+
+
+def _advice_lines(advice: Iterable[str]) -> Iterator[str]:
+    for each in advice:
+        yield f"  What helps: {each}."

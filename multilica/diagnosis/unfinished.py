@@ -19,7 +19,10 @@ def progress_sentence(document: ResultDocument) -> str:
 
 def known_so_far(document: ResultDocument) -> Iterator[str]:
     """Yield the figures of the last stage of pairs and the merge steps; before there are pairs, those per LiDAR."""
-    if document.stages is not None:
+    if document.pairs and (document.stages is None or document.stages.fine is None):
+        for pair in document.pairs:
+            yield f"{pair.target} <- {pair.source}: {pair.verdict.outcome}, fitness {pair.fitness or 0.0:.2f}."
+    elif document.stages is not None:
         yield from _last_figures(document.stages)
         for step, figures in (document.stages.merge or {}).items():
             yield f"merge {step}: merged {figures.chosen or 'nothing'}; groups {figures.groups}."

@@ -8,12 +8,14 @@ from math import fsum
 
 import numpy as np
 
-from multilica.config import STAGES, CalibrationConfig
+from multilica.acceptance.accept import imprecision
+from multilica.config import STAGES, AcceptanceConfig, CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.disputes import Dispute, SnapshotPairs, blamed_lidars, resolve_disputes
 from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses, scatter_ratio, spread_of
 from multilica.multi_snapshot.replay import shown_snapshot
+from multilica.registration.stability import weakest_deviations
 from multilica.results import (
     CalibrationResult,
     LidarPlacement,
@@ -101,6 +103,7 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         _estimates(target, given, config),
         _estimates(target, kept, config),
         {name: blamed_lidars([each for each in disputes if each.snapshot == name], target) for name in results},
+        config.acceptance,
     )
     result = CalibrationResult(
         target=target,
@@ -113,7 +116,9 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
     shown = results[shown_snapshot(result)]
     poses = {place.lidar: place.T_target_source for place in result.placements if place.T_target_source is not None}
     placements = tuple(
-        place if place.placed else replace(place, contested=contested_place(place.lidar, poses, shown.pairs))
+        place
+        if place.T_target_source is not None
+        else replace(place, contested=contested_place(place.lidar, poses, shown.pairs))
         for place in result.placements
     )
     return replace(result, placements=placements, pairs=shown.pairs, health=shown.health)
@@ -193,11 +198,12 @@ class _JointRig:
     alone: Mapping[str, Mapping[str, Estimate]]
     agreed: Mapping[str, Mapping[str, Estimate]]
     blamed: Mapping[str, tuple[Dispute, ...]]
+    limits: AcceptanceConfig
 
     def placement(self, lidar: str) -> LidarPlacement:
         if lidar == self.target:
             identity = RigidTransform.identity(lidar, lidar)
-            return LidarPlacement(lidar, "the target", placed=True, T_target_source=identity, fitness=1.0, rmse_m=0.0)
+            return LidarPlacement(lidar, "the target", "placed", identity, fitness=1.0, rmse_m=0.0)
         if lidar not in self.rig.covariances:
             return LidarPlacement(lidar, self._why_not_placed(lidar))
         estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
@@ -205,14 +211,16 @@ class _JointRig:
         best = max(
             (pair for own in self.kept.values() for pair in own if lidar in pair.lidars), key=lambda pair: pair.evidence
         )
+        covariance = self.rig.covariances[lidar] * np.outer(ratio, ratio)
+        doubt = imprecision(*weakest_deviations(covariance), self.limits)
         return LidarPlacement(
             lidar,
-            _placed_by(len(estimates), len(self.results)),
-            placed=True,
+            _placed_by(len(estimates), len(self.results)) if doubt is None else doubt.text,
+            "placed" if doubt is None else "uncertain",
             T_target_source=self.rig.poses[lidar],
             fitness=best.fitness,
             rmse_m=best.rmse_m,
-            covariance=self.rig.covariances[lidar] * np.outer(ratio, ratio),
+            covariance=covariance,
             sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
             spread=spread_of(estimates),
         )
@@ -234,12 +242,13 @@ class _JointRig:
         placement = next((each for each in result.placements if each.lidar == lidar), None)
         if placement is None:
             return ""
-        if not placement.placed:
+        if placement.T_target_source is None:
             return f"{snapshot}: {placement.reason}"
         blamed = ", ".join(dispute.lidars[0] for dispute in self.blamed[snapshot])
         if blamed:
             return f"{snapshot}: connected through pairs that contradict other snapshots on {blamed}"
-        return f"{snapshot}: placed relative to {result.target}; no accepted pair connects it to {self.target}"
+        status = "uncertain" if placement.uncertain else "placed"
+        return f"{snapshot}: {status} relative to {result.target}; no accepted pair connects it to {self.target}"
 
     def report(self, run: SnapshotRun) -> SnapshotReport:
         deviations: dict[str, SnapshotDeviation] = {}

@@ -47,7 +47,7 @@ def replay(
     ground: GroundPlane | None = None
     shown = _of_all(snapshot, result)
     observe(events.CalibrationStarted(shown, config))
-    with threadpool_limits(config.runtime.threads):
+    with threadpool_limits(1):
         with _stage("preprocess", observe):
             for lidar in shown.lidars:
                 clouds.append(preprocess(lidar, config.preprocess, config.stillness))

@@ -6,11 +6,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import open3d as o3d
 import small_gicp
 
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.lazy_open3d import o3d
 from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.results import GicpStep, PairRegistration
 
@@ -20,7 +20,7 @@ __all__ = ["fitness_and_rmse", "register", "register_narrower"]
 _OBSERVED_ITERATIONS = 3
 
 # Unbounded neighbour searches are slowest for points far from everything. Points beyond this many correspondence
-# distances, which GICP cannot bring back, are left out if that saves a fifth and leaves enough.
+# distances, which GICP cannot bring back, are left out if that saves a fifth; some stay, for their covariances.
 _REACH = 4.0
 _WORTH_CROPPING = 0.8
 _MIN_POINTS = 20
@@ -30,8 +30,6 @@ def register(
     target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: FineConfig
 ) -> PairRegistration:
     """Run GICP (Segal et al., RSS 2009) from coarse to fine correspondence distances.
-
-    With clouds prepared for one thread, the result is the same to the bit.
 
     Args:
         T_target_source: where to start.
@@ -84,13 +82,11 @@ def fitness_and_rmse(
     Open3D calls these fitness and inlier RMSE; the paper's threshold of 0.2 is one of fitness. Without inliers the
     RMSE is infinite.
     """
-    moved = T_target_source.apply(source.points_m)
-    distances, _ = target.near_tree.query(moved, distance_upper_bound=distance_m, workers=target.tree.threads)
-    inlier_distances = distances[np.isfinite(distances)]
-    if len(inlier_distances) == 0:
+    _, distances_m = target.tree.nearest_within(T_target_source.apply(source.points_m), distance_m)
+    if len(distances_m) == 0:
         return 0.0, float("inf"), 0
-    rmse_m = float(np.sqrt(np.mean(inlier_distances**2)))
-    return len(inlier_distances) / len(moved), rmse_m, len(inlier_distances)
+    rmse_m = float(np.sqrt(np.mean(distances_m**2)))
+    return len(distances_m) / len(source.points_m), rmse_m, len(distances_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,12 +120,12 @@ def _within_reach(
     target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: FineConfig
 ) -> RegistrationCloud:
     reach_m = _REACH * max(config.max_correspondence_distances_m)
-    moved = T_target_source.apply(source.points_m)
-    distances_m, _ = target.tree.nearest(moved)
-    near = distances_m <= reach_m
-    if not _MIN_POINTS <= np.count_nonzero(near) <= _WORTH_CROPPING * len(near):
+    near, _ = target.tree.nearest_within(T_target_source.apply(source.points_m), reach_m)
+    if len(near) < _MIN_POINTS:
+        near = np.union1d(near, np.arange(min(_MIN_POINTS, len(source.points_m))))
+    if len(near) > _WORTH_CROPPING * len(source.points_m):
         return source
-    return prepare_registration_cloud(source.name, source.points_m[near], config, source.tree.threads)
+    return prepare_registration_cloud(source.name, source.points_m[near], config)
 
 
 def _run_small_gicp(
@@ -144,7 +140,7 @@ def _run_small_gicp(
             init_T_target_source=state.pose.matrix,
             registration_type="GICP",
             max_correspondence_distance=distance_m,
-            num_threads=target.tree.threads,
+            num_threads=1,
             max_iterations=min(_OBSERVED_ITERATIONS, config.max_iterations - start),
             rotation_epsilon=config.rotation_epsilon_rad,
             translation_epsilon=config.translation_epsilon_m,

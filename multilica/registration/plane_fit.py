@@ -7,6 +7,7 @@ import numpy as np
 
 from multilica.config import RefineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.registration.neighbours import MovedPoints
 from multilica.registration.poses import moved
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.registration.stability import arc_between_m
@@ -25,10 +26,6 @@ _NOISE_M = 0.01
 _MAD_TO_SIGMA = 1.4826
 # Half the weight at about twice the usual residual (Geman-McClure).
 _OUTLIER_SIGMAS = 3.0
-# Where both clouds' normals lie 20 degrees apart, a quarter of the weight is lost; at 33 degrees, half.
-_AGREEMENT_POWER = 4
-_FLATNESS_POWER = 2
-
 # Size of a car door, a window, a kerb stone: one plane with one common error.
 _PATCH_M = 1.0
 # Below this share, what remains is noise of the matches.
@@ -39,35 +36,50 @@ _SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Overlap:
-    """Points of the source near the target: all that can match at or near the registered pose."""
+    """Points of the source near the target: all that can match at or near the registered pose.
+
+    `placed` finds their neighbours in the target.
+    """
 
     target: RegistrationCloud
     points_m: FloatArray
     normals: FloatArray
     distance_m: float
+    placed: MovedPoints
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Residuals:
-    """Distance of M matches to the target's plane, (M, 6) derivative, weight, and position in the target's frame.
+    """Distance of M matches to the target's plane, weight, (M, 3) normal, and position in the target's frame.
 
-    `sigma_m` is the usual residual.
+    `arms` are the positions from the source's origin, and `sigma_m` is the usual residual.
     """
 
     residual_m: FloatArray
-    jacobian: FloatArray
     weight: FloatArray
+    normals: FloatArray
+    arms: FloatArray
     points_m: FloatArray
     sigma_m: float
 
     @property
+    def jacobian(self) -> FloatArray:
+        """(M, 6) derivative of the residuals."""
+        return np.concatenate([np.cross(self.arms, self.normals), self.normals], axis=1)
+
+    @property
     def gradient(self) -> FloatArray:
-        return np.asarray(self.jacobian.T @ (self.weight * self.residual_m))
+        """(6,); the sum of cross products is the antisymmetric part of one matrix product."""
+        pulls = self.normals * (self.weight * self.residual_m)[:, None]
+        product = self.arms.T @ pulls
+        turn = (product - product.T)[[1, 2, 0], [2, 0, 1]]
+        return np.concatenate([turn, pulls.sum(axis=0)])
 
     @property
     def hessian(self) -> FloatArray:
         """Gauss-Newton Hessian for fixed matches."""
-        return np.asarray(self.jacobian.T @ (self.jacobian * self.weight[:, None]))
+        jacobian = self.jacobian
+        return np.asarray(jacobian.T @ (jacobian * self.weight[:, None]))
 
 
 def fit_planes(
@@ -119,8 +131,9 @@ def _information(overlap: _Overlap, pose: RigidTransform, config: RefineConfig) 
     residuals = _residuals(overlap, pose)
     if residuals is None:
         return None
-    pulls = residuals.jacobian * (residuals.weight * residuals.residual_m)[:, None]
-    noise = residuals.jacobian * (residuals.weight * config.min_sigma_m)[:, None]
+    jacobian = residuals.jacobian
+    pulls = jacobian * (residuals.weight * residuals.residual_m)[:, None]
+    noise = jacobian * (residuals.weight * config.min_sigma_m)[:, None]
     per_patch = _summed_by_patch(residuals.points_m, pulls)
     hessian = _remaining_hessian(overlap, pose, residuals)
     floored, spread = _floored(hessian, per_patch.T @ per_patch + noise.T @ noise, config.distance_m)
@@ -132,20 +145,20 @@ def _overlap(
 ) -> _Overlap:
     """Select the points that may match, thinned evenly to the number allowed."""
     reach_m = 1.5 * config.distance_m
-    distance_m, _ = target.tree.nearest(pose.apply(source.points_m))
-    near = np.flatnonzero(distance_m <= reach_m)
+    near, _ = target.tree.nearest_within(pose.apply(source.points_m), reach_m)
     if len(near) > config.max_points:
         near = near[np.linspace(0, len(near) - 1, config.max_points).astype(np.intp)]
     normals, _ = source.surface.at(near)
-    return _Overlap(target, source.points_m[near], normals, config.distance_m)
+    points_m = source.points_m[near]
+    return _Overlap(target, points_m, normals, config.distance_m, MovedPoints(target.tree, pose.apply(points_m)))
 
 
 def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = None) -> _Residuals | None:
     arms = pose.rotate(overlap.points_m)
     points_m = arms + pose.xyz_m
-    distance_m, index = overlap.target.tree.nearest(points_m)
-    matched = distance_m <= overlap.distance_m
-    if np.count_nonzero(matched) < _MIN_MATCHES:
+    distance_m, index = overlap.placed.nearest(points_m)
+    matched = np.flatnonzero(distance_m <= overlap.distance_m)
+    if len(matched) < _MIN_MATCHES:
         return None
     arms, points_m, index = arms[matched], points_m[matched], index[matched]
     normals, flatness = overlap.target.surface.at(index)
@@ -153,15 +166,14 @@ def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = 
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
     if sigma_m is None:
         sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))
-    weight = flatness**_FLATNESS_POWER * agreement**_AGREEMENT_POWER
-    weight /= (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2) ** 2
-    jacobian = np.concatenate([np.cross(arms, normals), normals], axis=1)
-    return _Residuals(residual_m, jacobian, weight, points_m, sigma_m)
+    # Where both clouds' normals lie 20 degrees apart, a quarter of the weight is lost; at 33 degrees, half.
+    root = flatness * agreement**2 / (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2)
+    return _Residuals(residual_m, root**2, normals, arms, points_m, sigma_m)
 
 
 def _summed_by_patch(points_m: FloatArray, pulls: FloatArray) -> FloatArray:
-    _, patch = np.unique(np.floor(points_m / _PATCH_M), axis=0, return_inverse=True)
-    patch = patch.ravel()
+    x, y, z = np.floor(points_m / _PATCH_M).astype(np.int64).T
+    _, patch = np.unique((x << 40) + (y << 20) + z, return_inverse=True)
     return np.stack([np.bincount(patch, weights=column) for column in pulls.T], axis=1)
 
 

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import open3d as o3d
 import small_gicp
-from scipy.spatial import cKDTree
 
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray
+from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import PointTree, Surface, thin
 
 __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
@@ -27,17 +26,21 @@ class RegistrationCloud:
         name: the LiDAR, or the root of a group.
         points_m: (N, 3) in the frame of that name.
         tree: nearest neighbours among `points_m`.
-        near_tree: the same, for bounded searches where most points have no neighbour.
         engine_cloud: the engine's own type, with covariances.
+        engine: name of the engine.
         neighbours: points from which a covariance is estimated.
     """
 
     name: str
     points_m: FloatArray
     tree: PointTree
-    near_tree: cKDTree
     engine_cloud: Any
+    engine: str
     neighbours: int
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the points; the engine's types cannot be pickled, and are the same bits when computed again."""
+        return _with_covariances, (self.name, self.points_m, self.engine, self.neighbours)
 
     @cached_property
     def surface(self) -> Surface:
@@ -45,18 +48,21 @@ class RegistrationCloud:
         return Surface(self.tree, self.neighbours)
 
 
-def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConfig, threads: int) -> RegistrationCloud:
+def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConfig) -> RegistrationCloud:
     """Thin a cloud and estimate a covariance per point from its neighbours."""
     thinned, voxel_size_m = thin(points_m, config.voxel_size_m), config.voxel_size_m
     while len(thinned) > config.max_points:
         voxel_size_m *= _COARSER
         thinned = thin(thinned, voxel_size_m)
-    tree = PointTree(thinned, threads)
-    near_tree = cKDTree(thinned, balanced_tree=False, compact_nodes=False)
-    neighbours, engine_cloud = config.neighbours, tree.cloud
-    if config.engine == "small_gicp":
-        small_gicp.estimate_normals_covariances(tree.cloud, tree.engine, num_neighbors=neighbours, num_threads=threads)
+    return _with_covariances(name, thinned, config.engine, config.neighbours)
+
+
+def _with_covariances(name: str, points_m: FloatArray, engine: str, neighbours: int) -> RegistrationCloud:
+    tree = PointTree(points_m)
+    engine_cloud = tree.cloud
+    if engine == "small_gicp":
+        small_gicp.estimate_covariances(tree.cloud, tree.engine, num_neighbors=neighbours, num_threads=1)
     else:
         engine_cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
         engine_cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(neighbours))
-    return RegistrationCloud(name, thinned, tree, near_tree, engine_cloud, neighbours)
+    return RegistrationCloud(name, tree.points_m, tree, engine_cloud, engine, neighbours)

@@ -10,7 +10,15 @@ from multilica.registration.poses import moved
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import PairRegistration, Stability
 
-__all__ = ["arc_between_m", "check_stability", "pushed_ends", "weakest_curvature", "weakest_sigmas"]
+__all__ = [
+    "arc_between_m",
+    "check_stability",
+    "pushed_ends",
+    "weakest_curvature",
+    "weakest_deviations",
+    "weakest_sigmas",
+    "widened",
+]
 
 
 def weakest_curvature(registration: PairRegistration) -> float:
@@ -63,6 +71,20 @@ def check_stability(
     )
 
 
+def widened(information: FloatArray | None, direction: FloatArray, off_m: float) -> FloatArray | None:
+    """Return the information of a pose that ends so far from itself along a direction when it is pushed.
+
+    Args:
+        information: of `pose_information`, or None.
+        direction: (6,) as `VisibilityScore.weakest_direction`.
+    """
+    if information is None:
+        return None
+    step = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
+    pulled = information @ step
+    return np.asarray(information - np.outer(pulled, pulled) / (1.0 + step @ pulled))
+
+
 def arc_between_m(pose: RigidTransform, other: RigidTransform) -> float:
     """Return the distance between two poses, a rotation counted as the arc at `LEVER_ARM_M`."""
     metres, radians = pose.distance_to(other)
@@ -70,10 +92,14 @@ def arc_between_m(pose: RigidTransform, other: RigidTransform) -> float:
 
 
 def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:
-    """Return the largest standard deviations, position (m) and rotation (rad); `information` as `pose_information`."""
+    """Return `weakest_deviations` of a pose with that `pose_information`; None where it has none."""
     if information is None:
         return None, None
-    covariance = np.linalg.pinv(information, hermitian=True)
+    return weakest_deviations(np.asarray(np.linalg.pinv(information, hermitian=True)))
+
+
+def weakest_deviations(covariance: FloatArray) -> tuple[float, float]:
+    """Return the largest standard deviations of position (m) and rotation (rad) of a (6, 6) covariance."""
     variances = np.linalg.eigvalsh(covariance[3:, 3:])[-1], np.linalg.eigvalsh(covariance[:3, :3])[-1]
     sigma_m, sigma_rad = (float(np.sqrt(max(variance, 0.0))) for variance in variances)
     return sigma_m, sigma_rad

@@ -21,7 +21,14 @@ from multilica.results.hypotheses import (
     hypothesis_label,
 )
 from multilica.results.merging import Group, MergeCandidate, MergeDecision, PairResidual, Refinement
-from multilica.results.placements import ContestedPlace, GroundPlane, LidarPlacement, SigmaOrigin, Spread
+from multilica.results.placements import (
+    ContestedPlace,
+    GroundPlane,
+    LidarPlacement,
+    PlacementStatus,
+    SigmaOrigin,
+    Spread,
+)
 from multilica.results.registrations import (
     GicpStep,
     PairRegistration,
@@ -54,6 +61,7 @@ __all__ = [
     "PairKey",
     "PairRegistration",
     "PairResidual",
+    "PlacementStatus",
     "PreprocessedCloud",
     "Reason",
     "Refinement",

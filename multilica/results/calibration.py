@@ -122,11 +122,11 @@ class CalibrationResult:
 
     @property
     def status(self) -> Status:
-        """``complete`` if every LiDAR is placed, ``failed`` if none but the target is."""
-        placed = sum(placement.placed for placement in self.placements)
-        if placed == len(self.placements):
+        """``complete`` if every LiDAR is placed, ``failed`` if none but the target has a pose."""
+        if all(placement.placed for placement in self.placements):
             return "complete"
-        return "partial" if placed > 1 else "failed"
+        with_pose = sum(placement.T_target_source is not None for placement in self.placements)
+        return "partial" if with_pose > 1 else "failed"
 
     def __getitem__(self, lidar: str) -> LidarPlacement:
         """Return the placement of that LiDAR; KeyError if the rig has none of that name."""

@@ -47,7 +47,12 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class MergeCandidate:
-    """A pair that a merge step could have chosen; `reason` says why it does not pass."""
+    """A pair that a merge step could have chosen.
+
+    Args:
+        reason: why it does not pass.
+        uncertain: whether it is merged where no pair passes.
+    """
 
     target: str
     source: str
@@ -56,16 +61,17 @@ class MergeCandidate:
     passes: bool
     evidence: float = 0.0
     reason: str = ""
+    uncertain: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeDecision:
-    """One turn of Algorithm 1.
+    """One step of the merge.
 
     Args:
         step: from 0.
         candidates: what could have been chosen, best first.
-        chosen: the pair that was merged; None when the algorithm stopped.
+        chosen: the pair that was merged; None when merging stopped.
         reason: why, in one sentence with its figures.
         groups: members of every connected group after the step, largest first.
     """

@@ -10,7 +10,10 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import PairKey
 from multilica.results.registrations import Registration
 
-__all__ = ["ContestedPlace", "GroundPlane", "LidarPlacement", "SigmaOrigin", "Spread"]
+__all__ = ["ContestedPlace", "GroundPlane", "LidarPlacement", "PlacementStatus", "SigmaOrigin", "Spread"]
+
+PlacementStatus = Literal["placed", "uncertain", "not_placed"]
+"""Uncertain: one pose stands alone and uncontradicted, but its standard deviation is above the limit."""
 
 SigmaOrigin = Literal["residuals", "snapshots"]
 """What a covariance rests on: the residuals of the registrations, or those widened to the spread over snapshots."""
@@ -71,6 +74,7 @@ class LidarPlacement:
     """The pose of one LiDAR, or why it has none.
 
     Args:
+        status: both `placed` and `uncertain` LiDARs have a pose.
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
         T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
         sigma_from: what the covariance rests on.
@@ -80,7 +84,7 @@ class LidarPlacement:
 
     lidar: str
     reason: str
-    placed: bool = False
+    status: PlacementStatus = "not_placed"
     T_target_source: RigidTransform | None = None
     fitness: float = 0.0
     rmse_m: float = float("inf")
@@ -89,6 +93,16 @@ class LidarPlacement:
     sigma_from: SigmaOrigin = "residuals"
     spread: Spread | None = None
     contested: ContestedPlace | None = None
+
+    @property
+    def placed(self) -> bool:
+        """Whether it has a pose that may be used without a second look."""
+        return self.status == "placed"
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether it has a pose whose standard deviation is above the limit."""
+        return self.status == "uncertain"
 
     @property
     def prior_deviation(self) -> tuple[float, float] | None:

@@ -66,8 +66,8 @@ class Registration:
 
     @property
     def evidence(self) -> float:
-        """See `VisibilityScore.evidence`."""
-        return self.visibility.evidence
+        """Log-odds that the pose is the true one; see `VisibilityScore.evidence`."""
+        return self.visibility.evidence(float(np.linalg.norm(self.T_target_source.xyz_m)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +90,14 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether a registration is accepted; `accept` has no reasons."""
+    """Whether a registration is accepted.
 
-    outcome: Literal["accept", "undecided", "reject"]
+    Args:
+        outcome: `accept` has no reasons; `uncertain` is a pose without competitor whose standard deviation is above
+            the limit; `undecided` has competitors, or contradicts others; `reject` is no pose that could be true.
+    """
+
+    outcome: Literal["accept", "uncertain", "undecided", "reject"]
     reasons: tuple[Reason, ...] = ()
 
     @property

@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
+from math import log, log1p
 
 import numpy as np
 import numpy.typing as npt
@@ -11,17 +12,24 @@ from multilica.geometry import FloatArray
 
 __all__ = ["BeamLabel", "VisibilityScore"]
 
-VIOLATION_WEIGHT = 30.0
-"""A point in proven-empty space outweighs this many agreeing points: a correct pose causes hardly any."""
+PRIOR_LOG_ODDS = -8.3
+"""Log-odds of a pose with nothing to be said for it or against it. This and the weights below are those of a logistic
+regression over registered poses of simulated rigs; see docs/decisions/0006-one-model-accepts.md."""
 
-STRUCTURE_VIOLATION_WEIGHT = 60.0
-"""The same for points off the commonest plane, of which a wrong pose on flat ground has few at all."""
+DISTINCTIVE_WEIGHT = 2.7
+"""Weight of the logarithm of the number of distinctive points."""
+
+VIOLATION_WEIGHT = 4.9
+"""Weight of the logarithm of the number of points in proven-empty space: a correct pose causes hardly any."""
+
+HIDDEN_WEIGHT = 1.5
+"""Weight of the logarithm of the share of the structure in view that is not hidden from one of the two."""
+
+DISTANCE_WEIGHT = 2.1
+"""Weight of the logarithm of the distance between the sensors: chance agreements are anywhere, vehicles are short."""
 
 STRAY_SHARE = 0.003
 """Share of points in empty space, of all that agree, that occurs by chance: foliage, glass, moving things."""
-
-STRAY_STRUCTURE_POINTS, STRAY_STRUCTURE_SHARE = 2, 0.001
-"""The same for points off the commonest plane, of which there are fewer: a count, and a share of all that agree."""
 
 FEW_POINTS = 10
 """Prior count of agreeing structure points, so that a few hidden points in an open field change little."""
@@ -53,8 +61,6 @@ class VisibilityScore:
         structure_agree, structure_violate, structure_occluded: the same counts over structure alone: closed surfaces
             off the commonest orientation, so walls and vehicles, not the ground.
         target_labels: (M,) `BeamLabel` of each probe of the target, by the source's beams.
-        seen_through_m: distance between the sensors if beams of one pass through the place of the other and all around
-            it, so that nothing can carry a sensor there; else 0.
     """
 
     agree: int
@@ -67,7 +73,6 @@ class VisibilityScore:
     structure_violate: int = 0
     structure_occluded: int = 0
     target_labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
-    seen_through_m: float = 0.0
 
     @property
     def weakest_direction(self) -> FloatArray:
@@ -91,14 +96,21 @@ class VisibilityScore:
         return float(self.agree - np.linalg.eigvalsh(self.information[3:, 3:])[-1])
 
     @property
-    def evidence(self) -> float:
-        """Distinctive points, weighted by the share that is not hidden, less weighted violations; poses rank by it.
+    def contradiction(self) -> float:
+        """Log-odds that the points in empty space take from the pose, at least 0."""
+        return VIOLATION_WEIGHT * log1p(max(0.0, self.violate - STRAY_SHARE * self.agree))
+
+    def evidence(self, distance_m: float) -> float:
+        """Return the log-odds that the pose is the true one; poses rank by it.
 
         Rounded, because poses that are the same or symmetric tie, and the last bits differ between CPUs.
+
+        Args:
+            distance_m: between the two sensors.
         """
-        against = max(0.0, self.violate - STRAY_SHARE * self.agree)
-        weighed = self.distinctive * self.shared_share - VIOLATION_WEIGHT * against
-        return round(min(weighed, 0.0) if self.seen_through_m else weighed, 6) + 0.0
+        for_it = DISTINCTIVE_WEIGHT * log1p(max(0.0, self.distinctive))
+        against = DISTANCE_WEIGHT * log1p(distance_m) - HIDDEN_WEIGHT * log(self.shared_share) + self.contradiction
+        return round(PRIOR_LOG_ODDS + for_it - against, 6) + 0.0
 
     @property
     def min_information_eigenvalue(self) -> float:
@@ -110,17 +122,6 @@ class VisibilityScore:
         """Share of the structure in view that both sides saw; the rest is hidden from one of them."""
         agree = self.structure_agree + FEW_POINTS
         return agree / (agree + self.structure_occluded)
-
-    @property
-    def explained_share(self) -> float:
-        """Share of the structure in view that lies on measured surfaces, neither hidden nor in empty space.
-
-        Sensors of one vehicle are near each other, so little is hidden from one of them alone.
-        """
-        violate = max(0.0, self.structure_violate - STRAY_STRUCTURE_POINTS - STRAY_STRUCTURE_SHARE * self.agree)
-        against = self.structure_occluded + STRUCTURE_VIOLATION_WEIGHT * violate
-        agree = self.structure_agree + FEW_POINTS
-        return agree / (agree + against)
 
     @property
     def violation_share(self) -> float:

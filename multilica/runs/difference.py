@@ -20,14 +20,15 @@ from multilica.runs.run_documents import RunDocument
 
 __all__ = ["DifferenceDocument", "RunDifference", "compare_runs", "difference_document"]
 
-PlacementStatus = Literal["placed", "not placed", "missing"]
+PlacementStatus = Literal["placed", "uncertain", "not placed", "missing"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """A LiDAR that both runs placed.
+    """A LiDAR of which both runs have a pose.
 
     Args:
+        uncertain: whether one of the two poses is uncertain.
         error: second pose - first pose, along the axes of the first run's target.
         sigmas: the largest of the six differences divided by its standard deviation; None without covariances.
         moved: whether it moved by more than the limits.
@@ -37,10 +38,11 @@ class Move:
     error: PoseError
     sigmas: float | None
     moved: bool
+    uncertain: bool
 
 
 class StatusChange(Entry):
-    """A LiDAR that only one of the runs placed; with the cause from the other run."""
+    """A LiDAR whose status differs; with the cause from a run that did not place it."""
 
     lidar: str
     before: PlacementStatus
@@ -62,8 +64,8 @@ class RunDifference:
 
     Args:
         target: LiDAR in whose axes the moves are.
-        moves: per LiDAR that both placed, in name order, without the target.
-        statuses: per LiDAR that one of them placed.
+        moves: per LiDAR of which both have a pose, in name order, without the target.
+        statuses: per LiDAR that they do not agree on.
         neither: per LiDAR that none of them placed, in name order.
         partings: steps at which the runs differ, in order.
         notes: what could not be compared.
@@ -90,9 +92,10 @@ class RunDifference:
 
 
 class MoveEntry(Entry):
-    """A LiDAR that both runs place; second run - first run, along the axes of the first run's target."""
+    """A LiDAR of which both runs have a pose; second run - first run, along the axes of the first run's target."""
 
     moved: bool
+    uncertain: bool
     distance_m: float
     angle_deg: float
     translation_m: Vector3
@@ -129,14 +132,21 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
     if not {*first.lidars} & {*second.lidars}:
         raise InputError(f"{before.path} and {after.path} have no LiDAR in common; give two runs of one rig.")
     rigs = Extrinsics(first.target, first.poses), Extrinsics(second.target, second.poses)
-    common = first.placed & second.placed
+    common = {*first.poses} & {*second.poses}
     found = {name: (_status(first, name), _status(second, name)) for name in sorted({*first.lidars, *second.lidars})}
     return RunDifference(
         names=(str(before.path), str(after.path)),
         target=first.target,
         targets=(first.target, second.target),
         moves=tuple(
-            _move(first.target, name, rigs, _variances(first, second, name), (within_m, within_rad))
+            _move(
+                first.target,
+                name,
+                rigs,
+                _variances(first, second, name),
+                (within_m, within_rad),
+                uncertain="uncertain" in found[name],
+            )
             for name in sorted(common - {first.target})
             if first.target in common
         ),
@@ -161,13 +171,15 @@ def _move(
     rigs: tuple[Extrinsics, Extrinsics],
     variances: FloatArray | None,
     limits: tuple[float, float],
+    *,
+    uncertain: bool,
 ) -> Move:
     error = PoseError.between(rigs[1].between(target, lidar), rigs[0].between(target, lidar))
     sigmas = None
     if variances is not None:
         off = np.abs(np.concatenate([error.rotation_rad, error.translation_m]))
         sigmas = float(np.max(off / np.sqrt(np.maximum(variances, np.finfo(float).tiny))))
-    return Move(lidar, error, sigmas, error.distance_m > limits[0] or error.angle_rad > limits[1])
+    return Move(lidar, error, sigmas, error.distance_m > limits[0] or error.angle_rad > limits[1], uncertain)
 
 
 def _variances(before: ResultDocument, after: ResultDocument, lidar: str) -> FloatArray | None:
@@ -181,15 +193,17 @@ def _variances(before: ResultDocument, after: ResultDocument, lidar: str) -> Flo
 def _status(document: ResultDocument, lidar: str) -> PlacementStatus:
     if lidar not in document.lidars:
         return "missing"
-    return "placed" if document.lidars[lidar].placed else "not placed"
+    status = document.lidars[lidar].status
+    return "not placed" if status == "not_placed" else status
 
 
 def _why(documents: Sequence[ResultDocument], lidar: str) -> str:
-    """Return the cause from the first document that did not place the LiDAR."""
+    """Return the cause from the first document that has the LiDAR and did not place it."""
     for document in documents:
-        if _status(document, lidar) == "not placed":
+        if _status(document, lidar) in ("not placed", "uncertain"):
             explanation = explain(document)
-            headlines = [missing.headline for missing in explanation.missing if missing.lidar == lidar]
+            headlines = [each.headline for each in explanation.missing if each.lidar == lidar]
+            headlines += [each.headline for each in explanation.uncertain if each.lidar == lidar]
             return headlines[0] if headlines else explanation.headline
     return "only one of the runs has it"
 
@@ -202,7 +216,7 @@ def _notes(before: RunDocument, after: RunDocument) -> tuple[str, ...]:
     unplaced = [
         f"{run.path} does not place {target}, so poses cannot be compared"
         for run in runs
-        if target not in run.document.placed
+        if target not in run.document.poses
     ]
     return (*without, *unplaced)
 

@@ -16,6 +16,7 @@ from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
 from multilica.runs.run_documents import SavedPlacement, SavedRun
 
 __all__ = [
+    "UNCERTAIN_SIGMA",
     "Comparison",
     "Evaluation",
     "LeftOut",
@@ -27,7 +28,10 @@ __all__ = [
     "summarise",
 ]
 
-Outcome = Literal["within", "between", "false_accept", "false_refuse"]
+Outcome = Literal["within", "between", "false_accept", "false_refuse", "uncertain_within", "uncertain_beyond"]
+
+UNCERTAIN_SIGMA = 3.0
+"""An uncertain pose that is off by more of its own sigma (`as_sigma`) is `uncertain_beyond`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +66,18 @@ class Tolerances:
         if not 0.0 < self.wrong_sigma < math.inf:
             raise UsageError(f"Found 'wrong' {self.wrong_sigma:g} sigma; expected limits above zero.")
 
-    def outcome(self, error: PoseError | None, normalised: float | None = None) -> Outcome:
+    def outcome(self, error: PoseError | None, normalised: float | None = None, *, uncertain: bool = False) -> Outcome:
         """Return the outcome for an error; None stands for a LiDAR that was not placed.
 
         Args:
             normalised: its `normalised_error`; None if the run has no covariance.
+            uncertain: whether the run calls the pose uncertain, so that only its own sigma counts.
         """
         if error is None:
             return "false_refuse"
+        if uncertain:
+            right = normalised is not None and as_sigma(normalised) <= UNCERTAIN_SIGMA
+            return "uncertain_within" if right else "uncertain_beyond"
         if error.distance_m > self.wrong_m or error.angle_rad > self.wrong_rad:
             return "false_accept"
         if normalised is not None and as_sigma(normalised) > self.wrong_sigma:
@@ -94,7 +102,7 @@ class Comparison:
     """One LiDAR of one run compared with the truth.
 
     Args:
-        error: None if the run did not place the LiDAR.
+        error: None if the run has no pose of the LiDAR.
         normalised: the `normalised_error`; None also if the run has no covariance.
     """
 
@@ -122,12 +130,14 @@ class LeftOut(Entry):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Summary:
-    """Counts of outcomes, with statistics per component of the absolute errors; None if nothing was placed."""
+    """Counts of outcomes, with statistics per component of the absolute errors of placed LiDARs; None without any."""
 
     within: int
     between: int
     false_accept: int
     false_refuse: int
+    uncertain_within: int
+    uncertain_beyond: int
     rmse: PoseError | None
     median: PoseError | None
     largest: PoseError | None
@@ -135,7 +145,12 @@ class Summary:
     @property
     def lidars(self) -> int:
         """Number of compared LiDARs."""
-        return self.within + self.between + self.false_accept + self.false_refuse
+        return self.within + self.between + self.false_accept + self.false_refuse + self.uncertain
+
+    @property
+    def uncertain(self) -> int:
+        """Number of compared LiDARs whose pose the run calls uncertain."""
+        return self.uncertain_within + self.uncertain_beyond
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,12 +216,14 @@ def evaluate(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: Tole
 def summarise(comparisons: Sequence[Comparison]) -> Summary:
     """Return counts and statistics of comparisons."""
     counts = Counter(one.outcome for one in comparisons)
-    errors = [one.error for one in comparisons if one.error is not None]
+    errors = [one.error for one in comparisons if one.error is not None and not one.placement.uncertain]
     return Summary(
         within=counts["within"],
         between=counts["between"],
         false_accept=counts["false_accept"],
         false_refuse=counts["false_refuse"],
+        uncertain_within=counts["uncertain_within"],
+        uncertain_beyond=counts["uncertain_beyond"],
         rmse=PoseError.statistic(errors, lambda rows: np.sqrt(np.mean(rows**2, axis=0))),
         median=PoseError.statistic(errors, lambda rows: np.median(rows, axis=0)),
         largest=PoseError.statistic(errors, lambda rows: np.max(rows, axis=0)),
@@ -242,5 +259,5 @@ def _comparison(run: SavedRun, truth: Truth, placement: SavedPlacement, toleranc
         error = PoseError.between(placement.T_target_source, true_pose)
         if placement.covariance is not None:
             normalised = normalised_error(placement.T_target_source, true_pose, placement.covariance)
-    outcome = tolerances.outcome(error, normalised)
+    outcome = tolerances.outcome(error, normalised, uncertain=placement.uncertain)
     return Comparison(run.name, truth.name, run.target, placement, error, normalised, outcome)

@@ -62,6 +62,8 @@ class SummaryEntry(Entry):
     between: int
     false_accept: int
     false_refuse: int
+    uncertain_within: int
+    uncertain_beyond: int
     success_rate: float
     rmse: ErrorEntry
     median: ErrorEntry
@@ -69,13 +71,14 @@ class SummaryEntry(Entry):
 
 
 class ComparisonRow(Entry):
-    """One LiDAR of one run; errors are null if it was not placed."""
+    """One LiDAR of one run; errors are null if it is neither placed nor uncertain."""
 
     run: str
     truth: str
     target: str
     lidar: str
     placed: bool
+    uncertain: bool
     outcome: Outcome
     error_x_m: Number
     error_y_m: Number
@@ -125,7 +128,8 @@ def evaluation_document(evaluation: Evaluation) -> EvaluationDocument:
 def comparison_row(comparison: Comparison) -> ComparisonRow:
     """Convert one LiDAR of one run to a flat row."""
     errors = {f"error_{name}": value for name, value in _error(comparison.error)}
-    placed, normalised = comparison.error is not None, comparison.normalised
+    normalised, uncertain = comparison.normalised, comparison.placement.uncertain
+    placed = comparison.error is not None and not uncertain
     return ComparisonRow.of(comparison, comparison.placement, placed=placed, error_normalised=normalised, **errors)
 
 
@@ -155,7 +159,7 @@ def require_table_name(path: Path) -> None:
 def write_table(evaluation: Evaluation, path: Path) -> None:
     """Write the rows in the format of the suffix; missing folders are created.
 
-    Columns name their unit. Errors of a LiDAR that was not placed are null, in CSV empty. Parquet has the rest of the
+    Columns name their unit. Errors of a LiDAR without a pose are null, in CSV empty. Parquet has the rest of the
     evaluation document as JSON in its metadata, under the key `multilica`.
 
     Raises:
@@ -189,4 +193,4 @@ def _write_parquet(evaluation: Evaluation, file: BinaryIO) -> None:
 def _column_type(pa: Any, name: str) -> Any:  # noqa: ANN401
     if name in _TEXT_COLUMNS:
         return pa.string()
-    return pa.bool_() if name == "placed" else pa.float64()
+    return pa.bool_() if name in ("placed", "uncertain") else pa.float64()

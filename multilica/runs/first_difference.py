@@ -14,7 +14,7 @@ from multilica.results.document.values import Entry
 
 __all__ = ["Change", "Parting", "changes_between", "partings_of"]
 
-# With more than one thread equal runs agree to this.
+# On another CPU equal runs agree to this.
 _SAME = 1e-6
 
 

@@ -37,7 +37,7 @@ class SavedPlacement:
     """The placement of one LiDAR.
 
     Args:
-        T_target_source: its pose in the run's target frame; None if the run did not place it.
+        T_target_source: its pose in the run's target frame; None if it is neither placed nor uncertain.
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), along the target's axes.
 
     Raises:
@@ -49,6 +49,7 @@ class SavedPlacement:
     fitness: float | None
     reason: str
     covariance: FloatArray | None = None
+    uncertain: bool = False
 
     def __post_init__(self) -> None:
         if self.covariance is not None and not np.all(np.linalg.eigvalsh(self.covariance) > 0.0):
@@ -175,4 +176,5 @@ def _result_file(path: Path) -> Path:
 
 def _placement(document: ResultDocument, lidar: str, entry: LidarEntry) -> SavedPlacement:
     covariance = None if entry.covariance is None else read_only(entry.covariance, np.float64)
-    return SavedPlacement(lidar, document.pose(lidar), entry.fitness, entry.reason, covariance)
+    uncertain = entry.status == "uncertain"
+    return SavedPlacement(lidar, document.pose(lidar), entry.fitness, entry.reason, covariance, uncertain)

@@ -53,7 +53,7 @@ def _level(contents: ReportContents) -> RigidTransform | None:
     document = contents.document
     if document.ground is not None:
         return RigidTransform(LEVEL_FRAME, contents.target, np.asarray(document.ground.T_base_target, dtype=np.float64))
-    return estimate_level(contents.target, contents.clouds, contents.placed_poses(), document.config)
+    return estimate_level(contents.target, contents.clouds, contents.poses(), document.config)
 
 
 def _scored(recording: Path, pair: PairEntry) -> tuple[ScoredPoints, ...]:

@@ -8,8 +8,8 @@ import numpy as np
 
 from multilica.errors import UnknownNameError, UsageError
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.raycast import Surroundings
-from multilica.simulate.rigs import BASE, Mount
+from multilica.simulate.raycast import Hits, Surroundings
+from multilica.simulate.rigs import BASE, Mount, Rig
 from multilica.simulate.scenes import Scene
 from multilica.simulate.sensors import SensorModel, unit_directions
 from multilica.simulate.shapes.mesh import Mesh, merged
@@ -21,6 +21,7 @@ __all__ = [
     "add_dirt",
     "add_rain",
     "blocked_beams",
+    "mask_ego",
     "pedestrians",
     "random_walkers",
     "require_known",
@@ -30,6 +31,7 @@ __all__ = [
 DISTURBANCES: Mapping[str, str] = {
     "dead:<lidar>": "that LiDAR returns nothing",
     "dirty:<lidar>": "a connected half of that LiDAR's beams is blocked at its window",
+    "ego_masked": "returns of the own vehicle are left out, as by most drivers",
     "low_overlap": "rig chain only: neighbours share about one tenth of their field of view",
     "moving": "the vehicle drives on at 3 m/s",
     "pedestrians": "people walk around the vehicle",
@@ -78,6 +80,11 @@ def add_dirt(directions: FloatArray, ranges_m: FloatArray, axis: FloatArray, rng
     return np.where(blocked_beams(directions, axis), dirt_m, ranges_m)
 
 
+def mask_ego(hits: Hits, of_vehicle: Hits) -> Hits:
+    """Take the hits off the beams that meet the own vehicle first."""
+    return Hits(np.where(of_vehicle.ranges_m <= hits.ranges_m, np.inf, hits.ranges_m), hits.cosines)
+
+
 def blocked_beams(directions: FloatArray, axis: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
     """Return a mask of the half of the beams (N, 3) closest to the axis (3,): one connected patch of the window."""
     lean = directions @ axis
@@ -95,14 +102,18 @@ class Walker:
     phase_rad: float
 
 
-def random_walkers(scene: Scene, fixed: Surroundings, rng: np.random.Generator) -> tuple[Walker, ...]:
-    """Place up to ten people 3.5 to 16 m away, in plain view of the vehicle and not walking towards it."""
+def random_walkers(scene: Scene, rig: Rig, fixed: Surroundings, rng: np.random.Generator) -> tuple[Walker, ...]:
+    """Place up to ten people 3.5 to 16 m away, in plain view of the vehicle and not walking towards it.
+
+    From a long vehicle they keep a metre.
+    """
+    nearest_m = max(_NEAREST_WALKER_M, float(np.hypot(*rig.half_size_m)) + 1.0)
     azimuths_rad = rng.uniform(-np.pi, np.pi, size=30)
     origin = RigidTransform.from_xyz_rpy(BASE, "eye", (0.0, 0.0, _EYE_M), (0.0, 0.0, 0.0))
     T_world_eye = scene.T_world_base @ origin
     free_m = fixed.cast(T_world_eye, unit_directions(azimuths_rad, np.zeros(30))).ranges_m - 0.8
-    visible = np.flatnonzero(free_m > _NEAREST_WALKER_M)[:10]
-    ranges_m = rng.uniform(_NEAREST_WALKER_M, np.minimum(free_m[visible], 16.0))
+    visible = np.flatnonzero(free_m > nearest_m)[:10]
+    ranges_m = rng.uniform(nearest_m, np.minimum(free_m[visible], 16.0))
     walkers = []
     for azimuth_rad, range_m in zip(azimuths_rad[visible].tolist(), ranges_m.tolist(), strict=True):
         spot_m = [range_m * float(np.cos(azimuth_rad)), range_m * float(np.sin(azimuth_rad)), 0.0]
@@ -125,13 +136,14 @@ def pedestrians(scene: Scene, walkers: tuple[Walker, ...], time_s: float) -> Mes
     return merged(meshes)
 
 
-def truck_beside(scene: Scene, mount: Mount, T_base_lidar: RigidTransform, rng: np.random.Generator) -> Mesh:
+def truck_beside(scene: Scene, rig: Rig, mount: Mount, T_base_lidar: RigidTransform, rng: np.random.Generator) -> Mesh:
     """Build a truck in the world frame, at the place where it blocks closest to half of the LiDAR's beams."""
+    half_length_m, half_width_m = rig.half_size_m
     body = truck(rng.uniform(10.0, 14.0), min(_TRUCK_HEIGHT_M, scene.headroom_m))
     directions = mount.sensor.pattern.directions(0, rng)[::41]
     half_m = float(body.vertices_m[:, 0].max())
     parked = []
-    for across, away_m, reach_m in ((False, 0.9, half_m), (True, 2.3, half_m + 1.0)):
+    for across, away_m, reach_m in ((False, half_width_m, half_m), (True, half_length_m, half_m + 1.0)):
         for side in (-1.0, 1.0):
             for gap_m in _TRUCK_GAPS_M:
                 for along_m in np.linspace(-reach_m, reach_m, 9).tolist():

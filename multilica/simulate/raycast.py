@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.lazy_open3d import o3d
 from multilica.simulate.sensors import SensorModel
 from multilica.simulate.shapes.mesh import Mesh
 
@@ -30,8 +31,6 @@ class Surroundings:
     """A mesh that beams can be cast into, in the frame in which the LiDAR's pose is given."""
 
     def __init__(self, mesh: Mesh) -> None:
-        import open3d as o3d
-
         self._scene = o3d.t.geometry.RaycastingScene()
         self._tensor = o3d.core.Tensor
         if len(mesh.triangles):

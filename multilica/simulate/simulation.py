@@ -8,9 +8,17 @@ import numpy as np
 from multilica.errors import UnknownNameError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.disturbances import add_dirt, add_rain, pedestrians, random_walkers, require_known, truck_beside
+from multilica.simulate.disturbances import (
+    add_dirt,
+    add_rain,
+    mask_ego,
+    pedestrians,
+    random_walkers,
+    require_known,
+    truck_beside,
+)
 from multilica.simulate.raycast import Surroundings, measure, nearer, returned_points
-from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, fan, misjudged, vehicle_body
+from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, fan, misjudged
 from multilica.simulate.scenes import SCENES
 from multilica.simulate.shapes.mesh import merged
 from multilica.snapshot import LidarScans, Scan, Snapshot
@@ -47,7 +55,8 @@ def simulate_snapshot(
 ) -> Simulation:
     """Simulate what a rig sees in a scene; the same arguments give the same bits.
 
-    The surroundings depend on scene and seed only, the mounting on rig and build seed only.
+    The surroundings depend on scene and seed only, but for what would stand in a large vehicle's place; the mounting
+    depends on rig and build seed only.
 
     Args:
         frames: per LiDAR, at 10 Hz.
@@ -57,7 +66,7 @@ def simulate_snapshot(
 
     Raises:
         UnknownNameError: no such rig, scene, disturbance, or LiDAR of a disturbance.
-        UsageError: a negative seed, no frame, or a disturbance that the rig cannot have.
+        UsageError: a negative seed, no frame, a disturbance that the rig cannot have, or a scene without room for it.
     """
     built = seed if build_seed is None else build_seed
     for kind, name, available in (("rig", rig, RIGS), ("scene", scene, SCENES)):
@@ -93,16 +102,16 @@ class _World:
     ) -> None:
         self.label = f"{rig.name}/{scene}/seed {seed}"
         self._poses, self._disturbances = poses, disturbances
-        self._scene = SCENES[scene](_stream(scene, seed))
-        meshes = [self._scene.mesh]
+        self._scene = SCENES[scene](_stream(scene, seed)).with_room_for(*rig.room_m)
+        meshes = [*self._scene.parts]
         if "truck" in disturbances:
             lorries = _stream("truck", rig.name, scene, seed)
             mount = rig.mounts[int(lorries.integers(len(rig.mounts)))]
-            meshes.append(truck_beside(self._scene, mount, poses[mount.name], lorries))
+            meshes.append(truck_beside(self._scene, rig, mount, poses[mount.name], lorries))
         self._fixed = Surroundings(merged(meshes))
-        self._vehicle = Surroundings(vehicle_body(rig))
+        self._vehicle = Surroundings(rig.body)
         walkers = _stream("pedestrians", scene, seed)
-        self._walkers = random_walkers(self._scene, self._fixed, walkers) if "pedestrians" in disturbances else ()
+        self._walkers = random_walkers(self._scene, rig, self._fixed, walkers) if "pedestrians" in disturbances else ()
 
     def scans(self, mount: Mount, frames: int) -> LidarScans:
         """Take the scans of one LiDAR."""
@@ -126,10 +135,13 @@ class _World:
     def _ranges(self, mount: Mount, directions: FloatArray, time_s: float, rng: np.random.Generator) -> FloatArray:
         T_base_lidar = self._poses[mount.name]
         T_world_lidar = self._pose(time_s) @ T_base_lidar
-        hits = nearer(self._fixed.cast(T_world_lidar, directions), self._vehicle.cast(T_base_lidar, directions))
+        of_vehicle = self._vehicle.cast(T_base_lidar, directions)
+        hits = nearer(self._fixed.cast(T_world_lidar, directions), of_vehicle)
         if self._walkers:
             people = Surroundings(pedestrians(self._scene, self._walkers, time_s))
             hits = nearer(hits, people.cast(T_world_lidar, directions))
+        if "ego_masked" in self._disturbances:
+            hits = mask_ego(hits, of_vehicle)
         return measure(mount.sensor, hits, rng)
 
     def _pose(self, time_s: float) -> RigidTransform:

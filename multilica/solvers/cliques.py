@@ -1,50 +1,79 @@
 # SPDX-License-Identifier: Apache-2.0
 """The built-in solver: one pose per maximal clique of consistent matches."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from multilica.config import CoarseConfig
-from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import Correspondences
-from multilica.solvers.consistency_graph import build_consistency_graph, grow_cliques
-from multilica.solvers.robust_pose import align_points, robust_poses
+from multilica.geometry import RigidTransform
+from multilica.registration.poses import is_distinct
+from multilica.results import BoolArray, Correspondences, IndexArray
+from multilica.solvers.consistency_graph import build_consistency_graph, grow_clique
+from multilica.solvers.robust_pose import align_points, robust_pose
 
 __all__ = ["solve_by_cliques"]
 
+# Fewer points do not determine a pose.
+_MIN_MATCHES = 3
 # Several cliques lead to the same pose, so more are grown than hypotheses are asked for.
-_SEEDS_PER_HYPOTHESIS = 4
-# Matches agree by chance in much smaller cliques than the largest.
-_SMALLEST_SHARE = 0.2
-_REFITS = 3
+_CLIQUES_PER_HYPOTHESIS = 2
+# A pose that stands out after so many cliques ends the search: it has this many agreeing matches, and this many times
+# those of every other pose (docs/decisions/0002-cliques-of-lengths-and-angles.md).
+_FIRST_CLIQUES = 8
+_OUTSTANDING_MATCHES = 40
+_OUTSTANDING_RATIO = 2.0
+# A clique is consistent to within twice the noise bound; the last fits take the matches within the bound.
+_CLIQUE_BOUNDS = 2.0
+_REFIT_BOUNDS = (2.0, 1.0, 1.0)
 
 
 def solve_by_cliques(
     matches: Correspondences, config: CoarseConfig, seed: int
 ) -> tuple[tuple[RigidTransform, ...], int]:
-    """Solve by TEASER++'s method (Yang et al., T-RO 2020), extended to several hypotheses.
+    """Solve by the idea of TEASER++ (Yang et al., T-RO 2020), extended to several hypotheses.
 
-    Build a consistency graph on invariant lengths and angles; find maximal cliques instead of the one maximum clique;
-    estimate GNC-TLS rotation and TLS translation on each; then fit by least squares to all matches that agree.
+    Build a consistency graph on invariant lengths and angles. Grow a clique from the match that is consistent with the
+    most matches that no pose explains yet; estimate its pose by graduated non-convexity; fit that to all matches that
+    agree. These are explained. Go on until one pose stands out or enough cliques are grown.
     """
     del seed
     graph = build_consistency_graph(matches, config.noise_bound_m, config.normal_tolerance_deg)
-    seeds = 1 if config.max_hypotheses == 1 else _SEEDS_PER_HYPOTHESIS * config.max_hypotheses
-    cliques = grow_cliques(graph, seeds)
-    smallest = max(3.0, _SMALLEST_SHARE * max(map(len, cliques), default=0))
-    cliques = [clique for clique in cliques if len(clique) >= smallest]
-    members_m = [(matches.target_points_m[clique], matches.source_points_m[clique]) for clique in cliques]
-    starts = robust_poses(members_m, config.noise_bound_m)
-    return tuple(_refitted(matches, *start, config.noise_bound_m) for start in starts), graph.edges
+    neighbours = np.count_nonzero(graph, axis=1)
+    edges = int(neighbours.sum()) // 2
+    explained = np.zeros(len(matches), dtype=np.bool_)
+    found: list[tuple[RigidTransform, int]] = []
+    while len(found) < _CLIQUES_PER_HYPOTHESIS * config.max_hypotheses:
+        first = int(neighbours.argmax())
+        if neighbours[first] < _MIN_MATCHES - 1 or (len(found) == _FIRST_CLIQUES and _stands_out(found)):
+            break
+        clique = grow_clique(graph, first)
+        explains = np.zeros_like(explained)
+        if len(clique) >= _MIN_MATCHES:
+            pose, explains = _fit(matches, clique, config)
+            found.append((pose, int(np.count_nonzero(explains))))
+        explains[clique] = True
+        neighbours -= np.count_nonzero(graph[explains & ~explained], axis=0)
+        explained |= explains
+        neighbours[explained] = 0
+    return tuple(pose for pose, _ in found), edges
 
 
-def _refitted(
-    matches: Correspondences, rotation: FloatArray, translation: FloatArray, noise_bound_m: float
-) -> RigidTransform:
+def _fit(matches: Correspondences, clique: IndexArray, config: CoarseConfig) -> tuple[RigidTransform, BoolArray]:
+    """Fit a pose to a clique and to what agrees with it; tell which matches do."""
     target_m, source_m = matches.target_points_m, matches.source_points_m
-    for _ in range(_REFITS):
+    rotation, translation = robust_pose(target_m[clique], source_m[clique], _CLIQUE_BOUNDS * config.noise_bound_m)
+    for bounds in _REFIT_BOUNDS:
         residual_m = np.linalg.norm(target_m - source_m @ rotation.T - translation, axis=1)
-        agree = residual_m <= noise_bound_m
-        if np.count_nonzero(agree) < 3:
+        agree = residual_m <= bounds * config.noise_bound_m
+        if np.count_nonzero(agree) < _MIN_MATCHES:
             break
         rotation, translation = align_points(target_m[agree], source_m[agree])
-    return RigidTransform.from_rotation_translation(matches.target, matches.source, rotation, translation)
+    pose = RigidTransform.from_rotation_translation(matches.target, matches.source, rotation, translation)
+    return pose, matches.agreeing(pose, config.noise_bound_m, config.normal_tolerance_deg)
+
+
+def _stands_out(found: Sequence[tuple[RigidTransform, int]]) -> bool:
+    best, most = max(found, key=lambda each: each[1])
+    others = [agreeing for pose, agreeing in found if is_distinct(pose, [best])]
+    return most >= max(_OUTSTANDING_MATCHES, _OUTSTANDING_RATIO * max(others, default=0))

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solvers of other libraries: Open3D, KISS-Matcher, TEASER++."""
 
+from typing import Any
+
 import numpy as np
-import open3d as o3d
 
 from multilica.config import CoarseConfig
 from multilica.errors import MissingDependencyError
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.lazy_open3d import o3d
 from multilica.results import Correspondences
 
 __all__ = ["solve_by_fgr", "solve_by_kiss_matcher", "solve_by_ransac", "solve_by_teaserpp"]
@@ -53,9 +55,8 @@ def solve_by_fgr(matches: Correspondences, config: CoarseConfig, seed: int) -> t
     return _one_pose(matches, result.transformation[:3, :3], result.transformation[:3, 3])
 
 
-def _clouds(
-    matches: Correspondences,
-) -> tuple[o3d.geometry.PointCloud, o3d.geometry.PointCloud, o3d.utility.Vector2iVector]:
+def _clouds(matches: Correspondences) -> tuple[Any, Any, Any]:
+    """Return the points of both sides as clouds, and their pairs, as types of Open3D."""
     target, source = (
         o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
         for points in (matches.target_points_m, matches.source_points_m)

@@ -9,7 +9,7 @@ import numpy as np
 from multilica.config import CoarseConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct, is_near
-from multilica.results import PRIOR, CoarseResult, Correspondences, Hypothesis, IndexArray
+from multilica.results import PRIOR, CoarseResult, Correspondences, Hypothesis
 from multilica.solvers import SOLVERS
 
 __all__ = ["find_hypotheses"]
@@ -38,28 +38,19 @@ def find_hypotheses(
     Raises:
         MissingDependencyError: the configured solver is not installed.
     """
-    plausible = matches.subset(_within_baseline(matches, max_baseline_m))
+    plausible = matches.within_baseline(max_baseline_m)
     enough = len(plausible) >= _MIN_MATCHES
     poses, edges = SOLVERS[config.solver](plausible, config, seed) if enough else ((), 0)
     near = [_supported(pose, matches, config, config.solver) for pose in poses if is_near(pose, max_baseline_m)]
-    hypotheses = _distinct(near, config.max_hypotheses)
+    hypotheses = _distinct((each for each in near if each.score >= _MIN_MATCHES), config.max_hypotheses)
     if prior is not None and is_near(prior, max_baseline_m):
         hypotheses.append(_supported(prior, matches, config, PRIOR))
     numbered = tuple(replace(hypothesis, index=index) for index, hypothesis in enumerate(hypotheses))
     return CoarseResult(matches.target, matches.source, numbered, len(plausible), edges)
 
 
-def _within_baseline(matches: Correspondences, max_baseline_m: float) -> IndexArray:
-    """Select the matches whose ranges differ by no more than the distance of the LiDARs."""
-    target_range_m = np.linalg.norm(matches.target_points_m, axis=1)
-    source_range_m = np.linalg.norm(matches.source_points_m, axis=1)
-    return np.flatnonzero(np.abs(target_range_m - source_range_m) <= max_baseline_m)
-
-
 def _supported(pose: RigidTransform, matches: Correspondences, config: CoarseConfig, origin: str) -> Hypothesis:
-    residual_m = np.linalg.norm(pose.apply(matches.source_points_m) - matches.target_points_m, axis=1)
-    cosine = np.einsum("ij,ij->i", pose.rotate(matches.source_normals), matches.target_normals)
-    agree = (residual_m <= config.noise_bound_m) & (cosine >= np.cos(np.deg2rad(config.normal_tolerance_deg)))
+    agree = matches.agreeing(pose, config.noise_bound_m, config.normal_tolerance_deg)
     return Hypothesis(pose, agree, score=float(agree.sum()), origin=origin)
 
 

@@ -2,21 +2,51 @@
 """Matches of two LiDARs' points by their descriptors."""
 
 import numpy as np
-import open3d as o3d
+import numpy.typing as npt
 
-from multilica.config import CorrespondConfig
+from multilica.config import CoarseConfig, CorrespondConfig
+from multilica.geometry import FloatArray
+from multilica.registration.poses import is_near
 from multilica.results import Correspondences, FeatureCloud, IndexArray
+from multilica.solvers.cliques import solve_by_cliques
 
-__all__ = ["match_features"]
+__all__ = ["match_features", "pair_promise"]
+
+# From 1500 x 1500 to 8000 x 1500, the order of the pairs of 70 simulated snapshots was equally good within the noise.
+_PROMISE_TARGETS, _PROMISE_SOURCES = 4000, 1500
+
+# Rows of distances that are computed at once: as many as the processor's cache holds.
+_BLOCK = 64
 
 
 def match_features(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
     """Match each descriptor of the source with the nearest of the target, the closest matches first.
 
-    With `mutual`, a match is kept only if each is the other's nearest neighbour in descriptor space.
+    With `mutual`, a match is kept only if each is the other's nearest neighbour in descriptor space. Neighbours are
+    found in single precision, so that of several nearly identical descriptors any may be taken for the nearest.
     """
-    target, source = (_sample(cloud, config.max_keypoints) for cloud in (target, source))
-    pairs = _nearest_pairs(target, source, mutual=config.mutual)
+    return _match(_sample(target, config.max_keypoints), _sample(source, config.max_keypoints), config)
+
+
+def pair_promise(target: FeatureCloud, source: FeatureCloud, config: CoarseConfig, max_baseline_m: float) -> float:
+    """Estimate from few descriptors how likely two LiDARs overlap enough to be registered.
+
+    Returns:
+        The largest number of sampled matches that agree on one pose; 0 if none do. Only the order between pairs of one
+        rig has a meaning.
+    """
+    few = _sample(target, _PROMISE_TARGETS), _sample(source, _PROMISE_SOURCES)
+    matches = _match(*few, CorrespondConfig()).within_baseline(max_baseline_m)
+    if len(matches) == 0:
+        return 0.0
+    poses, _ = solve_by_cliques(matches, config.model_copy(update={"max_hypotheses": 1}), 0)
+    near = [pose for pose in poses if is_near(pose, max_baseline_m)]
+    agreeing = (matches.agreeing(pose, config.noise_bound_m, config.normal_tolerance_deg) for pose in near)
+    return float(max(map(np.count_nonzero, agreeing), default=0))
+
+
+def _match(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
+    pairs = _nearest_pairs(target.descriptors, source.descriptors, mutual=config.mutual)
     distances = np.linalg.norm(source.descriptors[pairs[:, 0]] - target.descriptors[pairs[:, 1]], axis=1)
     best = np.lexsort((pairs[:, 0], distances))[: config.max_matches]
     source_index, target_index = pairs[best].T
@@ -39,13 +69,33 @@ def _sample(cloud: FeatureCloud, most: int) -> FeatureCloud:
     return FeatureCloud(cloud.lidar, cloud.points_m[kept], cloud.normals[kept], cloud.descriptors[kept])
 
 
-def _nearest_pairs(target: FeatureCloud, source: FeatureCloud, *, mutual: bool) -> IndexArray:
-    if len(target.points_m) == 0 or len(source.points_m) == 0:
+def _nearest_pairs(target: FloatArray, source: FloatArray, *, mutual: bool) -> IndexArray:
+    """Return (M, 2) rows of (N, K) source and target descriptors that are nearest to each other.
+
+    Each squared distance is one entry of a matrix product: |s - t|^2 = (-2 s, 1, |s|^2) . (t, |t|^2, 1).
+    """
+    if len(target) == 0 or len(source) == 0:
         return np.empty((0, 2), dtype=np.int64)
-    features = [o3d.pipelines.registration.Feature() for _ in range(2)]
-    for feature, cloud in zip(features, (source, target), strict=True):
-        feature.data = np.ascontiguousarray(cloud.descriptors.T)
-    pairs = o3d.pipelines.registration.correspondences_from_features(
-        *features, mutual_filter=mutual, mutual_consistency_ratio=0.0
-    )
-    return np.asarray(pairs, dtype=np.int64).reshape(-1, 2)
+    centre = target.mean(axis=0)
+    target, source = target - centre, source - centre
+    right = np.column_stack([target, _squared(target), np.ones(len(target))]).T.astype(np.float32, order="C")
+    left = np.column_stack([-2.0 * source, np.ones(len(source)), _squared(source)]).astype(np.float32)
+    nearest = np.empty(len(source), dtype=np.int64)
+    least = np.empty(len(source), dtype=np.float32)
+    least_of_target = np.full(len(target), np.inf, dtype=np.float32)
+    for start in range(0, len(source), _BLOCK):
+        rows = slice(start, start + _BLOCK)
+        squared = left[rows] @ right
+        nearest[rows] = squared.argmin(axis=1)
+        least[rows] = squared.min(axis=1)
+        np.minimum(least_of_target, squared.min(axis=0), out=least_of_target)
+    if not mutual:
+        return np.column_stack([np.arange(len(source)), nearest])
+    chosen = np.flatnonzero(least == least_of_target[nearest])
+    _, first = np.unique(nearest[chosen], return_index=True)
+    chosen = np.sort(chosen[first])
+    return np.column_stack([chosen, nearest[chosen]])
+
+
+def _squared(descriptors: FloatArray) -> npt.NDArray[np.float64]:
+    return np.asarray(np.einsum("ij,ij->i", descriptors, descriptors))

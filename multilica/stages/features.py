@@ -2,10 +2,10 @@
 """FPFH descriptors of a LiDAR's points."""
 
 import numpy as np
-import open3d as o3d
 
 from multilica.config import FeaturesConfig
 from multilica.geometry import read_only
+from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import thin
 from multilica.results import FeatureCloud, PreprocessedCloud
 
@@ -24,17 +24,16 @@ def compute_features(cloud: PreprocessedCloud, config: FeaturesConfig) -> Featur
     points = thin(cloud.points_m[near], config.voxel_size_m)
     if len(points) == 0:
         return FeatureCloud(cloud.lidar, points, np.empty((0, 3)), np.empty((0, _FPFH_BINS)))
-    pcd = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    normal_radius_m = config.normal_radius_voxels * config.voxel_size_m
-    pcd.estimate_normals(o3d.geometry.KDTreeSearchParamHybrid(normal_radius_m, config.normal_neighbours))
+    pcd = o3d.t.geometry.PointCloud(points)
+    pcd.estimate_normals(config.normal_neighbours, config.normal_radius_voxels * config.voxel_size_m)
     if config.orient_normals:
-        pcd.orient_normals_towards_camera_location(np.zeros(3))
-    feature_radius_m = config.feature_radius_voxels * config.voxel_size_m
-    search = o3d.geometry.KDTreeSearchParamHybrid(feature_radius_m, config.feature_neighbours)
-    fpfh = o3d.pipelines.registration.compute_fpfh_feature(pcd, search)
+        pcd.orient_normals_towards_camera_location(o3d.core.Tensor(np.zeros(3)))
+    fpfh = o3d.t.pipelines.registration.compute_fpfh_feature(
+        pcd, config.feature_neighbours, config.feature_radius_voxels * config.voxel_size_m
+    )
     return FeatureCloud(
         lidar=cloud.lidar,
         points_m=read_only(points, np.float64),
-        normals=read_only(np.asarray(pcd.normals).reshape(-1, 3), np.float64),
-        descriptors=read_only(fpfh.data.T, np.float64),
+        normals=read_only(pcd.point.normals.numpy(), np.float64),
+        descriptors=read_only(fpfh.numpy(), np.float64),
     )

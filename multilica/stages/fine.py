@@ -7,21 +7,25 @@ from functools import cached_property
 
 import numpy as np
 
-from multilica.acceptance.accept import competing_poses, hopeless_below, is_firm
+from multilica.acceptance.accept import competing_poses, hopeless_below, imprecision, is_firm, is_hopeless, slides
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import FloatArray
 from multilica.registration.gicp import fitness_and_rmse, register
 from multilica.registration.plane_fit import fit_planes, pose_information
 from multilica.registration.poses import is_distinct, slid, within_baseline
 from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
-from multilica.registration.stability import arc_between_m, check_stability, pushed_ends, weakest_sigmas
+from multilica.registration.stability import arc_between_m, check_stability, pushed_ends, weakest_sigmas, widened
 from multilica.results import Hypothesis, PairRegistration, Registration
 from multilica.visibility.sensor_view import PlacedView, score_registration, score_visibility
 
 __all__ = ["Side", "prepare_side", "register_best", "select_finalists"]
 
-# A sigma below half of the limit needs no test of stability.
-_UNCERTAIN_SHARE = 0.5
+# A pose needs a test of stability unless this many times its sigma is below the limit.
+_SIGMA_MARGIN = 2.0
+# So many poses as likely as the best show that it slides: no constrained pose was found along the way.
+_SLIDE_POSES = 2
+# Two registrations from different sides that end as near as this end at one pose.
+_SAME_END_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,14 +47,13 @@ class Side:
         """The cloud with fewer points, enough to compare finalists."""
         if len(self.cloud.points_m) <= self.finalist_gicp.max_points:
             return self.cloud
-        cloud, threads = self.cloud, self.cloud.tree.threads
-        return prepare_registration_cloud(cloud.name, cloud.points_m, self.finalist_gicp, threads)
+        return prepare_registration_cloud(self.cloud.name, self.cloud.points_m, self.finalist_gicp)
 
 
 def prepare_side(name: str, points_m: FloatArray, views: Sequence[PlacedView], config: CalibrationConfig) -> Side:
     """Prepare the points (N, 3) of a LiDAR or a group, given in the frame of that name, for GICP."""
     fine = config.fine
-    cloud = prepare_registration_cloud(name, points_m, fine, config.runtime.threads)
+    cloud = prepare_registration_cloud(name, points_m, fine)
     iterations = min(config.verify.max_iterations, fine.max_iterations)
     finalist_gicp = fine.model_copy(update={"max_points": fine.finalist_max_points, "max_iterations": iterations})
     return Side(cloud, tuple(views), finalist_gicp)
@@ -80,11 +83,12 @@ def register_best(
         return _register_first(target, source, hypotheses[0], config)
     pair = _Pair(target, source, config, fit)
     finalists = pair.finalists(hypotheses)
-    several = len(finalists) > 1
-    registered = pair.register_thinned(finalists) if several else [pair.register(finalists[0])]
-    best = pair.best_of(registered, thinned=several)
+    thinned = len(finalists) > 1 or pair.is_hopeless(finalists[0])
+    registered = pair.register_thinned(finalists) if thinned else [pair.register(finalists[0])]
+    best = pair.best_of(registered, thinned=thinned)
     found, verify, stability = best.registrations[0], config.verify, best.registrations[0].stability
-    if stability is None or stability.pushed_off_m <= config.stability.max_pushed_off_m:
+    beside_known = len(competing_poses(best.registrations, config.acceptance)) >= _SLIDE_POSES
+    if stability is None or beside_known or not slides(stability, config.acceptance):
         return best
     direction, max_baseline_m = found.visibility.slide_direction, config.acceptance.max_baseline_m
     poses = slid(found.T_target_source, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
@@ -138,12 +142,17 @@ class _Pair:
         kept = select_finalists(evidence, self.config.acceptance, self.config.fine.max_finalists)
         return [distinct[index] for index in kept]
 
+    def is_hopeless(self, hypothesis: Hypothesis) -> bool:
+        """Tell whether the hypothesis is known to have too little evidence."""
+        return hypothesis.evidence is not None and is_hopeless(hypothesis.evidence, self.config.acceptance)
+
     def _evidence(self, hypothesis: Hypothesis) -> float:
         if hypothesis.evidence is not None:
             return hypothesis.evidence
         limits = self.config.visibility
-        tolerances = limits.tolerance_m, limits.tolerance_deg
-        return score_visibility(self.target.views, self.source.views, hypothesis.T_target_source, *tolerances).evidence
+        pose, tolerances = hypothesis.T_target_source, (limits.tolerance_m, limits.tolerance_deg)
+        score = score_visibility(self.target.views, self.source.views, pose, *tolerances)
+        return score.evidence(float(np.linalg.norm(pose.xyz_m)))
 
     def register_thinned(
         self, hypotheses: Sequence[Hypothesis], beside: Sequence[PairRegistration] = ()
@@ -186,7 +195,7 @@ class _Pair:
         found = within_baseline([each.registrations[0] for each in registered], acceptance.max_baseline_m)
         best, *others = sorted(found, key=lambda each: -each.evidence)
         result = next(each for each in registered if each.registrations[0] is best)
-        if best.evidence > 0.0 and thinned:
+        if thinned and not is_hopeless(best.evidence, acceptance):
             result = self.register(Hypothesis(best.T_target_source, origin=best.origin, index=best.hypothesis))
             best = result.registrations[0]
         if best.evidence >= acceptance.min_evidence:
@@ -213,11 +222,7 @@ class _Pair:
         """Tell whether the pose may slide: not firm, uncertain, or with a competing pose."""
         acceptance = self.config.acceptance
         sigma_m, sigma_rad = weakest_sigmas(found.information)
-        limits = (acceptance.max_sigma_m, np.deg2rad(acceptance.max_sigma_deg))
-        uncertain = any(
-            sigma is not None and sigma > _UNCERTAIN_SHARE * limit
-            for sigma, limit in zip((sigma_m, sigma_rad), limits, strict=True)
-        )
+        uncertain = imprecision(sigma_m, sigma_rad, acceptance, _SIGMA_MARGIN) is not None
         loose = not is_firm(best.visibility, acceptance)
         return loose or uncertain or bool(competing_poses([best, *others], acceptance))
 
@@ -229,19 +234,23 @@ class _Pair:
         """
         thinned_clouds = (self.target.thinned, self.source.thinned)
         thinned = None if thinned_clouds == self.clouds else thinned_clouds
-        fine, limits = self.config.fine, self.config.stability
+        fine, push_m = self.config.fine, self.config.acceptance.push_m
         for last in (False, True):
             best, pose = by_gicp.registrations[0], by_gicp.T_target_source
-            ends = pushed_ends(self.clouds, pose, best.visibility.weakest_direction, limits.push_m, fine)
-            stability = check_stability(thinned, pose, fitted.information, ends, limits.push_m, fine)
-            apart = arc_between_m(*ends) > limits.max_pushed_off_m
-            if last or stability.pushed_off_m <= limits.max_pushed_off_m or apart or is_distinct(ends[0], [pose]):
+            ends = pushed_ends(self.clouds, pose, best.visibility.weakest_direction, push_m, fine)
+            stability = check_stability(thinned, pose, fitted.information, ends, push_m, fine)
+            apart = arc_between_m(*ends) > _SAME_END_M
+            if last or stability.pushed_off_m <= _SAME_END_M or apart or is_distinct(ends[0], [pose]):
                 break
             further = self.register(Hypothesis(ends[0], origin=best.origin, index=best.hypothesis))
             if further.evidence < best.evidence:
                 break
             by_gicp, fitted = further, self._fitted(further) if self.fit else further
-        return replace(fitted, registrations=(replace(fitted.registrations[0], stability=stability),))
+        information = widened(fitted.information, best.visibility.weakest_direction, stability.pushed_off_m)
+        sigma_m, sigma_rad = weakest_sigmas(information)
+        stability = replace(stability, sigma_m=sigma_m, sigma_rad=sigma_rad)
+        scored = replace(fitted.registrations[0], stability=stability)
+        return replace(fitted, information=information, registrations=(scored,))
 
     def _scored(self, found: PairRegistration, hypothesis: Hypothesis) -> PairRegistration:
         limits = self.config.visibility

@@ -4,10 +4,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-import open3d as o3d
 
 from multilica.config import CalibrationConfig, GroundConfig
 from multilica.geometry import FloatArray, RigidTransform, read_only
+from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import thin
 from multilica.results import LEVEL_FRAME, BoolArray, GroundPlane
 

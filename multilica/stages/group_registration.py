@@ -4,7 +4,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from multilica.acceptance.cycles import is_contradicted
+from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct, is_near

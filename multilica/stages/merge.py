@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's Algorithm 1: merging of registered pairs into one rig."""
+"""Merging of registered pairs into one rig: along the graph of accepted pairs, or by the paper's Algorithm 1."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 from multilica.config import MergeConfig
 from multilica.geometry import RigidTransform
 from multilica.results import Group, MergeCandidate, MergeDecision, PairRegistration
 
-__all__ = ["MergeStep", "merge"]
+__all__ = ["MergeStep", "merge", "merge_along_graph"]
+
+
+Reregister = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration | None]
+"""Registers the second group against the first, given the registrations between members; None if impossible."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,8 +33,63 @@ class MergeStep:
         return self.groups[0] if chosen is None else next(each for each in self.groups if chosen.target in each.poses)
 
 
-Reregister = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration | None]
-"""Registers the second group against the first, given the registrations between members; None if impossible."""
+def merge_along_graph(
+    target: str, names: Sequence[str], pairs: Sequence[PairRegistration], register_groups: Reregister
+) -> Iterator[MergeStep]:
+    """Join what accepted pairs link, the pair with the most evidence first; register groups only where none does.
+
+    A pair that is accepted but uncertain joins what nothing else can join.
+
+    Args:
+        names: all LiDARs, the target included.
+        pairs: at most one registration per unordered pair.
+
+    Yields:
+        One step per turn; the last one has `chosen` None unless all LiDARs are placed.
+    """
+    groups = {name: Group.of_one(name) for name in names}
+    registered: dict[tuple[tuple[str, ...], ...], PairRegistration | None] = {}
+    for step in range(len(names)):
+        distinct = sorted({id(group): group for group in groups.values()}.values(), key=lambda group: group.members)
+        if len(distinct) == 1:
+            return
+        ranked = _by_evidence([pair for pair in pairs if groups[pair.target] is not groups[pair.source]])
+        chosen = next((pair for pair in ranked if pair.verdict.accepted), None)
+        if chosen is None:
+            for group, other in combinations(distinct, 2):
+                between = [pair for pair in ranked if pair.lidars & {*group.poses} and pair.lidars & {*other.poses}]
+                key = group.members, other.members
+                if between and max(len(group.poses), len(other.poses)) > 1 and key not in registered:
+                    registered[key] = register_groups(group, other, between)
+            present = {group.members for group in distinct}
+            of_groups = [found for key, found in registered.items() if found is not None and {*key} <= present]
+            ranked = _by_evidence([*of_groups, *ranked])
+            usable = (pair for outcome in ("accept", "uncertain") for pair in ranked if pair.verdict.outcome == outcome)
+            chosen = next(usable, None)
+        if chosen is not None:
+            kept, added = groups[chosen.target], groups[chosen.source]
+            if target in added.poses or (target not in kept.poses and len(added.poses) > len(kept.poses)):
+                kept, added = added, kept
+            grown = kept.joined(added, kept.pose_of(added, chosen.T_target_source))
+            groups |= dict.fromkeys(grown.poses, grown)
+        ordered = sorted(
+            {id(group): group for group in groups.values()}.values(),
+            key=lambda group: (target not in group.poses, -len(group.poses), group.members),
+        )
+        decision = MergeDecision(
+            step=step,
+            candidates=tuple(_candidate(pair) for pair in ranked),
+            chosen=None if chosen is None else _candidate(chosen),
+            reason=_reason(ranked, chosen),
+            groups=tuple(group.members for group in ordered),
+        )
+        yield MergeStep(decision, chosen, tuple(ordered))
+        if chosen is None:
+            return
+
+
+def _by_evidence(pairs: Sequence[PairRegistration]) -> list[PairRegistration]:
+    return sorted(pairs, key=lambda pair: (-pair.evidence, pair.target, pair.source))
 
 
 def merge(
@@ -81,7 +141,7 @@ class _State:
 
     def ranked(self, *, direct_only: bool) -> list[PairRegistration]:
         pairs = [pair for key, pair in self.pairs.items() if not direct_only or self.target in key]
-        return sorted(pairs, key=lambda pair: (-pair.evidence, pair.target, pair.source))
+        return _by_evidence(pairs)
 
     def ordered_groups(self) -> tuple[Group, ...]:
         return tuple(
@@ -125,7 +185,14 @@ class _State:
 def _candidate(pair: PairRegistration) -> MergeCandidate:
     verdict = pair.verdict
     return MergeCandidate(
-        pair.target, pair.source, pair.fitness, pair.rmse_m, verdict.accepted, pair.evidence, verdict.text
+        pair.target,
+        pair.source,
+        pair.fitness,
+        pair.rmse_m,
+        verdict.accepted,
+        pair.evidence,
+        verdict.text,
+        uncertain=verdict.outcome == "uncertain",
     )
 
 
@@ -133,6 +200,7 @@ def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None)
     if chosen is not None:
         accepted = sum(pair.verdict.accepted for pair in ranked)
         rank = "the only accepted pair" if accepted == 1 else f"ranked first of {accepted} accepted pairs"
+        rank = rank if chosen.verdict.accepted else f"uncertain, and no accepted pair is left: {chosen.verdict.text}"
         return f"merged {chosen.source} into {chosen.target}: fitness {chosen.fitness:.3f}, {rank}"
     if not ranked:
         return "stopped: no pair is left that could be registered"

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from multilica.config import PreprocessConfig, StillnessConfig
-from multilica.geometry import read_only
+from multilica.geometry import lengths, read_only
 from multilica.registration.neighbours import thin
 from multilica.results import PreprocessedCloud
 from multilica.snapshot import LidarScans
@@ -31,12 +31,12 @@ def preprocess(
         scans, moving = drop_moving(lidar.scans, stillness)
         lidar = replace(lidar, scans=scans)
     points_m = lidar.points_m
-    finite = np.all(np.isfinite(points_m), axis=1)
-    range_m = np.linalg.norm(np.where(finite[:, None], points_m, 0.0), axis=1)
-    too_near = finite & (range_m < config.min_range_m)
-    too_far = finite & (range_m > config.max_range_m)
+    range_m = lengths(points_m)
+    too_near = range_m < config.min_range_m
+    too_far = np.isfinite(range_m) & (range_m > config.max_range_m)
     dropped = {"too_near": points_m[too_near], "too_far": points_m[too_far], "moving": moving}
-    kept = points_m[finite & ~too_near & ~too_far]
+    kept = points_m[np.isfinite(range_m) & ~too_near & ~too_far]
+    kept.setflags(write=False)
     return PreprocessedCloud(
         lidar=lidar.name,
         returns_m=read_only(kept, np.float64),

@@ -2,10 +2,10 @@
 """Check for dead and dirty LiDARs."""
 
 import numpy as np
-from scipy.ndimage import binary_opening
+import scipy
 
 from multilica.config import HealthConfig
-from multilica.geometry import FloatArray
+from multilica.geometry import FloatArray, lengths
 from multilica.results import BoolArray, IndexArray, Reason, SensorHealth
 from multilica.snapshot import LidarScans
 
@@ -32,10 +32,12 @@ def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> Se
         near_m: the calibration ignores nearer returns.
     """
     points_m = lidar.points_m
-    points_m = points_m[np.all(np.isfinite(points_m), axis=1) & np.any(points_m != 0.0, axis=1)]
+    range_m = lengths(points_m)
+    returned = np.isfinite(range_m) & (range_m > 0.0)
+    if not np.all(returned):
+        points_m, range_m = points_m[returned], range_m[returned]
     if len(points_m) == 0:
         return SensorHealth(lidar.name, 0, 0.0, 0.0, (Reason("dead", 0.0, 1.0, "it has no returns"),))
-    range_m = np.linalg.norm(points_m, axis=1)
     near = range_m < near_m
     cells = _cells(points_m, range_m)
     seen = np.bincount(cells, minlength=_ROWS * _COLUMNS) > 0
@@ -75,7 +77,7 @@ def _off_surfaces(directions: FloatArray, range_m: FloatArray, cells: IndexArray
 def _blocks(cells: BoolArray) -> BoolArray:
     """Select the cells that belong to a full block of 2 x 2; azimuth wraps around."""
     image = np.pad(cells.reshape(_ROWS, _COLUMNS), ((0, 0), (1, 1)), mode="wrap")
-    return np.asarray(binary_opening(image, structure=np.ones((2, 2)))[:, 1:-1].ravel())
+    return np.asarray(scipy.ndimage.binary_opening(image, structure=np.ones((2, 2)))[:, 1:-1].ravel())
 
 
 def _solid_angle(cells: BoolArray) -> float:

@@ -9,7 +9,7 @@ import small_gicp
 from scipy.spatial.transform import Rotation
 
 from multilica.config import StillnessConfig
-from multilica.geometry import LEVER_ARM_M, FloatArray
+from multilica.geometry import LEVER_ARM_M, FloatArray, lengths
 from multilica.registration.neighbours import PointTree, thin
 from multilica.snapshot import Scan
 
@@ -77,7 +77,7 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
 
 def _surroundings(scan: Scan) -> FloatArray:
     points_m = scan.points_m.astype(np.float64)
-    range_m = np.linalg.norm(points_m, axis=1)
+    range_m = lengths(points_m)
     return thin(points_m[(range_m > _BODY_M) & (range_m < _FAR_M)], _VOXEL_M)
 
 

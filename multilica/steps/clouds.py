@@ -1,18 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stages that work on single LiDARs."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from multilica import events
+from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError
-from multilica.snapshot import Snapshot
-from multilica.stages.features import compute_features
+from multilica.results import PreprocessedCloud, SensorHealth
+from multilica.snapshot import LidarScans, Snapshot
 from multilica.stages.preprocess import preprocess
 from multilica.stages.sensor_health import examine_sensor
-from multilica.stages.stillness import detect_motion, explain_motion
+from multilica.stages.stillness import Motion, detect_motion, explain_motion
+from multilica.steps.prepared_lidar import PreparedLidar, prepare_lidar
 from multilica.steps.state import CalibrationState
 
-__all__ = ["compute_all_features", "preprocess_clouds", "require_two_lidars"]
+__all__ = ["prepare_lidars", "preprocess_clouds", "require_two_lidars"]
 
 
 def require_two_lidars(snapshot: Snapshot) -> None:
@@ -33,18 +35,35 @@ def require_two_lidars(snapshot: Snapshot) -> None:
 def preprocess_clouds(state: CalibrationState) -> None:
     """Check that the vehicle stands still, check each sensor, and clean its cloud."""
     config, snapshot = state.config, state.snapshot
-    if config.stillness.enabled:
-        motions = {lidar.name: detect_motion(lidar.scans, config.stillness) for lidar in snapshot.lidars}
-        if refusal := explain_motion(motions, snapshot.source):
-            raise UnfitSnapshotError(refusal, code="moving_vehicle")
-    for lidar in snapshot.lidars:
-        health = examine_sensor(lidar, config.preprocess.min_range_m, config.health)
-        cloud = replace(preprocess(lidar, config.preprocess, config.stillness), health=health)
-        state.health.append(health)
-        if len(cloud.points_m):
-            state.clouds[lidar.name] = cloud
-        state.observe(events.CloudPreprocessed(cloud))
+    cleaned = list(state.workers.map(clean_lidar, [(lidar, config) for lidar in snapshot.lidars]))
+    motions = {lidar.name: each.motion for lidar, each in zip(snapshot.lidars, cleaned, strict=True)}
+    if refusal := explain_motion({name: motion for name, motion in motions.items() if motion}, snapshot.source):
+        raise UnfitSnapshotError(refusal, code="moving_vehicle")
+    for each in cleaned:
+        state.health.append(each.health)
+        if len(each.cloud.points_m):
+            state.clouds[each.cloud.lidar] = each.cloud
+        state.observe(events.CloudPreprocessed(each.cloud))
     _require_clouds(state)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CleanedLidar:
+    """A LiDAR's cloud with its health and motion; None where stillness is not checked."""
+
+    cloud: PreprocessedCloud
+    health: SensorHealth
+    motion: Motion | None
+
+
+def clean_lidar(shared: object, task: tuple[LidarScans, CalibrationConfig]) -> CleanedLidar:
+    """Clean one LiDAR's cloud, a task for a worker."""
+    del shared
+    lidar, config = task
+    motion = detect_motion(lidar.scans, config.stillness) if config.stillness.enabled else None
+    health = examine_sensor(lidar, config.preprocess.min_range_m, config.health)
+    cloud = replace(preprocess(lidar, config.preprocess, config.stillness), health=health)
+    return CleanedLidar(cloud, health, motion)
 
 
 def _require_clouds(state: CalibrationState) -> None:
@@ -64,8 +83,17 @@ def _require_clouds(state: CalibrationState) -> None:
         )
 
 
-def compute_all_features(state: CalibrationState) -> None:
-    """Compute descriptors of each LiDAR."""
-    for name, cloud in state.clouds.items():
-        state.features[name] = compute_features(cloud, state.config.features)
-        state.observe(events.FeaturesComputed(state.features[name]))
+def prepare_lidars(state: CalibrationState) -> None:
+    """Compute descriptors of each LiDAR, and prepare it for the work on pairs."""
+    tasks = [(cloud, state.config) for cloud in state.clouds.values()]
+    for lidar in state.workers.map(prepare_one, tasks):
+        name = lidar.cloud.lidar
+        state.lidars[name] = lidar
+        state.workers.share(name, lidar)
+        state.observe(events.FeaturesComputed(lidar.features))
+
+
+def prepare_one(shared: object, task: tuple[PreprocessedCloud, CalibrationConfig]) -> PreparedLidar:
+    """Prepare one LiDAR, a task for a worker."""
+    del shared
+    return prepare_lidar(*task)

@@ -4,9 +4,11 @@
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
+from multilica.acceptance.accept import imprecision
 from multilica.config import STAGES
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct
+from multilica.registration.stability import weakest_deviations
 from multilica.results import (
     LEVEL_FRAME,
     CalibrationResult,
@@ -68,24 +70,26 @@ def placement_of(name: str, target: str, state: CalibrationState) -> LidarPlacem
     poses = state.poses
     claimed = known_between(state.prior, target, name)
     if name == target:
-        pose, fitness, rmse_m, reason = RigidTransform.identity(name, name), 1.0, 0.0, "the target"
-    elif name in poses:
-        chosen = (decision.chosen for decision in state.decisions if name in decision.groups[0])
-        merged = next(candidate for candidate in chosen if candidate is not None)
-        pose, fitness, rmse_m, reason = poses[name], merged.fitness, merged.rmse_m, "placed"
-    else:
-        pairs, score_pose = tuple(state.registrations.values()), state.score_pose if state.prepared else None
+        pose = RigidTransform.identity(name, name)
+        return LidarPlacement(name, "the target", "placed", pose, 1.0, 0.0, T_target_source_prior=claimed)
+    if name not in poses:
+        pairs, score_pose = tuple(state.registrations.values()), state.score_pose if state.lidars else None
+        score_pose = score_pose if state.config.verify.enabled else None
         contested = contested_place(name, poses, pairs, score_pose)
         return LidarPlacement(name, _reason(name, target, state), T_target_source_prior=claimed, contested=contested)
+    chosen = (decision.chosen for decision in state.decisions if name in decision.groups[0])
+    merged = next(candidate for candidate in chosen if candidate is not None)
+    covariance = state.covariances.get(name)
+    doubt = None if covariance is None else imprecision(*weakest_deviations(covariance), state.config.acceptance)
     return LidarPlacement(
         name,
-        reason,
-        placed=True,
-        T_target_source=pose,
-        fitness=fitness,
-        rmse_m=rmse_m,
-        covariance=state.covariances.get(name),
-        T_target_source_prior=claimed,
+        "placed" if doubt is None else doubt.text,
+        "placed" if doubt is None else "uncertain",
+        poses[name],
+        merged.fitness,
+        merged.rmse_m,
+        covariance,
+        claimed,
     )
 
 

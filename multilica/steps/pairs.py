@@ -1,91 +1,119 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages that work on pairs of LiDARs."""
+"""Search and registration of single pairs, as tasks for worker processes."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from multilica import events
 from multilica.acceptance.accept import accept, accept_by_fitness
-from multilica.acceptance.cycles import check_ambiguous_chains, check_cycle_consistency
-from multilica.acceptance.symmetry import check_scene_symmetry
-from multilica.geometry import FloatArray, RigidTransform
-from multilica.registration.registration_cloud import prepare_registration_cloud
-from multilica.results import CoarseResult, Correspondences, Group, Hypothesis, PairKey, PairRegistration, Registration
+from multilica.config import CalibrationConfig, Stage
+from multilica.geometry import RigidTransform
+from multilica.results import CoarseResult, Correspondences, Hypothesis, PairKey, PairRegistration, Registration
 from multilica.stages.coarse import find_hypotheses
-from multilica.stages.correspond import match_features
-from multilica.stages.features import compute_features
-from multilica.stages.fine import Side, prepare_side, register_best
-from multilica.stages.missing_pairs import unconnected_pairs
-from multilica.stages.prior import known_between
-from multilica.stages.verify import PreparedLidar, short_gicp, verify_hypotheses
-from multilica.steps.state import CalibrationState
-from multilica.visibility.sensor_view import prepare_sensor_view
+from multilica.stages.correspond import match_features, pair_promise
+from multilica.stages.fine import Side, register_best
+from multilica.stages.verify import verify_hypotheses
+from multilica.visibility.sensor_view import score_pose
+from multilica.workers import Shared
 
 __all__ = [
-    "find_all_hypotheses",
-    "match_pairs",
-    "merged_points",
-    "register_pair",
-    "register_pairs",
+    "PAIR_STAGES",
+    "PairSearch",
+    "SearchRequest",
+    "promise_of",
+    "register_implied",
     "register_sides",
-    "side_of",
-    "verify_pairs",
+    "score_implied",
+    "search_pair",
 ]
 
-
-def match_pairs(state: CalibrationState) -> None:
-    """Match the descriptors of each pair."""
-    for target, source in state.pairs:
-        matches = match_features(state.features[target], state.features[source], state.config.correspond)
-        state.matches[target, source] = matches
-        state.observe(events.CorrespondencesMatched(matches))
+PAIR_STAGES: tuple[Stage, ...] = ("correspond", "coarse", "verify", "fine")
 
 
-def find_all_hypotheses(state: CalibrationState) -> None:
-    """Find the hypotheses of each pair, that of the prior included."""
-    for pair, matches in state.matches.items():
-        state.coarse[pair] = _hypotheses(state, matches, known_between(state.prior, *pair))
-        state.observe(events.HypothesesFound(state.coarse[pair], matches))
+@dataclass(frozen=True, slots=True)
+class SearchRequest:
+    """A pair to search.
+
+    Args:
+        voxel_size_m: of the descriptors.
+        prior: a pose that is known beforehand.
+        until: the last stage to run, one of `PAIR_STAGES`.
+    """
+
+    pair: PairKey
+    voxel_size_m: float
+    prior: RigidTransform | None = None
+    until: Stage = "fine"
 
 
-def _hypotheses(state: CalibrationState, matches: Correspondences, prior: RigidTransform | None) -> CoarseResult:
-    config = state.config
-    return find_hypotheses(matches, config.coarse, config.acceptance.max_baseline_m, config.runtime.seed, prior)
+@dataclass(slots=True, eq=False)
+class PairSearch:
+    """What the stages found for a pair, as far as they went.
+
+    Args:
+        verified: None where verification is off.
+        registration: None if there is no hypothesis.
+        elapsed_s: of each stage.
+    """
+
+    matches: Correspondences
+    coarse: CoarseResult | None = None
+    verified: tuple[Registration, ...] | None = None
+    registration: PairRegistration | None = None
+    elapsed_s: dict[Stage, float] = field(default_factory=dict)
 
 
-def verify_pairs(state: CalibrationState) -> None:
-    """Register and score the hypotheses of each pair."""
-    config = state.config
-    if not config.verify.enabled:
-        return
-    gicp = short_gicp(config.verify, config.fine)
-    for name, cloud in state.clouds.items():
-        rough = prepare_registration_cloud(name, cloud.points_m, gicp, config.runtime.threads)
-        state.prepared[name] = PreparedLidar(prepare_sensor_view(cloud, config.visibility), rough)
-    for pair, coarse in state.coarse.items():
-        state.verified[pair] = _verify(state, coarse)
-        state.observe(events.HypothesesVerified(*pair, state.verified[pair]))
+def promise_of(lidars: Shared, pair: PairKey) -> float:
+    """Estimate how likely a search of the pair succeeds."""
+    target, source = (lidars[name] for name in pair)
+    config = target.config
+    return pair_promise(target.features, source.features, config.coarse, config.acceptance.max_baseline_m)
 
 
-def _verify(state: CalibrationState, coarse: CoarseResult) -> tuple[Registration, ...]:
-    return verify_hypotheses(state.prepared[coarse.target], state.prepared[coarse.source], coarse, state.config)
-
-
-def register_pairs(state: CalibrationState) -> None:
-    """Register each pair, check the pairs against each other, and search again for pairs that remain unconnected."""
-    for name in state.clouds:
-        state.sides[name] = side_of(state, Group.of_one(name))
-    for pair in state.pairs:
-        hypotheses = _as_hypotheses(state.verified[pair]) if state.verified else state.coarse[pair].hypotheses
+def search_pair(lidars: Shared, request: SearchRequest) -> PairSearch:
+    """Search the pose of a pair without an initial guess: match, find hypotheses, verify them, register the best."""
+    target, source = (lidars[name] for name in request.pair)
+    config = target.config
+    stages = PAIR_STAGES[: PAIR_STAGES.index(request.until) + 1]
+    clock = _Clock()
+    of_target, of_source = (each.features_at(request.voxel_size_m) for each in (target, source))
+    found = PairSearch(match_features(of_target, of_source, config.correspond))
+    clock.stop("correspond", found)
+    if "coarse" in stages:
+        limits = config.coarse, config.acceptance.max_baseline_m, config.runtime.seed
+        found.coarse = find_hypotheses(found.matches, *limits, request.prior)
+        clock.stop("coarse", found)
+    if "verify" in stages and found.coarse is not None and config.verify.enabled:
+        found.verified = verify_hypotheses(target.rough_side, source.rough_side, found.coarse, config)
+        clock.stop("verify", found)
+    if "fine" in stages and found.coarse is not None:
+        hypotheses = found.coarse.hypotheses if found.verified is None else _as_hypotheses(found.verified)
         if hypotheses:
-            state.registrations[pair] = register_pair(state, pair, hypotheses)
-            state.observe(events.PairRegistered(state.registrations[pair]))
-    _check_pairs(state)
-    if state.config.verify.enabled:
-        for voxel_size_m in state.config.features.further_voxel_sizes_m:
-            _search_again(state, voxel_size_m)
+            found.registration = register_sides(target.side, source.side, hypotheses, config)
+        clock.stop("fine", found)
+    return found
+
+
+def register_implied(lidars: Shared, pose: RigidTransform) -> PairRegistration:
+    """Register two LiDARs from the pose that other pairs imply."""
+    target, source = (lidars[name] for name in (pose.target, pose.source))
+    return register_sides(target.side, source.side, [Hypothesis(pose)], target.config)
+
+
+def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
+    """Score a pose between two LiDARs by their beams."""
+    target, source = (lidars[name] for name in (pose.target, pose.source))
+    return score_pose(target.rough_side.view, source.rough_side.view, pose, *target.config.visibility.fine_tolerances)
+
+
+def register_sides(
+    target: Side, source: Side, hypotheses: Sequence[Hypothesis], config: CalibrationConfig, *, fit: bool = True
+) -> PairRegistration:
+    """Register two sides as `register_best` does, with a verdict."""
+    found = register_best(target, source, hypotheses, config, fit=fit)
+    if found.registrations:
+        return replace(found, verdict=accept(found.registrations, config.acceptance))
+    return replace(found, verdict=accept_by_fitness(found, config.merge))
 
 
 def _as_hypotheses(registrations: Sequence[Registration]) -> list[Hypothesis]:
@@ -95,78 +123,13 @@ def _as_hypotheses(registrations: Sequence[Registration]) -> list[Hypothesis]:
     ]
 
 
-def _check_pairs(state: CalibrationState) -> None:
-    """Check the accepted pairs against symmetries of the scene, cycles and chains."""
-    if not state.prepared:
-        return
-    limits, stability = state.config.acceptance, state.config.stability
-    checks: tuple[Callable[[Sequence[PairRegistration]], list[PairRegistration]], ...] = (
-        lambda pairs: check_scene_symmetry(pairs, state.score_pose, limits),
-        lambda pairs: check_cycle_consistency(pairs, state.score_pose, limits),
-        lambda pairs: check_ambiguous_chains(pairs, state.score_pose, limits, stability),
-    )
-    for check in checks:
-        before = list(state.registrations.items())
-        after = check([pair for _, pair in before])
-        for (key, old), new in zip(before, after, strict=True):
-            if new is not old:
-                state.registrations[key] = new
-                state.doubted.add(key)
-                state.observe(events.VerdictChanged(new))
+class _Clock:
+    """Time since the last stop."""
 
+    def __init__(self) -> None:
+        self._since_s = time.perf_counter()
 
-def _search_again(state: CalibrationState, voxel_size_m: float) -> None:
-    """Search for poses of unconnected pairs with descriptors of another size; keep those that are accepted."""
-    config = state.config
-    pairs = unconnected_pairs(state.pairs, state.registrations, state.doubted)
-    if not pairs:
-        return
-    state.observe(events.SearchWidened(pairs, voxel_size_m))
-    of_size = config.features.model_copy(update={"voxel_size_m": voxel_size_m})
-    names = sorted({name for pair in pairs for name in pair})
-    features = {name: compute_features(state.clouds[name], of_size) for name in names}
-    for pair in pairs:
-        matches = match_features(features[pair[0]], features[pair[1]], config.correspond)
-        coarse = _hypotheses(state, matches, None)
-        verified = _verify(state, coarse)
-        if not verified:
-            continue
-        found = register_pair(state, pair, _as_hypotheses(verified))
-        if found.verdict.accepted:
-            state.matches[pair], state.coarse[pair], state.verified[pair] = matches, coarse, verified
-            state.registrations[pair] = found
-            state.observe(events.CorrespondencesMatched(matches))
-            state.observe(events.HypothesesFound(coarse, matches))
-            state.observe(events.HypothesesVerified(*pair, verified))
-            state.observe(events.PairRegistered(found))
-    _check_pairs(state)
-
-
-def side_of(state: CalibrationState, group: Group) -> Side:
-    """Prepare a LiDAR, or a group with its members in the frame of its root, for registration."""
-    if len(group.poses) == 1 and group.root in state.sides:
-        return state.sides[group.root]
-    placed = sorted(group.poses.items()) if state.prepared else []
-    views = [(pose, state.prepared[name].view) for name, pose in placed]
-    return prepare_side(group.root, merged_points(state, group), views, state.config)
-
-
-def merged_points(state: CalibrationState, group: Group) -> FloatArray:
-    """Return the points (N, 3) of all members in the frame of the root."""
-    return np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in sorted(group.poses.items())])
-
-
-def register_sides(
-    state: CalibrationState, target: Side, source: Side, hypotheses: Sequence[Hypothesis], *, fit: bool
-) -> PairRegistration:
-    """Register two sides as `register_best` does, with a verdict."""
-    config = state.config
-    found = register_best(target, source, hypotheses, config, fit=fit)
-    if found.registrations:
-        return replace(found, verdict=accept(found.registrations, config.acceptance, config.stability))
-    return replace(found, verdict=accept_by_fitness(found, config.merge))
-
-
-def register_pair(state: CalibrationState, pair: PairKey, hypotheses: Sequence[Hypothesis]) -> PairRegistration:
-    """Register two LiDARs as `register_best` does, with a verdict."""
-    return register_sides(state, state.sides[pair[0]], state.sides[pair[1]], hypotheses, fit=True)
+    def stop(self, stage: Stage, found: PairSearch) -> None:
+        """Note the time as that of the stage."""
+        now_s = time.perf_counter()
+        found.elapsed_s[stage], self._since_s = now_s - self._since_s, now_s

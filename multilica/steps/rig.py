@@ -2,19 +2,20 @@
 """Stages that work on the whole rig."""
 
 from collections.abc import Sequence
-from functools import partial
+
+import numpy as np
 
 from multilica import events
-from multilica.acceptance.cycles import is_contradicted
+from multilica.acceptance.rig import is_contradicted
+from multilica.geometry import FloatArray
 from multilica.results import Group, Hypothesis, PairRegistration
-from multilica.stages.fine import select_finalists
+from multilica.stages.fine import Side, prepare_side, select_finalists
 from multilica.stages.ground import estimate_ground
 from multilica.stages.group_registration import poses_between, register_groups
-from multilica.stages.merge import merge
-from multilica.stages.missing_pairs import open_loops
+from multilica.stages.merge import merge, merge_along_graph
 from multilica.stages.refine import refine, trusted_pairs
 from multilica.stages.target import choose_target
-from multilica.steps.pairs import merged_points, register_pair, register_sides, side_of
+from multilica.steps.pairs import register_sides
 from multilica.steps.state import CalibrationState
 
 __all__ = ["fit_ground", "merge_pairs", "refine_rig"]
@@ -22,12 +23,19 @@ __all__ = ["fit_ground", "merge_pairs", "refine_rig"]
 
 def merge_pairs(state: CalibrationState) -> None:
     """Choose the target, and merge accepted pairs into its group."""
-    registrations = tuple(state.registrations.values())
+    registrations, names, config = tuple(state.registrations.values()), tuple(state.clouds), state.config.merge
     state.target, state.target_reason = choose_target(state.config.target, state.clouds, registrations)
     state.observe(events.TargetChosen(state.target, state.target_reason))
     state.group = Group.of_one(state.target)
-    reregister = partial(_reregister, state)
-    for step in merge(state.target, tuple(state.clouds), registrations, reregister, state.config.merge):
+
+    def register(group: Group, other: Group, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
+        return _register_groups(state, group, other, pairs)
+
+    if config.mode == "graph":
+        steps = merge_along_graph(state.target, names, registrations, register)
+    else:
+        steps = merge(state.target, names, registrations, register, config)
+    for step in steps:
         state.decisions.append(step.decision)
         if step.chosen is not None:
             state.merges.append(step.chosen)
@@ -35,7 +43,7 @@ def merge_pairs(state: CalibrationState) -> None:
         state.observe(events.MergeStepTaken(step.decision, tuple(step.grown.poses.values())))
 
 
-def _reregister(
+def _register_groups(
     state: CalibrationState, group: Group, other: Group, pairs: Sequence[PairRegistration]
 ) -> PairRegistration | None:
     acceptance, most = state.config.acceptance, state.config.fine.max_finalists
@@ -47,7 +55,7 @@ def _reregister(
     }
 
     def register(group: Group, other: Group, hypotheses: Sequence[Hypothesis], fit: bool) -> PairRegistration:
-        return register_sides(state, side_of(state, group), side_of(state, other), hypotheses, fit=fit)
+        return register_sides(_side_of(state, group), _side_of(state, other), hypotheses, state.config, fit=fit)
 
     found = register_groups(group, other, pairs, poses_between(group, other, finalists), register, state.config)
     if found is not None:
@@ -55,16 +63,27 @@ def _reregister(
     return found
 
 
+def _side_of(state: CalibrationState, group: Group) -> Side:
+    """Prepare a LiDAR, or a group with its members in the frame of its root, for registration."""
+    if len(group.poses) == 1:
+        return state.lidars[group.root].side
+    if group.members not in state.sides:
+        views = [
+            (pose, view) for name, pose in sorted(group.poses.items()) if (view := state.lidars[name].view) is not None
+        ]
+        state.sides[group.members] = prepare_side(group.root, _merged_points(state, group), views, state.config)
+    return state.sides[group.members]
+
+
+def _merged_points(state: CalibrationState, group: Group) -> FloatArray:
+    """Return the points (N, 3) of all members in the frame of the root."""
+    return np.concatenate([pose.apply(state.clouds[name].points_m) for name, pose in sorted(group.poses.items())])
+
+
 def refine_rig(state: CalibrationState) -> None:
-    """Close the loops that the search left open, and refine all poses jointly."""
+    """Refine all poses jointly."""
     if not state.config.refine.enabled or state.group is None:
         return
-    if state.config.verify.enabled:
-        for pair, pose in open_loops(state.group, state.pairs, state.registrations).items():
-            found = register_pair(state, pair, [Hypothesis(pose)])
-            state.observe(events.LoopRegistered(found))
-            if found.verdict.accepted:
-                state.registrations[pair] = found
     trusted = trusted_pairs(state.registrations.values(), state.merges)
     rig = refine(state.target, state.group.poses, trusted, state.config.refine)
     state.group = Group(state.target, rig.poses)
@@ -76,6 +95,6 @@ def fit_ground(state: CalibrationState) -> None:
     """Fit the ground plane to the merged cloud, if the configuration asks for it."""
     if not state.config.ground.enabled or state.group is None:
         return
-    points_m = merged_points(state, state.group)
+    points_m = _merged_points(state, state.group)
     state.ground, reason = estimate_ground(state.target, points_m, state.config.ground, state.config.runtime.seed)
     state.observe(events.GroundEstimated(state.ground, reason))

@@ -1,18 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the stages so far."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
 
+from multilica.acceptance.pair_graph import PairGraph
 from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import (
     CoarseResult,
-    Correspondences,
-    FeatureCloud,
     GroundPlane,
     Group,
     MergeDecision,
@@ -22,11 +21,13 @@ from multilica.results import (
     Refinement,
     Registration,
     SensorHealth,
+    VisibilityScore,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.fine import Side
-from multilica.stages.verify import PreparedLidar
-from multilica.visibility.sensor_view import score_pose
+from multilica.steps.prepared_lidar import PreparedLidar
+from multilica.visibility.sensor_view import SensorView, score_pose, score_visibility
+from multilica.workers import Workers
 
 __all__ = ["CalibrationState"]
 
@@ -39,19 +40,19 @@ class CalibrationState:
     config: CalibrationConfig
     observe: Observer
     prior: Extrinsics | None = None
+    workers: Workers = field(default_factory=Workers)
     health: list[SensorHealth] = field(default_factory=list)
     clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
-    features: dict[str, FeatureCloud] = field(default_factory=dict)
-    matches: dict[PairKey, Correspondences] = field(default_factory=dict)
+    lidars: dict[str, PreparedLidar] = field(default_factory=dict)
     coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
-    prepared: dict[str, PreparedLidar] = field(default_factory=dict)
     verified: dict[PairKey, tuple[Registration, ...]] = field(default_factory=dict)
-    sides: dict[str, Side] = field(default_factory=dict)
     registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
-    doubted: set[PairKey] = field(default_factory=set)
+    scores: dict[tuple[str, str, bytes], Registration] = field(default_factory=dict)
+    tested_loops: set[PairKey] = field(default_factory=set)
     target: str = ""
     target_reason: str = ""
     decisions: list[MergeDecision] = field(default_factory=list)
+    sides: dict[tuple[str, ...], Side] = field(default_factory=dict)
     group: Group | None = None
     merges: list[PairRegistration] = field(default_factory=list)
     covariances: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -65,11 +66,43 @@ class CalibrationState:
         return list(combinations(self.clouds, 2))
 
     @property
+    def accepted(self) -> list[PairRegistration]:
+        """The accepted pairs, in name order."""
+        ordered = (self.registrations[pair] for pair in sorted(self.registrations))
+        return [pair for pair in ordered if pair.verdict.accepted]
+
+    @property
     def poses(self) -> Mapping[str, RigidTransform]:
         """``T_target_lidar`` of the target's group; empty before it exists."""
         return {} if self.group is None else self.group.poses
 
     def score_pose(self, pose: RigidTransform) -> Registration:
         """Score a pose between any two LiDARs by their beams."""
-        target, source = self.prepared[pose.target].view, self.prepared[pose.source].view
-        return score_pose(target, source, pose, self.config.visibility)
+        key = pose.target, pose.source, pose.matrix.tobytes()
+        if key not in self.scores:
+            self.scores[key] = score_pose(*self._views(pose), pose, *self.config.visibility.fine_tolerances)
+        return self.scores[key]
+
+    def remember(self, scores: Iterable[Registration]) -> None:
+        """Keep scores for `score_pose`."""
+        for scored in scores:
+            pose = scored.T_target_source
+            self.scores[pose.target, pose.source, pose.matrix.tobytes()] = scored
+
+    def score_rough_pose(self, pose: RigidTransform) -> Registration:
+        """Score a pose that may be off by some centimetres."""
+        return score_pose(*self._views(pose), pose, *self.config.visibility.rough_tolerances)
+
+    def score_turned(self, motion: RigidTransform) -> VisibilityScore:
+        """Score all that a LiDAR and those that accepted pairs link to it see, turned, against itself."""
+        poses = PairGraph.of(self.clouds, self.accepted).poses(motion.target)
+        placed = [(pose, self._view(name)) for name, pose in sorted(poses.items())]
+        return score_visibility(placed, placed, motion, *self.config.visibility.rough_tolerances)
+
+    def _views(self, pose: RigidTransform) -> tuple[SensorView, SensorView]:
+        return self._view(pose.target), self._view(pose.source)
+
+    def _view(self, name: str) -> SensorView:
+        view = self.lidars[name].view
+        assert view is not None  # noqa: S101 - verification is on
+        return view

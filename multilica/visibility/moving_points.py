@@ -5,11 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import minimum_filter, uniform_filter
+import scipy
 from scipy.spatial import cKDTree
 
 from multilica.config import StillnessConfig
-from multilica.geometry import FloatArray
+from multilica.geometry import FloatArray, lengths
 from multilica.results import BoolArray, IndexArray
 from multilica.snapshot import Scan
 
@@ -45,6 +45,15 @@ class _Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Returns:
+    """Which returns of a scan (N,) are usable, with the points (M, 3) and ranges (M,) of those."""
+
+    usable: BoolArray
+    points_m: FloatArray
+    range_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _FrameImage:
     """Range image of one frame, with its points.
 
@@ -71,10 +80,11 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
     Returns:
         The scans without those returns, and the (K, 3) dropped points.
     """
-    grid = _grid(scans) if len(scans) > 1 else None
+    returns = [_returns(scan) for scan in scans]
+    grid = _grid(returns) if len(scans) > 1 else None
     if grid is None:
         return tuple(scans), np.empty((0, 3))
-    frames = [_frame(scan, grid) for scan in scans]
+    frames = [_frame(each, grid) for each in returns]
     references = sorted(set(np.linspace(0, len(frames) - 1, _REFERENCE_FRAMES).astype(int).tolist()))
     moving = [
         _proven_empty(frame, [frames[other] for other in references if other != index], config.beyond_m)
@@ -89,45 +99,48 @@ def _proven_empty(frame: _FrameImage, others: Sequence[_FrameImage], beyond_m: f
     own = frame.filled[frame.cells]
     empty = np.zeros(len(frame.cells), dtype=np.bool_)
     for other in others:
-        passed_m = other.nearest_m[frame.cells]
-        dense = other.filled[frame.cells] >= _MIN_FILLED * own
-        empty |= np.isfinite(passed_m) & dense & (passed_m > frame.range_m + beyond_m)
+        passed = np.flatnonzero(other.nearest_m[frame.cells] > frame.range_m + beyond_m)
+        cells = frame.cells[passed]
+        empty[passed] |= np.isfinite(other.nearest_m[cells]) & (other.filled[cells] >= _MIN_FILLED * own[passed])
     moving = np.zeros(len(frame.usable), dtype=np.bool_)
     moving[frame.usable] = empty
     return moving
 
 
-def _grid(scans: Sequence[Scan]) -> _Grid | None:
-    usable = [_usable(scan)[1] for scan in scans]
-    fullest = max(usable, key=len, default=np.empty((0, 3)))
-    if len(fullest) <= _SPACING_NEIGHBOUR:
+def _grid(frames: Sequence[_Returns]) -> _Grid | None:
+    fullest = max(frames, key=lambda frame: len(frame.points_m))
+    if len(fullest.points_m) <= _SPACING_NEIGHBOUR:
         return None
-    directions = fullest / np.linalg.norm(fullest, axis=1, keepdims=True)
+    directions = fullest.points_m / fullest.range_m[:, None]
     sample = directions[:: max(1, len(directions) // _SPACING_SAMPLES)]
-    distances, _ = cKDTree(directions).query(sample, k=_SPACING_NEIGHBOUR + 1)
+    tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
+    distances, _ = tree.query(sample, k=_SPACING_NEIGHBOUR + 1)
     cell_rad = max(_FINEST_CELL_RAD, float(np.median(distances[:, -1])))
-    sines = [points[:, 2] / np.linalg.norm(points, axis=1) for points in usable if len(points)]
+    sines = [frame.points_m[:, 2] / frame.range_m for frame in frames if len(frame.points_m)]
     lowest, highest = (float(np.arcsin(pick([pick(sine) for sine in sines]))) for pick in (np.min, np.max))
     rows = int((highest - lowest) / cell_rad) + 1
     return _Grid(cell_rad, lowest, rows, int(np.ceil(2.0 * np.pi / cell_rad)))
 
 
-def _usable(scan: Scan) -> tuple[BoolArray, FloatArray]:
-    usable = np.all(np.isfinite(scan.points_m), axis=1) & np.any(scan.points_m != 0.0, axis=1)
-    return usable, scan.points_m[usable].astype(np.float64)
+def _returns(scan: Scan) -> _Returns:
+    points_m = scan.points_m.astype(np.float64)
+    range_m = lengths(points_m)
+    usable = np.isfinite(range_m) & (range_m > 0.0)
+    if not np.all(usable):
+        points_m, range_m = points_m[usable], range_m[usable]
+    return _Returns(usable, points_m, range_m)
 
 
-def _frame(scan: Scan, grid: _Grid) -> _FrameImage:
-    usable, points_m = _usable(scan)
-    range_m = np.linalg.norm(points_m, axis=1)
-    cells = grid.cells(points_m, range_m)
+def _frame(returns: _Returns, grid: _Grid) -> _FrameImage:
+    range_m = returns.range_m
+    cells = grid.cells(returns.points_m, range_m)
     nearest_of_cell_m = np.full(grid.rows * grid.columns, np.inf)
     np.minimum.at(nearest_of_cell_m, cells, range_m)
     image_m = nearest_of_cell_m.reshape(grid.rows, grid.columns)
     around = ("nearest", "wrap")
-    nearest_m = minimum_filter(image_m, size=3, mode=around)
-    filled = uniform_filter(np.isfinite(image_m).astype(np.float64), size=3, mode=around)
-    return _FrameImage(usable, range_m, cells, nearest_m.ravel(), filled.ravel())
+    nearest_m = scipy.ndimage.minimum_filter(image_m, size=3, mode=around)
+    filled = scipy.ndimage.uniform_filter(np.isfinite(image_m).astype(np.float64), size=3, mode=around)
+    return _FrameImage(returns.usable, range_m, cells, nearest_m.ravel(), filled.ravel())
 
 
 def _without(scan: Scan, gone: BoolArray) -> Scan:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import Delaunay, cKDTree
 
-from multilica.geometry import FloatArray, largest_index
+from multilica.geometry import FloatArray, largest_index, lengths
 from multilica.results import BeamLabel
 
 __all__ = ["RangeImage", "build_range_image", "label_points"]
@@ -27,7 +27,8 @@ class RangeImage:
         to_pole: (3, 3) rotation that takes the emptiest direction to -z, from where directions are projected.
         triangulation: of the stereographic projection of the beams; circles stay circles, so it is Delaunay on the
             sphere.
-        planes: (T, 3) per triangle the vector c with ``c @ p == 1`` on the plane through its three returns.
+        normals: (T, 3) unit normal of the plane through the three returns of each triangle, away from the sensor.
+        offsets_m: (T,) distance of that plane from the sensor.
         nearest_m: (T,) smallest range of the three returns.
         usable: (T,) the three beams are neighbours.
         smooth: (T,) the three returns can lie on one surface.
@@ -37,7 +38,8 @@ class RangeImage:
 
     to_pole: FloatArray
     triangulation: Any
-    planes: FloatArray
+    normals: FloatArray
+    offsets_m: FloatArray
     nearest_m: FloatArray
     usable: npt.NDArray[np.bool_]
     smooth: npt.NDArray[np.bool_]
@@ -73,21 +75,20 @@ def build_range_image(returns_m: FloatArray) -> RangeImage | None:
     beams_m, cell_rad = _one_per_cell(returns_m[::stride])
     if len(beams_m) < 4:
         return None
-    range_m = np.linalg.norm(beams_m, axis=1)
+    range_m = lengths(beams_m)
     directions = beams_m / range_m[:, None]
     to_pole = _rotation_to_pole(directions)
-    triangulation = Delaunay(_stereographic(directions @ to_pole.T))
+    triangulation = Delaunay(_stereographic(beams_m @ to_pole.T, range_m))
     corners = triangulation.simplices
     longest_rad = _longest_edge_rad(directions[corners])
     spacing_rad = float(np.median(longest_rad))
-    points = beams_m[corners]
-    with np.errstate(all="ignore"):
-        planes = _planes(points)
-    incidence = 1.0 / (np.linalg.norm(planes, axis=1) * range_m[corners].mean(axis=1))
+    normals, offsets_m = _planes(beams_m[corners])
+    incidence = offsets_m / range_m[corners].mean(axis=1)
     return RangeImage(
         to_pole=to_pole,
         triangulation=triangulation,
-        planes=planes,
+        normals=normals,
+        offsets_m=offsets_m,
         nearest_m=range_m[corners].min(axis=1),
         usable=longest_rad <= min(_EDGE_FACTOR * spacing_rad, _MAX_EDGE_RAD),
         smooth=incidence >= _MIN_INCIDENCE,
@@ -110,22 +111,21 @@ def label_points(
         widths_m: (N,) width of the object that each point lies on: one narrower than the gap between beams violates
             nothing. None: no object is narrow.
     """
-    range_m = np.maximum(np.linalg.norm(points_m, axis=1), 1e-9)
-    directions = points_m / range_m[:, None]
-    triangle = image.triangulation.find_simplex(_stereographic(directions @ image.to_pole.T))
-    seen = (triangle >= 0) & image.usable[triangle]
-    plane = image.planes[triangle]
-    beyond_m = (np.einsum("ij,ij->i", plane, points_m) - 1.0) / np.linalg.norm(plane, axis=1)
+    range_m = np.maximum(lengths(points_m), 1e-9)
+    triangle = image.triangulation.find_simplex(_stereographic(points_m @ image.to_pole.T, range_m))
+    seen = np.flatnonzero((triangle >= 0) & image.usable[triangle])
+    triangle, range_m = triangle[seen], range_m[seen]
+    beyond_m = np.einsum("ij,ij->i", image.normals[triangle], points_m[seen]) - image.offsets_m[triangle]
     tolerance = tolerance_m + tolerance_rad * range_m
-    agree = image.smooth[triangle] & (np.abs(beyond_m) <= tolerance)
+    smooth = image.smooth[triangle]
     before = range_m < image.nearest_m[triangle] - 2.0 * tolerance
-    violate = before & ((beyond_m < -2.0 * tolerance) | ~image.smooth[triangle])
+    violate = before & ((beyond_m < -2.0 * tolerance) | ~smooth)
     if widths_m is not None:
-        violate &= image.gap_rad[triangle] * range_m <= widths_m
-    labels = np.full(len(points_m), BeamLabel.OCCLUDED, dtype=np.uint8)
-    labels[violate] = BeamLabel.VIOLATE
-    labels[agree] = BeamLabel.AGREE
-    labels[~seen] = BeamLabel.UNSEEN
+        violate &= image.gap_rad[triangle] * range_m <= widths_m[seen]
+    of_seen = np.where(violate, np.uint8(BeamLabel.VIOLATE), np.uint8(BeamLabel.OCCLUDED))
+    of_seen[smooth & (np.abs(beyond_m) <= tolerance)] = BeamLabel.AGREE
+    labels = np.full(len(points_m), BeamLabel.UNSEEN, dtype=np.uint8)
+    labels[seen] = of_seen
     return labels
 
 
@@ -137,26 +137,31 @@ def _one_per_cell(returns_m: FloatArray) -> tuple[FloatArray, float]:
     Returns:
         The selected returns (M, 3) with the size of the cells.
     """
-    range_m = np.linalg.norm(returns_m, axis=1)
-    returns_m, range_m = returns_m[range_m > 0.0], range_m[range_m > 0.0]
+    range_m = lengths(returns_m)
+    if not np.all(range_m > 0.0):
+        returns_m, range_m = returns_m[range_m > 0.0], range_m[range_m > 0.0]
     if len(returns_m) == 0:
         return returns_m, _FINEST_CELL_RAD
-    directions = returns_m / range_m[:, None]
+    directions = np.ascontiguousarray(returns_m.T) / range_m
     cell_rad = _FINEST_CELL_RAD
     cells = _cells(directions, cell_rad)
-    while (count := len(np.unique(cells))) > _MAX_BEAMS:
+    while (count := np.count_nonzero(np.diff(np.sort(cells))) + 1) > _MAX_BEAMS:
         steps = np.log(count / _MAX_BEAMS) / (2.0 * np.log(_CELL_GROWTH))
         cell_rad *= _CELL_GROWTH ** max(1.0, float(np.floor(steps)))
         cells = _cells(directions, cell_rad)
-    order = np.lexsort((range_m, cells))
+    # Positive floats have the order of their bits, so one integer holds cell and range.
+    range_bits = range_m.astype(np.float32).view(np.int32)
+    order = np.argsort((cells.astype(np.int64) << 32) | range_bits, kind="stable")
     cells = cells[order]
     ends = np.flatnonzero(np.append(cells[1:] != cells[:-1], True)) + 1
     starts = np.append(0, ends[:-1])
     return np.asarray(returns_m[order[starts + (ends - starts) // 2]]), cell_rad
 
 
-def _cells(directions: FloatArray, cell_rad: float) -> npt.NDArray[np.int64]:
-    return np.asarray(np.floor((directions + 1.0) / cell_rad).astype(np.int64) @ np.array([1 << 40, 1 << 20, 1]))
+def _cells(directions: FloatArray, cell_rad: float) -> npt.NDArray[np.int32]:
+    """Number the cells (N,) of unit vectors (3, N); along each axis there are fewer than 1024."""
+    x, y, z = ((directions + 1.0) / cell_rad).astype(np.int32)
+    return np.asarray((x << 20) | (y << 10) | z)
 
 
 def _rotation_to_pole(directions: FloatArray) -> FloatArray:
@@ -172,8 +177,8 @@ def _rotation_to_pole(directions: FloatArray) -> FloatArray:
     return np.stack([x_axis, np.cross(pole, x_axis), pole])
 
 
-def _stereographic(directions: FloatArray) -> FloatArray:
-    return directions[:, :2] / np.maximum(1.0 + directions[:, 2:], 1e-9)
+def _stereographic(points_m: FloatArray, range_m: FloatArray) -> FloatArray:
+    return points_m[:, :2] / np.maximum(range_m + points_m[:, 2], 1e-9 * range_m)[:, None]
 
 
 def _longest_edge_rad(corners: FloatArray) -> FloatArray:
@@ -182,9 +187,9 @@ def _longest_edge_rad(corners: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.arcsin(np.clip(longest / 2.0, 0.0, 1.0)))
 
 
-def _planes(corners_m: FloatArray) -> FloatArray:
-    """Return the normal divided by the offset of each plane: ``c @ p == 1`` for its three points."""
-    normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
-    offset = np.einsum("ij,ij->i", normal, corners_m[:, 0])
-    offset = np.where(np.abs(offset) > 1e-12, offset, 1e-12)
-    return np.asarray(normal / offset[:, None])
+def _planes(corners_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return unit normals (T, 3), away from the origin, and distances (T,) of planes through three points each."""
+    normals = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
+    normals /= np.maximum(lengths(normals), 1e-12)[:, None]
+    offsets_m = np.einsum("ij,ij->i", normals, corners_m[:, 0])
+    return normals * np.copysign(1.0, offsets_m)[:, None], np.abs(offsets_m)

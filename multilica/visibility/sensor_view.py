@@ -5,10 +5,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from multilica.config import VisibilityConfig
-from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
-from multilica.registration.neighbours import PointTree, principal_directions, thin
+from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, lengths
+from multilica.registration.neighbours import PointTree, spread_and_normals, thin
 from multilica.registration.stability import weakest_curvature
 from multilica.results import (
     BeamLabel,
@@ -41,10 +42,6 @@ _SOLID_FLATNESS = 0.02
 # A surface rather than a single ring: extent across the ring, against along it and against the noise.
 _PLANE_WIDTH = 0.05
 _WIDER_THAN_THICK = 10.0
-# Half the length of a car: within it, the vehicle's own body may carry the sensor.
-_OWN_BODY_M = 3.0
-# Half the size of the smallest mount with its sensor.
-_CARRIED_M = 0.3
 # Width of poles and branches, and of the patch that a surface probe stands for (the voxel of the probes).
 _THIN_M = 0.1
 _PATCH_M = 0.5
@@ -61,8 +58,9 @@ class SensorView:
         probes_m: (N, 3) points in its own frame that the beams of others label.
         solid: (N,) which of them lie on a closed surface, not in foliage, on a fence or on something thin.
         normals: (N, 3) unit normals; zero where the neighbours span no surface.
-        returns: its thinned points, which include thin things between the beams of the image; None if there are none
-            in range.
+        spanned: (N,) which normals are not zero.
+        returns: tree of its thinned points, which include thin things between the beams of the image; None if there
+            are none in range.
     """
 
     lidar: str
@@ -70,7 +68,8 @@ class SensorView:
     probes_m: FloatArray
     solid: BoolArray
     normals: FloatArray
-    returns: PointTree | None
+    spanned: BoolArray
+    returns: cKDTree | None
 
     @property
     def alone(self) -> "list[PlacedView]":
@@ -87,18 +86,19 @@ ScorePose = Callable[[RigidTransform], Registration]
 
 def prepare_sensor_view(cloud: PreprocessedCloud, config: VisibilityConfig) -> SensorView:
     """Prepare what every hypothesis about a sensor needs."""
-    near_m = cloud.points_m[np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m]
+    near_m = cloud.points_m[lengths(cloud.points_m) <= config.max_range_m]
     probes_m = _along_bands(thin(near_m, config.probe_voxel_size_m))
     image = build_range_image(cloud.returns_m)
-    returns = PointTree(thin(near_m, _RETURN_VOXEL_M)) if len(near_m) else None
-    solid, normals = _surfaces(probes_m, returns)
+    returns_m = thin(near_m, _RETURN_VOXEL_M)
+    solid, normals, spanned = _surfaces(probes_m, returns_m)
     if image is None:
         solid = np.zeros(len(probes_m), dtype=bool)
     else:
         # Around a fence or a pole, most of the sensor's own beams see what is behind.
         own = label_points(image, probes_m, config.tolerance_m, float(np.deg2rad(config.tolerance_deg)))
         solid &= own == BeamLabel.AGREE
-    return SensorView(cloud.lidar, image, probes_m, solid, normals, returns)
+    returns = cKDTree(returns_m, balanced_tree=False, compact_nodes=False) if len(returns_m) else None
+    return SensorView(cloud.lidar, image, probes_m, solid, normals, spanned, returns)
 
 
 def score_visibility(
@@ -120,19 +120,14 @@ def score_visibility(
     """
     labelled: list[_Labelled] = []
     shown: tuple[LabelArray, LabelArray] | None = None
-    seen_through_m = 0.0
     for T_target_member, target in targets:
         for T_source_member, source in sources:
             T_target_placed = T_target_source @ T_source_member
             pose = T_target_member.inverse() @ T_target_placed
             forth = _labels(target, source, pose, tolerance_m, tolerance_deg)
             back = _labels(source, target, pose.inverse(), tolerance_m, tolerance_deg)
-            if _sees_through(target, pose, tolerance_m, tolerance_deg) or _sees_through(
-                source, pose.inverse(), tolerance_m, tolerance_deg
-            ):
-                seen_through_m = max(seen_through_m, float(np.linalg.norm(pose.xyz_m)))
-            labelled.append(_labelled(source, forth, T_target_placed))
-            labelled.append(_labelled(target, back, T_target_member))
+            labelled.append(_Labelled(source, forth, T_target_placed))
+            labelled.append(_Labelled(target, back, T_target_member))
             shown = (forth, back) if shown is None else shown
     counts = _counts(np.concatenate([probes.labels for probes in labelled]))
     information = sum((_information(probes, T_target_source.xyz_m) for probes in labelled), start=np.zeros((6, 6)))
@@ -151,7 +146,6 @@ def score_visibility(
         structure_violate=structure[BeamLabel.VIOLATE],
         structure_occluded=structure[BeamLabel.OCCLUDED],
         target_labels=target_labels,
-        seen_through_m=seen_through_m,
     )
 
 
@@ -178,11 +172,10 @@ def score_registration(
 
 
 def score_pose(
-    target: SensorView, source: SensorView, T_target_source: RigidTransform, config: VisibilityConfig
+    target: SensorView, source: SensorView, T_target_source: RigidTransform, tolerance_m: float, tolerance_deg: float
 ) -> Registration:
-    """Score a pose of two LiDARs that was not registered, with the tolerances of the fine stage."""
-    tolerances = config.fine_tolerance_m, config.fine_tolerance_deg
-    score = score_visibility(target.alone, source.alone, T_target_source, *tolerances)
+    """Score a pose of two LiDARs that was not registered."""
+    score = score_visibility(target.alone, source.alone, T_target_source, tolerance_m, tolerance_deg)
     unknown = float("nan")
     return Registration(
         -1, T_target_source, score, unknown, unknown, unknown, source.probes_m, target_probes_m=target.probes_m
@@ -191,16 +184,11 @@ def score_pose(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Labelled:
-    """Probes of one sensor in the target group's frame, with the labels of another's beams."""
+    """Probes of one sensor with the labels of another's beams, and their pose in the target group's frame."""
 
+    view: SensorView
     labels: LabelArray
-    points_m: FloatArray
-    normals: FloatArray
-    solid: BoolArray
-
-
-def _labelled(view: SensorView, labels: LabelArray, T_root_view: RigidTransform) -> _Labelled:
-    return _Labelled(labels, T_root_view.apply(view.probes_m), T_root_view.rotate(view.normals), view.solid)
+    T_root_view: RigidTransform
 
 
 def _counts(labels: LabelArray) -> list[int]:
@@ -209,17 +197,18 @@ def _counts(labels: LabelArray) -> list[int]:
 
 def _information(probes: _Labelled, centre_m: FloatArray) -> FloatArray:
     """Sum J J^T over agreeing points; J is the derivative of the point-to-plane distance by the pose."""
-    agree = probes.labels == BeamLabel.AGREE
-    normals = probes.normals[agree]
-    arms = probes.points_m[agree] - centre_m
-    jacobian = np.concatenate([np.cross(arms, normals) / LEVER_ARM_M, normals], axis=1)
-    return np.asarray(jacobian.T @ jacobian)
+    agree = np.flatnonzero(probes.labels == BeamLabel.AGREE)
+    arms = (probes.T_root_view.apply(probes.view.probes_m[agree]) - centre_m) / LEVER_ARM_M
+    (x, y, z), (nx, ny, nz) = arms.T, probes.T_root_view.rotate(probes.view.normals[agree]).T
+    jacobian = np.stack([y * nz - z * ny, z * nx - x * nz, x * ny - y * nx, nx, ny, nz])
+    return np.asarray(jacobian @ jacobian.T)
 
 
 def _structure(probes: _Labelled, commonest: FloatArray) -> LabelArray:
     """Select the labels of closed surfaces off the commonest orientation."""
-    apart = np.abs(probes.normals @ commonest) < _STRUCTURE
-    return np.asarray(probes.labels[probes.solid & np.any(probes.normals, axis=1) & apart])
+    view = probes.view
+    apart = np.abs(view.normals @ (probes.T_root_view.rotation.T @ commonest)) < _STRUCTURE
+    return np.asarray(probes.labels[view.solid & view.spanned & apart])
 
 
 def _labels(
@@ -234,32 +223,22 @@ def _labels(
     if beams.image is None:
         return np.full(len(other.probes_m), BeamLabel.UNSEEN, dtype=np.uint8)
     points_m = T_beams_other.apply(other.probes_m)
-    spanned = np.any(other.normals, axis=1)
-    widths_m = np.where(spanned, _PATCH_M, _THIN_M)
+    widths_m = np.where(other.spanned, _PATCH_M, _THIN_M)
     labels = label_points(beams.image, points_m, tolerance_m, float(np.deg2rad(tolerance_deg)), widths_m)
-    facing = np.abs(np.einsum("ij,ij->i", T_beams_other.rotate(other.normals), points_m))
-    grazing = (facing < _GRAZING * np.linalg.norm(points_m, axis=1)) & spanned
-    labels[(labels == BeamLabel.VIOLATE) & (grazing | ~other.solid)] = BeamLabel.OCCLUDED
     empty = np.flatnonzero(labels == BeamLabel.VIOLATE)
+    if len(empty) == 0:
+        return labels
+    range_m = lengths(points_m[empty])
+    facing = np.abs(np.einsum("ij,ij->i", T_beams_other.rotate(other.normals[empty]), points_m[empty]))
+    passed = ((facing < _GRAZING * range_m) & other.spanned[empty]) | ~other.solid[empty]
+    labels[empty[passed]] = BeamLabel.OCCLUDED
+    empty, range_m = empty[~passed], range_m[~passed]
     if beams.returns is None or len(empty) == 0:
         return labels
-    reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * np.linalg.norm(points_m[empty], axis=1))
-    nearest_m, _ = beams.returns.nearest(points_m[empty])
+    reach_m = 2.0 * (tolerance_m + np.deg2rad(tolerance_deg) * range_m)
+    nearest_m, _ = beams.returns.query(points_m[empty], distance_upper_bound=np.nextafter(reach_m.max(), np.inf))
     labels[empty[nearest_m <= reach_m]] = BeamLabel.AGREE
     return labels
-
-
-def _sees_through(beams: SensorView, T_beams_other: RigidTransform, tolerance_m: float, tolerance_deg: float) -> bool:
-    """Tell whether beams pass through the place of another sensor and all around it, so that nothing can carry it.
-
-    Nearby, over the vehicle's own body, beams may graze the mount.
-    """
-    place_m = T_beams_other.xyz_m
-    if beams.image is None or float(np.linalg.norm(place_m)) < _OWN_BODY_M:
-        return False
-    around_m = place_m + _CARRIED_M * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
-    labels = label_points(beams.image, around_m, tolerance_m, float(np.deg2rad(tolerance_deg)))
-    return bool(np.all(labels == BeamLabel.VIOLATE))
 
 
 def _along_bands(points_m: FloatArray) -> FloatArray:
@@ -270,17 +249,17 @@ def _along_bands(points_m: FloatArray) -> FloatArray:
     return np.asarray(points_m[np.lexsort((np.where(band % 2 == 0, azimuth_rad, -azimuth_rad), band))])
 
 
-def _surfaces(probes_m: FloatArray, returns: PointTree | None) -> tuple[BoolArray, FloatArray]:
-    """Tell which probes have flat surroundings, unlike foliage, and return their normals.
+def _surfaces(probes_m: FloatArray, returns_m: FloatArray) -> tuple[BoolArray, FloatArray, BoolArray]:
+    """Tell which probes have flat surroundings, unlike foliage, and return their normals, and which have one.
 
     The surroundings are thinned: in a dense cloud the nearest points lie within the range noise of each other.
     Neighbours on one line, a single ring of a sparse sensor, are flat but have no normal.
     """
-    if returns is None:
-        return np.zeros(0, dtype=bool), np.zeros((0, 3))
-    neighbours = returns.neighbours(probes_m, _SURFACE_NEIGHBOURS)
-    variances, axes = principal_directions(returns.points_m, neighbours)
+    if len(returns_m) == 0:
+        return np.zeros(0, dtype=bool), np.zeros((0, 3)), np.zeros(0, dtype=bool)
+    neighbours = PointTree(returns_m).neighbours(probes_m, _SURFACE_NEIGHBOURS)
+    variances, normals = spread_and_normals(returns_m, neighbours)
     solid = np.asarray(variances[:, 0] <= _SOLID_FLATNESS * variances.sum(axis=1))
     wide = variances[:, 1] >= np.maximum(_PLANE_WIDTH * variances[:, 2], _WIDER_THAN_THICK * variances[:, 0])
     spanned = solid & wide
-    return solid, np.where(spanned[:, None], axes[:, :, 0], 0.0)
+    return solid, np.where(spanned[:, None], normals, 0.0), spanned

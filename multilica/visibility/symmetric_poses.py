@@ -3,7 +3,7 @@
 
 import numpy as np
 import numpy.typing as npt
-from scipy import fft, ndimage
+import scipy
 from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, RigidTransform
@@ -41,8 +41,8 @@ def symmetric_poses(
     if min(len(walls_m), len(seen_m)) < _MIN_POINTS:
         return []
     across = np.linalg.svd(up[None])[2][1:]
-    plan: npt.NDArray[np.complex128] = fft.rfft2(
-        ndimage.maximum_filter(_plan((walls_m - pose.xyz_m) @ across.T), 3, mode="wrap")
+    plan: npt.NDArray[np.complex128] = scipy.fft.rfft2(
+        scipy.ndimage.maximum_filter(_plan((walls_m - pose.xyz_m) @ across.T), 3, mode="wrap")
     )
     needed = 0.5 * _overlap(plan, seen_m @ across.T)[0, 0]
     found: list[tuple[float, RigidTransform]] = []
@@ -75,14 +75,14 @@ def _plan(points_m: FloatArray) -> FloatArray:
 
 def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArray:
     """Count, per shift of the points in cells, the cells that coincide; (C, C)."""
-    overlap = fft.irfft2(plan * np.conj(fft.rfft2(_plan(points_m))), s=(_CELLS, _CELLS))
+    overlap = scipy.fft.irfft2(plan * np.conj(scipy.fft.rfft2(_plan(points_m))), s=(_CELLS, _CELLS))
     return np.asarray(np.rint(overlap), dtype=np.float64)
 
 
 def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]:
     """Return local maxima with at least so many cells: their cells (N,), most first, and shifts (N, 2) in metres."""
     width = int(_APART_M / _CELL_M) + 1
-    highest = ndimage.maximum_filter(overlap, width, mode="wrap")
+    highest = scipy.ndimage.maximum_filter(overlap, width, mode="wrap")
     cells = np.argwhere((overlap >= highest - 0.5) & (overlap >= needed))
     cells = cells[np.argsort(-overlap[cells[:, 0], cells[:, 1]], kind="stable")]
     shifts_m = _CELL_M * (((cells + _CELLS // 2) % _CELLS) - _CELLS // 2).astype(np.float64)

@@ -10,8 +10,12 @@ from importlib import import_module
 MEASUREMENTS = (
     "real_scans",
     "simulated",
+    "large_rigs",
     "blind",
     "speed",
+    "startup",
+    "scaling",
+    "longest",
     "repeat",
     "harder",
     "causes",
@@ -19,11 +23,11 @@ MEASUREMENTS = (
     "ingest",
     "recording",
 )
-ON_REQUEST = ("paper", "fuzz")
+ON_REQUEST = ("paper", "fuzz", "evidence")
 
 
 def main(names: list[str]) -> int:
-    """Print each measurement under its name; 1 if a claim does not stability."""
+    """Print each measurement under its name; 1 if a claim does not hold."""
     available = (*MEASUREMENTS, *ON_REQUEST)
     unknown = [name for name in names if name not in available]
     if unknown:

@@ -19,7 +19,7 @@ _CASES = [Case("blind", SCENES[index % len(SCENES)], 1001 + index, target="front
 def main() -> bool:
     """Print what became of both LiDARs, and whether the third was ever placed wrongly."""
     lidars = [lidar for found in run_all(_run, _CASES) for lidar in found]
-    standings = ("within", "between", "wrong", "refused")
+    standings = ("within", "between", "wrong", "uncertain", "refused")
     counts = Counter((each.lidar, each.standing) for each in lidars)
     print_table(
         ("LiDAR", "sees", *standings),

@@ -31,15 +31,18 @@ class Expectation:
     def is_met(self, lidar: LidarOutcome) -> bool:
         """Whether the LiDAR ended as one of these; a wrong pose never does, nor a refusal that the truth contradicts.
 
+        An uncertain pose is one that is not observable enough.
         Where the beams speak against the pose that was found, what stands in the way of the true one is the reason.
         """
         if lidar.placed:
             return lidar.standing != "wrong" and _PLACED in self.allowed
+        if lidar.uncertain:
+            return "not_observable" in self.allowed
         of_the_truth = () if lidar.trial is None else lidar.trial.codes
         return lidar.standing != "missed" and not {*lidar.codes, *of_the_truth}.isdisjoint(self.allowed)
 
 
-_LITTLE = ("too_little_overlap", "too_little_evidence", "not_observable")
+_LITTLE = ("too_little_evidence", "not_observable")
 _WEDGE = (
     "neighbours share a wedge of 9 deg: what stands in it decides, or else too little does, or it is like another wedge"
 )
@@ -110,4 +113,6 @@ def _counted(lidars: Sequence[LidarOutcome]) -> str:
 def _outcome(lidar: LidarOutcome) -> str:
     if lidar.placed:
         return "wrong" if lidar.standing == "wrong" else _PLACED
+    if lidar.uncertain:
+        return "uncertain"
     return f"refused: {' and '.join(lidar.codes) or 'no pose found'}"

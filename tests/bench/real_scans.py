@@ -20,7 +20,7 @@ from tests.opencalib import CONFIG, DATA, MISSING, SOURCES, TRUTH, is_true, read
 __all__ = ["judged", "main"]
 
 _DRAWS = 60
-_STANDINGS = ("right", "beside", "wrong", "refused")
+_STANDINGS = ("right", "beside", "wrong", "uncertain", "refused")
 
 
 def main() -> bool:
@@ -56,6 +56,8 @@ def judged(placement: LidarPlacement, rotation: FloatArray) -> tuple[str, str]:
     """Outcome and reason: `beside` is outside of what is known of the truth, yet not wrong by the usual limits."""
     if placement.T_target_source is None:
         return "refused", placement.reason
+    if getattr(placement, "status", "") == "uncertain":
+        return "uncertain", placement.reason
     found = unturned(placement.T_target_source, rotation)
     if is_true(found):
         return "right", ""

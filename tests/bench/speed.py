@@ -1,102 +1,62 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time of the stages with one thread, preset default against preset paper."""
+"""CPU time of the whole process against the simplest peer, KISS-Matcher with small_gicp."""
 
 from __future__ import annotations
 
-import os
-import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from pathlib import Path
 
-import numpy as np
+from tests.bench.support.claims import Claim, at_most, print_claims, print_table
+from tests.bench.support.process_cost import cost_of
+from tests.bench.support.recordings import ONE_WORKER, SAMPLE, calibration_cost, record, target_of
 
-from multilica.config import preset, with_overrides
-from multilica.pipeline import calibrate
-from multilica.simulate import simulate_snapshot
-from multilica.snapshot import Snapshot
-from tests.bench.support.claims import Claim, print_claims, print_table
-from tests.bench.support.workers import run_all
-from tests.opencalib import DATA, MISSING, read_clouds, turned_snapshot
+__all__ = ["PEER", "Lap", "claim", "main"]
 
-__all__ = ["Lap", "claim", "main"]
-
-_PRESETS = ("default", "paper")
-_REAL, _SIMULATED = "opencalib-0001", "edgar"
+PEER = "tests.bench.support.kiss_baseline"
+_REPEATS = 5
+_LIMIT = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Lap:
-    """One run of one preset.
+    """CPU seconds of both on one recording, one after the other, so that what else the machine does meets both."""
 
-    Args:
-        wall_s: what the stages took; on a busy machine that is the work of others, too.
-        processor_s: what they took of the processor, which is the time of one thread on an idle machine.
-    """
-
-    wall_s: float
-    processor_s: float
+    ours_s: float
+    peer_s: float
 
 
 def main() -> bool:
-    """Print the times, and whether the ratios stability."""
-    claims = []
-    if DATA.is_dir():
-        claims.append(_measured(_REAL, limit=0.7, repeats=3))
-    else:
-        claims.append(Claim(f"time on {_REAL} against paper", "<= 0.7 x", MISSING, holds=False))
-    claims.append(_measured(_SIMULATED, limit=0.5, repeats=1))
-    return print_claims(claims)
-
-
-def _measured(name: str, limit: float, repeats: int) -> Claim:
-    """The presets in turn, so that whatever else the machine does meets both."""
-    cases = [(name, preset_name, repeat) for repeat in range(repeats) for preset_name in _PRESETS]
-    with _on_one_core():
-        laps = run_all(_lap, cases)
+    """Print the times, and whether the ratios hold."""
+    with tempfile.TemporaryDirectory() as folder:
+        recordings = {"sample": SAMPLE} | {
+            f"edgar {scene}": record(Path(folder), "edgar", scene) for scene in ("street", "parking")
+        }
+        laps = {name: _laps(path) for name, path in recordings.items()}
     print_table(
-        (name, "repeat", "stages s", "processor s"),
+        ("recording", "repeat", "multilica s", "peer s"),
         [
-            (preset_name, repeat, f"{lap.wall_s:.1f}", f"{lap.processor_s:.1f}")
-            for (_, preset_name, repeat), lap in zip(cases, laps, strict=True)
+            (name, repeat, f"{lap.ours_s:.2f}", f"{lap.peer_s:.2f}")
+            for name, of_recording in laps.items()
+            for repeat, lap in enumerate(of_recording)
         ],
     )
-    return claim(name, list(zip(laps[::2], laps[1::2], strict=True)), limit)
+    return print_claims([claim(name, of_recording) for name, of_recording in laps.items()])
 
 
-@contextmanager
-def _on_one_core() -> Iterator[None]:
-    """Open3D's GICP takes all cores that its process finds at its start, whatever it is told."""
-    cores = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cores)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, cores)
+def claim(name: str, laps: Sequence[Lap]) -> Claim:
+    """The median ratio."""
+    return at_most(f"CPU of {name} against the peer", [lap.ours_s / lap.peer_s for lap in laps], _LIMIT, "x")
 
 
-@cache
-def _snapshot(name: str) -> Snapshot:
-    if name == _REAL:
-        return turned_snapshot(read_clouds(), {})
-    return simulate_snapshot(name, "street", 1001).snapshot
+def _laps(recording: Path) -> list[Lap]:
+    target = target_of(recording)
+    return [_lap(recording, target) for _ in range(_REPEATS)]
 
 
-def _lap(case: tuple[str, str, int]) -> Lap:
-    name, preset_name, _ = case
-    snapshot = _snapshot(name)
-    config = with_overrides(preset(preset_name), ["runtime.threads=1"])
-    start_s = time.process_time()
-    result = calibrate(snapshot, config)
-    return Lap(sum(result.timing_s.values()), time.process_time() - start_s)
-
-
-def claim(name: str, laps: Sequence[Sequence[Lap]], limit: float) -> Claim:
-    """The median ratio, by processor time; by wall time it is only told."""
-    ratio, wall_ratio = (
-        float(np.median([getattr(ours, time_s) / getattr(paper, time_s) for ours, paper in laps]))
-        for time_s in ("processor_s", "wall_s")
-    )
-    measured = f"{ratio:.2f} ({wall_ratio:.2f} by wall time)"
-    return Claim(f"time on {name} against paper", f"<= {limit:g} x", measured, ratio <= limit)
+def _lap(recording: Path, target: str) -> Lap:
+    """Both on one core, as the peer's pool of threads takes all cores that it finds."""
+    ours = calibration_cost(recording, *ONE_WORKER, cores=1)
+    peer = cost_of(PEER, recording, target, cores=1)
+    return Lap(ours.cpu_s, peer.cpu_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,19 @@ def test_a_run_ends_with_a_table_and_what_was_written(invoke: Invoke, two_lidars
     assert angle_rad < 0.002
 
 
+def test_a_higher_limit_of_sigma_places_an_uncertain_lidar(invoke: Invoke, two_lidars: Path) -> None:
+    strict = invoke("calibrate", two_lidars, "--target", "left", "--out", "run", "--max-sigma", "0.1,0.2")
+    assert strict.code == ExitCode.NOT_PLACED
+    told = tomllib.loads(Path("run/calibration.toml").read_text(encoding="utf-8"))
+    assert [*told["uncertain"]] == ["right"]
+    assert "right" not in told["lidars"]
+    assert "limit 0.1 mm" in told["uncertain"]["right"]["reason"]
+    lenient = invoke("calibrate", two_lidars, "--target", "left", "--out", "run", "--max-sigma", "20,0.2")
+    assert lenient.code == ExitCode.DONE
+    pose = read_extrinsics(Path("run/calibration.toml")).between("left", "right")
+    assert pose.xyz_m == pytest.approx(told["uncertain"]["right"]["xyz_m"], abs=0.005)
+
+
 def test_progress_goes_to_stderr_without_colours(invoke: Invoke, two_lidars: Path) -> None:
     outcome = invoke("calibrate", two_lidars, "--out", "run", "--until", "features")
     assert outcome.code == ExitCode.DONE
@@ -73,11 +87,11 @@ def test_json_is_the_whole_of_stdout(two_lidars: Path, tmp_path: Path) -> None:
 
 
 def test_options_reach_the_configuration_of_the_result(invoke: Invoke, two_lidars: Path) -> None:
-    options = ("--until", "preprocess", "--frames", "3", "--threads", "2", "--ground", "--set", "fine.max_iterations=7")
+    options = ("--until", "preprocess", "--frames", "3", "--workers", "2", "--ground", "--set", "fine.max_iterations=7")
     document = json.loads(invoke("calibrate", two_lidars, "--out", "run", "--json", *options).out)
     config = document["config"]
     assert config["ingest"]["frames"] == 3
-    assert config["runtime"]["threads"] == 2
+    assert config["runtime"]["workers"] == 2
     assert config["ground"]["enabled"] is True
     assert config["fine"]["max_iterations"] == 7
 

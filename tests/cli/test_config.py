@@ -9,7 +9,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, known_keys, load_config, preset
 from multilica_cli.commands.config import configuration_page, parameters
-from multilica_cli.configuration import inline_toml, resolve_config, topic_names
+from multilica_cli.configuration import inline_toml, resolve_config, sigma_limits, topic_names
 from tests.cli.support import ROOT, Invoke
 
 
@@ -51,6 +51,12 @@ def test_settings_show_in_every_form(invoke: Invoke) -> None:
         == 7
     )
     assert tomllib.loads(invoke("config", "--toml", *settings).out)["fine"]["max_iterations"] == 7
+
+
+def test_sigma_limits_are_in_millimetres_and_degrees() -> None:
+    limits = resolve_config(None, None, sigma_limits("50, 0.5"), []).acceptance
+    assert (limits.max_sigma_m, limits.max_sigma_deg) == (0.05, 0.5)
+    assert resolve_config(None, None, sigma_limits(None), []) == preset("default")
 
 
 def test_options_and_settings_override_the_preset() -> None:

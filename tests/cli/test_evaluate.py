@@ -27,7 +27,22 @@ def test_tables_for_people(invoke: Invoke) -> None:
     rows = [line.split() for line in outcome.out.splitlines()]
     assert ["a", "left", "within", "3.0", "4.0", "0.0", "5.0", "0.000", "0.000", "0.050", "0.050", "-"] in rows
     assert any(row[:3] == ["rear", "FALSE", "ACCEPT"] for row in rows)
-    assert ["all", "4", "2", "(50.0%)", "0", "(0.0%)", "1", "(25.0%)", "1", "(25.0%)"] in rows
+    assert [
+        "all",
+        "4",
+        "2",
+        "(50.0%)",
+        "0",
+        "(0.0%)",
+        "1",
+        "(25.0%)",
+        "1",
+        "(25.0%)",
+        "0",
+        "(0.0%)",
+        "0",
+        "(0.0%)",
+    ] in rows
     assert "runs with every compared LiDAR within tolerance: 0 of 2" in outcome.out
     assert outcome.out.splitlines()[-1] == "wrote table.csv"
     assert Path("table.csv").is_file()
@@ -90,7 +105,7 @@ def test_quiet_says_nothing(invoke: Invoke) -> None:
         (["other.json", "--truth", "t.toml"], 3, "has schema 'other/1'; expected 'multilica/result/1'"),
         (["list.json", "--truth", "t.toml"], 3, "has schema None"),
         (["bent.json", "--truth", "t.toml"], 3, "not a whole result"),
-        (["poseless.json", "--truth", "t.toml"], 3, "`lidars` has a placed LiDAR without a pose"),
+        (["poseless.json", "--truth", "t.toml"], 3, "`lidars` has a LiDAR that is placed without a pose"),
         (["runs/a", "--truth", "none.toml"], 3, "No extrinsics file at none.toml"),
         (["runs/a", "runs/b", "runs/a", "--truth", "t.toml"], 2, "given more than once"),
         (["runs/a", "--truth", "t.toml", "--truth", "t.toml"], 2, "Found 2 truths for 1 run"),
@@ -107,7 +122,7 @@ def test_failures_are_one_sentence(arguments: list[str], code: int, words: str, 
         "list": [1],
         "bent": {"schema": "multilica/result/1", "target": "front", "lidars": [1]},
         "singular": made_result("front", {"left": singular}),
-        "poseless": made_result("front", {"left": {**entry(None), "placed": True}}),
+        "poseless": made_result("front", {"left": {**entry(None), "placed": True, "status": "placed"}}),
     }
     for name, document in documents.items():
         Path(f"{name}.json").write_text(json.dumps(document), encoding="utf-8")

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from multilica.errors import InputError, MultilicaError, UnknownNameError
+from multilica.errors import InputError, MultilicaError, UnknownNameError, WorkerDiedError
 from multilica_cli import main
 from multilica_cli.exit_codes import ExitCode, Interrupted, describe_failure
 from tests.cli.support import Invoke, assert_one_sentence
@@ -17,6 +17,7 @@ from tests.cli.support import Invoke, assert_one_sentence
         (UnknownNameError("preset", "x", ["default"]), ExitCode.USAGE, "no preset 'x'"),
         (InputError("It is empty."), ExitCode.INPUT, "It is empty."),
         (MultilicaError("It cannot be."), ExitCode.BROKEN, "It cannot be."),
+        (WorkerDiedError("A worker process died."), ExitCode.BROKEN, "A worker process died."),
         (Interrupted(signal.SIGTERM), 143, "SIGTERM"),
         (Interrupted(signal.SIGINT), 130, "SIGINT"),
         (OSError(28, "No space left on device", "run/result.json"), ExitCode.BROKEN, "No space left on device (run"),

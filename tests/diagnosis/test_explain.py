@@ -13,7 +13,8 @@ from multilica.config import STAGES
 from multilica.diagnosis import Cause
 from multilica.diagnosis import explain as explain_document
 from multilica.diagnosis.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
-from multilica.events import StageFinished
+from multilica.events import PairRegistered, StageFinished
+from multilica.steps.pairs import PAIR_STAGES
 from tests.sinks.made_documents import made_document, parsed
 from tests.sinks.made_events import UNPLACED, made_events
 
@@ -69,12 +70,12 @@ def test_complete_run_has_headline_and_sigmas():
 @pytest.mark.parametrize(
     ("outcome", "codes", "cause"),
     [
-        ("reject", ("too_little_overlap", "ambiguous"), "no_overlap"),
-        ("reject", ("too_little_evidence",), "no_overlap"),
+        ("reject", ("too_little_evidence", "ambiguous"), "no_overlap"),
+        ("uncertain", ("imprecise",), "uncertain"),
         ("reject", ("empty_space_violated",), "contradiction"),
         ("undecided", ("ambiguous", "not_observable"), "ambiguous"),
         ("undecided", ("not_observable",), "not_observable"),
-        ("undecided", ("structure_unexplained",), "unexplained"),
+        ("reject", ("structure_unexplained",), "unexplained"),
         ("reject", ("low_fitness",), "low_fitness"),
         ("reject", ("against_prior",), "against_prior"),
         ("reject", ("a_code_of_tomorrow",), "unknown"),
@@ -92,7 +93,7 @@ def test_the_verdict_of_the_decisive_pair_gives_the_cause(partial, outcome, code
 
 
 def test_pair_nearest_to_acceptance_is_decisive(partial):
-    set_reasons(partial, "reject", "too_little_overlap")
+    set_reasons(partial, "reject", "too_little_evidence")
     closest = next(pair for pair in partial["pairs"] if (pair["target"], pair["source"]) == ("rear", "top"))
     closest["verdict"] = {"outcome": "undecided", "reasons": [reason("ambiguous", "twice")]}
     closest["registrations"] = closest["registrations"][:1]
@@ -112,13 +113,13 @@ def test_the_stage_at_which_it_failed_is_told_below_its_cause(partial):
 
 def test_a_second_pose_of_the_decisive_pair_is_the_next_best(partial):
     for pair in partial["pairs"]:
-        other = pair["registrations"][0] | {"agree": 77, "violate": 3, "evidence": 41.0}
+        other = pair["registrations"][0] | {"agree": 77, "violate": 3, "evidence": 4.12}
         pair["registrations"] = [pair["registrations"][0], other]
-    assert "with 41 distinctive points" in missing_of(partial).next_best
+    assert "has an evidence of 4.1 (the decisive pose" in missing_of(partial).next_best
     assert "77 points agree, 3 are in empty space" in missing_of(partial).next_best
     for pair in partial["pairs"]:
         pair["registrations"][1]["evidence"] = -1e-12
-    assert "with 0 distinctive points" in missing_of(partial).next_best
+    assert "has an evidence of 0.0 (the decisive pose" in missing_of(partial).next_best
 
 
 def test_pairs_within_the_missing_group_decide_nothing():
@@ -210,10 +211,15 @@ def test_a_refused_snapshot(code, cause):
 def test_a_run_that_was_cut_off_says_how_far_it_came(stage):
     count = _events_before_the_end_of(stage)
     told = explain(made_document("partial", stop_after=count))
-    before = STAGES[STAGES.index(stage) - 1]
-    assert told.headline.startswith(f"The run was cut off after stage {before}, in stage {stage}; no LiDAR")
+    before, running = STAGES[STAGES.index(stage) - 1], "fine" if stage in PAIR_STAGES else stage
+    assert told.headline.startswith(f"The run was cut off after stage {before}, in stage {running}; no LiDAR")
     assert told.cause == "unfinished"
     assert bool(told.known) == (stage != "preprocess")
+
+
+def test_a_run_cut_off_among_the_pairs_tells_those_it_has():
+    count = 1 + next(i for i, event in enumerate(made_events("partial")) if isinstance(event, PairRegistered))
+    assert explain(made_document("partial", stop_after=count)).known == ("rear <- front left/1: reject, fitness 0.10.",)
 
 
 def _events_before_the_end_of(stage):
@@ -268,9 +274,9 @@ def test_lidar_missing_in_the_shown_snapshot_is_not_dead(partial):
 
 
 def test_every_code_of_the_decision_has_a_cause():
-    decide = (ROOT / "multilica" / "acceptance" / "accept.py").read_text(encoding="utf-8")
-    codes = set(re.findall(r'(?:_check\(|Reason\()\s*"(\w+)"', decide))
-    assert len(codes) >= 6
+    decide = "".join((ROOT / "multilica" / "acceptance" / f"{name}.py").read_text() for name in ("accept", "rig"))
+    codes = set(re.findall(r'(?:Reason\(\s*|_CODE = |^        )"(\w+)"(?=[,:\n])', decide, re.MULTILINE))
+    assert len(codes) == 9
     assert {code for code in codes if cause_of_codes([code]) == "unknown"} == set()
 
 

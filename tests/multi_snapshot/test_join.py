@@ -29,7 +29,7 @@ def _nudged(pose, offset):
     return RigidTransform.from_rotation_translation(pose.target, pose.source, rotation, pose.xyz_m + offset[3:])
 
 
-def _run(name, seed, pairs=_ALL, *, tampered="", noise=1.0, claimed=1.0, target="T", placed=""):
+def _run(name, seed, pairs=_ALL, *, tampered="", noise=1.0, claimed=1.0, target="T", placed="", status="placed"):
     """A snapshot that measures those pairs; the points of one LiDAR may have been turned by 3 degrees."""
     rng = np.random.default_rng(seed)
     poses = {lidar: pose @ _frame(_TURNED, lidar) if lidar == tampered else pose for lidar, pose in _TRUTH.items()}
@@ -48,7 +48,12 @@ def _run(name, seed, pairs=_ALL, *, tampered="", noise=1.0, claimed=1.0, target=
         )
         for one, other in pairs
     )
-    placements = tuple(LidarPlacement(lidar, "nothing in common", placed=lidar == placed) for lidar in "ABCT")
+    placements = tuple(
+        LidarPlacement(lidar, "alone", status, _TRUTH[lidar])
+        if lidar == placed
+        else LidarPlacement(lidar, "nothing in common")
+        for lidar in "ABCT"
+    )
     return SnapshotRun(
         name, CalibrationResult(target, "", placements, trusted=registrations), f"{name}.mcap", f"{seed:064x}"
     )
@@ -211,9 +216,23 @@ def test_refused_snapshots_are_left_out_and_named():
         join([_refused("a"), _refused("c")])
 
 
-def test_lidar_not_connected_to_the_target_names_its_root():
-    result = _joined(_run("a", 1, [("B", "C")], target="B", placed="C"), _run("b", 2, [("T", "A")]))
-    assert result["C"].reason == "a: placed relative to B; no accepted pair connects it to T; b: nothing in common"
+@pytest.mark.parametrize("status", ["placed", "uncertain"])
+def test_lidar_not_connected_to_the_target_names_its_root(status):
+    apart = _run("a", 1, [("B", "C")], target="B", placed="C", status=status)
+    result = _joined(apart, _run("b", 2, [("T", "A")]))
+    assert result["C"].reason == f"a: {status} relative to B; no accepted pair connects it to T; b: nothing in common"
+
+
+def test_a_joint_sigma_above_the_limit_is_uncertain():
+    runs = [_run(name, seed, [("T", "A"), ("T", "B"), ("T", "C")]) for seed, name in enumerate("ab")]
+    strict = join(runs, CalibrationConfig(target="T", acceptance={"max_sigma_m": 1e-3}))
+    assert strict.status == "partial"
+    assert [strict[name].status for name in "ABCT"] == ["uncertain"] * 3 + ["placed"]
+    assert re.fullmatch(r"sigma \d+ mm, limit 1 mm", strict["A"].reason)
+    lenient = join(runs, CalibrationConfig(target="T", acceptance={"max_sigma_m": 1e-2}))
+    assert lenient.status == "complete"
+    np.testing.assert_array_equal(strict["A"].T_target_source.matrix, lenient["A"].T_target_source.matrix)
+    np.testing.assert_array_equal(strict["A"].covariance, lenient["A"].covariance)
 
 
 def test_nothing_in_common_says_so_per_snapshot():

@@ -128,4 +128,6 @@ def _refusing(scene):
 
 
 def _placement(lidar):
-    return replace(_run("garage").result["left"], lidar=lidar, placed=False, T_target_source=None, reason="no returns")
+    return replace(
+        _run("garage").result["left"], lidar=lidar, status="not_placed", T_target_source=None, reason="no returns"
+    )

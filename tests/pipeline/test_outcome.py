@@ -8,6 +8,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.results import Group, MergeCandidate, MergeDecision
 from multilica.steps.outcome import contested_place, placement_of
 from multilica.steps.state import CalibrationState
+from multilica_cli.configuration import resolve_config, sigma_limits
 from tests.unit.made_pairs import pair, pose, registration, undecided
 
 _POSES = {"a": pose("a", "a"), "b": pose("a", "b", (1.0, 0.0, 0.0), 0.3)}
@@ -55,17 +56,17 @@ _CHOSEN = MergeCandidate("a", "b", 0.6, 0.04, passes=True)
 _REFUSED = MergeCandidate("a", "c", 0.3, 0.05, passes=False, reason="too little in common")
 
 
-def _placement(name, *pairs, with_returns="abc", until="ground", prior=None):
+def _placement(name, *pairs, with_returns="abc", until="ground", prior=None, sigma_m=1e-3, config=None):
     state = CalibrationState(
         snapshot=None,
-        config=CalibrationConfig(until=until),
+        config=config or CalibrationConfig(until=until),
         observe=ignore,
         prior=prior,
         clouds=dict.fromkeys(with_returns),
         registrations={(each.target, each.source): each for each in pairs},
         decisions=[MergeDecision(0, (_CHOSEN, _REFUSED), _CHOSEN, "made", (("a", "b"), ("c",)))],
         group=Group("a", _POSES),
-        covariances={"b": np.eye(6)},
+        covariances={"b": np.diag([1e-6] * 3 + [sigma_m**2] * 3)},
     )
     return placement_of(name, "a", state)
 
@@ -81,8 +82,24 @@ def test_a_placed_lidar_has_the_figures_of_its_merge():
     placement = _placement("b", prior=Extrinsics("a", {"b": pose("a", "b", (1.0, 0.1, 0.0), 0.3)}))
     assert placement.T_target_source is _POSES["b"]
     assert (placement.fitness, placement.rmse_m, placement.reason) == (0.6, 0.04, "placed")
-    assert np.array_equal(placement.covariance, np.eye(6))
+    assert np.array_equal(placement.covariance, np.eye(6) * 1e-6)
     assert placement.prior_deviation == pytest.approx((0.1, 0.0))
+
+
+def test_a_lidar_with_a_sigma_above_the_limit_is_uncertain():
+    placement = _placement("b", sigma_m=0.03)
+    assert (placement.status, placement.reason) == ("uncertain", "sigma 30 mm, limit 20 mm")
+    assert placement.T_target_source is _POSES["b"]
+    assert placement.sigma_xyz_m == pytest.approx([0.03] * 3)
+    assert (placement.fitness, placement.rmse_m) == (0.6, 0.04)
+
+
+@pytest.mark.parametrize(
+    ("limits", "status"), [("31,0.2", "placed"), ("29,0.2", "uncertain"), ("31,0.05", "uncertain")]
+)
+def test_max_sigma_moves_the_limit(limits, status):
+    config = resolve_config(None, None, sigma_limits(limits), [])
+    assert _placement("b", sigma_m=0.03, config=config).status == status
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def test_both_sides_are_found_from_any_orientation(clouds, seed):
         assert is_true(found), (name, found.xyz_m, found.rpy_deg)
 
 
-def test_one_thread_gives_the_same_bits(clouds):
+def test_two_runs_give_the_same_bits(clouds):
     snapshot = turned_snapshot(clouds, {})
     first, second = (calibrate(snapshot, CONFIG) for _ in range(2))
     for name in SOURCES:

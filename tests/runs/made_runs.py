@@ -44,10 +44,12 @@ def write_run(
     target: str = "front",
     *,
     sigmas: tuple[float, float] | None = None,
+    status: str = "placed",
 ) -> Path:
     """A run whose poses are off by (dx, dy, dz) m and a turn of (roll, pitch, yaw) deg about the target's axes.
 
-    None stands for a LiDAR that is not placed; `sigmas` (deg, m) for a covariance that is the same in all directions.
+    None stands for a LiDAR that is not placed; `sigmas` (deg, m) for a covariance that is the same in all directions,
+    `status` for that of all LiDARs with an offset.
     """
     lidars = {target: entry(RigidTransform.identity(target, target).matrix.tolist())}
     for name, offset in offsets.items():
@@ -58,7 +60,7 @@ def write_run(
         turn = RigidTransform.from_xyz_rpy(target, target, [0, 0, 0], [math.radians(angle) for angle in offset[1]])
         position = [a + b for a, b in zip(true.xyz_m.tolist(), offset[0], strict=True)]
         found = RigidTransform.from_rotation_translation(target, name, turn.rotation @ true.rotation, position)
-        lidars[name] = entry(found.matrix.tolist(), sigmas)
+        lidars[name] = entry(found.matrix.tolist(), sigmas, status)
     path.mkdir(parents=True)
     (path / "result.json").write_text(json.dumps(made_result(target, lidars)), encoding="utf-8")
     return path
@@ -85,11 +87,15 @@ def made_result(target: str, lidars: Mapping[str, object]) -> dict[str, object]:
     }
 
 
-def entry(matrix: list[list[float]] | None, sigmas: tuple[float, float] | None = None) -> dict[str, object]:
+def entry(
+    matrix: list[list[float]] | None, sigmas: tuple[float, float] | None = None, status: str = "placed"
+) -> dict[str, object]:
+    status = "not_placed" if matrix is None else status
     values = dict.fromkeys(LidarEntry.model_fields) | {"sigma_from": "residuals", "reason": "made"}
     values["covariance"] = None if sigmas is None else covariance(*sigmas).tolist()
     return values | {
-        "placed": matrix is not None,
+        "placed": status == "placed",
+        "status": status,
         "T_target_source": matrix,
         "fitness": None if matrix is None else 0.8,
     }

@@ -95,6 +95,27 @@ def test_a_lidar_that_neither_run_placed_comes_with_both_causes():
     assert differences(made_document("partial"), made_document()).neither == ()
 
 
+@pytest.mark.parametrize("other", ["complete", "partial"])
+def test_an_uncertain_lidar_is_neither_placed_nor_missing(other):
+    found = differences(made_document(other), made_document("uncertain"))
+    (change,) = found.statuses
+    assert (change.lidar, change.after) == ("rear", "uncertain")
+    cause = "rear is uncertain: sigma 30.0 mm along x of top" if other == "complete" else "rear is uncertain"
+    assert change.why.startswith(cause)
+    assert not found.same
+    assert found.neither == ()
+
+
+def test_uncertain_poses_of_both_runs_are_compared():
+    found = differences(made_document("uncertain"), moved(made_document("uncertain"), "rear", (0.03, 0.0, 0.0)))
+    front, rear = found.moves
+    assert (front.uncertain, rear.uncertain) == (False, True)
+    assert rear.moved
+    assert rear.sigmas == pytest.approx(0.5**0.5)
+    assert found.statuses == ()
+    assert difference_document(found).moves["rear"].uncertain
+
+
 def test_the_first_stage_that_differs_is_named():
     after = made_document()
     after["stages"]["correspond"]["front left/1 <- rear"]["matches"] += 1
@@ -169,7 +190,7 @@ def test_run_without_a_placed_target_has_no_moves():
     after = made_document("failed")
     after["target"] = "rear"
     for entry in after["lidars"].values():
-        entry["placed"] = False
+        entry |= {"placed": False, "status": "not_placed"}
     found = differences(made_document(), after)
     assert found.moves == ()
     assert "B does not place top" in found.notes[0]

@@ -14,6 +14,7 @@ from multilica.errors import InputError, UnreadableSourceError, UsageError
 from multilica.extrinsics import read_extrinsics
 from multilica.geometry import RigidTransform
 from multilica.runs import Evaluation, Tolerances, Truth, evaluate, read_run
+from multilica.runs.evaluation_document import comparison_row
 from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
 from tests.runs.made_runs import Offset, covariance, made_truth, write_run, write_truth
 
@@ -91,6 +92,25 @@ def test_more_than_four_sigma_is_a_false_accept(
     (one,) = evaluate([run], [TRUTH]).comparisons
     assert one.outcome == outcome
     assert (one.error_sigma is None) == (sigma_m is None)
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "sigma_m", "outcome"),
+    [(0.3, 0.2, "uncertain_within"), (0.003, 0.0005, "uncertain_beyond")],
+)
+def test_an_uncertain_pose_is_held_against_its_own_sigma(
+    tmp_path: Path, offset_m: float, sigma_m: float, outcome: str
+) -> None:
+    offsets = {"left": ((0.0, offset_m, 0.0), STILL)}
+    file = write_run(tmp_path / "run", offsets, sigmas=(0.05, sigma_m), status="uncertain") / "result.json"
+    evaluation = evaluate([read_run(file)], [TRUTH])
+    overall = evaluation.overall
+    assert [one.outcome for one in evaluation.comparisons] == [outcome]
+    assert getattr(overall, outcome) == overall.uncertain == overall.lidars == 1
+    assert (overall.within, overall.false_accept, overall.false_refuse, overall.rmse) == (0, 0, 0, None)
+    assert evaluation.faultless_runs == ()
+    row = comparison_row(evaluation.comparisons[0])
+    assert (row.placed, row.uncertain, row.error_distance_m) == (False, True, pytest.approx(offset_m))
 
 
 def test_sigma_is_as_rare_as_for_one_normal_variable() -> None:

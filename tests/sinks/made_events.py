@@ -35,15 +35,16 @@ from multilica.results import (
     Verdict,
 )
 from multilica.results.visibility_score import VisibilityScore
-from multilica.snapshot import LidarScans, Scan, Snapshot
+from multilica.steps.pairs import PAIR_STAGES
+from tests.sinks.made_scans import STAMP_NS, made_snapshot, made_street
 
-__all__ = ["LIDARS", "STAMP_NS", "TRUTH", "UNPLACED", "made_events"]
+__all__ = ["IMPRECISE", "LIDARS", "STAMP_NS", "TRUTH", "UNPLACED", "made_events"]
 
 LIDARS = ("front left/1", "rear", "top")
 TARGET = "top"
 UNPLACED = "rear"
-STAMP_NS = 1_700_000_000_000_000_000
 SEED = 7
+IMPRECISE = Reason("imprecise", 0.03, 0.02, "sigma 30 mm, limit 20 mm")
 TRUTH = {
     "front left/1": RigidTransform.from_xyz_rpy(TARGET, "front left/1", (1.5, 0.7, -0.4), (0.02, 0.6, 1.5)),
     "rear": RigidTransform.from_xyz_rpy(TARGET, "rear", (-2.0, 0.1, -0.5), (-0.1, 0.3, 3.0)),
@@ -56,15 +57,21 @@ def made_events(
 ) -> Iterator[events.Event]:
     """A run that places all LiDARs (`complete`), or all but `UNPLACED` (`partial`), or none (`failed`).
 
+    Of an `uncertain` run, the pose of `UNPLACED` has a standard deviation of 30 mm along x.
     With a prior, every registration starts from it.
     """
     settings = CalibrationConfig(target=TARGET, until=until, ground={"enabled": True}, **config)
     run = _MadeRun(outcome, prior)
     yield events.CalibrationStarted(run.snapshot, settings, prior)
-    for stage in STAGES[: STAGES.index(until) + 1]:
-        yield events.StageStarted(stage, 0)
-        yield from getattr(run, stage)()
-        yield events.StageFinished(stage, 0.01)
+    due = STAGES[: STAGES.index(until) + 1]
+    for together in (("ingest",), ("preprocess",), ("features",), PAIR_STAGES, ("merge",), ("refine",), ("ground",)):
+        stages = [stage for stage in together if stage in due]
+        yield from (events.StageStarted(stage, 0) for stage in stages)
+        if together == PAIR_STAGES:
+            yield from run.search(stages)
+        else:
+            yield from (event for stage in stages for event in getattr(run, stage)())
+        yield from (events.StageFinished(stage, 0.01) for stage in stages)
     yield events.CalibrationFinished(run.result(until))
 
 
@@ -73,12 +80,12 @@ class _MadeRun:
         self.outcome = outcome
         self.prior = prior
         self.random = np.random.default_rng(SEED)
-        world = _world(self.random)
+        world = made_street(self.random)
         self.points = {
             name: pose.inverse().apply(world + self.random.normal(scale=0.01, size=world.shape))
             for name, pose in TRUTH.items()
         }
-        self.snapshot = _snapshot(self.points)
+        self.snapshot = made_snapshot(self.points)
         self.features_of: dict[str, FeatureCloud] = {}
         self.registrations: dict[tuple[str, str], PairRegistration] = {}
         self.decisions: list[MergeDecision] = []
@@ -86,7 +93,9 @@ class _MadeRun:
 
     @property
     def refused(self) -> set[str]:
-        return {"complete": set(), "partial": {UNPLACED}, "failed": {*LIDARS} - {TARGET}}[self.outcome]
+        return {"complete": set(), "uncertain": set(), "partial": {UNPLACED}, "failed": {*LIDARS} - {TARGET}}[
+            self.outcome
+        ]
 
     def pairs(self):
         return list(combinations(LIDARS, 2))
@@ -110,9 +119,17 @@ class _MadeRun:
             self.features_of[name] = FeatureCloud(name, thin, normals, np.zeros((len(thin), 33)))
             yield events.FeaturesComputed(self.features_of[name])
 
-    def correspond(self):
-        for target, source in self.pairs():
-            yield events.CorrespondencesMatched(self._matches(target, source))
+    def search(self, stages):
+        for pair in self.pairs():
+            for stage in stages:
+                yield from getattr(self, stage)(*pair)
+        if "fine" in stages:
+            yield from (events.VerdictChanged(each) for each in self.registrations.values() if each.verdict.reasons)
+            yield events.SearchWidened(tuple(self.pairs()[-1:]), 0.5)
+            yield events.LoopRegistered(self._registration(*self.pairs()[0], hypothesis=-1, refused=True))
+
+    def correspond(self, target: str, source: str):
+        yield events.CorrespondencesMatched(self._matches(target, source))
 
     def _matches(self, target: str, source: str) -> Correspondences:
         """Every fourth match is right."""
@@ -125,10 +142,9 @@ class _MadeRun:
             target, source, to.points_m[rows], of.points_m[at], to.normals[rows], of.normals[at], rows / count
         )
 
-    def coarse(self):
-        for target, source in self.pairs():
-            matches = self._matches(target, source)
-            yield events.HypothesesFound(self._coarse_result(target, source, len(matches)), matches)
+    def coarse(self, target: str, source: str):
+        matches = self._matches(target, source)
+        yield events.HypothesesFound(self._coarse_result(target, source, len(matches)), matches)
 
     def _coarse_result(self, target: str, source: str, count: int) -> CoarseResult:
         claimed = self._claimed(target, source, count)
@@ -145,11 +161,10 @@ class _MadeRun:
             return ()
         return (Hypothesis(self.prior.between(target, source), np.zeros(count, dtype=bool), 3.0, PRIOR),)
 
-    def verify(self):
-        for target, source in self.pairs():
-            hypotheses = self._coarse_result(target, source, 80).hypotheses
-            scored_poses = tuple(self._assessment(source, index, one) for index, one in enumerate(hypotheses))
-            yield events.HypothesesVerified(target, source, scored_poses)
+    def verify(self, target: str, source: str):
+        hypotheses = self._coarse_result(target, source, 80).hypotheses
+        scored_poses = tuple(self._assessment(source, index, one) for index, one in enumerate(hypotheses))
+        yield events.HypothesesVerified(target, source, scored_poses)
 
     def _assessment(self, source: str, index: int, hypothesis: Hypothesis) -> Registration:
         target = hypothesis.T_target_source.target
@@ -162,28 +177,24 @@ class _MadeRun:
             index, pose, visibility, fitness, 0.05, 1.0, probes, hypothesis.origin, target_probes_m=target_probes
         )
 
-    def fine(self):
-        for target, source in self.pairs():
-            if not self._coarse_result(target, source, 80).hypotheses:
-                continue
-            # The pipeline registers the sparser cloud against the denser one, in either order of matching.
-            swap = (target, source) == self.pairs()[0]
-            pair = (source, target) if swap else (target, source)
-            self.registrations[pair] = self._registration(*pair, hypothesis=0 if self.prior is None else 2)
-            yield events.PairRegistered(self.registrations[pair])
-            if self.registrations[pair].verdict.reasons:
-                yield events.VerdictChanged(self.registrations[pair])
-        yield events.SearchWidened(tuple(self.pairs()[-1:]), 0.5)
+    def fine(self, target: str, source: str):
+        if not self._coarse_result(target, source, 80).hypotheses:
+            return
+        # The pipeline registers the sparser cloud against the denser one, in either order of matching.
+        swap = (target, source) == self.pairs()[0]
+        pair = (source, target) if swap else (target, source)
+        self.registrations[pair] = self._registration(*pair, hypothesis=0 if self.prior is None else 2)
+        yield events.PairRegistered(self.registrations[pair])
 
     def _registration(self, target: str, source: str, hypothesis: int, *, refused: bool = False) -> PairRegistration:
         refused = refused or bool(self.refused & {target, source})
         fitness = 0.1 if refused else 0.8
         best, other = registrations = self._registrations(target, source, hypothesis)
-        share = max(0.0, other.evidence / best.evidence)
+        lead = best.evidence - other.evidence
         doubts = (
-            Reason("too_little_overlap", 12.0, 50.0, "only 12 points lie on surfaces; expected 50"),
-            Reason("ambiguous", share, 0.7, f"a pose 3.00 m and 180 deg away fits as well ({share:.0%})", other),
-            Reason("not_observable", 0.04, 0.1, "the scene does not constrain y (curvature 0.04, limit 0.1)"),
+            Reason("too_little_evidence", 1.2, 2.3, "only 12 points lie on walls (evidence 1.2, limit 2.3)"),
+            Reason("ambiguous", lead, 4.6, f"a pose 3.00 m and 180 deg away fits as well ({lead:.1f})", other),
+            Reason("not_observable", 0.26, 0.15, "the scene does not constrain y (0.26 m away, limit 0.15 m)"),
         )
         steps = tuple(
             GicpStep(3 * (k + 1), 2.0 / (k + 1), 100 + k, 10.0 / (k + 1), 0.1 / (k + 1), 0.01) for k in range(4)
@@ -202,8 +213,13 @@ class _MadeRun:
             hessian=np.eye(6),
             steps=steps,
             registrations=registrations,
-            verdict=Verdict("reject", doubts) if refused else Verdict("accept"),
+            verdict=Verdict("reject", doubts) if refused else self._verdict(target, source),
         )
+
+    def _verdict(self, target: str, source: str) -> Verdict:
+        if self.outcome == "uncertain" and UNPLACED in (target, source):
+            return Verdict("uncertain", (IMPRECISE,))
+        return Verdict("accept")
 
     def _registrations(self, target: str, source: str, hypothesis: int) -> tuple[Registration, ...]:
         origin = PRIOR if self.prior is not None and hypothesis >= 0 else ""
@@ -222,14 +238,17 @@ class _MadeRun:
             if step:
                 yield events.GroupsRegistered(self._registration(TARGET, name, hypothesis=-1))
             placed.append(name)
-            chosen = MergeCandidate(TARGET, name, 0.8, 0.06, passes=True)
+            verdict = self._verdict(TARGET, name)
+            chosen = MergeCandidate(
+                TARGET, name, 0.8, 0.06, verdict.accepted, reason=verdict.text, uncertain=not verdict.accepted
+            )
             yield self._merge_step(step, chosen, placed)
         if self.refused:
             yield self._merge_step(len(self.decisions), None, placed)
 
     def _merge_step(self, step: int, chosen: MergeCandidate | None, placed: list[str]) -> events.MergeStepTaken:
         left = sorted(set(LIDARS) - set(placed))
-        refusal = "too little overlap"
+        refusal = "too little evidence"
         others = tuple(MergeCandidate(TARGET, name, 0.1, np.inf, passes=False, reason=refusal) for name in left)
         pairs = (*((chosen,) if chosen else ()), *others)
         reason = f"merged {chosen.source} into top" if chosen else "stopped: the best has fitness 0.100, below 0.2"
@@ -239,7 +258,6 @@ class _MadeRun:
         return events.MergeStepTaken(self.decisions[-1], poses)
 
     def refine(self):
-        yield events.LoopRegistered(self._registration(*self.pairs()[0], hypothesis=-1, refused=True))
         residual = PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9)
         placed = tuple(pose for name, pose in TRUTH.items() if name not in self.refused)
         yield events.RigRefined(Refinement((residual,)), placed)
@@ -268,33 +286,15 @@ class _MadeRun:
 
     def _placed(self, name: str, *, merged: bool) -> LidarPlacement:
         if name == TARGET:
-            return LidarPlacement(name, "the target", placed=True, T_target_source=TRUTH[name], fitness=1.0, rmse_m=0.0)
+            return LidarPlacement(name, "the target", "placed", T_target_source=TRUTH[name], fitness=1.0, rmse_m=0.0)
         if not merged:
             return LidarPlacement(name, "stopped early as asked")
         if name in self.refused:
             return LidarPlacement(name, "its best registration has fitness 0.100, below 0.2")
         pose, covariance = TRUTH[name], np.diag([1e-8, 1e-8, 4e-8, 1e-6, 4e-6, 9e-6])
+        if self.outcome == "uncertain" and name == UNPLACED:
+            covariance[3, 3] = IMPRECISE.value**2
+            return LidarPlacement(name, IMPRECISE.text, "uncertain", pose, 0.8, 0.06, covariance)
         return LidarPlacement(
-            name, "placed", placed=True, T_target_source=pose, fitness=0.8, rmse_m=0.06, covariance=covariance
+            name, "placed", "placed", T_target_source=pose, fitness=0.8, rmse_m=0.06, covariance=covariance
         )
-
-
-def _world(random: np.random.Generator) -> np.ndarray:
-    """A street: ground, two facades, a few poles."""
-    ground = np.column_stack([random.uniform(-20, 20, (500, 2)), np.full(500, -2.0)])
-    left = np.column_stack([random.uniform(-20, 20, 300), np.full(300, 8.0), random.uniform(-2, 4, 300)])
-    right = np.column_stack([random.uniform(-20, 20, 300), np.full(300, -6.0), random.uniform(-2, 6, 300)])
-    poles = np.column_stack([random.choice([-9.0, 3.0, 11.0], 100), np.full(100, 4.0), random.uniform(-2, 3, 100)])
-    return np.concatenate([ground, left, right, poles])
-
-
-def _scans(cloud: np.ndarray, stamp_ns: int) -> tuple[Scan, Scan]:
-    return Scan(cloud[::2], stamp_ns), Scan(cloud[1::2], STAMP_NS + 10**8)
-
-
-def _snapshot(points: dict[str, np.ndarray]) -> Snapshot:
-    lidars = tuple(
-        LidarScans(name, _scans(cloud, STAMP_NS + 1000 * index), f"{name}_frame", f"/{name}")
-        for index, (name, cloud) in enumerate(points.items())
-    )
-    return Snapshot(lidars, "drive.mcap", "c0ffee" * 10 + "abcd", notes=("12 of 20 scans, then the file ends",))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from multilica import events
-from multilica.acceptance.symmetry import check_scene_symmetry
+from multilica.acceptance.rig import check_scene_symmetry
 from multilica.config import AcceptanceConfig, CalibrationConfig, VisibilityConfig
 from multilica.geometry import RigidTransform
 from multilica.results import PairRegistration, PreprocessedCloud, Reason, Registration, Verdict
@@ -69,9 +69,14 @@ def hall() -> RunState:
     limits = VisibilityConfig()
     views = {name: prepare_sensor_view(cloud, limits) for name, cloud in state.clouds.items()}
     pairs = [pair(seen, (TURN @ seen,), Verdict("undecided")), pair(apart, verdict=Verdict("accept"))]
-    for found in check_scene_symmetry(
-        pairs, lambda pose: score_pose(views[pose.target], views[pose.source], pose, limits), AcceptanceConfig()
-    ):
+
+    def score(pose: RigidTransform) -> Registration:
+        return score_pose(views[pose.target], views[pose.source], pose, *limits.rough_tolerances)
+
+    def score_turned(_: RigidTransform) -> visibility.VisibilityScore:
+        return replace(pairs[0].registrations[0].visibility, violate=0)
+
+    for found in check_scene_symmetry(pairs, score, score_turned, AcceptanceConfig()):
         state(events.PairRegistered(found))
     return state
 

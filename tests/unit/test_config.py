@@ -127,7 +127,8 @@ def test_settings_apply_in_order_and_leave_the_original_alone():
         ("=3", "Cannot read the setting '=3'"),
         ("fine.max_iterations=-1", r"setting 'fine\.max_iterations=-1', fine\.max_iterations is -1"),
         ("max_iterations=3", r"no key 'max_iterations'\. Did you mean '[a-z]+\.max_iterations'"),
-        ("runtime.threads=many", r"runtime\.threads is 'many'"),
+        ("runtime.threads=2", r"no key 'runtime\.threads'\. Did you mean 'runtime\.workers'"),
+        ("runtime.workers=many", r"runtime\.workers is 'many'"),
         ("until=lunch", r"until is 'lunch'"),
     ],
 )

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from multilica_cli import options
-from multilica_cli.configuration import ingest_options, resolve_config
+from multilica_cli.configuration import ingest_options, resolve_config, sigma_limits
 from multilica_cli.exit_codes import exit_code
 
 __all__ = ["calibrate"]
@@ -38,8 +38,9 @@ def calibrate(
     preset: options.Preset = None,
     config_file: options.ConfigFile = None,
     settings: options.Settings = None,
+    max_sigma: options.MaxSigma = None,
     until: Annotated[str | None, typer.Option(metavar="STAGE", help="Stop after this stage.")] = None,
-    threads: options.Threads = None,
+    workers: options.Workers = None,
     ground: Annotated[
         bool, typer.Option("--ground", help="Also estimate roll, pitch and height above ground.")
     ] = False,
@@ -63,8 +64,9 @@ def calibrate(
         "target": target,
         "until": until,
         **ingest_options(topics, frames, start, window, window_s, strict=strict),
+        **sigma_limits(max_sigma),
         "ground.enabled": ground or None,
-        "runtime.threads": threads,
+        "runtime.workers": workers,
         "record.detail": record,
     }
     config = resolve_config(preset, config_file, given, settings or (), frames_recorded(files))

@@ -15,7 +15,13 @@ __all__ = ["simulate"]
 
 def simulate(
     *,
-    rig: Annotated[str, typer.Option(metavar="NAME", help="Vehicle: edgar, helipr, sides, chain, blind.")],
+    rig: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME",
+            help="Vehicle: edgar, helipr, sides, chain, blind, ring6, sectors8, sectors20, truck.",
+        ),
+    ],
     scene: Annotated[
         str,
         typer.Option(
@@ -37,7 +43,8 @@ def simulate(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Disturbance: rain, truck, pedestrians, moving, low_overlap, dead:LIDAR, dirty:LIDAR. Repeatable.",
+            help="Disturbance: rain, truck (beside the vehicle), pedestrians, moving, ego_masked, low_overlap, "
+            "dead:LIDAR, dirty:LIDAR. Repeatable.",
         ),
     ] = None,
     keep_every: Annotated[int, typer.Option(metavar="N", min=1, help="Keep only every Nth return.")] = 1,

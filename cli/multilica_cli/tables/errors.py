@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 __all__ = ["print_difference", "print_evaluation"]
 
 _ERROR_COLUMNS = ("x\nmm", "y\nmm", "z\nmm", "total\nmm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg", "total\ndeg")
-_WORDS = {"false_accept": "FALSE ACCEPT", "false_refuse": "FALSE REFUSE"}
+_WORDS = {
+    "false_accept": "FALSE ACCEPT",
+    "false_refuse": "FALSE REFUSE",
+    "uncertain_within": "uncertain, within",
+    "uncertain_beyond": "UNCERTAIN, BEYOND",
+}
 _MOST_ROWS = 40
 _MOST_CHANGES = 8
 _MOST_CHARACTERS = 60
@@ -94,11 +99,15 @@ def _statistics_table(evaluation: Evaluation) -> Table:
 
 
 def _outcome_table(evaluation: Evaluation) -> Table:
+    from multilica.runs.evaluation import UNCERTAIN_SIGMA
+
     limits = evaluation.tolerances
     within = f"within\n{1e3 * limits.within_m:g} mm, {degrees(limits.within_rad):g} deg"
     wrong = f"false accept\n> {1e3 * limits.wrong_m:g} mm, {degrees(limits.wrong_rad):g} deg"
     wrong += f" or {limits.wrong_sigma:g} sigma"
-    table = plain_table("Outcomes", ("LiDAR", "compared", within, "between", wrong, "false refuse\nnot placed"))
+    uncertain = tuple(f"uncertain\n{sign} {UNCERTAIN_SIGMA:g} sigma" for sign in ("<=", ">"))
+    columns = ("LiDAR", "compared", within, "between", wrong, "false refuse\nnot placed", *uncertain)
+    table = plain_table("Outcomes", columns)
     _add_per_lidar(table, evaluation, _counts)
     table.add_row("all", *_counts(evaluation.overall))
     return table
@@ -113,7 +122,14 @@ def _add_per_lidar(table: Table, evaluation: Evaluation, cells: Callable[[Summar
 
 
 def _counts(summary: Summary) -> tuple[str, ...]:
-    counts = (summary.within, summary.between, summary.false_accept, summary.false_refuse)
+    counts = (
+        summary.within,
+        summary.between,
+        summary.false_accept,
+        summary.false_refuse,
+        summary.uncertain_within,
+        summary.uncertain_beyond,
+    )
     return str(summary.lidars), *(f"{count} ({count / summary.lidars:.1%})" for count in counts)
 
 
@@ -149,7 +165,8 @@ def _moves_table(difference: RunDifference) -> Table:
     table = plain_table(title, ("LiDAR", "", *_ERROR_COLUMNS, "sigma"), numbers_from=2)
     for move in difference.moves:
         sigma = "-" if move.sigmas is None else f"{move.sigmas:.1f}"
-        table.add_row(move.lidar, "MOVED" if move.moved else "same", *_error_cells(move.error), sigma)
+        name = f"{move.lidar} (uncertain)" if move.uncertain else move.lidar
+        table.add_row(name, "MOVED" if move.moved else "same", *_error_cells(move.error), sigma)
     return table
 
 

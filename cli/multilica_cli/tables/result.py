@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["POSE_COLUMNS", "plain_table", "pose_cells", "print_run"]
 
 _PRIOR_COLUMNS = ("to prior\nmm", "to prior\ndeg")
+_STATUS = {"placed": "placed", "uncertain": "UNCERTAIN", "not_placed": "NOT PLACED"}
 _SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")
 POSE_COLUMNS = ("x\nm", "y\nm", "z\nm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg")
 
@@ -54,7 +55,7 @@ def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bo
 
     console, result = stdout_console(quiet=quiet), run.result
     console.print(_placements_table(result))
-    if any(place.placed and place.lidar != result.target for place in result.placements):
+    if any(place.T_target_source is not None and place.lidar != result.target for place in result.placements):
         console.print(f"target {result.target}: {result.target_reason}")
     if result.ground is not None:
         console.print(_ground_line(result.target, result.ground))
@@ -83,9 +84,9 @@ def _placements_table(result: CalibrationResult) -> Table:
     table = plain_table(f"T_target_source, target {result.target}", columns, numbers_from=2)
     for placement in result.placements:
         is_target = placement.lidar == result.target
-        status = "target" if is_target else "placed" if placement.placed else "NOT PLACED"
+        status = "target" if is_target else _STATUS[placement.status]
         scores = ("-",) * 3
-        if placement.placed and not is_target:
+        if placement.T_target_source is not None and not is_target:
             sigmas = _largest(placement.sigma_xyz_m, placement.sigma_rotation_deg)
             scores = (*sigmas, f"{placement.fitness:.3f}")
         cells = (placement.lidar, status, *pose_cells(placement.T_target_source), *scores)

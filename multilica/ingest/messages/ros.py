@@ -1,12 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The decoder of ROS messages."""
 
-from functools import cache
-from typing import Any
+from __future__ import annotations
 
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
 from multilica.ingest.damage import reason_of
 from multilica.ingest.messages.cloud import Cloud
@@ -14,6 +12,9 @@ from multilica.ingest.messages.ros_wire import WireReader, message_bytes
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
 
 __all__ = ["decode_cloud", "deserialize"]
 
@@ -53,6 +54,8 @@ def _field(reader: WireReader) -> PointField:
 
 def deserialize(message: RawMessage) -> Any:  # noqa: ANN401 - the classes are made by rosbags at run time
     """Return an object of `rosbags`; raise ValueError, with a predicate as its text, if the message is broken."""
+    from rosbags.serde import SerdeError
+
     message_type = _OLD_NAMES.get(message.message_type, message.message_type)
     data, types = message_bytes(message), _types(message.encoding)
     try:
@@ -65,6 +68,8 @@ def deserialize(message: RawMessage) -> Any:  # noqa: ANN401 - the classes are m
 
 @cache
 def _types(encoding: str) -> Typestore:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
     is_ros1 = encoding == "ros1"
     store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
     if is_ros1:

@@ -73,6 +73,11 @@ class WireReader:
         self.align(4)
         return self.numbers("I")[0]
 
+    def float64s(self, count: int) -> tuple[float, ...]:
+        """Read aligned numbers of eight bytes."""
+        self.align(8)
+        return self.numbers(f"{count}d")
+
     def text(self) -> str:
         """Read a string."""
         return str(self.octets(), "utf-8", "replace").rstrip("\0")

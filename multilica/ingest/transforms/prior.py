@@ -47,7 +47,7 @@ def read_prior(source: str, snapshot: Snapshot) -> Prior:
 
     Args:
         source: ``tf`` for the recording's static transforms, a TOML file like `calibration.toml` or a truth file, or a
-            URDF file.
+            URDF file. Uncertain LiDARs of a `calibration.toml` are taken as well: each pose of a prior is tested.
 
     Raises:
         SourceNotFoundError: there is no such file.
@@ -85,7 +85,7 @@ def _read_joints(source: str, snapshot: Snapshot) -> tuple[Joint, ...]:
     if path.suffix in _URDF_SUFFIXES:
         return read_urdf(path)
     if path.suffix == ".toml":
-        poses = read_extrinsics(path).T_target_source.values()
+        poses = read_extrinsics(path, with_uncertain=True).T_target_source.values()
         return tuple(Joint(pose) for pose in poses if pose.target != pose.source)
     if not path.exists():
         raise SourceNotFoundError(f"No prior at {path}; {_EXPECTED}.")

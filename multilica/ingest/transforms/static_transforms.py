@@ -2,14 +2,15 @@
 """The static transforms of a recording."""
 
 import math
+from collections.abc import Iterator
 from contextlib import closing
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
 from multilica.geometry import RigidTransform
 from multilica.ingest.damage import DamagedRecordingError
+from multilica.ingest.messages.ros_wire import WireReader
 from multilica.ingest.recording import RawMessage, Recording
 
 __all__ = ["StaticTransforms", "read_static_transforms"]
@@ -56,17 +57,15 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
 
 def _add(message: RawMessage, found: dict[tuple[str, str], RigidTransform], notes: dict[str, None]) -> bool:
     """Add the transforms of a message; return whether any of them is new."""
-    from multilica.ingest.messages.ros import deserialize
-
     try:
-        stamped = deserialize(message).transforms
+        stamped = tuple(_stamped_transforms(message))
     except ValueError as error:
         notes[f"A message on '{message.topic}' was left out: it {error}."] = None
         return False
     is_news = False
-    for entry in stamped:
+    for parent, child, values in stamped:
         try:
-            transform = _rigid(entry)
+            transform = _rigid(parent, child, values)
         except ValueError as error:
             notes[f"A transform on '{message.topic}' was left out: {error}."] = None
         else:
@@ -76,16 +75,22 @@ def _add(message: RawMessage, found: dict[tuple[str, str], RigidTransform], note
     return is_news
 
 
-def _rigid(stamped: Any) -> RigidTransform:  # noqa: ANN401 - the class is made by rosbags at run time
-    parent, child = stamped.header.frame_id.strip("/"), stamped.child_frame_id.strip("/")
+def _stamped_transforms(message: RawMessage) -> Iterator[tuple[str, str, tuple[float, ...]]]:
+    """Read parent, child, and x, y, z, qx, qy, qz, qw of each ``geometry_msgs/TransformStamped``."""
+    # Building the message types of `rosbags` would take longer than everything else that a small recording needs.
+    reader = WireReader.of_message(message)
+    for _ in range(reader.uint32()):
+        _, parent = reader.header()
+        yield parent, reader.text().strip("/"), reader.float64s(7)
+
+
+def _rigid(parent: str, child: str, values: tuple[float, ...]) -> RigidTransform:
     if not parent or not child or parent == child:
         raise ValueError(f"its frames are '{parent}' and '{child}'; expected two different names")
-    shift, turn = stamped.transform.translation, stamped.transform.rotation
-    xyz_m = np.array([shift.x, shift.y, shift.z])
-    quaternion_xyzw = np.array([turn.x, turn.y, turn.z, turn.w])
-    if not np.isfinite(xyz_m).all():
+    xyz_m, quaternion_xyzw = values[:3], values[3:]
+    if not all(map(math.isfinite, xyz_m)):
         raise ValueError(f"'{child}' in '{parent}' has a translation that is not finite")
-    norm = math.hypot(*quaternion_xyzw.tolist())
+    norm = math.hypot(*quaternion_xyzw)
     if not abs(norm - 1.0) < _NORM_TOLERANCE:
         raise ValueError(f"'{child}' in '{parent}' has a quaternion of length {norm:.3g}; expected 1")
-    return RigidTransform.from_xyz_quaternion(parent, child, xyz_m.tolist(), quaternion_xyzw.tolist())
+    return RigidTransform.from_xyz_quaternion(parent, child, xyz_m, quaternion_xyzw)

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """LiDARs in the result document."""
 
+import math
+
+import numpy as np
 from pydantic import Field
 
+from multilica.geometry import FloatArray, largest_index
 from multilica.results.document.pairs import ReasonEntry
 from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PoseEntry, Quaternion, Vector3
-from multilica.results.placements import SigmaOrigin
+from multilica.results.placements import PlacementStatus, SigmaOrigin
 
 __all__ = ["ContestedEntry", "HealthEntry", "LidarEntry", "PriorEntry", "SpreadEntry"]
 
@@ -13,8 +17,8 @@ __all__ = ["ContestedEntry", "HealthEntry", "LidarEntry", "PriorEntry", "SpreadE
 class PriorEntry(PoseEntry):
     """The pose that the prior gives, in the target frame."""
 
-    deviation_m: Number = Field(description="Distance of the result from the prior; null if not placed.")
-    deviation_deg: Number = Field(description="Angle of the result from the prior; null if not placed.")
+    deviation_m: Number = Field(description="Distance of the result from the prior; null without a pose.")
+    deviation_deg: Number = Field(description="Angle of the result from the prior; null without a pose.")
     surprise: str | None = Field(description="Warning about a result that is far from the prior; null if it is near.")
 
 
@@ -47,8 +51,13 @@ class ContestedEntry(Entry):
 class LidarEntry(Entry):
     """One LiDAR of the rig."""
 
-    placed: bool = Field(description="Whether the LiDAR has a pose.")
-    T_target_source: Matrix4 | None = Field(description="Rows of the matrix: p_target = T_target_source @ p_source.")
+    placed: bool = Field(description="Whether the LiDAR has a pose that may be used without a second look.")
+    status: PlacementStatus = Field(
+        description="`uncertain`: one pose fits, uncontradicted, but its standard deviation is above the limit."
+    )
+    T_target_source: Matrix4 | None = Field(
+        description="Rows of the matrix: p_target = T_target_source @ p_source; null if not placed nor uncertain."
+    )
     xyz_m: Vector3 | None = Field(description="Position in the target frame.")
     rpy_deg: Vector3 | None = Field(description="Roll, pitch, yaw, extrinsic xyz, about the fixed axes of the target.")
     quaternion_xyzw: Quaternion | None = Field(description="Rotation as a unit quaternion, w last.")
@@ -61,5 +70,22 @@ class LidarEntry(Entry):
     prior: PriorEntry | None = Field(description="The pose that the prior gives; null without a prior.")
     spread: SpreadEntry | None = Field(description="Scatter over snapshots; null for a single snapshot.")
     contested: ContestedEntry | None = Field(description="Accepted pairs that contradict each other on it, or null.")
-    reason: str = Field(description="How the LiDAR was placed, or why it was not.")
+    reason: str = Field(description="How the LiDAR was placed, or why it is uncertain or not placed.")
     health: HealthEntry | None = Field(description="Findings about the sensor; null if it was not examined.")
+
+    def weakest_directions(self) -> tuple[tuple[float, str], tuple[float, str]]:
+        """Return the largest standard deviations of position (m) and rotation (deg), each with its main axis.
+
+        Raises:
+            ValueError: the LiDAR has no covariance.
+        """
+        if self.covariance is None:
+            raise ValueError("there is no covariance")
+        covariance = np.asarray(self.covariance)
+        sigma_rad, about = _weakest_direction(covariance[:3, :3])
+        return _weakest_direction(covariance[3:, 3:]), (math.degrees(sigma_rad), about)
+
+
+def _weakest_direction(covariance: FloatArray) -> tuple[float, str]:
+    variances, directions = np.linalg.eigh(covariance)
+    return math.sqrt(max(float(variances[-1]), 0.0)), "xyz"[largest_index(directions[:, -1])]

@@ -24,7 +24,9 @@ class ReasonEntry(Entry):
 class VerdictEntry(Entry):
     """Whether the registration is accepted."""
 
-    outcome: Literal["accept", "undecided", "reject"] = Field(description="The decision.")
+    outcome: Literal["accept", "uncertain", "undecided", "reject"] = Field(
+        description="`uncertain` if only its standard deviation is above the limit."
+    )
     reasons: tuple[ReasonEntry, ...] = Field(description="Reasons against it; empty if it is accepted.")
 
     @property
@@ -53,7 +55,7 @@ class RegistrationEntry(Entry):
     violate: int = Field(description="Points in space that beams of the other LiDAR passed through.")
     occluded: int = Field(description="Points behind a measured surface.")
     unseen: int = Field(description="Points outside the field of view of the other LiDAR.")
-    evidence: Number = Field(description="Distinctive agreeing points less weighted violations; the rank.")
+    evidence: Number = Field(description="Log-odds that the pose is the true one; the rank.")
     fitness: Number = Field(description="Share of the points that lie near a surface of the target cloud.")
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
     weakest_curvature: Number = Field(
@@ -96,6 +98,7 @@ class CandidateEntry(PairNames):
     passes: bool = Field(description="Whether the pair may be merged.")
     evidence: Number = Field(description="Evidence of the pair's registration.")
     reason: str = Field(description="Why the pair does not pass; empty if it does.")
+    uncertain: bool = Field(description="Whether the pair is merged where no pair passes.")
 
 
 class DecisionEntry(Entry):

@@ -104,7 +104,7 @@ class ResultDocument(Entry):
 
     schema_: Literal["multilica/result/1"] = Field(alias="schema", description="Name and version of this format.")
     status: Literal["complete", "partial", "failed", "unfinished"] = Field(
-        description="`failed` if no LiDAR but the target is placed, `unfinished` if the run was cut off."
+        description="`complete`: all placed; `failed`: none but the target has a pose; `unfinished`: it was cut off."
     )
     target: str = Field(description="LiDAR that all poses are relative to; empty until it is chosen.")
     target_reason: str = Field(description="Why that LiDAR is the target.")
@@ -133,9 +133,14 @@ class ResultDocument(Entry):
         contested = [entry.contested for entry in self.lidars.values() if entry.contested is not None]
         if {key for each in contested for key in (each.pair, each.other)} - {pair.key for pair in self.pairs}:
             raise ValueError("`contested` of a LiDAR names a pair that `pairs` lacks")
-        if any(entry.placed and entry.T_target_source is None for entry in self.lidars.values()):
-            raise ValueError("`lidars` has a placed LiDAR without a pose")
-        if self.placed and self.target not in self.lidars:
+        for entry in self.lidars.values():
+            if entry.placed != (entry.status == "placed"):
+                raise ValueError("`lidars` has a LiDAR whose `placed` contradicts its `status`")
+            if entry.status != "not_placed" and entry.T_target_source is None:
+                raise ValueError(f"`lidars` has a LiDAR that is {entry.status} without a pose")
+            if entry.status == "uncertain" and entry.covariance is None:
+                raise ValueError("`lidars` has an uncertain LiDAR without a covariance")
+        if self.poses and self.target not in self.lidars:
             raise ValueError(f"`lidars` lacks the target {self.target!r}")
         return self
 
@@ -146,13 +151,13 @@ class ResultDocument(Entry):
 
     @property
     def poses(self) -> dict[str, RigidTransform]:
-        """``T_target_source`` of each placed LiDAR, the target among them."""
+        """``T_target_source`` of each placed or uncertain LiDAR, the target among them."""
         return {name: pose for name in self.lidars if (pose := self.pose(name)) is not None}
 
     def pose(self, lidar: str) -> RigidTransform | None:
-        """Return ``T_target_source`` of a LiDAR; None if it is not placed."""
+        """Return ``T_target_source`` of a LiDAR; None if it is neither placed nor uncertain."""
         entry = self.lidars[lidar]
-        if not entry.placed or entry.T_target_source is None:
+        if entry.status == "not_placed" or entry.T_target_source is None:
             return None
         return RigidTransform(self.target, lidar, np.asarray(entry.T_target_source))
 

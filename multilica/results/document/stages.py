@@ -73,7 +73,7 @@ class VerifyFigures(Entry):
     distinct: int = Field(description="Number of distinct poses.")
     agree: int | None = Field(None, description="Points on a surface that the other LiDAR measured.")
     violate: int | None = Field(None, description="Points in space that beams of the other LiDAR passed through.")
-    evidence: Number = Field(None, description="Distinctive agreeing points less weighted violations.")
+    evidence: Number = Field(None, description="Log-odds that the pose is the true one.")
     xyz_m: Vector3 | None = Field(None, description="Position.")
     rpy_deg: Vector3 | None = Field(None, description="Roll, pitch, yaw, extrinsic xyz.")
 

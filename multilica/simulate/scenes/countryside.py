@@ -26,7 +26,7 @@ def open_field(rng: np.random.Generator) -> Scene:
     for near_m, far_m in ((7.0, 18.0), (16.0, 38.0)):
         parts += [_growth_in_sector(rng, terrain, sector, rng.uniform(near_m, far_m)) for sector in range(_SECTORS)]
     parts += _farm(rng, terrain)
-    return Scene(merged(parts), terrain, (rng.uniform(-2.0, 2.0), rng.uniform(-2.0, 2.0)), rng.uniform(-np.pi, np.pi))
+    return Scene(tuple(parts), terrain, (rng.uniform(-2.0, 2.0), rng.uniform(-2.0, 2.0)), rng.uniform(-np.pi, np.pi))
 
 
 def _growth_in_sector(rng: np.random.Generator, terrain: Terrain, sector: int, range_m: float) -> Mesh:
@@ -70,4 +70,4 @@ def fence_field(rng: np.random.Generator) -> Scene:
     edges = np.array([-200.0, 200.0])
     field = FLAT.surface(edges, edges)
     line = fence(-200.0, 200.0, rng.uniform(1.2, 2.0)).moved(0.0, rng.uniform(5.0, 12.0))
-    return Scene(merged([field, line]), FLAT, (0.0, 0.0), rng.uniform(-np.pi, np.pi))
+    return Scene((field, line), FLAT, (0.0, 0.0), rng.uniform(-np.pi, np.pi))

@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """A scene on its terrain."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from multilica.errors import UsageError
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.shapes.mesh import Mesh, facing_quads, merged
+from multilica.simulate.shapes.mesh import Mesh, facing_quads, merged, reaches_into
 
 __all__ = ["FLAT", "Scene", "Terrain", "Wave", "rolling_waves"]
 
@@ -65,13 +68,15 @@ class Terrain:
 
 
 FLAT = Terrain()
+# Longer than pipes and hedges, shorter than fences and the ground.
+_LONGEST_LEFT_OUT_M = 100.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """All surfaces and the vehicle's middle in the world frame, z up; tall vehicles have the headroom above ground."""
+    """All bodies and the vehicle's middle in the world frame, z up; tall vehicles have the headroom above ground."""
 
-    mesh: Mesh
+    parts: tuple[Mesh, ...]
     terrain: Terrain
     vehicle_xy_m: tuple[float, float]
     vehicle_yaw_rad: float
@@ -81,6 +86,22 @@ class Scene:
     def T_world_base(self) -> RigidTransform:  # noqa: N802 - the field's notation
         """Return the pose of the vehicle's base frame in the world frame."""
         return self.terrain.standing_pose(*self.vehicle_xy_m, self.vehicle_yaw_rad)
+
+    def with_room_for(self, low_m: FloatArray, high_m: FloatArray) -> Scene:
+        """Leave out each body that reaches into the vehicle's box, from corner to corner (3,) in the base frame.
+
+        Raises:
+            UsageError: a wall, a fence or the ground is in the way.
+        """
+        T_base_world = self.T_world_base.inverse()
+        reaching = [reaches_into(part.transformed(T_base_world), low_m, high_m) for part in self.parts]
+        longest_m = max((part.length_m for part, inside in zip(self.parts, reaching, strict=True) if inside), default=0)
+        if longest_m > _LONGEST_LEFT_OUT_M:
+            raise UsageError(
+                f"A vehicle of {high_m[0] - low_m[0]:.0f} m has no room here: a structure {longest_m:.0f} m long is in "
+                "its way; choose another seed."
+            )
+        return replace(self, parts=tuple(part for part, inside in zip(self.parts, reaching, strict=True) if not inside))
 
 
 def rolling_waves(

@@ -56,7 +56,7 @@ def street(rng: np.random.Generator) -> Scene:
         parts += [*_pavement(side), *_houses(rng, side), *_parked_cars(rng, side), *_furniture(rng, side)]
     lane_y_m = rng.uniform(-1.0, 1.0) * (half_road_m - 3.4)
     yaw_rad = float(rng.choice([0.0, np.pi])) + rng.normal(scale=0.06)
-    return Scene(merged(parts), terrain, (rng.uniform(-3.0, 3.0), lane_y_m), yaw_rad)
+    return Scene(tuple(parts), terrain, (rng.uniform(-3.0, 3.0), lane_y_m), yaw_rad)
 
 
 def _pavement(side: _StreetSide) -> list[Mesh]:
@@ -122,7 +122,7 @@ def parking(rng: np.random.Generator) -> Scene:
     parts += _border(rng, terrain, 2.0 * pitch_m + rng.uniform(3.0, 8.0))
     parts += _market(rng, terrain, 2.0 * pitch_m + rng.uniform(10.0, 18.0))
     yaw_rad = float(rng.choice([0.0, np.pi])) + rng.normal(scale=0.15)
-    return Scene(merged(parts), terrain, (rng.uniform(-8.0, 8.0), rng.uniform(-0.8, 0.8)), yaw_rad)
+    return Scene(tuple(parts), terrain, (rng.uniform(-8.0, 8.0), rng.uniform(-0.8, 0.8)), yaw_rad)
 
 
 def _double_row(rng: np.random.Generator, terrain: Terrain, middle_y_m: float, occupancy: float) -> list[Mesh]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.simulate.scenes.scene import FLAT, Scene
-from multilica.simulate.shapes.mesh import Mesh, box, cylinder, extrusion, merged, quads, tube
+from multilica.simulate.shapes.mesh import Mesh, box, cylinder, extrusion, quads, tube
 from multilica.simulate.shapes.vehicles import random_car
 
 __all__ = ["garage", "symmetric_garage", "tunnel"]
@@ -92,7 +92,7 @@ def garage(rng: np.random.Generator) -> Scene:
     yaw_rad = float(rng.choice([0.0, np.pi])) + rng.normal(scale=0.08)
     stand = (rng.uniform(-1.5, 1.5), rng.uniform(-0.6, 0.6))
     headroom_m = frame.height_m - frame.beam_m - 0.1
-    return Scene(merged([*_structure(frame), *cars, *fittings]), FLAT, stand, yaw_rad, headroom_m)
+    return Scene((*_structure(frame), *cars, *fittings), FLAT, stand, yaw_rad, headroom_m)
 
 
 def _pipes(rng: np.random.Generator, frame: _GarageFrame) -> list[Mesh]:
@@ -151,7 +151,7 @@ def symmetric_garage(rng: np.random.Generator) -> Scene:
     yaw_rad = float(rng.choice([0.0, np.pi])) + rng.normal(scale=0.08)
     headroom_m = frame.height_m - frame.beam_m - 0.1
     turned = [mesh.moved(yaw_rad=np.pi) for mesh in half]
-    return Scene(merged([*_structure(frame), *half, *turned]), FLAT, (0.0, 0.0), yaw_rad, headroom_m)
+    return Scene((*_structure(frame), *half, *turned), FLAT, (0.0, 0.0), yaw_rad, headroom_m)
 
 
 def tunnel(rng: np.random.Generator) -> Scene:
@@ -166,4 +166,4 @@ def tunnel(rng: np.random.Generator) -> Scene:
     profile = np.concatenate([vault, right, left])
     yaw_rad = rng.normal(scale=0.04)
     walls = extrusion(profile, -_TUNNEL_HALF_LENGTH_M, _TUNNEL_HALF_LENGTH_M)
-    return Scene(walls, FLAT, (0.0, rng.uniform(-0.8, 0.8)), yaw_rad, 4.0)
+    return Scene((walls,), FLAT, (0.0, rng.uniform(-0.8, 0.8)), yaw_rad, 4.0)

@@ -12,7 +12,19 @@ from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, RigidTransform, read_only
 
-__all__ = ["Mesh", "box", "cylinder", "extrusion", "facing_quads", "merged", "quads", "sphere", "tapered_box", "tube"]
+__all__ = [
+    "Mesh",
+    "box",
+    "cylinder",
+    "extrusion",
+    "facing_quads",
+    "merged",
+    "quads",
+    "reaches_into",
+    "sphere",
+    "tapered_box",
+    "tube",
+]
 
 IndexArray = npt.NDArray[np.int64]
 Point = Sequence[float]
@@ -32,6 +44,11 @@ class Mesh:
     def __post_init__(self) -> None:
         object.__setattr__(self, "vertices_m", read_only(np.reshape(self.vertices_m, (-1, 3)), np.float64))
         object.__setattr__(self, "triangles", read_only(np.reshape(self.triangles, (-1, 3)), np.int64))
+
+    @property
+    def length_m(self) -> float:
+        """Return the longest side of the box around it, parallel to the axes."""
+        return float(np.ptp(self.vertices_m, axis=0).max())
 
     def moved(self, x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, yaw_rad: float = 0.0) -> Mesh:
         """Rotate the mesh about its z axis, then shift it."""
@@ -55,6 +72,20 @@ def merged(meshes: Iterable[Mesh]) -> Mesh:
     starts = np.cumsum([0, *(len(part.vertices_m) for part in parts[:-1])])
     triangles = [part.triangles + start for part, start in zip(parts, starts, strict=True)]
     return Mesh(np.concatenate([part.vertices_m for part in parts]), np.concatenate(triangles))
+
+
+def reaches_into(mesh: Mesh, low_m: FloatArray, high_m: FloatArray) -> bool:
+    """Tell whether any triangle touches the axis-parallel box between two corners (3,), by separating axes."""
+    half_m = (high_m - low_m) / 2.0
+    corners = mesh.vertices_m[mesh.triangles] - (low_m + high_m) / 2.0
+    corners = corners[((corners.max(axis=1) >= -half_m) & (corners.min(axis=1) <= half_m)).all(axis=1)]
+    edges = np.roll(corners, -1, axis=1) - corners
+    across = np.cross(edges[:, :, None], np.eye(3)).reshape(-1, 9, 3)
+    axes = np.concatenate([np.cross(edges[:, :1], edges[:, 1:2]), across], axis=1)
+    reach = np.abs(axes) @ half_m
+    shadow = axes @ corners.swapaxes(1, 2)
+    apart = (shadow.min(axis=2) > reach) | (shadow.max(axis=2) < -reach)
+    return not bool(apart.any(axis=1).all())
 
 
 def quads(corners_m: npt.ArrayLike) -> Mesh:

@@ -25,7 +25,8 @@ def every_nth(points_m: npt.NDArray[np.floating], enough: int) -> npt.NDArray[np
 
 def sample_points(points_m: npt.NDArray[np.floating], limit: int) -> Float32Array:
     """Return at most `limit` of the points (N, 3), as float32."""
-    return np.asarray(points_m[sample_indices(len(points_m), limit)], dtype=np.float32)
+    shown_m = points_m if len(points_m) <= limit else points_m[sample_indices(len(points_m), limit)]
+    return np.asarray(shown_m, dtype=np.float32)
 
 
 def slot_offsets_m(snapshot: Snapshot) -> dict[str, float]:

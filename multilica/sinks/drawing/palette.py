@@ -12,6 +12,7 @@ __all__ = [
     "MUTED",
     "OCCLUDED",
     "REJECTED",
+    "UNCERTAIN",
     "UNDECIDED",
     "UNSEEN",
     "VERDICT_COLOURS",
@@ -42,8 +43,14 @@ VIOLATE: Rgb = (213, 94, 0)
 OCCLUDED: Rgb = (110, 110, 120)
 UNSEEN: Rgb = (45, 47, 52)
 UNDECIDED: Rgb = (240, 180, 60)
+UNCERTAIN: Rgb = (110, 170, 255)
 MUTED: Rgb = (110, 110, 120)
-VERDICT_COLOURS: dict[str, Rgb] = {"accept": AGREE, "undecided": UNDECIDED, "reject": VIOLATE}
+VERDICT_COLOURS: dict[str, Rgb] = {
+    "accept": AGREE,
+    "uncertain": UNCERTAIN,
+    "undecided": UNDECIDED,
+    "reject": VIOLATE,
+}
 
 _HEAT_STOPS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Matches, fields of view, uncertainties as shapes."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
@@ -10,8 +12,9 @@ from multilica.sinks.drawing.clouds import every_nth, sample_indices
 from multilica.sinks.run_state import RunState
 
 __all__ = [
-    "SHOWN_ELLIPSOID_SCALE",
     "SIGMAS",
+    "ellipsoid_label",
+    "ellipsoid_scale",
     "field_of_view",
     "kept_matches",
     "match_lines",
@@ -22,9 +25,8 @@ __all__ = [
 SIGMAS = 3.0
 """Half axes, in standard deviations."""
 
-SHOWN_ELLIPSOID_SCALE = 50.0
-"""Scale of drawn ellipsoids: millimetres would be invisible."""
-
+_ELLIPSOID_SCALES = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0)
+_LARGEST_ELLIPSOID_M = 1.0
 _RADIUS_M = 2.0
 _LARGEST_GAP_RAD = float(np.deg2rad(20.0))
 _STEP_RAD = float(np.deg2rad(3.0))
@@ -58,6 +60,22 @@ def uncertainty_ellipsoid(place: LidarPlacement) -> tuple[FloatArray, RigidTrans
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     half_sizes_m = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     return half_sizes_m, RigidTransform.from_rotation_translation(pose.target, pose.source, axes, pose.xyz_m)
+
+
+def ellipsoid_scale(placements: Sequence[LidarPlacement]) -> float:
+    """Return how many times the ellipsoids of a result are enlarged.
+
+    Millimetres would be invisible, metres would hide the rig: it is the largest of a few factors, one for all LiDARs,
+    that keeps every half axis below 1 m, and 1 if none does.
+    """
+    found = (uncertainty_ellipsoid(place) for place in placements)
+    largest_m = max((float(each[0].max()) for each in found if each is not None), default=0.0)
+    return next((scale for scale in _ELLIPSOID_SCALES if scale * largest_m <= _LARGEST_ELLIPSOID_M), 1.0)
+
+
+def ellipsoid_label(place: LidarPlacement, scale: float) -> str:
+    """Return the label of an uncertain LiDAR's ellipsoid; empty for any other LiDAR."""
+    return f"{place.lidar}: uncertain ({SIGMAS:g} sigma x {scale:g})" if place.uncertain else ""
 
 
 def shown_field_of_view(state: RunState, lidar: str) -> tuple[FloatArray, ...]:

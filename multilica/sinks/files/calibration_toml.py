@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-from multilica.extrinsics import Extrinsics, extrinsics_table
+from multilica.extrinsics import Extrinsics, extrinsics_table, pose_values
 from multilica.results import CalibrationResult, GroundPlane, LidarPlacement
 from multilica.sinks.files.provenance import Provenance
 
@@ -22,20 +22,26 @@ _HEADER = """\
 # Lengths in metres; rpy_deg in degrees, extrinsic xyz (roll, then pitch, then yaw about the fixed axes of {target});
 # quaternion_xyzw with w last; fitness is the share of points near a surface, rmse_m their RMS distance to it;
 # sigma_xyz_m, sigma_rotation_deg: one standard deviation along and about the axes of {target}.
+# [lidars] has the placed LiDARs. [uncertain] has those whose sigma is above the limit: use them only after a check.
 """
 
 
 def calibration_toml(result: CalibrationResult, provenance: Provenance) -> str:
     """Return the text of `calibration.toml`; `multilica.read_extrinsics` reads it."""
-    placed = {place.lidar: place for place in result.placements if place.placed}
-    poses = {name: place.T_target_source for name, place in placed.items() if place.T_target_source is not None}
+    placed = [place for place in result.placements if place.placed]
+    poses = {place.lidar: place.T_target_source for place in placed if place.T_target_source is not None}
     table = extrinsics_table(Extrinsics(result.target, poses))
-    for name, values in table["lidars"].items():
-        values.update(_figures(placed[name]))
+    for place in placed:
+        table["lidars"][place.lidar].update(_figures(place))
     table |= {
         "status": result.status,
         "target_reason": result.target_reason,
-        "not_placed": {place.lidar: place.reason for place in result.placements if not place.placed},
+        "uncertain": {
+            place.lidar: {"reason": place.reason, **pose_values(place.T_target_source), **_figures(place)}
+            for place in result.placements
+            if place.uncertain and place.T_target_source is not None
+        },
+        "not_placed": {place.lidar: place.reason for place in result.placements if place.status == "not_placed"},
         "input": {"source": provenance.input.source, "sha256": provenance.input.sha256},
         "versions": provenance.versions,
     }

@@ -49,6 +49,7 @@ _NUMBERS = {"type": "array", "items": _NUMBER}
 _LIDAR_FIGURES = {
     "name": _TEXT,
     "placed": _FLAG,
+    "status": _TEXT,
     "xyz_m": _NUMBERS,
     "rpy_deg": _NUMBERS,
     "fitness": _NUMBER,
@@ -62,6 +63,7 @@ _METRICS_SCHEMA = {
         "status": _TEXT,
         "target": _TEXT,
         "placed": {"type": "integer"},
+        "uncertain": {"type": "integer"},
         "lidars": {"type": "array", "items": {"type": "object", "properties": _LIDAR_FIGURES}},
         "stages": {"type": "array", "items": {"type": "object", "properties": {"name": _TEXT, "duration_s": _NUMBER}}},
     },
@@ -78,13 +80,13 @@ class FoxgloveEncoding:
         transforms = FrameTransforms(transforms=[_transform(pose, stamp_ns) for pose in poses])
         return McapMessage("/tf", _schema(FrameTransforms), transforms.encode())
 
-    def cloud(self, lidar: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
+    def cloud(self, lidar: str, frame_id: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.PointCloud`` of little-endian float32."""
         packed = np.ascontiguousarray(points_m, dtype="<f4")
         numeric = PackedElementFieldNumericType.Float32
         cloud = PointCloud(
             timestamp=_timestamp(stamp_ns),
-            frame_id=lidar,
+            frame_id=frame_id,
             pose=_pose((0.0, 0.0, 0.0)),
             point_stride=packed.itemsize * 3,
             fields=[PackedElementField(name=name, offset=4 * index, type=numeric) for index, name in enumerate("xyz")],

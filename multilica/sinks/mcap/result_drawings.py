@@ -9,10 +9,19 @@ import numpy as np
 
 from multilica.geometry import FloatArray
 from multilica.results import CalibrationResult
-from multilica.sinks.drawing.palette import KEPT, REJECTED, VERDICT_COLOURS, VIOLATE, distinct_colours, hex_colour
+from multilica.sinks.drawing.palette import (
+    KEPT,
+    REJECTED,
+    UNCERTAIN,
+    VERDICT_COLOURS,
+    VIOLATE,
+    distinct_colours,
+    hex_colour,
+)
 from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE, Drawing, Ellipsoid, Label, Lines, segments_along
 from multilica.sinks.drawing.shapes import (
-    SHOWN_ELLIPSOID_SCALE,
+    ellipsoid_label,
+    ellipsoid_scale,
     kept_matches,
     match_lines,
     shown_field_of_view,
@@ -21,7 +30,7 @@ from multilica.sinks.drawing.shapes import (
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
-__all__ = ["DRAWING_TOPICS", "foxglove_layout", "result_drawings"]
+__all__ = ["DRAWING_TOPICS", "cloud_frames", "foxglove_layout", "result_drawings"]
 
 DRAWING_TOPICS = ("/matches", "/merge_graph", "/fields_of_view", "/uncertainty")
 
@@ -36,11 +45,22 @@ _AT_FIRST = {"/matches": False}
 
 def result_drawings(state: RunState, result: CalibrationResult) -> Mapping[str, tuple[Drawing, ...]]:
     """Return the drawings of each topic of `DRAWING_TOPICS`."""
-    drawings = (_matches(state), _merge_graph(state, result), _fields_of_view(state), _uncertainty(state, result))
+    frames = cloud_frames(result)
+    drawings = (
+        _matches(state, frames),
+        _merge_graph(state, result),
+        _fields_of_view(state, frames),
+        _uncertainty(state, result),
+    )
     return {topic: tuple(found) for topic, found in zip(DRAWING_TOPICS, drawings, strict=True)}
 
 
-def _matches(state: RunState) -> Iterator[Drawing]:
+def cloud_frames(result: CalibrationResult) -> dict[str, str]:
+    """Return the frame of each LiDAR's cloud: its name, which no transform has for an uncertain LiDAR."""
+    return {place.lidar: f"uncertain/{place.lidar}" if place.uncertain else place.lidar for place in result.placements}
+
+
+def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[Drawing]:
     """Draw a sample of each pair's matches at its best pose: kept ones are short, rejected ones long."""
     for pair, matches in sorted(state.matches.items()):
         coarse, found = state.coarse.get(pair), state.registrations.get(pair)
@@ -54,7 +74,7 @@ def _matches(state: RunState) -> Iterator[Drawing]:
             Lines(match_lines(matches, kept, pose, _MAX_MATCHES), KEPT),
             Lines(match_lines(matches, ~kept, pose, _MAX_MATCHES), REJECTED),
         )
-        yield Drawing(pair_label(*pair), matches.target, lines)
+        yield Drawing(pair_label(*pair), frames[matches.target], lines)
 
 
 def _merge_graph(state: RunState, result: CalibrationResult) -> Iterator[Drawing]:
@@ -62,8 +82,8 @@ def _merge_graph(state: RunState, result: CalibrationResult) -> Iterator[Drawing
     places_m = _places_m(result)
     colours = distinct_colours(state.lidars)
     for place in result.placements:
-        text = place.lidar if place.placed else f"{place.lidar}: not placed"
-        colour = colours[place.lidar] if place.placed else VIOLATE
+        text = place.lidar if place.placed else f"{place.lidar}: {place.status.replace('_', ' ')}"
+        colour = colours[place.lidar] if place.T_target_source is not None else VIOLATE
         label = Label(places_m[place.lidar] + np.array([0.0, 0.0, 2.0 * _NODE_RADIUS_M]), text, colour)
         yield Drawing(place.lidar, result.target, labels=(label,), lines=(_cross(places_m[place.lidar], colour),))
     for pair, found in sorted(state.registrations.items()):
@@ -88,23 +108,25 @@ def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> Lines:
     return Lines(np.stack([centre_m - arms_m, centre_m + arms_m], axis=1), colour)
 
 
-def _fields_of_view(state: RunState) -> Iterator[Drawing]:
+def _fields_of_view(state: RunState, frames: Mapping[str, str]) -> Iterator[Drawing]:
     colours = distinct_colours(state.lidars)
     for lidar in sorted(state.clouds):
         strips = shown_field_of_view(state, lidar)
         if strips:
             segments_m = np.concatenate([segments_along(strip) for strip in strips])
-            yield Drawing(lidar, lidar, (Lines(segments_m, colours[lidar]),))
+            yield Drawing(lidar, frames[lidar], (Lines(segments_m, colours[lidar]),))
 
 
 def _uncertainty(state: RunState, result: CalibrationResult) -> Iterator[Drawing]:
-    colours = distinct_colours(state.lidars)
+    colours, scale = distinct_colours(state.lidars), ellipsoid_scale(result.placements)
     for place in result.placements:
         found = uncertainty_ellipsoid(place)
         if found is not None:
             half_sizes_m, axes = found
-            shown = Ellipsoid(axes, SHOWN_ELLIPSOID_SCALE * half_sizes_m, colours[place.lidar])
-            yield Drawing(place.lidar, result.target, ellipsoids=(shown,))
+            shown = Ellipsoid(axes, scale * half_sizes_m, colours[place.lidar])
+            text = ellipsoid_label(place, scale)
+            labels = (Label(axes.xyz_m, text, UNCERTAIN),) if text else ()
+            yield Drawing(place.lidar, result.target, ellipsoids=(shown,), labels=labels)
 
 
 def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:

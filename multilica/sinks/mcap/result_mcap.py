@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -21,7 +21,7 @@ from multilica.sinks.files.atomic import atomic_file, partial_path
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.result_document import result_so_far, run_document
 from multilica.sinks.mcap.messages import McapMessage, MessageWriter
-from multilica.sinks.mcap.result_drawings import foxglove_layout, result_drawings
+from multilica.sinks.mcap.result_drawings import cloud_frames, foxglove_layout, result_drawings
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, log_end, log_lines
 from multilica.snapshot import Float32Array, LidarScans, Snapshot
@@ -90,15 +90,19 @@ class ResultMcap:
         return self
 
     def __call__(self, event: events.Event) -> None:
-        """Update the state; write the partial file when a stage ends."""
+        """Update the state; write the partial file when a stage ends, or the last one of stages that ran together."""
         self._state(event)
         if isinstance(event, events.CloudPreprocessed):
             self._clouds.pop(event.cloud.lidar, None)
+        if isinstance(event, events.CalibrationFinished):
+            for place in event.result.placements:
+                if place.uncertain:
+                    self._clouds.pop(place.lidar, None)
         if isinstance(event, _CHANGES_DRAWINGS):
             self._drawings.clear()
         self._lines += log_lines(event)
         self._finished |= isinstance(event, events.CalibrationFinished)
-        if isinstance(event, events.StageFinished):
+        if isinstance(event, events.StageFinished) and event.stage == self._state.stage:
             self._write(partial_path(self.path))
 
     def __exit__(
@@ -139,11 +143,12 @@ class ResultMcap:
         self, messages: MessageWriter, snapshot: Snapshot, result: CalibrationResult, stamp_ns: int
     ) -> None:
         """Write transforms first, so that a reader in time order can place every cloud; encode only what changed."""
-        messages.write(self._encoding.transforms(_static_poses(result), stamp_ns), stamp_ns)
+        frames = cloud_frames(result)
+        messages.write(self._encoding.transforms(_static_poses(result, frames), stamp_ns), stamp_ns)
         for lidar in snapshot.lidars:
             if lidar.name not in self._clouds:
                 points_m = _shown_points(self._state, lidar)
-                self._clouds[lidar.name] = self._encoding.cloud(lidar.name, points_m, stamp_ns)
+                self._clouds[lidar.name] = self._encoding.cloud(lidar.name, frames[lidar.name], points_m, stamp_ns)
             messages.write(self._clouds[lidar.name], stamp_ns)
         if not self._drawings:
             drawn = result_drawings(self._state, result).items()
@@ -176,11 +181,11 @@ def _first_stamp_ns(snapshot: Snapshot) -> int:
     return min((stamp_ns for stamp_ns in stamps_ns if 0 < stamp_ns < _FAR_FUTURE_NS), default=_STAMP_WITHOUT_CLOCK_NS)
 
 
-def _static_poses(result: CalibrationResult) -> list[RigidTransform]:
-    """Return the base frame above the target, if there is one, then every placed LiDAR."""
+def _static_poses(result: CalibrationResult, frames: Mapping[str, str]) -> list[RigidTransform]:
+    """Return the base frame above the target, if there is one, then the frame of every LiDAR with a pose."""
     base = [result.ground.T_base_target] if result.ground is not None else []
-    placed = [place.T_target_source for place in result.placements if place.placed and place.lidar != result.target]
-    return [*base, *(pose for pose in placed if pose is not None)]
+    poses = (place.T_target_source for place in result.placements if place.lidar != result.target)
+    return [*base, *(RigidTransform(pose.target, frames[pose.source], pose.matrix) for pose in poses if pose)]
 
 
 def _shown_points(state: RunState, lidar: LidarScans) -> Float32Array:
@@ -201,11 +206,12 @@ def _metadata(document: ResultDocument) -> dict[str, str]:
 
 def _metrics(document: ResultDocument) -> dict[str, Any]:
     """Return status, figures per LiDAR without those that it lacks, and wall times."""
-    figures = {"placed", "xyz_m", "rpy_deg", "fitness", "rmse_m"}
+    figures = {"placed", "status", "xyz_m", "rpy_deg", "fitness", "rmse_m"}
     return {
         "status": document.status,
         "target": document.target,
         "placed": len(document.placed),
+        "uncertain": sum(entry.status == "uncertain" for entry in document.lidars.values()),
         "lidars": [
             {"name": name, **entry.model_dump(mode="json", include=figures, exclude_none=True)}
             for name, entry in document.lidars.items()

@@ -39,10 +39,10 @@ class Ros2Encoding:
         """Encode ``tf2_msgs/msg/TFMessage`` on `/tf_static`, latched for late subscribers."""
         return _message("/tf_static", ros2.transforms(poses, stamp_ns), latched=True)
 
-    def cloud(self, lidar: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
+    def cloud(self, lidar: str, frame_id: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
         """Encode ``sensor_msgs/msg/PointCloud2`` of little-endian float32 on a valid ROS 2 topic."""
         topic = f"/lidar/{self._topic_token(lidar)}/points"
-        return _message(topic, ros2.point_cloud(lidar, stamp_ns, points_m), {LIDAR_NAME_KEY: lidar})
+        return _message(topic, ros2.point_cloud(frame_id, stamp_ns, points_m), {LIDAR_NAME_KEY: lidar})
 
     def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> McapMessage:
         """Encode ``visualization_msgs/msg/MarkerArray``, a namespace per drawing, latched for late subscribers."""

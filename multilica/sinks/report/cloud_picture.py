@@ -138,17 +138,18 @@ def _blend(view: View, layers: Sequence[Layer]) -> npt.NDArray[np.uint8]:
     """Return pixels (H, W, 3) in the mean colour of their points, more opaque with more points."""
     width, height = view.size_px
     cells = [_cells(view, layer) for layer in layers]
-    counts = np.array([len(each) for each in cells], dtype=np.int64)
-    dots = np.concatenate([np.empty(0, dtype=np.int64), *cells])
-    total = np.bincount(dots, minlength=width * height)
-    hit = np.flatnonzero(total)
-    opacity = 1.0 - (1.0 - _OPACITY_OF_A_POINT) ** np.arange(total.max() + 1)
+    total = np.bincount(np.concatenate([np.empty(0, dtype=np.int64), *cells]), minlength=width * height)
+    hit = np.flatnonzero(total > 0)
+    places, total = np.empty_like(total), total[hit]
+    places[hit] = np.arange(len(hit))
+    counts = [np.bincount(places[each], minlength=len(hit)).astype(np.float64) for each in cells]
+    opacity = 1.0 - (1.0 - _OPACITY_OF_A_POINT) ** np.arange(total.max(initial=0) + 1)
     pixels = np.empty((width * height, 3), dtype=np.uint8)
     for channel, ground in enumerate(GROUND_COLOUR):
-        values = np.array([layer.strength * layer.colour[channel] for layer in layers])
-        mean = np.bincount(dots, np.repeat(values, counts), width * height)[hit] / total[hit]
+        lights = (count * (layer.strength * layer.colour[channel]) for count, layer in zip(counts, layers, strict=True))
+        mean = sum(lights, np.zeros(len(hit))) / total
         pixels[:, channel] = ground
-        pixels[hit, channel] = np.rint(ground + opacity[total[hit]] * (mean - ground))
+        pixels[hit, channel] = np.rint(ground + opacity[total] * (mean - ground))
     return pixels.reshape(height, width, 3)
 
 

@@ -64,9 +64,13 @@ class ReportContents:
         """Return the target LiDAR; the first LiDAR until the target is chosen."""
         return self.document.target or self.names[0]
 
-    def placed_poses(self) -> dict[str, RigidTransform]:
-        """Return ``T_target_source`` of each placed LiDAR, including the target."""
+    def poses(self) -> dict[str, RigidTransform]:
+        """Return ``T_target_source`` of each placed or uncertain LiDAR, including the target."""
         return self.document.poses
+
+    def is_uncertain(self, lidar: str) -> bool:
+        """Return whether the LiDAR's standard deviation is above the limit."""
+        return self.document.lidars[lidar].status == "uncertain"
 
 
 def contents_of(state: RunState, ended_early: str = "") -> ReportContents:

@@ -41,8 +41,10 @@ class Figure:
         return f"data:image/png;base64,{base64.b64encode(self.png).decode('ascii')}"
 
 
-def rig_figures(contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb]) -> dict[str, Figure]:
-    """Draw top and side views of all clouds before and after: `top_before`, `top_after`, `side_...`."""
+def rig_figures(
+    contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], *, calibrated: bool
+) -> dict[str, Figure]:
+    """Draw top and side views of all clouds before and, if calibrated, after: `top_before`, `top_after`, `side_...`."""
     before = _rig_layers(contents, level, colours, placed=False)
     after = _rig_layers(contents, level, colours, placed=True)
     points_m = _all_points(after or before)
@@ -54,7 +56,7 @@ def rig_figures(contents: ReportContents, level: RigidTransform, colours: Mappin
     }
     figures = {}
     for side, view in views.items():
-        for time, layers in (("before", before), ("after", after)):
+        for time, layers in (("before", before), ("after", after))[: 1 + calibrated]:
             name, caption = words[time]
             shown = ", ".join(layer.label for layer in layers) or "no LiDAR"
             figures[f"{side}_{time}"] = _figure(
@@ -68,12 +70,18 @@ def _rig_layers(
 ) -> list[Layer]:
     """Return a layer per LiDAR with returns, in the level frame; if `placed`, without unplaced LiDARs."""
     same = {name: RigidTransform.identity(contents.target, name) for name in contents.names}
-    poses = contents.placed_poses() if placed else same
+    poses = contents.poses() if placed else same
     return [
-        Layer(pose.apply(contents.clouds[name]), colours[name], sensor=pose, label=name)
+        Layer(
+            pose.apply(contents.clouds[name]), colours[name], sensor=pose, label=_label(contents, name, placed=placed)
+        )
         for name, pose in ((name, level @ pose) for name, pose in poses.items())
         if len(contents.clouds.get(name, ()))
     ]
+
+
+def _label(contents: ReportContents, name: str, *, placed: bool) -> str:
+    return f"{name} (uncertain)" if placed and contents.is_uncertain(name) else name
 
 
 def pair_figures(
@@ -122,7 +130,7 @@ def _pair_figure(
 
 def _levelled(contents: ReportContents, T_target_source: RigidTransform, level: RigidTransform) -> RigidTransform:
     """Return the pose of the pair's target in the level frame; its own axes if neither LiDAR is placed."""
-    placed, target = contents.placed_poses(), T_target_source.target
+    placed, target = contents.poses(), T_target_source.target
     if target in placed:
         return level @ placed[target]
     if T_target_source.source in placed:

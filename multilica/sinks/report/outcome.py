@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Outcome of a run for the top of the report."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from multilica.diagnosis import Cause, Explanation, Missing, explain
+from multilica.diagnosis import Cause, Explanation, Missing, Uncertain, explain
 from multilica.results import PairKey
 from multilica.sinks.report.contents import ReportContents
 
@@ -50,6 +50,7 @@ class Outcome:
     known: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     failures: tuple[UnplacedLidar, ...] = ()
+    uncertain: tuple[Uncertain, ...] = ()
 
 
 _BADGES: Mapping[Cause, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
@@ -65,19 +66,34 @@ def outcome_of(contents: ReportContents) -> Outcome:
         return Outcome(
             badge, explanation.headline, details, explanation.warnings, explanation.known, explanation.advice
         )
-    if len(contents.placed_poses()) > 1:
+    if len(contents.poses()) > 1:
         details = (f"Target: {contents.target} ({document.target_reason.rstrip('.')}).", *details)
     badge = _BADGES["unfinished"] if contents.ended_early else document.status
     failures = tuple(UnplacedLidar(missing) for missing in explanation.missing)
-    return Outcome(badge, _headline(contents, explanation), details, explanation.warnings, failures=failures)
+    return Outcome(
+        badge,
+        _headline(contents, explanation),
+        details,
+        explanation.warnings,
+        failures=failures,
+        uncertain=explanation.uncertain,
+    )
 
 
 def _headline(contents: ReportContents, explanation: Explanation) -> str:
     missing = [one.lidar for one in explanation.missing]
+    uncertain = [one.lidar for one in explanation.uncertain]
     count = len(contents.names)
-    if not missing:
+    placed = count - len(missing) - len(uncertain)
+    if placed == count:
         return f"All {count} LiDARs are placed."
-    if len(missing) == count - 1:
-        return f"No LiDAR is placed relative to {contents.target}."
-    verb = "is" if len(missing) == 1 else "are"
-    return f"{count - len(missing)} of {count} LiDARs are placed; {' and '.join(missing)} {verb} not."
+    clauses = [f"{placed} of {count} LiDARs are placed"]
+    if placed <= 1:
+        clauses = [f"No LiDAR is placed relative to {contents.target}"]
+    clauses += [f"{_they_are(uncertain)} uncertain"] if uncertain else []
+    clauses += [f"{_they_are(missing)} not"] if missing and len(missing) < count - 1 else []
+    return f"{'; '.join(clauses)}."
+
+
+def _they_are(names: Sequence[str]) -> str:
+    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'}"

@@ -17,7 +17,7 @@ from markupsafe import Markup
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import LEVEL_FRAME
-from multilica.results.document import SnapshotEntry
+from multilica.results.document import PairEntry, SnapshotEntry
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
 from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
 from multilica.sinks.files.atomic import write_text_atomically
@@ -97,14 +97,15 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
     """Return the variables of the template, except the clouds of the 3-D view."""
     colours = distinct_colours(contents.names)
     document, outcome = contents.document, outcome_of(contents)
+    calibrated = len(contents.poses()) > 1
     merged = {decision.chosen.names for decision in document.decisions if decision.chosen is not None}
     return {
         "contents": contents,
         "document": document,
         "outcome": outcome,
         "pair_figures": _pair_figures(contents, outcome, level),
-        "figures": rig_figures(contents, level, colours),
-        "calibrated": len(contents.placed_poses()) > 1,
+        "figures": rig_figures(contents, level, colours, calibrated=calibrated),
+        "calibrated": calibrated,
         "colours": {name: hex_colour(colour) for name, colour in colours.items()},
         "label_colours": {
             "agree": hex_colour(AGREE),
@@ -115,7 +116,7 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
         "points_total": sum(len(cloud) for cloud in contents.clouds.values()),
         "graph_size": _GRAPH_SIZE,
         "places": _graph_places(contents.names),
-        "edges": [(pair, "merged" if pair.names in merged else pair.verdict.outcome) for pair in document.pairs],
+        "edges": [(pair, _edge(pair, merged=pair.names in merged)) for pair in document.pairs],
         "label_share": EDGE_LABEL_SHARE,
         "matrix": {pair.key: pair for pair in document.pairs},
         "seconds": {stage: seconds for stage, seconds in document.timing_s.items() if seconds is not None},
@@ -129,6 +130,13 @@ def _pair_figures(contents: ReportContents, outcome: Outcome, level: RigidTransf
     first = {failure.pair: failure.missing.lidar for failure in reversed(outcome.failures) if failure.pair is not None}
     shown = [(pair, lidar) for pair, lidar in reversed(first.items()) if pair is not None][:_MAX_PICTURED]
     return {lidar: pair_figures(contents, pair, level, colours) for pair, lidar in shown}
+
+
+def _edge(pair: PairEntry, *, merged: bool) -> str:
+    """Return what the graph shows of a pair, as words that are the classes of its line."""
+    if merged and pair.verdict.outcome == "uncertain":
+        return "merged uncertain"
+    return "merged" if merged else pair.verdict.outcome
 
 
 def _graph_places(names: Sequence[str]) -> dict[str, tuple[float, float]]:

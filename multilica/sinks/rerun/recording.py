@@ -18,7 +18,6 @@ from multilica.sinks.rerun.matches import log_matches
 from multilica.sinks.rerun.record_limits import limits_for
 from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
 from multilica.sinks.rerun.scene import RerunScene
-from multilica.sinks.rerun.scored_points import log_beam_labels
 from multilica.sinks.rerun.tables import log_pair_tables, log_summary
 from multilica.sinks.rerun.verdict import log_contested_places
 from multilica.sinks.run_state import RunState
@@ -94,7 +93,6 @@ def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:
         text = f"recording {share:.1%} of the usual points and matches to stay below {budget}"
         scene.log_line(LogLine("WARN", text))
     _send_properties(scene, "running")
-    log_beam_labels(scene)
     log_input(scene, event)
     log_summary(scene)
     scene.stream.send_blueprint(stage_blueprint(scene.state))
@@ -102,15 +100,23 @@ def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:
 
 
 def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
-    """Log the tables and write the stage to disk."""
+    """Log the tables and write the stage to disk, with the last one of stages that ran together."""
+    if event.stage != scene.state.stage:
+        return
     if event.stage == "preprocess":
         log_dropped_table(scene)
     if event.stage in ("coarse", "verify", "fine", "merge", "refine"):
         pairs.show_best_poses(scene)
         log_pair_tables(scene)
     log_summary(scene)
-    if event.stage in ("preprocess", "coarse", "fine", "merge"):
+    if event.stage in ("preprocess", "coarse", "verify", "fine", "merge"):
         scene.stream.send_blueprint(stage_blueprint(scene.state))
+    _flush(scene.stream)
+
+
+def _register_pair(scene: RerunScene, event: events.PairRegistered) -> None:
+    """Log a pair, and write it to disk: all pairs are searched within one stage."""
+    pairs.log_registration(scene, event)
     _flush(scene.stream)
 
 
@@ -153,7 +159,7 @@ _HANDLERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
     events.CorrespondencesMatched: log_matches,
     events.HypothesesFound: pairs.log_hypotheses,
     events.HypothesesVerified: pairs.log_verified,
-    events.PairRegistered: pairs.log_registration,
+    events.PairRegistered: _register_pair,
     events.VerdictChanged: pairs.log_changed_verdict,
     events.GroupsRegistered: pairs.log_group_registration,
     events.LoopRegistered: pairs.log_registration,

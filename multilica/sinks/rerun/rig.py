@@ -11,7 +11,7 @@ from multilica import events
 from multilica.results import GroundPlane, LidarPlacement, MergeCandidate, MergeDecision, PairKey
 from multilica.sinks.drawing.palette import MUTED, VERDICT_COLOURS
 from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
-from multilica.sinks.drawing.shapes import SHOWN_ELLIPSOID_SCALE, uncertainty_ellipsoid
+from multilica.sinks.drawing.shapes import ellipsoid_label, ellipsoid_scale, uncertainty_ellipsoid
 from multilica.sinks.rerun.entity_paths import GROUND, MERGE_GRAPH, MERGE_STEPS, lidar_frame, lidar_path, slot_frame
 from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.text.log_lines import pair_label
@@ -45,7 +45,7 @@ def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision]) -> None:
     pairs = [pair for pair in latest if pair[0] in places and pair[1] in places]
     middles = [places[end] + EDGE_LABEL_SHARE * (places[start] - places[end]) for end, start in pairs]
     outcomes = {pair: _outcome(scene, latest[pair]) for pair in pairs}
-    words = {pair: "merged" if latest[pair] in merged else outcomes[pair] for pair in pairs}
+    words = {pair: _words(latest[pair], outcomes[pair], merged=latest[pair] in merged) for pair in pairs}
     nodes = rr.GraphNodes(
         node_ids=[*places, *(pair_label(*pair) for pair in pairs)],
         positions=[*places.values(), *middles],
@@ -66,10 +66,18 @@ def _latest_pairs(decisions: Sequence[MergeDecision]) -> dict[PairKey, MergeCand
     return {(one.target, one.source): one for one in sorted(latest.values(), key=lambda one: (one.target, one.source))}
 
 
+def _words(pair: MergeCandidate, outcome: str, *, merged: bool) -> str:
+    if merged:
+        return "merged, uncertain" if pair.uncertain else "merged"
+    return outcome
+
+
 def _outcome(scene: RerunScene, pair: MergeCandidate) -> str:
     """Return the verdict of the latest registration of the two, single or of groups."""
     if pair.passes:
         return "accept"
+    if pair.uncertain:
+        return "uncertain"
     state, names = scene.state, {pair.target, pair.source}
     known = [*state.registrations.values(), *state.group_registrations]
     latest = next((each for each in reversed(known) if {each.target, each.source} == names), None)
@@ -77,19 +85,20 @@ def _outcome(scene: RerunScene, pair: MergeCandidate) -> str:
 
 
 def log_outcome(scene: RerunScene, event: events.CalibrationFinished) -> None:
-    """Log every placed LiDAR in the target's frame."""
+    """Log every placed or uncertain LiDAR in the target's frame."""
     result = event.result
+    scale = ellipsoid_scale(result.placements)
     if result.target in scene.state.lidars:
         scene.log(lidar_path(result.target, "sensor"), rigid(lidar_frame(result.target), slot_frame(result.target)))
     for place in result.placements:
-        if place.placed and place.T_target_source is not None and place.lidar != result.target:
+        if place.T_target_source is not None and place.lidar != result.target:
             pose = rigid(lidar_frame(place.lidar), lidar_frame(result.target), place.T_target_source)
             scene.log(lidar_path(place.lidar, "sensor"), pose)
             if place.covariance is not None:
-                _log_uncertainty(scene, result.target, place)
+                _log_uncertainty(scene, result.target, place, scale)
 
 
-def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement) -> None:
+def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement, scale: float) -> None:
     """Log the enlarged ellipsoid of the position in the target's frame."""
     ellipsoid = uncertainty_ellipsoid(place)
     if ellipsoid is None:
@@ -97,9 +106,10 @@ def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement) -> N
     half_sizes_m, axes = ellipsoid
     shape = rr.Ellipsoids3D(
         centers=[place.T_target_source.xyz_m] if place.T_target_source else [],
-        half_sizes=[SHOWN_ELLIPSOID_SCALE * half_sizes_m],
+        half_sizes=[scale * half_sizes_m],
         quaternions=[rr.Quaternion(xyzw=axes.quaternion_xyzw)],
         colors=[scene.colour(place.lidar)],
+        labels=[ellipsoid_label(place, scale)] if place.uncertain else None,
         fill_mode=rr.components.FillMode.DenseWireframe,
     )
     scene.log(lidar_path(place.lidar, "uncertainty"), rr.CoordinateFrame(lidar_frame(target)), shape)

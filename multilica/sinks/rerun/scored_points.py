@@ -12,7 +12,7 @@ from multilica.sinks.drawing.palette import AGREE, OCCLUDED, UNSEEN, VIOLATE
 from multilica.sinks.rerun.entity_paths import PAIRS, lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene
 
-__all__ = ["log_beam_labels", "log_scored_points"]
+__all__ = ["log_scored_points"]
 
 _COLOURS = {
     BeamLabel.UNSEEN: UNSEEN,
@@ -22,8 +22,11 @@ _COLOURS = {
 }
 
 
-def log_beam_labels(scene: RerunScene) -> None:
-    """Log the classes of scored points: two bytes a point instead of a colour each."""
+def _log_beam_labels(scene: RerunScene) -> None:
+    """Log the classes of scored points, once: two bytes a point instead of a colour each."""
+    if PAIRS in scene.shown:
+        return
+    scene.shown.add(PAIRS)
     classes = [
         rr.AnnotationInfo(id=int(label), label=label.name.lower(), color=colour) for label, colour in _COLOURS.items()
     ]
@@ -37,6 +40,7 @@ def log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Regi
         pair: as it was matched; the registration may be in either order.
         start: the pose in whose frame the source's points are.
     """
+    _log_beam_labels(scene)
     source = (scored.probes_m, scored.visibility.labels)
     target = (scored.target_probes_m, scored.visibility.target_labels)
     if scored.T_target_source.target != pair[0]:

@@ -79,7 +79,7 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
         case events.GroupsRegistered(found):
             return _registered(found, "the merged pose")
         case events.LoopRegistered(found):
-            return _registered(found, "the pose that the rig implies")
+            return _registered(found, "the pose that accepted pairs imply")
         case events.VerdictChanged(found):
             return _line(f"{pair_label(found.target, found.source)}: {_verdict(found)}", "WARN")
         case events.TargetChosen(target, reason):
@@ -143,7 +143,8 @@ def _verified(event: events.HypothesesVerified) -> tuple[LogLine, ...]:
     beams = best.visibility
     return _line(
         f"{label}: {len(event.registrations)} distinct hypotheses, {name} has the most evidence: "
-        f"{beams.agree:,} points agree, {beams.violate:,} lie in proven-empty space, {beams.occluded:,} are occluded"
+        f"{best.evidence:z.1f}; {beams.agree:,} points agree, {beams.violate:,} lie in proven-empty space, "
+        f"{beams.occluded:,} are occluded"
     )
 
 
@@ -184,8 +185,11 @@ def _refined(refinement: Refinement) -> tuple[LogLine, ...]:
 def _finished(result: CalibrationResult) -> tuple[LogLine, ...]:
     if result.refusal is not None:
         return _line(f"refused: {result.refusal.text}", "ERROR")
-    missing = [place for place in result.placements if not place.placed]
-    placed = f"{len(result.placements) - len(missing)} of {len(result.placements)} LiDARs placed"
+    missing = [place for place in result.placements if place.status == "not_placed"]
+    uncertain = [place for place in result.placements if place.uncertain]
+    count = len(result.placements)
+    placed = f"{count - len(missing) - len(uncertain)} of {count} LiDARs placed"
+    placed += f", {len(uncertain)} uncertain" if uncertain else ""
     return (
         *(
             LogLine(
@@ -195,6 +199,7 @@ def _finished(result: CalibrationResult) -> tuple[LogLine, ...]:
             for report in result.snapshots
         ),
         *(LogLine("ERROR", f"{place.lidar} is not placed: {place.reason}") for place in missing),
+        *(LogLine("WARN", f"{place.lidar} is uncertain: {place.reason}") for place in uncertain),
         *(LogLine("WARN", text) for text in surprises(result)),
-        *_line(f"calibration {result.status}: {placed}", "WARN" if missing else "INFO"),
+        *_line(f"calibration {result.status}: {placed}", "WARN" if missing or uncertain else "INFO"),
     )

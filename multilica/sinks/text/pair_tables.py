@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from multilica.results import (
     PRIOR,
     Hypothesis,
+    MergeCandidate,
     MergeDecision,
     PairKey,
     PairRegistration,
@@ -39,7 +40,8 @@ _FIGURES_NOTE = (
 _SCORES_HEADER = ("pose", "step", "matches", "GICP", "agree", "violate", "occluded", "evidence", "fitness", "RMSE m")
 _SCORES_LEGEND = (
     "Points of both LiDARs by what the other one's beams prove: green lie on a measured surface, red in proven-empty "
-    "space, grey behind a surface, dark out of view. To see a pose, go to its step on the timeline `step`."
+    "space, grey behind a surface, dark out of view. Evidence: log-odds that the pose is the true one. To see a pose, "
+    "go to its step on the timeline `step`."
 )
 
 
@@ -119,7 +121,7 @@ def _score_rows(
 
 def _scores(one: Registration) -> Sequence[str]:
     beams = one.visibility
-    counts = (f"{beams.agree:,}", f"{beams.violate:,}", f"{beams.occluded:,}", f"{beams.evidence:z,.0f}")
+    counts = (f"{beams.agree:,}", f"{beams.violate:,}", f"{beams.occluded:,}", f"{one.evidence:z.1f}")
     return (*counts, thousandths(one.fitness), thousandths(one.rmse_m))
 
 
@@ -128,8 +130,8 @@ def hypotheses_markdown(state: RunState) -> str:
     header = ("pair", "pose", "matches", "agree", "violate", "evidence", "fitness", "RMSE m", "verdict")
     rows = [row for pair in state.pairs for row in _hypothesis_rows(state, pair)]
     legend = (
-        "The best of each pair first. Scored points: green agree with a surface that the other LiDAR measured, red lie "
-        "in space that its beams proved empty, grey are occluded."
+        "The best of each pair first. Evidence: log-odds that the pose is the true one. Scored points: green agree "
+        "with a surface that the other LiDAR measured, red lie in space that its beams proved empty, grey are occluded."
     )
     return f"# Hypotheses\n\n{legend}\n\n{markdown_table(header, rows)}"
 
@@ -137,8 +139,9 @@ def hypotheses_markdown(state: RunState) -> str:
 def _hypothesis_rows(state: RunState, pair: PairKey) -> Iterable[Sequence[str]]:
     label = pair_label(*pair)
     hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
-    scored = {one.hypothesis: one.visibility for one in state.verified.get(pair, ())}
-    order = [*scored] or range(len(hypotheses))
+    verified = state.verified.get(pair, ())
+    scored = {one.hypothesis: one for one in reversed(verified)}
+    order = list(dict.fromkeys(one.hypothesis for one in verified)) or range(len(hypotheses))
     if not order:
         yield (label, "none", f"0 of {len(state.matches.get(pair, ()))}", *("-",) * 6)
     prior = [index for index, one in enumerate(hypotheses) if one.origin == PRIOR]
@@ -147,8 +150,8 @@ def _hypothesis_rows(state: RunState, pair: PairKey) -> Iterable[Sequence[str]]:
         matches = f"{hypotheses[index].score:g}" if index < len(hypotheses) else "-"
         beams, fit = ("-",) * 3, ("-",) * 3
         if index in scored:
-            score = scored[index]
-            beams = (f"{score.agree:,}", f"{score.violate:,}", f"{score.evidence:z,.0f}")
+            score = scored[index].visibility
+            beams = (f"{score.agree:,}", f"{score.violate:,}", f"{scored[index].evidence:z.1f}")
         if found is not None and found.hypothesis == index:
             fit = (thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
         yield (label, PRIOR if index in prior else f"#{index}", matches, *beams, *fit)
@@ -165,7 +168,7 @@ def _decision_part(decision: MergeDecision) -> str:
             pair_label(one.target, one.source),
             thousandths(one.fitness),
             thousandths(one.rmse_m),
-            "merged" if one == decision.chosen else "passes" if one.passes else "does not pass",
+            _candidate_verdict(one, decision.chosen),
         )
         for one in decision.candidates
     ]
@@ -176,3 +179,9 @@ def _decision_part(decision: MergeDecision) -> str:
     )
     parts = (f"# Merge step {decision.step}", decision.reason, table, refused, f"Groups after this step: {groups}")
     return "\n\n".join(part for part in parts if part)
+
+
+def _candidate_verdict(one: MergeCandidate, chosen: MergeCandidate | None) -> str:
+    if one == chosen:
+        return "merged, uncertain" if one.uncertain else "merged"
+    return "passes" if one.passes else "uncertain" if one.uncertain else "does not pass"

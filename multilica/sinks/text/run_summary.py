@@ -3,10 +3,10 @@
 
 from collections.abc import Iterator, Sequence
 
-from multilica.diagnosis import Explanation, Missing, explain
+from multilica.diagnosis import Explanation, Missing, Uncertain, explain
 from multilica.results import CalibrationResult, LidarPlacement
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing.shapes import SHOWN_ELLIPSOID_SCALE, SIGMAS
+from multilica.sinks.drawing.shapes import SIGMAS, ellipsoid_scale
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.markdown import escaped, markdown_table, thousandths
 
@@ -43,6 +43,8 @@ def _explanation_parts(explanation: Explanation) -> Iterator[str]:
         yield "\n".join(f"- {known}" for known in explanation.known)
     for missing in explanation.missing:
         yield _missing_part(missing)
+    for uncertain in explanation.uncertain:
+        yield _uncertain_part(uncertain)
     if explanation.advice:
         yield "\n".join(f"- What helps: {advice}." for advice in explanation.advice)
 
@@ -55,17 +57,26 @@ def _missing_part(missing: Missing) -> str:
         lines.append(f"  - Next best: {missing.next_best}")
     if missing.by_snapshot:
         lines.append(f"  - By snapshot: {missing.by_snapshot}")
-    return "\n".join([*lines, *(f"  - What helps: {advice}." for advice in missing.advice)])
+    return "\n".join([*lines, *_advice_lines(missing.advice)])
+
+
+def _uncertain_part(uncertain: Uncertain) -> str:
+    return "\n".join([f"- **{uncertain.headline}**", *_advice_lines(uncertain.advice)])
+
+
+def _advice_lines(advice: Sequence[str]) -> Iterator[str]:
+    return (f"  - What helps: {each}." for each in advice)
 
 
 def _result_parts(result: CalibrationResult | None) -> Iterator[str]:
     if result is None or result.refusal is not None:
         return
-    if any(place.placed and place.lidar != result.target for place in result.placements):
+    if any(place.T_target_source is not None and place.lidar != result.target for place in result.placements):
         yield f"Target: **{escaped(result.target)}** ({escaped(result.target_reason)})"
     yield markdown_table(_PLACEMENT_HEADER, [_placement_row(place) for place in result.placements])
     if any(place.covariance is not None for place in result.placements):
-        yield f"Ellipsoids of the rig: {SIGMAS:g} sigma of the position, {SHOWN_ELLIPSOID_SCALE:g} times enlarged."
+        scale = ellipsoid_scale(result.placements)
+        yield f"Ellipsoids of the rig: {SIGMAS:g} sigma of the position, {scale:g} times enlarged."
     if result.snapshots:
         yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in result.snapshots)
     if result.ground is not None:
@@ -74,7 +85,7 @@ def _result_parts(result: CalibrationResult | None) -> Iterator[str]:
 
 
 def _placement_row(place: LidarPlacement) -> Sequence[str]:
-    if place.T_target_source is None or not place.placed:
+    if place.T_target_source is None:
         return (place.lidar, *("-",) * 9, "not placed")
     pose = place.T_target_source
     numbers = (*(f"{value:z.3f}" for value in pose.xyz_m), *(f"{value:z.2f}" for value in pose.rpy_deg))
@@ -82,7 +93,8 @@ def _placement_row(place: LidarPlacement) -> Sequence[str]:
     sigmas = ("-", "-")
     if xyz_m is not None and rotation_deg is not None:
         sigmas = (f"{1e3 * xyz_m.max():.1f}", f"{rotation_deg.max():.3f}")
-    return (place.lidar, *numbers, *sigmas, thousandths(place.fitness), thousandths(place.rmse_m))
+    name = f"{place.lidar} (**uncertain**)" if place.uncertain else place.lidar
+    return (name, *numbers, *sigmas, thousandths(place.fitness), thousandths(place.rmse_m))
 
 
 def _input_part(state: RunState) -> str:

@@ -35,7 +35,7 @@ _DIGEST_CHARACTERS = 16
 def stage_figures(state: RunState) -> StageFigures:
     """Return the figures of each finished stage that has any, per LiDAR, pair or step.
 
-    Digests replace arrays that are the same bits in equal runs, with any number of threads.
+    Digests replace arrays that are the same bits in equal runs, with any number of worker processes.
     """
     stages = [stage for stage in state.stages if stage in _FIGURES]
     for stage in stages:

@@ -44,12 +44,14 @@ class LidarOutcome:
         comparison: beside the truth.
         codes: the reasons for which it was refused.
         trial: what the stages say of the true pose of one that was refused; None where that was not asked.
+        uncertain: it has a pose, though one whose sigma is above the limit.
     """
 
     case: Case
     comparison: Comparison
     codes: tuple[str, ...] = ()
     trial: Trial | None = None
+    uncertain: bool = False
 
     @property
     def lidar(self) -> str:
@@ -58,12 +60,14 @@ class LidarOutcome:
 
     @property
     def placed(self) -> bool:
-        """Whether it has a pose, right or wrong."""
-        return self.comparison.error is not None
+        """Whether it has a pose that is given as certain, right or wrong."""
+        return self.comparison.error is not None and not self.uncertain
 
     @property
     def standing(self) -> str:
-        """`within` (good), `between`, `wrong`, `refused`, or if the truth was tried and speaks against it `missed`."""
+        """`within` (good), `between`, `wrong`, `uncertain`, `refused`, or if the truth speaks against that `missed`."""
+        if self.uncertain:
+            return "uncertain"
         outcome = self.comparison.outcome
         if outcome == "false_accept":
             return "wrong"
@@ -86,7 +90,7 @@ def run_case(case: Case, config: CalibrationConfig, *, with_trial: bool = False)
     compared = _compared(case, result.target, _saved(result), simulation)
     names = [one.placement.lidar for one in compared]
     return [
-        LidarOutcome(case, one, _codes(watch, groups, name), trials.get(name))
+        LidarOutcome(case, one, _codes(watch, groups, name), trials.get(name), one.placement.uncertain)
         for name, one in zip(names, compared, strict=True)
     ]
 
@@ -101,7 +105,7 @@ def _all_refused(case: Case, simulation: Simulation, reason: str) -> list[LidarO
 
 def _saved(result: CalibrationResult) -> list[SavedPlacement]:
     return [
-        SavedPlacement(each.lidar, each.T_target_source, each.fitness, each.reason, each.covariance)
+        SavedPlacement(each.lidar, each.T_target_source, each.fitness, each.reason, each.covariance, each.uncertain)
         for each in result.placements
         if each.lidar != result.target
     ]

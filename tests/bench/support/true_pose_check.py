@@ -22,16 +22,17 @@ __all__ = ["Members", "Trial", "Watch", "is_borne_out", "try_truth"]
 
 Members = tuple[str, ...]
 
+# Points, hidden structure and distance are weighed against each other: each of them may cost a true pose most.
 _KINDS = {
-    "too_little_overlap": "too little in common",
     "too_little_evidence": "too little in common",
+    "structure_unexplained": "too little in common",
+    "too_far_apart": "too little in common",
     "not_observable": "other poses explain as much",
+    "imprecise": "other poses explain as much",
     "ambiguous": "other poses explain as much",
 }
-# The true pose puts nothing into empty space, and no LiDAR off the vehicle: refusing it for such a reason is a fault of
-# the stages.
-_CONTRADICTED = ("empty_space_violated", "place_proven_empty")
-_NEVER_TRUE = (*_CONTRADICTED, "too_far_apart")
+# The true pose puts nothing into empty space: refusing it for that is a fault of the stages.
+_NEVER_TRUE = ("empty_space_violated",)
 
 
 @dataclass(slots=True)
@@ -80,7 +81,7 @@ def is_borne_out(refused_for: Iterable[str], trial: Trial) -> bool:
     If beams contradict the best pose that was found, none fitted, so it has little evidence as well.
     """
     codes = {*refused_for}
-    kinds = set() if codes & {*_CONTRADICTED} else _kinds(codes)
+    kinds = set() if codes & {*_NEVER_TRUE} else _kinds(codes)
     true_kinds = _kinds(trial.codes)
     return not trial.accepted and bool(kinds & true_kinds if kinds else true_kinds)
 
@@ -128,7 +129,7 @@ def _try_pose(watch: Watch, first: Members, second: Members, truth: Extrinsics, 
             hypotheses.append(Hypothesis(root_pose))
     sides = (_side(watch, members, truth, config) for members in (first, second))
     best = register_best(*sides, hypotheses, config)
-    verdict = accept(best.registrations, config.acceptance, config.stability)
+    verdict = accept(best.registrations, config.acceptance)
     pose = best.T_target_source.with_target(first[0])
     elsewhere = ("ambiguous",) if is_distinct(pose, [true_pose]) else ()
     codes = tuple(dict.fromkeys((*elsewhere, *verdict.codes)))

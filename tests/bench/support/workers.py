@@ -11,6 +11,8 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from typing import TypeVar
 
+from multilica.workers import processes
+
 __all__ = ["run_all"]
 
 _MOST_WORKERS = 2
@@ -28,13 +30,18 @@ def run_all(run: Callable[[_Case], _Outcome], cases: Sequence[_Case], *, fresh: 
     start = time.perf_counter()
     # Spawned: the engines' threads do not survive a fork.
     tasks = 1 if fresh else None
-    with ProcessPoolExecutor(_workers(), get_context("spawn"), max_tasks_per_child=tasks) as pool:
+    with ProcessPoolExecutor(_workers(), get_context("spawn"), _one_core, max_tasks_per_child=tasks) as pool:
         futures = {pool.submit(run, case): index for index, case in enumerate(cases)}
         for done, future in enumerate(as_completed(futures), 1):
             elapsed_s = time.perf_counter() - start
             case = _named(cases[futures[future]])
             print(f"{done} of {len(cases)}, {elapsed_s:.0f} s: {case}", file=sys.stderr, flush=True)
         return [future.result() for future in futures]
+
+
+def _one_core() -> None:
+    """Have each calibration start no workers of its own, unless its configuration says so."""
+    processes.available_cores = lambda: 1
 
 
 def _named(case: object) -> str:

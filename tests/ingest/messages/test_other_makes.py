@@ -49,7 +49,7 @@ NODE_MODULES = Path(__file__).parents[2] / "node" / "node_modules"
 
 @pytest.fixture(scope="module")
 def scene() -> Snapshot:
-    """On a grid of a millimetre, intensities from 0 to 255: what every format can stability."""
+    """On a grid of a millimetre, intensities from 0 to 255: what every format can hold."""
     return Snapshot(
         tuple(
             LidarScans(

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
-from multilica.sinks.drawing.shapes import field_of_view, uncertainty_ellipsoid
+from multilica.sinks.drawing.shapes import ellipsoid_scale, field_of_view, uncertainty_ellipsoid
 
 
 def returns(azimuth_deg: tuple[float, float], elevation_deg: tuple[float, float]) -> np.ndarray:
@@ -68,8 +68,20 @@ def test_axes_have_fixed_signs_and_are_right_handed(seed):
     covariance = np.eye(6)
     covariance[3:, 3:] = turn @ np.diag([1e-6, 4e-6, 9e-6]) @ turn.T
     pose = RigidTransform.identity("top", "rear")
-    place = LidarPlacement("rear", "placed", placed=True, T_target_source=pose, covariance=covariance)
+    place = LidarPlacement("rear", "placed", "placed", T_target_source=pose, covariance=covariance)
     half_sizes_m, axes = uncertainty_ellipsoid(place)
     np.testing.assert_allclose(half_sizes_m, [3e-3, 6e-3, 9e-3])
     np.testing.assert_allclose(np.abs(np.diag(turn.T @ axes.rotation)), 1.0)
     assert all(axis[np.argmax(np.abs(axis))] > 0.0 for axis in axes.rotation.T[:2])
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "scale"), [(0.001, 50.0), (0.0066, 50.0), (0.0068, 20.0), (0.03, 10.0), (0.3, 1.0), (3.0, 1.0)]
+)
+def test_ellipsoids_are_enlarged_as_far_as_the_largest_allows(sigma_m, scale):
+    pose = RigidTransform.identity("top", "rear")
+    small, large = (
+        LidarPlacement("rear", "", "placed", pose, covariance=np.eye(6) * each**2) for each in (1e-3, sigma_m)
+    )
+    assert ellipsoid_scale([small, large]) == scale
+    assert ellipsoid_scale([LidarPlacement("rear", "no pose")]) == 50.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A run that stops in the middle of the fine stage and waits for its end: ``killed_run.py DIRECTORY``."""
+"""A run that stops among its pairs and waits for its end: ``killed_run.py DIRECTORY``."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def main(directory: Path) -> None:
     with open_run(directory, told[0].config) as observe:
         for event in told:
             observe(event)
-            if isinstance(event, events.StageStarted) and event.stage == "fine":
+            if isinstance(event, events.PairRegistered) and event.registration.lidars == {"front left/1", "top"}:
                 print("reached", flush=True)
                 time.sleep(60.0)
 

@@ -35,19 +35,21 @@ def test_finished_stages_of_a_killed_run_can_be_read(tmp_path, signal_number, re
     assert {path.name for path in tmp_path.iterdir()} == left | told_at_the_end
     recording = Recording(tmp_path / "recording.partial.rrd")
     finished = [text for _, _, text in recording.log if text.endswith(" finished")]
-    assert finished[-1] == "stage verify finished"
-    assert "/pairs/rear/top/scored/violations" in recording.entity_paths
+    assert finished[-1] == "stage features finished"
+    assert "/pairs/front\\ left\\/1/top/scored/violations" in recording.entity_paths
+    assert "/pairs/rear/top" not in "".join(recording.entity_paths)
     assert "/lidars/top/raw" in recording.entity_paths
-    assert any("All pairs" in names for names in blueprint_names(tmp_path / "recording.partial.rrd"))
-    assert "cut off after stage verify" in recording.last("/summary", "TextDocument:text")[0]
+    assert any("Preprocess" in names for names in blueprint_names(tmp_path / "recording.partial.rrd"))
+    assert "cut off after stage features" in recording.last("/summary", "TextDocument:text")[0]
     told = explain_run(tmp_path)
     assert told.cause == "unfinished"
-    assert "cut off after stage verify" in told.headline
-    assert any(known.startswith("rear <- top: 2 distinct poses; at the best 90 points") for known in told.known)
+    assert "cut off after stage features" in told.headline
+    of_pairs = signal_number == signal.SIGINT
+    assert told.known[0].startswith("rear <- front left/1: accept" if of_pairs else "front left/1: ")
     assert explain_run(tmp_path / "result.partial.mcap") == told
     held = messages_of(tmp_path / "result.partial.mcap")
-    assert {"/lidar/top/points", "/matches", "/log"} <= set(held)
-    assert b"stage verify finished" in b"".join(held["/log"])
+    assert {"/lidar/top/points", "/log"} <= set(held)
+    assert b"stage features finished" in b"".join(held["/log"])
     if signal_number == signal.SIGINT:
         assert b"the run ended early: KeyboardInterrupt" in held["/log"][-1]
         assert recording.properties()["status"] == "interrupted"

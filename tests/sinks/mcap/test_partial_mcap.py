@@ -12,6 +12,7 @@ from mcap.writer import Writer
 from rosbags.highlevel import AnyReader
 
 from multilica import events
+from multilica.config import STAGES
 from multilica.errors import UnreadableSourceError
 from multilica.sinks.mcap.reading import read_attached_document
 from multilica.sinks.mcap.result_mcap import ResultMcap
@@ -33,8 +34,8 @@ def test_the_file_of_a_run_is_whole_after_each_stage(tmp_path, encoding):
                     assert len(list(reader.iter_messages())) == summary.statistics.message_count
                     assert {chunk.compression for chunk in summary.chunk_indexes} == {""}
                 seen.append((event.stage, finished[-1]))
-    assert [stage for stage, _ in seen] == [known for _, known in seen]
-    assert len(seen) > 5
+    together = {"correspond", "coarse", "verify"}
+    assert [stage for stage, known in seen if stage == known] == [each for each in STAGES if each not in together]
     assert [one.name for one in tmp_path.iterdir()] == ["result.mcap"]
 
 

@@ -216,10 +216,10 @@ def test_the_reader_of_mcap_core_agrees(files, encoding, outcome, status):
 def test_names_that_ros_spells_alike_keep_topics_of_their_own():
     encoding = Ros2Encoding()
     names = ("front left", "front_left", "front/left", "3d")
-    topics = [encoding.cloud(name, np.zeros((1, 3), np.float32), STAMP_NS).topic for name in names]
+    topics = [encoding.cloud(name, name, np.zeros((1, 3), np.float32), STAMP_NS).topic for name in names]
     tokens = ["front_left", "front_left_2", "front_left_3", "_3d"]
     assert topics == [f"/lidar/{token}/points" for token in tokens]
-    assert encoding.cloud("front_left", np.zeros((1, 3), np.float32), STAMP_NS).topic == topics[1]
+    assert encoding.cloud("front_left", "front_left", np.zeros((1, 3), np.float32), STAMP_NS).topic == topics[1]
 
 
 @pytest.mark.parametrize("encoding", ["foxglove", "ros2"])

@@ -38,7 +38,7 @@ def test_a_failure_names_lidar_step_partner_and_reason(partial):
     assert failure.missing.lidar == UNPLACED
     assert failure.missing.step.startswith("fine")
     assert failure.against in {("top",), ("front left/1",)}
-    assert "only 12 points lie on surfaces" in failure.missing.decisive.sentence
+    assert "only 12 points lie on walls" in failure.missing.decisive.sentence
 
 
 def test_a_lidar_without_any_pose_failed_in_coarse():

@@ -46,7 +46,7 @@ def test_what_is_known_never_shrinks_as_the_file_grows(known):
 def test_most_cuts_leave_something_to_tell(known, recordings):
     known_counts = [count for count in known.values() if count is not None]
     assert len(known_counts) > CUTS // 2
-    assert len(set(known_counts)) >= 5
+    assert len(set(known_counts)) >= 4
     assert stages_known(recordings["partial"]) == 10
 
 

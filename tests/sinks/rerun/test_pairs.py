@@ -69,7 +69,7 @@ def test_scores_show_graph_verdict_and_step_of_each_pose(partial):
 
 
 def test_the_verdict_is_at_the_source(partial, recordings):
-    assert partial.last(f"{PAIR}/verdict", "Points3D:labels") == ["rear <- top reject: too little overlap and 2 more"]
+    assert partial.last(f"{PAIR}/verdict", "Points3D:labels") == ["rear <- top reject: too little evidence and 2 more"]
     assert partial.last(f"{PAIR}/verdict", "CoordinateFrame:frame") == ["pair/rear/top/0"]
     complete = Recording(recordings["complete"])
     assert complete.last(f"{PAIR}/verdict", "Points3D:labels") == ["rear <- top accept"]

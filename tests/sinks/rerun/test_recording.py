@@ -121,7 +121,7 @@ def test_the_graph_carries_the_fitness(recordings):
 def test_the_matrices_and_the_table_of_pairs_agree(recordings):
     recording = Recording(recordings["partial"])
     table = recording.last("/pair_figures", "TextDocument:text")[0]
-    doubts = "too little overlap, ambiguous, not observable"
+    doubts = "too little evidence, ambiguous, not observable"
     assert f"| rear <- top | 80 | 80 | 200 | 0.100 | 0.938 | 1.1% | reject | {doubts} |" in table
     for path, expected in (("/fitness", [0.1, np.nan, 0.1]), ("/coverage", [90 / 96, np.nan, 90 / 96])):
         tensor = recording.last(path, "Tensor:data")[0]
@@ -135,8 +135,8 @@ def test_the_blueprint_opens_on_what_matters(recordings):
     stages = {"Input", "Preprocess", "Features", "Correspond", "Coarse + verify", "Fine", "Merge", "Log"}
     assert stages | {"Result", "Merged cloud", "Summary"} <= complete
     assert not any(name.startswith("Not placed") for name in complete)
-    assert stages | {"Not placed: rear", "front left/1 <- rear, competing pose", "Scores", "Result"} <= partial
-    assert "front left/1 <- rear: green agrees, red lies in proven-empty space, grey is occluded" in partial
+    assert stages | {"Not placed: rear", "rear <- top, competing pose", "Scores", "Result"} <= partial
+    assert "rear <- top: green agrees, red lies in proven-empty space, grey is occluded" in partial
 
 
 def test_a_run_stopped_after_a_stage_has_tabs_up_to_it(tmp_path):
@@ -185,7 +185,7 @@ def test_an_error_leaves_the_partial_recording_with_its_cause(tmp_path, rerun_rr
     recording = Recording(partial_path(path))
     assert recording.log[-1][1:] == ("ERROR", "the run ended early: KeyboardInterrupt")
     assert recording.properties()["status"] == "interrupted"
-    assert "cut off after stage verify, in stage fine" in recording.last("/summary", "TextDocument:text")[0]
+    assert "cut off after stage features, in stage fine" in recording.last("/summary", "TextDocument:text")[0]
 
 
 def test_a_run_without_events_leaves_no_file(tmp_path):

@@ -48,7 +48,7 @@ def lines_of(kind: type, *args: str) -> list[str]:
 
 
 def surprised_by(claimed: RigidTransform, name: str = BACKWARDS) -> tuple[str, ...]:
-    placement = LidarPlacement(name, "placed", placed=True, T_target_source=TRUTH[name], T_target_source_prior=claimed)
+    placement = LidarPlacement(name, "placed", "placed", T_target_source=TRUTH[name], T_target_source_prior=claimed)
     return surprises(CalibrationResult(TARGET, "as asked for", (placement,)))
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from multilica import events
-from multilica.results.visibility_score import VisibilityScore
+from multilica.geometry import RigidTransform
+from multilica.results.visibility_score import DISTINCTIVE_WEIGHT, PRIOR_LOG_ODDS, VisibilityScore
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.pair_tables import hypotheses_markdown, pair_scores_markdown
 from tests.sinks.made_events import made_events
@@ -17,8 +18,10 @@ from tests.sinks.made_events import made_events
 
 @pytest.fixture
 def without_evidence() -> RunState:
-    """A run of which no pose has any evidence, but for rounding."""
-    score = VisibilityScore(5, 0, 0, 0, np.diag([0.0, 0.0, 0.0, 5.0 + 1e-12, 0.0, 0.0]), np.zeros(0, dtype=np.uint8))
+    """A run of which every pose is as likely as not, but for rounding."""
+    on_the_ground = 50.0 - np.expm1((-0.02 - PRIOR_LOG_ODDS) / DISTINCTIVE_WEIGHT)
+    information = np.diag([0.0, 0.0, 0.0, on_the_ground, 0.0, 0.0])
+    score = VisibilityScore(50, 0, 0, 0, information, np.zeros(0, dtype=np.uint8))
     state = RunState()
     for event in made_events():
         if isinstance(event, events.PairRegistered):
@@ -26,14 +29,16 @@ def without_evidence() -> RunState:
         state(event)
         if isinstance(event, events.HypothesesVerified):
             pair = (event.target, event.source)
-            state.verified[pair] = tuple(replace(one, visibility=score) for one in state.verified[pair])
+            here = RigidTransform.identity(*pair)
+            scored = (replace(one, visibility=score, T_target_source=here) for one in state.verified[pair])
+            state.verified[pair] = tuple(scored)
     return state
 
 
 def test_no_evidence_has_no_sign(without_evidence):
     for pair, verified in without_evidence.verified.items():
-        assert all(-1e-9 < one.evidence < 1e-9 for one in verified)
-        assert "| -0 |" not in pair_scores_markdown(without_evidence, pair, None, {})
+        assert all(-0.05 < one.evidence < 0.0 for one in verified)
+        assert "| -0.0 |" not in pair_scores_markdown(without_evidence, pair, None, {})
     text = hypotheses_markdown(without_evidence)
-    assert "| 0 |" in text
-    assert "| -0 |" not in text
+    assert "| 0.0 |" in text
+    assert "| -0.0 |" not in text

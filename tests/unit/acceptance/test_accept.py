@@ -4,254 +4,225 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica.acceptance.accept import accept, accept_by_fitness
-from multilica.config import AcceptanceConfig, MergeConfig, StabilityConfig
-from multilica.geometry import RigidTransform
+from multilica.acceptance.accept import (
+    accept,
+    accept_by_fitness,
+    competing_poses,
+    hopeless_below,
+    imprecision,
+    is_firm,
+    is_hopeless,
+)
+from multilica.config import AcceptanceConfig, MergeConfig
 from multilica.results import PairRegistration, Registration, Stability, VisibilityScore
+from tests.unit.made_pairs import pose
 
-_CONFIG, _LIMITS = AcceptanceConfig(), StabilityConfig()
-_POSE = RigidTransform.identity("t", "s")
+_CONFIG = AcceptanceConfig()
+_HERE = pose("t", "s")
+_ELSEWHERE = pose("t", "s", (3.0, 4.0, 0.0), np.pi / 2)
 _STABLE = Stability(sigma_m=0.005, sigma_rad=1e-4, push_m=0.3, pushed_off_m=0.001, thinned_off_m=0.01)
-_ELSEWHERE = RigidTransform.from_xyz_rpy("t", "s", [3.0, 4.0, 0.0], [0.0, 0.0, np.pi / 2])
 
 
-def _registration(
-    pose=_POSE,
-    *,
-    agree=1000,
-    violate=0,
-    plane=400.0,
-    min_information_eigenvalue=50.0,
-    curvature=5.0,
-    structure=(0, 0, 0),
-):
-    """Make a registration: `plane` of its points share one orientation, `structure` agrees, violates, is occluded."""
-    rest = plane / 2.0
-    information = np.diag([min_information_eigenvalue, rest, rest, rest, rest, plane])
-    score = VisibilityScore(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8), *structure)
-    return Registration(0, pose, score, 0.8, 0.03, curvature, np.zeros((0, 3)))
+def _registration(at=_HERE, *, distinctive=400, violate=0, structure=(200, 0), weakest=50.0, stability=None):
+    """Make a registration whose points agree on the ground and, the distinctive ones, off it.
+
+    Args:
+        structure: number of its points that agree, and that are hidden.
+        weakest: smallest eigenvalue of the information.
+    """
+    ground = 1000.0
+    information = np.diag([weakest, 500.0, 500.0, 500.0, 500.0, ground])
+    agree, (seen, hidden) = distinctive + int(ground), structure
+    score = VisibilityScore(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8), seen, 0, hidden)
+    return Registration(0, at, score, 0.8, 0.03, 5.0, np.zeros((0, 3)), stability=stability)
 
 
-def _codes(verdict):
-    return [reason.code for reason in verdict.reasons]
-
-
-def _accept(*registrations, limits=_LIMITS, **changed):
-    return accept(registrations, _CONFIG.model_copy(update=changed), limits)
+def _accept(*registrations, **changed):
+    return accept(registrations, _CONFIG.model_copy(update=changed))
 
 
 def test_a_clear_registration_is_accepted_without_reasons():
-    verdict = _accept(_registration(), _registration(_ELSEWHERE, agree=500))
+    verdict = _accept(_registration(stability=_STABLE), _registration(_ELSEWHERE, distinctive=100))
     assert verdict.outcome == "accept"
     assert verdict.accepted
     assert verdict.reasons == ()
 
 
-def test_too_little_overlap_is_rejected():
-    verdict = _accept(_registration(agree=99, plane=20.0))
+_FAR = pose("t", "s", (14.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("weak", "code", "text"),
+    [
+        (_registration(distinctive=20), "too_little_evidence", "only 20 points lie on walls and objects"),
+        (_registration(violate=30), "empty_space_violated", "2.1% of the points lie in space"),
+        (_registration(structure=(0, 5000)), "structure_unexplained", "of 5000 points on walls and objects"),
+        (_registration(_FAR, distinctive=300), "too_far_apart", "the LiDARs would be 14.0 m apart"),
+    ],
+    ids=["few points", "empty space", "hidden", "far apart"],
+)
+def test_a_pose_with_too_little_evidence_names_its_weakness(weak, code, text):
+    verdict = _accept(weak)
     assert verdict.outcome == "reject"
-    assert _codes(verdict) == ["too_little_overlap"]
-    reason = verdict.reasons[0]
-    assert (reason.value, reason.limit) == (99, 100)
-    assert "only 99 points" in reason.text
-    assert "limit 100" in reason.text
+    assert verdict.codes == (code,)
+    (reason,) = verdict.reasons
+    assert (reason.value, reason.limit) == (weak.evidence, _CONFIG.min_evidence)
+    assert reason.value < reason.limit
+    assert reason.text.startswith(text)
+    assert reason.text.endswith(f"(evidence {weak.evidence:z.1f}, limit 2.3)")
 
 
-def test_points_in_proven_empty_space_are_rejected():
-    verdict = _accept(_registration(agree=9800, violate=200))
-    assert verdict.outcome == "reject"
-    assert _codes(verdict) == ["empty_space_violated"]
-    assert verdict.reasons[0].value == pytest.approx(0.02)
-    assert verdict.reasons[0].limit == _CONFIG.max_violation_share_firm
-    assert "2.0% of the points" in verdict.reasons[0].text
-    assert "0.4%" in verdict.reasons[0].text
+def test_the_worst_weakness_is_first_slight_ones_are_left_out():
+    assert _accept(_registration(distinctive=20, violate=8)).codes == ("empty_space_violated", "too_little_evidence")
+    assert _accept(_registration(distinctive=20, violate=300)).codes == ("empty_space_violated",)
+    assert _accept(_registration(distinctive=4, structure=(10, 90))).codes == ("too_little_evidence",)
 
 
-def test_a_pose_that_is_not_firm_may_violate_less():
-    counts = {"agree": 9970, "violate": 30, "structure": (980, 0, 0)}
-    loose, firm = (_accept(_registration(min_information_eigenvalue=least, **counts)) for least in (7.9, 8.0))
-    assert _codes(loose) == ["empty_space_violated"]
-    assert loose.reasons[0].limit == _CONFIG.max_violation_share
-    assert firm.accepted
+@pytest.mark.parametrize(
+    "flaw",
+    [{"violate": 15}, {"structure": (100, 900)}, {"at": pose("t", "s", (12.0, 0.0, 0.0))}],
+    ids=["empty space", "hidden", "far apart"],
+)
+def test_no_weakness_outweighs_any_number_of_points(flaw):
+    few, many = (_accept(_registration(**flaw, distinctive=distinctive)) for distinctive in (100, 4000))
+    assert few.outcome == "reject"
+    assert many.accepted
 
 
-def test_two_points_in_empty_space_can_be_chance():
-    few, more = (_accept(_registration(agree=300, plane=50.0, violate=violate)) for violate in (2, 3))
-    assert few.accepted
-    assert _codes(more) == ["empty_space_violated"]
-
-
-def test_a_lidar_cannot_be_where_beams_pass_through():
-    registration = _registration()
-    floating = replace(registration, visibility=replace(registration.visibility, seen_through_m=6.2))
-    verdict = _accept(floating)
-    assert verdict.outcome == "reject"
-    assert _codes(verdict) == ["place_proven_empty", "too_little_evidence"]
-    assert "6.2 m away" in verdict.reasons[0].text
-
-
-def test_agreement_on_one_plane_only_is_no_evidence():
-    verdict = _accept(_registration(agree=1000, plane=975.0))
-    assert verdict.outcome == "reject"
-    assert _codes(verdict) == ["too_little_evidence"]
-    assert verdict.reasons[0].value == pytest.approx(25.0)
-    assert "25 points off the main plane" in verdict.reasons[0].text
-    assert "limit 30" in verdict.reasons[0].text
+def test_lidars_beyond_the_baseline_are_rejected():
+    limit_m = _CONFIG.max_baseline_m
+    near, far = (
+        _accept(_registration(pose("t", "s", (x_m, 0.0, 0.0)), distinctive=100_000)) for x_m in (limit_m, limit_m + 0.1)
+    )
+    assert near.accepted
+    assert far.outcome == "reject"
+    assert far.codes == ("too_far_apart",)
+    assert (far.reasons[0].value, far.reasons[0].limit) == pytest.approx((15.1, 15.0))
+    assert "15.1 m apart; limit 15 m (acceptance.max_baseline_m)" in far.text
 
 
 def test_a_competing_pose_leaves_it_undecided():
-    competing = _registration(_ELSEWHERE, agree=880, curvature=0.1)
-    verdict = _accept(_registration(agree=1000), competing)
+    best, competing = _registration(), _registration(_ELSEWHERE)
+    verdict = _accept(best, competing)
     assert verdict.outcome == "undecided"
     assert not verdict.accepted
-    assert _codes(verdict) == ["ambiguous"]
-    assert verdict.reasons[0].competing is competing
-    assert verdict.reasons[0].value == pytest.approx(0.8)
-    for figure in ("5.00 m and 90 deg", "80%", "70%"):
-        assert figure in verdict.reasons[0].text
+    assert verdict.codes == ("ambiguous",)
+    (reason,) = verdict.reasons
+    assert reason.competing is competing
+    assert reason.value == pytest.approx(best.evidence - competing.evidence)
+    assert 0.0 < reason.value < reason.limit == _CONFIG.min_lead
+    odds = f"evidence {competing.evidence:.1f} against {best.evidence:.1f}, which needs 4.6 more"
+    assert reason.text == f"a pose 5.00 m and 90 deg away fits as well ({odds})"
 
 
-def test_a_pose_that_stands_alone_competes_with_less_evidence():
-    standing = {"agree": 700, "plane": 400.0, "structure": (90, 0, 0)}
-    best = _registration(agree=1400, structure=(400, 0, 0))
-    verdict = _accept(best, _registration(_ELSEWHERE, **standing))
-    assert _codes(verdict) == ["ambiguous"]
-    assert verdict.reasons[0].value == pytest.approx(0.3)
-    assert verdict.reasons[0].limit == _CONFIG.max_standing_share
-    for weakness in (
-        {"agree": 149, "plane": 0.0},
-        {"min_information_eigenvalue": 0.05},
-        {"curvature": 0.1},
-        {"structure": (90, 0, 50)},
-    ):
-        assert _accept(best, _registration(_ELSEWHERE, **{**standing, **weakness})).accepted
-
-
-@pytest.mark.parametrize("flaw", [{"curvature": 0.1}, {"violate": 6}, {"structure": (10, 5, 0)}])
-def test_an_implausible_pose_does_not_compete(flaw):
-    def far(distance_m, **counts):
-        pose = RigidTransform.from_xyz_rpy("t", "s", (distance_m, 0.0, 0.0), (0, 0, 1.0))
-        return _registration(pose, **{"agree": 1100, "min_information_eigenvalue": 5.0, **counts})
-
-    best = _registration(agree=1100)
-    assert _accept(best, far(6.0, **flaw)).accepted
-    for competing in (far(6.0), far(4.0, **flaw), far(6.0, **{**flaw, "min_information_eigenvalue": 50.0})):
-        verdict = _accept(best, competing)
-        assert _codes(verdict) == ["ambiguous"]
-        assert verdict.reasons[0].competing is competing
+def test_the_likeliest_competing_pose_is_named():
+    poses = [_registration(_ELSEWHERE, distinctive=distinctive) for distinctive in (400, 420, 20)]
+    best = _registration()
+    assert competing_poses([best, *poses], _CONFIG) == [poses[1], poses[0]]
+    assert _accept(best, *poses).reasons[0].competing is poses[1]
 
 
 def test_a_competing_pose_along_the_slide_is_not_observable():
-    weakest_x = np.diag([300.0, 300.0, 300.0, 50.0, 300.0, 400.0])
+    weakest_x = np.diag([300.0, 300.0, 300.0, 50.0, 300.0, 1000.0])
     best = _registration()
     best = replace(best, visibility=replace(best.visibility, information=weakest_x))
-    slid, beside = (RigidTransform.from_xyz_rpy("t", "s", xyz_m, (0, 0, 0)) for xyz_m in ((2, 0.1, 0), (0.1, 2, 0)))
-    along, across = (_accept(best, _registration(pose, agree=990)) for pose in (slid, beside))
-    assert (_codes(along), _codes(across)) == (["not_observable"], ["ambiguous"])
-    assert "does not constrain the pose along x of t: a pose 2.00 m away" in along.reasons[0].text
+    slid, beside = (pose("t", "s", xyz_m) for xyz_m in ((2.0, 0.1, 0.0), (0.1, 2.0, 0.0)))
+    along, across = (_accept(best, _registration(at)) for at in (slid, beside))
+    assert (along.codes, across.codes) == (("not_observable",), ("ambiguous",))
+    assert "does not constrain the pose along x of t: a pose 2.00 m away fits as well" in along.text
     assert along.reasons[0].competing is None
-    flat = replace(best, weakest_curvature=0.1)
-    assert _codes(_accept(flat, _registration(slid, agree=990))) == ["not_observable"]
+    sliding = replace(best, stability=replace(_STABLE, pushed_off_m=0.3))
+    both = _accept(sliding, _registration(slid))
+    assert both.codes == ("not_observable",)
+    assert "pushed by" in both.text
 
 
 @pytest.mark.parametrize(
-    ("weak", "value", "limit", "figures"),
+    ("moved", "value", "figures"),
     [
-        ({"curvature": 0.1}, 0.1, _CONFIG.min_curvature, "curvature 0.10, limit 0.2"),
-        ({"pushed_off_m": 0.26}, 0.26, _LIMITS.max_pushed_off_m, "pushed by 0.3 m it ends 0.260 m away"),
-        ({"thinned_off_m": 0.75}, 0.75, _LIMITS.max_thinned_off_m, "with fewer points it ends 0.75 m away"),
+        ({"pushed_off_m": 0.26}, 0.26, "pushed by 0.3 m it ends 0.26 m away, limit 0.15 m"),
+        ({"thinned_off_m": 0.75}, 0.75, "with fewer points it ends 0.75 m away, limit 0.15 m"),
+    ],
+    ids=["pushed", "thinned"],
+)
+def test_a_pose_that_slides_leaves_it_undecided(moved, value, figures):
+    verdict = _accept(_registration(stability=replace(_STABLE, **moved)))
+    assert verdict.outcome == "undecided"
+    assert verdict.codes == ("not_observable",)
+    assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (value, _CONFIG.max_return_m)
+    assert "the scene does not constrain the pose about x of t" in verdict.text
+    assert figures in verdict.text
+
+
+@pytest.mark.parametrize(
+    ("sigma", "value", "limit", "text"),
+    [
         ({"sigma_m": 0.03}, 0.03, _CONFIG.max_sigma_m, "sigma 30 mm, limit 20 mm"),
         ({"sigma_rad": 0.01}, np.rad2deg(0.01), _CONFIG.max_sigma_deg, "sigma 0.57 deg, limit 0.2 deg"),
-        ({"curvature": 0.1, "pushed_off_m": 0.26}, 0.1, _CONFIG.min_curvature, "curvature 0.10"),
     ],
+    ids=["position", "rotation"],
 )
-def test_an_unconstrained_pose_leaves_it_undecided(weak, value, limit, figures):
-    unstable = {name: figure for name, figure in weak.items() if name != "curvature"}
-    registration = _registration(curvature=weak.get("curvature", 5.0))
-    verdict = _accept(replace(registration, stability=replace(_STABLE, **unstable)))
-    assert verdict.outcome == "undecided"
-    assert _codes(verdict) == ["not_observable"]
+def test_a_pose_with_a_large_sigma_alone_is_uncertain(sigma, value, limit, text):
+    verdict = _accept(_registration(stability=replace(_STABLE, **sigma)))
+    assert verdict.outcome == "uncertain"
+    assert not verdict.accepted
+    assert verdict.codes == ("imprecise",)
     assert verdict.reasons[0].value == pytest.approx(value)
     assert verdict.reasons[0].limit == limit
-    assert figures in verdict.reasons[0].text
+    assert verdict.text == text
 
 
-@pytest.mark.parametrize(
-    ("min_information_eigenvalue", "structure", "explained"),
-    [
-        (5.0, (90, 4, 300), 0.25),
-        (5.0, (90, 9, 0), 0.25),
-        (50.0, (5, 0, 285), 0.05),
-    ],
-    ids=["hidden", "in empty space", "hidden, firm"],
-)
-def test_unexplained_structure_leaves_it_undecided(min_information_eigenvalue, structure, explained):
-    verdict = _accept(
-        _registration(agree=2000, min_information_eigenvalue=min_information_eigenvalue, structure=structure)
-    )
-    assert verdict.outcome == "undecided"
-    assert _codes(verdict) == ["structure_unexplained"]
-    assert verdict.reasons[0].value == pytest.approx(explained)
-    for figure in (f"{structure[0]} points", f"{structure[2]} are hidden", f"{structure[1]} lie", f"{explained:.0%}"):
-        assert figure in verdict.reasons[0].text
+def test_a_higher_limit_accepts_an_uncertain_pose():
+    imprecise = _registration(stability=replace(_STABLE, sigma_m=0.03, sigma_rad=0.01))
+    assert _accept(imprecise, max_sigma_m=0.05, max_sigma_deg=1.0).accepted
 
 
-@pytest.mark.parametrize(("min_information_eigenvalue", "limit_m"), [(5.0, 5.0), (50.0, 15.0)], ids=["loose", "firm"])
-def test_lidars_beyond_the_baseline_leave_it_undecided(min_information_eigenvalue, limit_m):
-    near, far = (
-        _accept(
-            _registration(
-                RigidTransform.from_xyz_rpy("t", "s", (x_m, 0.0, 0.0), (0, 0, 0)),
-                min_information_eigenvalue=min_information_eigenvalue,
-            )
-        )
-        for x_m in (limit_m, limit_m + 0.1)
-    )
-    assert near.accepted
-    assert far.outcome == "undecided"
-    assert _codes(far) == ["too_far_apart"]
-    assert f"limit is {limit_m:g} m" in far.reasons[0].text
+def test_a_doubt_outweighs_a_large_sigma():
+    imprecise = _registration(stability=replace(_STABLE, sigma_m=0.03))
+    sliding = replace(imprecise, stability=replace(imprecise.stability, pushed_off_m=0.3))
+    assert _accept(imprecise, _registration(_ELSEWHERE)).codes == ("ambiguous",)
+    assert _accept(sliding, _registration(_ELSEWHERE)).codes == ("not_observable", "ambiguous")
 
 
-def test_parallax_may_hide_much_if_the_pose_is_firm():
-    assert _accept(_registration(agree=9000, min_information_eigenvalue=50.0, structure=(95, 2, 300))).accepted
+def test_a_margin_asks_for_smaller_sigmas():
+    assert imprecision(0.015, 1e-4, _CONFIG) is None
+    assert imprecision(0.015, 1e-4, _CONFIG, margin=2.0).code == "imprecise"
+    assert imprecision(None, None, _CONFIG) is None
 
 
-def test_a_rejection_lists_the_doubts_as_well():
-    verdict = _accept(_registration(agree=99, plane=75.0, curvature=0.1), _registration(_ELSEWHERE, agree=425))
-    assert verdict.outcome == "reject"
-    assert _codes(verdict) == ["too_little_overlap", "too_little_evidence", "ambiguous", "not_observable"]
-
-
-def test_evidence_below_zero_is_reported_as_none():
-    verdict = _accept(_registration(agree=900, violate=100), _registration(_ELSEWHERE))
-    assert _codes(verdict) == ["empty_space_violated", "too_little_evidence"]
-    assert "the evidence is 0 points" in verdict.reasons[1].text
+_ONE = _registration()
 
 
 @pytest.mark.parametrize(
     ("exactly", "changed"),
     [
-        (_registration(agree=150, plane=10.0), {"min_agreeing_points": 150}),
-        (_registration(agree=990, violate=10, plane=100.0), {"max_violation_share_firm": 0.01}),
-        (_registration(agree=520, plane=400.0), {"min_evidence": 120.0}),
-        (_registration(curvature=0.2), {"min_curvature": 0.2}),
-        (_registration(min_information_eigenvalue=1.0, structure=(90, 0, 100)), {"min_explained_share": 0.5}),
-        (replace(_registration(), stability=_STABLE), {"max_sigma_m": 0.005, "max_sigma_deg": float(np.rad2deg(1e-4))}),
-        (replace(_registration(), stability=replace(_STABLE, sigma_m=None, sigma_rad=None)), {}),
+        (_ONE, {"min_evidence": _ONE.evidence}),
+        (replace(_ONE, stability=_STABLE), {"max_sigma_m": 0.005, "max_sigma_deg": float(np.rad2deg(1e-4))}),
+        (replace(_ONE, stability=_STABLE), {"max_return_m": 0.01}),
+        (replace(_ONE, stability=replace(_STABLE, sigma_m=None, sigma_rad=None)), {}),
     ],
+    ids=["evidence", "sigma", "return", "unknown sigma"],
 )
 def test_a_figure_that_meets_its_limit_passes(exactly, changed):
-    limits = StabilityConfig(max_pushed_off_m=0.001, max_thinned_off_m=0.01)
-    assert _accept(exactly, limits=limits, **changed).accepted
+    assert _accept(exactly, **changed).accepted
+
+
+def test_a_pose_is_firm_if_points_constrain_every_direction():
+    assert [is_firm(_registration(weakest=weakest).visibility, _CONFIG) for weakest in (7.9, 8.0)] == [False, True]
+
+
+def test_a_rough_pose_is_dropped_only_with_a_margin():
+    assert [is_hopeless(evidence, _CONFIG) for evidence in (0.2, 0.4, 3.0)] == [True, False, False]
+    assert hopeless_below(10.0, _CONFIG) == pytest.approx(3.4)
+    assert hopeless_below(-5.0, _CONFIG) == -5.0
 
 
 @pytest.mark.parametrize(("fitness", "outcome"), [(0.0, "reject"), (0.199, "reject"), (0.2, "accept"), (0.9, "accept")])
 def test_without_verification_the_fitness_decides(fitness, outcome):
-    pair = PairRegistration("t", "s", _POSE, fitness, 0.1, 10, converged=True, iterations=3, engine="test")
+    pair = PairRegistration("t", "s", _HERE, fitness, 0.1, 10, converged=True, iterations=3, engine="test")
     verdict = accept_by_fitness(pair, MergeConfig())
     assert verdict.outcome == outcome
     if outcome == "reject":
-        assert _codes(verdict) == ["low_fitness"]
+        assert verdict.codes == ("low_fitness",)
         assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (fitness, 0.2)
         assert f"fitness {fitness:.3f} is below 0.2" in verdict.reasons[0].text

@@ -1,73 +1,87 @@
 # SPDX-License-Identifier: Apache-2.0
+"""Symmetries of the scene that take an accepted pair to another possible pose."""
+
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from multilica.acceptance.symmetry import check_scene_symmetry
+from multilica.acceptance.rig import check_scene_symmetry
 from multilica.config import AcceptanceConfig
-from multilica.geometry import RigidTransform
-from multilica.results import PairRegistration, Registration, Verdict, VisibilityScore
+from tests.unit.acceptance.made_rig import registered, scored
+from tests.unit.made_pairs import pose, undecided
 
 _CONFIG = AcceptanceConfig()
 # The hall looks the same turned about the point (2, 0) of the first LiDAR's frame.
-_SYMMETRY = RigidTransform.from_xyz_rpy("a", "a", [4.0, 0.0, 0.0], [0.0, 0.0, np.pi])
+_SYMMETRY = pose("a", "a", (4.0, 0.0, 0.0), np.pi)
+_SEEN, _OTHER = pose("a", "b", (1.0, 0.2, 0.0), 0.3), pose("a", "c", (-1.0, 0.2, 0.0), 0.3)
 
 
-def _pose(target, source, x_m=1.0, yaw_rad=0.3):
-    return RigidTransform.from_xyz_rpy(target, source, [x_m, 0.2, 0.0], [0.0, 0.0, yaw_rad])
+def _symmetric(turned_by=_SYMMETRY):
+    return registered(_SEEN, verdict=undecided("ambiguous"), competing=[turned_by @ _SEEN])
 
 
-def _registration(pose, agree=1000, violate=0):
-    information = np.diag([50.0, 200, 200, 200, 200, 400])
-    score = VisibilityScore(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8))
-    return Registration(0, pose, score, 0.8, 0.03, 5.0, np.zeros((0, 3)))
+def _unseen(at):
+    return scored(at, 0)
 
 
-def _pair(pose, competing=None, verdict=Verdict("accept")):  # noqa: B008
-    pair = PairRegistration(
-        pose.target, pose.source, pose, 0.9, 0.1, 10, converged=True, iterations=3, engine="test", verdict=verdict
-    )
-    return replace(pair, registrations=tuple(_registration(each) for each in (pose, competing) if each is not None))
-
-
-def _ambiguous(pose, competing):
-    return _pair(pose, competing, Verdict("undecided"))
+def _turned(violate=0):
+    """Score a turned group against itself."""
+    return lambda motion: scored(motion, violate=violate).visibility
 
 
 @pytest.mark.parametrize("known_as", ["target", "source"])
 @pytest.mark.parametrize("seen_as", ["target", "source"])
 def test_a_pair_whose_turned_pose_is_possible_is_doubted(known_as, seen_as):
-    seen, accepted = _pose("a", "b"), _pose("a", "c", x_m=-1.0)
-    symmetric = _ambiguous(seen, _SYMMETRY @ seen)
+    symmetric = _symmetric()
     if seen_as == "source":
-        symmetric = _ambiguous(seen.inverse(), (_SYMMETRY @ seen).inverse())
-    pair = _pair(accepted if known_as == "target" else accepted.inverse())
-    scored = []
+        turned = (_SYMMETRY @ _SEEN).inverse()
+        symmetric = registered(_SEEN.inverse(), verdict=undecided("ambiguous"), competing=[turned])
+    accepted = registered(_OTHER if known_as == "target" else _OTHER.inverse())
+    motions = []
 
-    def score_pose(pose):
-        scored.append(_registration(pose, agree=0))
-        return scored[-1]
+    def score_turned(motion):
+        motions.append(motion)
+        return scored(motion).visibility
 
-    doubted = check_scene_symmetry([symmetric, pair], score_pose, _CONFIG)
+    doubted = check_scene_symmetry([symmetric, accepted], _unseen, score_turned, _CONFIG)
     assert doubted[0] is symmetric
     assert doubted[1].verdict.outcome == "undecided"
-    assert [reason.code for reason in doubted[1].verdict.reasons] == ["ambiguous"]
-    assert "when turned by 180 deg" in doubted[1].verdict.reasons[0].text
-    turned = _SYMMETRY @ accepted
-    expected = turned if known_as == "target" else turned.inverse()
-    assert doubted[1].competing is scored[0]
-    assert scored[0].T_target_source.distance_to(expected) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert doubted[1].verdict.codes == ("ambiguous",)
+    assert "when turned by 180 deg" in doubted[1].verdict.text
+    expected = _SYMMETRY @ _OTHER if known_as == "target" else (_SYMMETRY @ _OTHER).inverse()
+    assert doubted[1].competing.T_target_source.distance_to(expected) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert {(motion.target, motion.source) for motion in motions} == {("a", "a")}
+    assert all(motion.distance_to(_SYMMETRY) == pytest.approx((0.0, 0.0), abs=1e-9) for motion in motions)
 
 
-def test_a_pair_whose_turned_pose_is_impossible_is_kept():
-    seen = _pose("a", "b")
-    pairs = [_ambiguous(seen, _SYMMETRY @ seen), _pair(_pose("a", "c", x_m=-1.0))]
-    assert check_scene_symmetry(pairs, lambda pose: _registration(pose, agree=900, violate=100), _CONFIG)[1] is pairs[1]
+@pytest.mark.parametrize(
+    ("by_pair", "by_group", "doubted"),
+    [(0, 0, True), (20, 0, False), (0, 20, False), (4, 0, True), (0, 4, True), (4, 4, False)],
+)
+def test_what_contradicts_turned_pose_and_group_is_added(by_pair, by_group, doubted):
+    pairs = [_symmetric(), registered(_OTHER)]
+    after = check_scene_symmetry(pairs, lambda at: scored(at, violate=by_pair), _turned(by_group), _CONFIG)
+    assert (after[1] is not pairs[1]) is doubted
 
 
-def test_a_slide_is_no_symmetry():
-    seen = _pose("a", "b")
-    slid = RigidTransform.from_xyz_rpy("a", "a", [0.0, 3.0, 0.0], [0.0, 0.0, 0.0]) @ seen
-    pairs = [_ambiguous(seen, slid), _pair(_pose("a", "c", x_m=-1.0))]
-    assert check_scene_symmetry(pairs, _registration, _CONFIG)[1] is pairs[1]
+def test_a_turned_group_is_scored_only_if_the_pose_is_possible():
+    pairs = [_symmetric(), registered(_OTHER)]
+    assert check_scene_symmetry(pairs, lambda at: scored(at, violate=90), pytest.fail, _CONFIG) == pairs
+
+
+@pytest.mark.parametrize(
+    "motion",
+    [pose("a", "a", (0.0, 3.0, 0.0)), pose("a", "a", (40.0, 0.0, 0.0), np.pi)],
+    ids=["a slide", "beyond the baseline"],
+)
+def test_what_is_no_symmetry_is_ignored(motion):
+    pairs = [_symmetric(motion), registered(_OTHER)]
+    assert check_scene_symmetry(pairs, _unseen, _turned(), _CONFIG)[1] is pairs[1]
+
+
+def test_a_pose_with_much_less_evidence_shows_no_symmetry():
+    seen = registered(_SEEN)
+    seen = replace(seen, registrations=(*seen.registrations, scored(_SYMMETRY @ _SEEN, 20)))
+    pairs = [seen, registered(_OTHER)]
+    assert check_scene_symmetry(pairs, _unseen, _turned(), _CONFIG) == pairs

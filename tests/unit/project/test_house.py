@@ -7,8 +7,6 @@ import ast
 import importlib
 import os
 import re
-import subprocess
-import sys
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,7 +21,6 @@ UNTRACKED = {".git", ".venv", ".hypothesis", "node_modules", "__pycache__", "dis
 LICENSED_SUFFIXES = {".py", ".yaml", ".yml", ".js", ".mjs", ""}
 TEXT_SUFFIXES = LICENSED_SUFFIXES | {".md", ".toml", ".json", ".txt"}
 UNLICENSED = {"LICENSE", ".gitignore", ".gitattributes"}
-HEAVY = {"open3d", "rerun", "scipy", "numpy", "mcap", "rosbags", "foxglove", "small_gicp", "kiss_matcher"}
 BANNED = {
     "a path of one machine": r"(?<![\w.])/(work|farm|home|root|Users)/",
     "a package registry": r"https?://[a-z0-9.-]*(pypi|pythonhosted|debian\.org|npmjs)",
@@ -134,29 +131,6 @@ def test_the_package_finds_its_public_names() -> None:
     assert dir(multilica) == sorted(multilica.__all__)
     with pytest.raises(AttributeError, match="no_such_name"):
         multilica.no_such_name  # noqa: B018
-
-
-def imported_by(code: str) -> set[str]:
-    listing = "\nimport sys; print(' '.join(sys.modules))"
-    outcome = subprocess.run(
-        [sys.executable, "-c", code + listing], capture_output=True, text=True, check=True, cwd=ROOT, env=environment()
-    )
-    return {name.partition(".")[0] for name in outcome.stdout.splitlines()[-1].split()}
-
-
-def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'cli'}"}
-
-
-def test_importing_the_package_stays_light() -> None:
-    assert imported_by("import multilica") & HEAVY == set()
-
-
-@pytest.mark.parametrize("arguments", [["--help"], ["calibrate", "--help"], ["--version"], []])
-def test_help_stays_light(arguments: list[str]) -> None:
-    loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")
-    assert "typer" in loaded
-    assert loaded & HEAVY == set()
 
 
 def test_names_of_tests_are_short() -> None:

@@ -42,9 +42,10 @@ def test_the_truth_of_a_tunnel_is_not_constrained():
 @pytest.mark.parametrize(
     ("refused_for", "accepted", "codes", "borne_out"),
     [
-        (["too_little_overlap"], False, ["too_little_evidence"], True),
-        (["too_little_overlap", "ambiguous"], False, ["ambiguous"], True),
-        (["not_observable"], False, ["too_little_overlap"], False),
+        (["too_little_evidence"], False, ["too_little_evidence"], True),
+        (["too_little_evidence", "ambiguous"], False, ["ambiguous"], True),
+        (["not_observable"], False, ["too_little_evidence"], False),
+        (["not_observable"], False, ["imprecise"], True),
         (["not_observable"], False, ["ambiguous"], True),
         (["ambiguous"], True, [], False),
         (["empty_space_violated"], False, ["not_observable"], True),
@@ -52,7 +53,8 @@ def test_the_truth_of_a_tunnel_is_not_constrained():
         (["empty_space_violated", "too_little_evidence"], False, ["ambiguous"], True),
         (["empty_space_violated", "too_little_evidence"], True, [], False),
         (["too_little_evidence"], False, ["ambiguous"], False),
-        ([], False, ["too_little_overlap"], True),
+        (["structure_unexplained"], False, ["too_far_apart"], True),
+        ([], False, ["too_little_evidence"], True),
         ([], True, [], False),
     ],
 )
@@ -62,7 +64,7 @@ def test_a_refusal_is_borne_out_by_the_same_kind_of_reason(refused_for, accepted
 
 def test_true_poses_join_a_lidar_by_way_of_another_group(monkeypatch):
     accepted = {"ab": Trial(accepted=True, codes=()), "bc": Trial(accepted=True, codes=())}
-    refusal = Trial(accepted=False, codes=("too_little_overlap",))
+    refusal = Trial(accepted=False, codes=("too_little_evidence",))
 
     def tried(_, first, second, *__):
         return accepted.get(first[0] + second[0], refusal)

@@ -2,17 +2,17 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
-from multilica.registration.neighbours import PointTree, Surface, principal_directions
+from multilica.registration.neighbours import MovedPoints, PointTree, Surface, spread_and_normals
 
 _RNG = np.random.default_rng(0)
 _POINTS_M = _RNG.uniform(-5.0, 5.0, (900, 3))
 _ELSEWHERE_M = _RNG.uniform(-9.0, 9.0, (70, 3))
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_neighbours_are_those_that_scipy_finds(threads):
-    tree, known = PointTree(_POINTS_M, threads), cKDTree(_POINTS_M)
+def test_neighbours_are_those_that_scipy_finds():
+    tree, known = PointTree(_POINTS_M), cKDTree(_POINTS_M)
     nearest_m, nearest = tree.nearest(_ELSEWHERE_M)
     expected_m, expected = known.query(_ELSEWHERE_M)
     assert np.array_equal(nearest, expected)
@@ -30,14 +30,45 @@ def test_without_points_to_look_for_nothing_is_found():
     assert distance_m.shape == index.shape == (0,)
 
 
-def test_principal_directions_are_those_of_the_covariance():
-    neighbours = PointTree(_POINTS_M).neighbours(_ELSEWHERE_M, 12)
-    variances, directions = principal_directions(_POINTS_M, neighbours)
-    for index, values, axes in zip(neighbours, variances, directions, strict=True):
-        scatter = 11.0 * np.cov(_POINTS_M[index].T)
-        assert np.allclose(axes @ np.diag(values) @ axes.T, scatter)
-        assert np.all(np.diff(values) >= 0.0)
-        assert np.allclose(axes.T @ axes, np.eye(3))
+@pytest.mark.parametrize("flatness", [1.0, 1e-2, 1e-6, 0.0])
+def test_spread_and_normal_are_those_of_the_covariance(flatness):
+    turn = Rotation.from_rotvec([0.3, -1.2, 0.7])
+    points_m = turn.apply(_POINTS_M * [1.0, 0.2, flatness])
+    neighbours = PointTree(points_m).neighbours(_ELSEWHERE_M, 12)
+    variances, normals = spread_and_normals(points_m, neighbours)
+    for index, values, normal in zip(neighbours, variances, normals, strict=True):
+        expected, directions = np.linalg.eigh(11.0 * np.cov(points_m[index].T))
+        assert np.allclose(values, expected, atol=1e-12 * expected[-1])
+        assert abs(normal @ directions[:, 0]) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_points_in_one_place_have_no_spread_and_no_normal():
+    variances, normals = spread_and_normals(np.ones((5, 3)), np.zeros((2, 4), dtype=np.int64))
+    assert np.allclose(variances, 0.0, atol=1e-90)
+    assert np.allclose(normals, 0.0, atol=1e-90)
+
+
+@pytest.mark.parametrize("motion_m", [0.0, 1e-3, 0.1, 5.0])
+def test_moved_points_have_the_neighbours_of_a_new_search(motion_m):
+    tree, moved = PointTree(_POINTS_M), MovedPoints(PointTree(_POINTS_M), _ELSEWHERE_M)
+    there_m = _ELSEWHERE_M + motion_m * _RNG.normal(size=_ELSEWHERE_M.shape)
+    for found, expected in zip(moved.nearest(there_m), tree.nearest(there_m), strict=True):
+        assert np.allclose(found, expected)
+
+
+@pytest.mark.parametrize("reach_m", [0.0, 0.3, 2.0, 30.0])
+def test_a_bounded_search_finds_what_an_unbounded_one_does(reach_m):
+    tree, points_m = PointTree(_POINTS_M), 3.0 * _ELSEWHERE_M
+    known_m, _ = tree.nearest(points_m)
+    near, distance_m = tree.nearest_within(points_m, reach_m)
+    assert np.array_equal(near, np.flatnonzero(known_m <= reach_m))
+    assert np.array_equal(distance_m, known_m[near])
+
+
+def test_a_bounded_search_among_points_of_one_place():
+    near, distance_m = PointTree(np.ones((3, 3))).nearest_within(np.array([[1.0, 1.0, 1.1], [9.0, 1.0, 1.0]]), 0.2)
+    assert near.tolist() == [0]
+    assert distance_m == pytest.approx([0.1])
 
 
 def _surface_at(points_m, neighbours=20):

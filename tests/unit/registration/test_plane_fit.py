@@ -24,7 +24,7 @@ def _room(name, seed, roughness_m=(0.01, 0.01, 0.01), count=4000, clutter=0):
 
 
 def _cloud(name, points_m):
-    return prepare_registration_cloud(name, points_m, FineConfig(), 1)
+    return prepare_registration_cloud(name, points_m, FineConfig())
 
 
 def _information(target, source, pose=_HERE):

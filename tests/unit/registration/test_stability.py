@@ -4,15 +4,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica.config import FineConfig, RefineConfig, StabilityConfig
-from multilica.geometry import RigidTransform
+from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
+from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import register
 from multilica.registration.plane_fit import pose_information
 from multilica.registration.registration_cloud import prepare_registration_cloud
-from multilica.registration.stability import check_stability, pushed_ends
+from multilica.registration.stability import check_stability, pushed_ends, weakest_sigmas, widened
 from tests.unit.made_rooms import HALL, box, scan
 
-_CONFIG, _FINE = StabilityConfig(), FineConfig()
+_CONFIG, _FINE = AcceptanceConfig(), FineConfig()
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
 _TRUTH = _TARGET.inverse() @ _SOURCE
@@ -22,9 +22,9 @@ _CORRIDOR = box((-80.0, -2.0, 0.0), (80.0, 2.0, 3.0))
 
 def _registered(objects):
     clouds = scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)
-    ready = tuple(prepare_registration_cloud(cloud.lidar, cloud.points_m, _FINE, 1) for cloud in clouds)
+    ready = tuple(prepare_registration_cloud(cloud.lidar, cloud.points_m, _FINE) for cloud in clouds)
     fewer = _FINE.model_copy(update={"max_points": 2000})
-    thinned = tuple(prepare_registration_cloud(cloud.name, cloud.points_m, fewer, 1) for cloud in ready)
+    thinned = tuple(prepare_registration_cloud(cloud.name, cloud.points_m, fewer) for cloud in ready)
     registration = register(*ready, _TRUTH, _FINE)
     information = pose_information(*ready, registration.T_target_source, RefineConfig())
     return ready, thinned, replace(registration, information=information)
@@ -52,7 +52,7 @@ def test_a_constrained_pose_returns(in_the_hall):
 
 def test_along_a_corridor_a_pose_stays_where_it_is_pushed():
     stability = _stability(*_registered(_CORRIDOR))
-    assert stability.pushed_off_m > 20 * _CONFIG.max_pushed_off_m
+    assert stability.pushed_off_m > _CONFIG.max_return_m
 
 
 def test_sigmas_are_those_of_the_weakest_directions(in_the_hall):
@@ -63,3 +63,32 @@ def test_sigmas_are_those_of_the_weakest_directions(in_the_hall):
     assert (stability.sigma_rad, stability.sigma_m) == pytest.approx((2e-4, 3e-3))
     unknown = _stability(clouds, thinned, replace(registration, information=None))
     assert (unknown.sigma_rad, unknown.sigma_m) == (None, None)
+
+
+_SIGMAS = np.array([1e-4, 2e-4, 3e-4, 2e-3, 3e-3, 4e-3])
+
+
+def _direction(index):
+    return np.eye(6)[index]
+
+
+def test_the_covariance_grows_by_what_a_push_moved():
+    turned = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))[0] * _SIGMAS[:, None]
+    before = turned @ turned.T
+    direction = np.array([0.3, 0.0, -0.2, 0.8, 0.4, 0.1])
+    after = np.linalg.inv(widened(np.linalg.inv(before), direction, 0.05))
+    step = 0.05 * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
+    assert np.allclose(after, before + np.outer(step, step), rtol=1e-6, atol=1e-12)
+
+
+@pytest.mark.parametrize(("index", "expected"), [(3, (3e-4, 0.05)), (0, (0.005, 4e-3))], ids=["shift", "turn"])
+def test_a_pose_that_a_push_moves_is_less_certain(index, expected):
+    information = np.diag(1.0 / _SIGMAS**2)
+    sigma_m, sigma_rad = weakest_sigmas(widened(information, _direction(index), 0.05))
+    assert (sigma_rad, sigma_m) == pytest.approx(expected, rel=0.01)
+
+
+def test_a_pose_that_returns_keeps_its_covariance():
+    information = np.diag(1.0 / _SIGMAS**2)
+    assert np.array_equal(widened(information, _direction(4), 0.0), information)
+    assert widened(None, _direction(4), 0.05) is None

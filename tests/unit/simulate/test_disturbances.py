@@ -9,10 +9,11 @@ from scipy.spatial import cKDTree
 
 from multilica.errors import UnknownNameError, UsageError
 from multilica.simulate import RIGS, simulate_snapshot
-from multilica.simulate.disturbances import blocked_beams, require_known, truck_beside
+from multilica.simulate.disturbances import blocked_beams, random_walkers, require_known, truck_beside
 from multilica.simulate.raycast import Surroundings
 from multilica.simulate.rigs import as_built
 from multilica.simulate.scenes import SCENES
+from multilica.simulate.shapes.mesh import merged
 
 
 def both(rig: str, scene: str, *disturbances: str, frames: int = 1):
@@ -62,7 +63,7 @@ def test_a_truck_blocks_about_half_of_a_view(rig):
     scene = SCENES["parking"](rng)
     poses = as_built(RIGS[rig], rng)
     for mount in RIGS[rig].mounts:
-        truck = Surroundings(truck_beside(scene, mount, poses[mount.name], rng))
+        truck = Surroundings(truck_beside(scene, RIGS[rig], mount, poses[mount.name], rng))
         directions = mount.sensor.pattern.directions(0, rng)
         hits = truck.cast(scene.T_world_base @ poses[mount.name], directions)
         assert 0.3 < np.isfinite(hits.ranges_m).mean() < 0.7, mount.name
@@ -84,6 +85,43 @@ def test_pedestrians_move_between_frames():
     assert min(len(points) for points in people) > 50
     stride_m = np.median(cKDTree(people[0]).query(people[1])[0])
     assert stride_m > 0.03
+
+
+@pytest.mark.parametrize("rig", ["edgar", "truck"])
+def test_nobody_walks_through_the_vehicle(rig):
+    walkers = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        scene = SCENES["parking"](rng)
+        walkers += [(scene, each) for each in random_walkers(scene, RIGS[rig], Surroundings(merged(scene.parts)), rng)]
+    assert len(walkers) > 40
+    for scene, walker in walkers:
+        feet_m = scene.T_world_base.inverse().apply([*walker.xy_m, scene.T_world_base.xyz_m[2]])[:2]
+        assert np.hypot(*feet_m) > max(3.4, RIGS[rig].half_size_m[0] + 0.9)
+
+
+@pytest.mark.parametrize("rig", ["edgar", "ring6", "truck"])
+def test_masked_returns_are_those_of_the_vehicle(rig):
+    clean, masked = both(rig, "parking", "ego_masked")
+    truth = simulate_snapshot(rig, "parking", 6, frames=1).truth
+    low_m, high_m = RIGS[rig].body.vertices_m.min(axis=0) - 0.1, RIGS[rig].body.vertices_m.max(axis=0) + 0.1
+    left_out = 0
+    for name in clean.names:
+        kept = {point.tobytes() for point in masked[name].points_m}
+        assert kept <= {point.tobytes() for point in clean[name].points_m}
+        gone = np.array([point for point in clean[name].points_m if point.tobytes() not in kept]).reshape(-1, 3)
+        in_base = truth.T_target_source[name].apply(gone)
+        assert np.all((in_base > low_m) & (in_base < high_m))
+        left_out += len(gone)
+    assert left_out > 1000
+
+
+def test_rain_falls_on_a_vehicle_that_is_masked():
+    _, masked = both("sides", "street", "ego_masked")
+    _, rainy = both("sides", "street", "ego_masked", "rain")
+    before, after = masked["left"].points_m, rainy["left"].points_m
+    assert len(before) == len(after)
+    assert 0.015 < np.any(before != after, axis=1).mean() < 0.025
 
 
 def test_a_moving_vehicle_shifts_each_frame():

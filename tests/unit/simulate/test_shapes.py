@@ -6,10 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from multilica.errors import UsageError
 from multilica.simulate.scenes import SCENES
 from multilica.simulate.scenes.scene import FLAT, Terrain, rolling_waves
 from multilica.simulate.sensors import RasterPattern, RosettePattern, SpinningPattern
-from multilica.simulate.shapes.mesh import box, cylinder, merged, tube
+from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged, reaches_into, tube
 from multilica.simulate.shapes.vehicles import CAR_SHAPES, car
 
 
@@ -67,11 +68,40 @@ def test_waves_follow_their_steepness():
 def test_vehicles_stand_clear_of_the_scene(name):
     for seed in range(2):
         scene = SCENES[name](np.random.default_rng(seed))
-        corners = scene.mesh.vertices_m[scene.mesh.triangles]
-        inside = scene.T_world_base.inverse().apply(corners.reshape(-1, 3))
+        whole = merged(scene.parts)
         low, high = np.array([-2.4, -0.95, 0.4]), np.array([2.4, 0.95, 2.2])
-        assert not np.any(np.all((inside > low) & (inside < high), axis=1))
-        assert np.isfinite(scene.mesh.vertices_m).all()
+        assert not reaches_into(whole.transformed(scene.T_world_base.inverse()), low, high)
+        assert np.isfinite(whole.vertices_m).all()
+
+
+def test_a_long_vehicle_finds_room():
+    scene = SCENES["street"](np.random.default_rng(3))
+    low, high = np.array([-30.0, -4.0, 0.6]), np.array([30.0, 4.0, 3.0])
+    cleared = scene.with_room_for(low, high)
+    assert len(scene.parts) - 20 < len(cleared.parts) < len(scene.parts)
+    assert not reaches_into(merged(cleared.parts).transformed(scene.T_world_base.inverse()), low, high)
+
+
+def test_a_fence_is_not_left_out():
+    scene = SCENES["fence_field"](np.random.default_rng(3))
+    with pytest.raises(UsageError, match="a structure 400 m long is in its way; choose another seed"):
+        scene.with_room_for(np.array([-15.0, -15.0, 0.5]), np.array([15.0, 15.0, 2.0]))
+
+
+@pytest.mark.parametrize(
+    ("corners", "touches"),
+    [
+        ([[-9, 0, 0], [9, 0, 0], [9, 0, 9]], True),
+        ([[3, 0, 0], [0, 3, 0], [3, 3, 0]], False),
+        ([[1.9, 0, 0], [0, 1.9, 0], [3, 3, 0]], True),
+        ([[9, -9, 1.1], [9, 9, 1.1], [-30, 0, 1.1]], False),
+        ([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], True),
+        ([[5, 0, 0], [0, 5, 0], [0, 0, 5]], False),
+    ],
+)
+def test_triangles_that_reach_into_a_box(corners, touches):
+    mesh = Mesh(np.array(corners, dtype=float), np.array([[0, 1, 2]]))
+    assert reaches_into(mesh, np.full(3, -1.0), np.full(3, 1.0)) is touches
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,16 @@ def test_both_poses_of_an_ambiguous_scene_are_kept():
     assert set(np.flatnonzero(second.inliers)) >= set(range(60))
 
 
+def test_poses_with_fewer_than_three_matches_are_dropped():
+    coarse = _found(_matches((_TRUTH, 150), (_TURNED, 40)))
+    assert all(hypothesis.score >= 3 for hypothesis in coarse.hypotheses)
+
+
+def test_a_smaller_structure_is_found_beside_a_much_larger_one():
+    coarse = _found(_matches((_TRUTH, 60), (_TURNED, 280)))
+    assert coarse.hypotheses[1].T_target_source.distance_to(_TRUTH)[0] < 0.01
+
+
 def test_hypotheses_are_distinct_sorted_and_limited():
     config = CoarseConfig(max_hypotheses=5, normal_tolerance_deg=180.0)
     coarse = _found(_matches((_TRUTH, 60), (_TURNED, 60), (_FAR, 200)), config)

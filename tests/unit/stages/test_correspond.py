@@ -2,9 +2,10 @@
 import numpy as np
 import pytest
 
-from multilica.config import CorrespondConfig
+from multilica.config import CoarseConfig, CorrespondConfig
+from multilica.geometry import RigidTransform
 from multilica.results import FeatureCloud
-from multilica.stages.correspond import match_features
+from multilica.stages.correspond import match_features, pair_promise
 
 
 def _features(lidar, descriptors, seed=0):
@@ -47,6 +48,36 @@ def test_mutual_keeps_only_mutual_nearest_neighbours():
     assert every.feature_distances == pytest.approx([1.0, 1.0, 2.0])
 
 
+@pytest.mark.parametrize("counts", [(400, 300), (65, 64), (1, 130)])
+def test_matches_are_those_of_an_exhaustive_search(counts):
+    target, source = _features("t", _random(counts[0])), _features("s", _random(counts[1], seed=3))
+    distances = np.linalg.norm(source.descriptors[:, None] - target.descriptors[None], axis=2)
+    nearest = distances.argmin(axis=1)
+    kept = [row for row, column in enumerate(nearest) if distances[:, column].argmin() == row]
+    for mutual, rows in ((False, np.arange(counts[1])), (True, np.array(kept))):
+        matches = match_features(target, source, CorrespondConfig(mutual=mutual))
+        order = rows[np.argsort(distances[rows, nearest[rows]], kind="stable")]
+        assert np.array_equal(matches.source_points_m, source.points_m[order])
+        assert np.array_equal(matches.target_points_m, target.points_m[nearest[order]])
+        assert matches.feature_distances == pytest.approx(distances[order, nearest[order]])
+
+
+def test_small_distances_between_large_descriptors_are_found():
+    same = 1e4 + np.arange(33.0)
+    offsets = np.arange(100.0)[:, None]
+    target, source = _features("t", same + offsets), _features("s", same + offsets[::-1] + 0.2, seed=1)
+    matches = match_features(target, source, CorrespondConfig())
+    assert len(matches) == 100
+    assert matches.feature_distances == pytest.approx(0.2 * np.sqrt(33))
+
+
+def test_of_equal_descriptors_the_first_two_are_matched():
+    target, source = _features("t", np.ones((7, 33))), _features("s", np.ones((9, 33)), seed=1)
+    matches = match_features(target, source, CorrespondConfig())
+    assert np.array_equal(matches.target_points_m, target.points_m[:1])
+    assert np.array_equal(matches.source_points_m, source.points_m[:1])
+
+
 def test_only_the_best_so_many_matches_are_kept():
     target, source = _features("t", _random(300)), _features("s", _random(300, seed=5))
     every = match_features(target, source, CorrespondConfig(mutual=False))
@@ -74,3 +105,46 @@ def test_without_descriptors_there_are_no_matches(counts, mutual):
     matches = match_features(target, source, CorrespondConfig(mutual=mutual))
     assert len(matches) == 0
     assert matches.target_points_m.shape == (0, 3)
+
+
+def _seen_by_both(share, pose, seed=0):
+    """Features of two LiDARs, of which the source sees this share of what the target sees."""
+    rng = np.random.default_rng(seed)
+    target = _features("t", _random(2000, seed))
+    target = FeatureCloud("t", target.points_m, _unit(target.normals), target.descriptors)
+    other = rng.permutation(2000) >= share * 2000
+    back = pose.inverse()
+    points, normals = back.apply(target.points_m), back.rotate(target.normals)
+    descriptors = target.descriptors + rng.normal(0.0, 1.0, target.descriptors.shape)
+    points[other], normals[other] = rng.uniform(-10, 10, (2, other.sum(), 3))
+    descriptors[other] = rng.uniform(0, 100, (other.sum(), 33))
+    return target, FeatureCloud("s", points, _unit(normals), descriptors)
+
+
+def _unit(vectors):
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+
+
+def _promise(target, source, max_baseline_m=5.0):
+    return pair_promise(target, source, CoarseConfig(), max_baseline_m)
+
+
+def test_a_pair_promises_more_the_more_it_shares():
+    pose = RigidTransform.from_xyz_rpy("t", "s", [1.0, 0.5, -0.2], [0.1, -0.05, 2.0])
+    promises = [_promise(*_seen_by_both(share, pose)) for share in (0.0, 0.05, 0.2, 0.8)]
+    assert promises == sorted(promises)
+    assert promises[0] < 15
+    assert promises[-1] > 0.8 * 0.8 * 1500
+    assert _promise(*_seen_by_both(0.8, pose)) == promises[-1]
+
+
+def test_poses_beyond_the_baseline_promise_nothing():
+    far = RigidTransform.from_xyz_rpy("t", "s", [6.0, 0.5, -0.2], [0.1, -0.05, 2.0])
+    clouds = _seen_by_both(0.8, far)
+    assert _promise(*clouds) < 15
+    assert _promise(*clouds, max_baseline_m=7.0) > 500
+
+
+@pytest.mark.parametrize("counts", [(0, 0), (0, 5), (5, 0), (1, 1), (2, 2)])
+def test_too_few_descriptors_promise_nothing(counts):
+    assert _promise(_features("t", _random(counts[0])), _features("s", _random(counts[1]))) == 0.0

@@ -66,9 +66,9 @@ def test_the_pose_with_the_most_evidence_is_registered_finely(sides):
     assert chosen.T_target_source is result.T_target_source
     assert chosen.hypothesis == 7
     assert result.evidence == chosen.evidence > 0
-    assert all(other.evidence < 0.3 * chosen.evidence for other in others)
-    assert chosen.visibility.violation_share < _CONFIG.acceptance.max_violation_share
-    assert chosen.weakest_curvature > _CONFIG.acceptance.min_curvature
+    assert all(other.evidence < chosen.evidence - _CONFIG.acceptance.min_lead for other in others)
+    assert chosen.visibility.contradiction < _CONFIG.acceptance.min_lead
+    assert chosen.weakest_curvature > 1.0
 
 
 def test_the_narrower_side_is_the_source_whichever_comes_first(sides):
@@ -110,13 +110,12 @@ def test_no_more_finalists_are_registered_than_asked_for(sides):
 @pytest.mark.parametrize(
     ("evidence", "kept"),
     [
-        ([-900.0, 500.0, 130.0, 90.0], [1, 2]),
-        ([310.0, 20.0, 5.0], [0, 1]),
-        ([50.0, -240.0, -260.0], [0, 1]),
-        ([-400.0, -750.0, -90.0], [2]),
+        ([-20.0, 10.0, 5.0, 3.0], [1, 2]),
+        ([9.0, 2.3, 2.5], [0, 2]),
+        ([-9.0, -4.0, -4.1], [1]),
         ([], []),
     ],
-    ids=["a small share", "far ahead", "not far behind", "all negative", "none"],
+    ids=["the best first", "more than the lead behind", "none may be accepted", "none"],
 )
 def test_hopeless_poses_are_no_finalists(evidence, kept):
     assert select_finalists(evidence, AcceptanceConfig(), 16) == kept
@@ -210,18 +209,18 @@ def corridor():
     return tuple(_side(scan(name, pose, objects, seed=seed)) for seed, (name, pose) in enumerate(_PLACES))
 
 
-@pytest.mark.parametrize("along_m", [-3.0, -2.3])
+@pytest.mark.parametrize("along_m", [-1.0, 3.0])
 def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m):
     start = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [along_m, 0, 0], [0, 0, 0]) @ _SOURCE
     best, *others = register_best(*corridor, [_hypothesis(start, 4, origin="cliques")], _CONFIG).registrations
     _assert_true(best.T_target_source)
-    assert best.stability.pushed_off_m < _CONFIG.stability.max_pushed_off_m
+    assert best.stability.pushed_off_m < _CONFIG.acceptance.max_return_m
     assert best.hypothesis == 4
     assert all(other.evidence < best.evidence for other in others)
     no_slides = with_overrides(_CONFIG, ["verify.slide_steps=0"])
     (stuck,) = register_best(*corridor, [_hypothesis(start, 4)], no_slides).registrations
     assert stuck.T_target_source.distance_to(_TRUTH)[0] > 1.0
-    assert stuck.stability.pushed_off_m > _CONFIG.stability.max_pushed_off_m
+    assert stuck.stability.pushed_off_m > _CONFIG.acceptance.max_return_m
 
 
 def test_without_views_the_first_hypothesis_is_taken(clouds):

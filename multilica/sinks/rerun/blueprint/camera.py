@@ -38,12 +38,12 @@ def _extent_of(state: RunState, lidar: str) -> tuple[FloatArray, float]:
 
 
 def around_rig(state: RunState) -> rrb.EyeControls3D:
-    """Look at the clouds of all placed LiDARs in the target's frame."""
+    """Look at the clouds of all LiDARs with a pose, in the target's frame."""
     placements = state.result.placements if state.result is not None else ()
     clouds = [
         place.T_target_source.apply(sampled_cloud(state, place.lidar))
         for place in placements
-        if place.placed and place.T_target_source is not None
+        if place.T_target_source is not None
     ]
     target = state.result.target if state.result is not None else ""
     return three_quarter(*_extent(np.concatenate([np.empty((0, 3)), *clouds])), up_axis(state, target))
@@ -80,7 +80,7 @@ def up_axis(state: RunState, lidar: str) -> FloatArray:
     if state.result.ground is not None:
         up = state.result.ground.normal
     for place in state.result.placements:
-        if place.lidar == lidar and place.placed and place.T_target_source is not None:
+        if place.lidar == lidar and place.T_target_source is not None:
             return np.asarray(place.T_target_source.rotation.T @ up)
     return np.array([0.0, 0.0, 1.0])
 

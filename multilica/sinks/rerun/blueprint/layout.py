@@ -87,20 +87,21 @@ def _result_tab(state: RunState) -> rrb.Container | None:
     result = state.result
     if result is None or not state.target:
         return None
-    placed = [place.lidar for place in result.placements if place.placed]
-    clouds = [lidar_path(lidar, "preprocessed") for lidar in placed]
-    sensors = [f"{lidar_path(lidar, part)}/**" for lidar in placed for part in ("sensor", "name")]
-    extents = [lidar_path(lidar, part) for lidar in placed for part in ("field_of_view", "uncertainty")]
+    posed = [place.lidar for place in result.placements if place.T_target_source is not None]
+    clouds = [lidar_path(lidar, "preprocessed") for lidar in posed]
+    sensors = [f"{lidar_path(lidar, part)}/**" for lidar in posed for part in ("sensor", "name")]
+    extents = [lidar_path(lidar, part) for lidar in posed for part in ("field_of_view", "uncertainty")]
     frame = lidar_frame(result.target)
     eye = _rig_eye(result, up_axis(state, result.target))
-    merged = views.scene_view("Merged cloud", frame, [*clouds, *sensors, GROUND], around_rig(state))
+    marks = [lidar_path(place.lidar, "uncertainty") for place in result.placements if place.uncertain]
+    merged = views.scene_view("Merged cloud", frame, [*clouds, *sensors, *marks, GROUND], around_rig(state))
     rig = views.scene_view("Rig", frame, [*sensors, *extents], eye, grid=True)
     side = rrb.Vertical(views.summary_view(), rig, row_shares=[1, 1])
     return rrb.Horizontal(merged, side, column_shares=[3, 2], name="Result")
 
 
 def _rig_eye(result: CalibrationResult, up: FloatArray) -> rrb.EyeControls3D:
-    poses = [place.T_target_source for place in result.placements if place.placed]
+    poses = [place.T_target_source for place in result.placements]
     origins_m = np.array([pose.xyz_m for pose in poses if pose is not None])
     centre_m = origins_m.mean(axis=0)
     radius_m = 3.0 + float(np.linalg.norm(origins_m - centre_m, axis=1).max())

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Doubt that the rig as a whole casts on accepted pairs."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+
+from multilica.acceptance.accept import accept, competing_poses
+from multilica.acceptance.pair_graph import PairGraph
+from multilica.config import AcceptanceConfig
+from multilica.geometry import RigidTransform
+from multilica.registration.poses import is_distinct, is_near
+from multilica.results import PairRegistration, Reason, Registration, Verdict, VisibilityScore
+from multilica.visibility.sensor_view import ScorePose
+
+__all__ = ["ScoreTurned", "check_ambiguous_chains", "check_cycles", "check_scene_symmetry", "is_contradicted"]
+
+_CODE = "cycle_contradicted"
+# A smaller turn is no symmetry of a building; halls and garages have those of 90 and 180 degrees.
+_TURNED_RAD = np.deg2rad(45.0)
+
+ScoreTurned = Callable[[RigidTransform], VisibilityScore]
+"""Scores all that a LiDAR's group sees, turned by a motion ``T_lidar_lidar``, against itself."""
+
+
+def check_scene_symmetry(
+    pairs: Sequence[PairRegistration], score_pose: ScorePose, score_turned: ScoreTurned, config: AcceptanceConfig
+) -> list[PairRegistration]:
+    """Leave accepted pairs undecided if a symmetry of the scene turns them into another possible pose.
+
+    Two LiDARs that face away from each other see no common surface. In a hall with similar ends they still fit each
+    other at a pose turned by 180 degrees, and no beam contradicts it. A pair that sees the whole hall finds two poses.
+    The motion between these is the symmetry of the hall; it takes the pose of the first two to one that may be correct.
+    It is no symmetry if what the whole group sees contradicts itself when turned.
+
+    Args:
+        score_pose, score_turned: with the tolerances of rough poses.
+
+    Returns:
+        The pairs in their order, some with another verdict.
+    """
+    return [_turned(pair, pairs, score_pose, score_turned, config) if pair.verdict.accepted else pair for pair in pairs]
+
+
+def _turned(
+    pair: PairRegistration,
+    pairs: Sequence[PairRegistration],
+    score_pose: ScorePose,
+    score_turned: ScoreTurned,
+    config: AcceptanceConfig,
+) -> PairRegistration:
+    pose = pair.T_target_source
+    for other in pairs:
+        for lidar in sorted(pair.lidars & other.lidars):
+            for symmetry in _symmetries(other, lidar, config):
+                turned = symmetry @ pose if lidar == pair.target else pose @ symmetry
+                if not is_near(turned, config.max_baseline_m):
+                    continue
+                competing = score_pose(turned)
+                against = competing.visibility.contradiction
+                if against < config.min_lead and against + score_turned(symmetry).contradiction < config.min_lead:
+                    return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
+    return pair
+
+
+def _symmetries(pair: PairRegistration, lidar: str, config: AcceptanceConfig) -> Iterator[RigidTransform]:
+    """Yield motions of the scene, in the frame of a LiDAR of the pair, after which it looks the same to both."""
+    if not pair.registrations:
+        return
+    best = pair.T_target_source
+    for other in competing_poses(pair.registrations, config):
+        if best.distance_to(other.T_target_source)[1] >= _TURNED_RAD:
+            if lidar == pair.target:
+                yield other.T_target_source @ best.inverse()
+            else:
+                yield best.inverse() @ other.T_target_source
+
+
+def check_cycles(
+    pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig
+) -> list[PairRegistration]:
+    """Leave accepted pairs undecided that together put two LiDARs where they cannot both be.
+
+    A chain of accepted pairs implies a pose between its ends. Where that is contradicted, by beams or by another
+    accepted pair, one of the chain is wrong. What beams say against the implied pose is taken from the evidence of
+    each pair; of a cycle that does not close, the pair with the least evidence goes, with those that hardly have more.
+
+    Returns:
+        The pairs in their order, some with another verdict.
+    """
+    accepted = [pair for pair in pairs if pair.verdict.accepted and pair.registrations]
+    names = sorted({name for pair in accepted for name in pair.lidars})
+    graph = PairGraph.of(names, accepted)
+    doubts: dict[int, Reason] = {}
+    for loop in graph.loops:
+        implied = graph.implied(loop.target, loop.source)
+        if implied is not None and is_distinct(implied, [loop.T_target_source]):
+            cycle = [loop, *graph.path(loop.target, loop.source)]
+            least = min(pair.evidence for pair in cycle)
+            for pair in cycle:
+                if pair.evidence < least + config.min_lead:
+                    doubts.setdefault(id(pair), _exclusion(loop, implied))
+    known = {pair.lidars for pair in accepted}
+    for target, source in combinations(names, 2):
+        implied = graph.implied(target, source)
+        if implied is None or {target, source} in known:
+            continue
+        score = score_pose(implied).visibility
+        for pair in graph.path(target, source):
+            if pair.evidence - score.contradiction < config.min_evidence:
+                doubts.setdefault(id(pair), _contradiction(implied, score))
+    return _doubted(pairs, doubts)
+
+
+def check_ambiguous_chains(
+    pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig
+) -> list[PairRegistration]:
+    """Leave accepted pairs undecided that imply a pose which an undecided pair with more evidence excludes.
+
+    A pair that can slide, or that a symmetric scene leaves ambiguous, has several poses; the correct one is among
+    them, or scores as well. If a chain of accepted pairs implies another one, a pair of the chain fits by chance: the
+    one with the least evidence is doubted.
+
+    Returns:
+        The pairs in their order, some with another verdict.
+    """
+    accepted = [pair for pair in pairs if pair.verdict.accepted and pair.registrations]
+    names = sorted({name for pair in pairs for name in pair.lidars})
+    doubts: dict[int, Reason] = {}
+    undecided = [pair for pair in pairs if pair.registrations and _is_ambiguous(pair, config)]
+    for known in sorted(undecided, key=lambda pair: -pair.evidence):
+        while True:
+            graph = PairGraph.of(names, [pair for pair in accepted if id(pair) not in doubts])
+            implied = graph.implied(known.target, known.source)
+            if implied is None or _allows(known, implied, score_pose, config):
+                break
+            weakest = min(graph.path(known.target, known.source), key=lambda pair: pair.evidence)
+            if weakest.evidence >= known.evidence:
+                break
+            doubts[id(weakest)] = _exclusion(known, implied)
+    return _doubted(pairs, doubts)
+
+
+def is_contradicted(pair: PairRegistration) -> bool:
+    """Tell whether the pair is doubted because it contradicts others."""
+    return _CODE in pair.verdict.codes
+
+
+def _doubted(pairs: Sequence[PairRegistration], doubts: Mapping[int, Reason]) -> list[PairRegistration]:
+    return [
+        replace(pair, verdict=Verdict("undecided", (doubts[id(pair)],))) if id(pair) in doubts else pair
+        for pair in pairs
+    ]
+
+
+def _is_ambiguous(pair: PairRegistration, config: AcceptanceConfig) -> bool:
+    """Tell whether the pair, by itself, is refused only because other poses fit as well."""
+    return pair.verdict.outcome == "undecided" and accept(pair.registrations, config).outcome == "undecided"
+
+
+def _allows(pair: PairRegistration, implied: RigidTransform, score_pose: ScorePose, config: AcceptanceConfig) -> bool:
+    """Tell whether the implied pose is one of the pair's own, or scores as well."""
+    needed = pair.evidence - config.min_lead
+    own = [each.T_target_source for each in pair.registrations if each.evidence > needed]
+    return not is_distinct(implied, own) or score_pose(implied).evidence > needed
+
+
+def _symmetry(pose: RigidTransform, competing: Registration, seen_by: PairRegistration) -> Reason:
+    metres, radians = pose.distance_to(competing.T_target_source)
+    text = (
+        f"{seen_by.target} and {seen_by.source} see a scene that looks the same when turned by "
+        f"{np.rad2deg(radians):.0f} deg; the pose {metres:.2f} m away that follows is possible as well"
+    )
+    return Reason("ambiguous", 1.0, 0.0, text, competing)
+
+
+def _exclusion(pair: PairRegistration, implied: RigidTransform) -> Reason:
+    metres, radians = pair.T_target_source.distance_to(implied)
+    text = (
+        f"with other accepted pairs it puts {implied.source} {metres:.2f} m and {np.rad2deg(radians):.0f} deg from "
+        f"where {implied.source} fits {implied.target}; one of the pairs is wrong"
+    )
+    return Reason(_CODE, metres, 0.0, text)
+
+
+def _contradiction(implied: RigidTransform, score: VisibilityScore) -> Reason:
+    share = score.violation_share
+    text = (
+        f"with other accepted pairs it puts {implied.source} where {share:.1%} of the points shared with "
+        f"{implied.target} lie in proven-empty space; one of the pairs is wrong"
+    )
+    return Reason(_CODE, share, 0.0, text)

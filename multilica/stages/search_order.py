@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Order in which pairs of LiDARs are searched."""
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from multilica.results import PairKey
+
+__all__ = ["components", "next_round"]
+
+
+def components(names: Iterable[str], pairs: Iterable[PairKey]) -> dict[str, str]:
+    """Return per name the first name of the group that the pairs connect it to."""
+    first = {name: name for name in names}
+    for one, other in pairs:
+        kept, gone = sorted((first[one], first[other]))
+        first = {name: kept if group == gone else group for name, group in first.items()}
+    return first
+
+
+def next_round(
+    names: Sequence[str],
+    accepted: Iterable[PairKey],
+    tried: Collection[PairKey],
+    promise: Mapping[PairKey, float],
+) -> list[PairKey]:
+    """Choose the pairs to search next: of each group that accepted pairs connect, the most promising way out of it.
+
+    This is Boruvka's algorithm for a spanning tree: rigs with much overlap need few searches more than they have
+    LiDARs, and the pairs of a round do not depend on each other.
+
+    Args:
+        tried: pairs that were searched before.
+        promise: of each pair; the larger, the sooner it is searched.
+
+    Returns:
+        In the order of the promise; empty if all LiDARs are connected or nothing is left to try.
+    """
+    group = components(names, accepted)
+    chosen: dict[str, PairKey] = {}
+    ranked = sorted(promise, key=lambda pair: (-promise[pair], pair))
+    for pair in ranked:
+        groups = {group[name] for name in pair}
+        if pair in tried or len(groups) == 1:
+            continue
+        for each in groups:
+            chosen.setdefault(each, pair)
+    return [pair for pair in ranked if pair in chosen.values()]

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A LiDAR prepared for the stages that work on pairs."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from multilica.config import CalibrationConfig
+from multilica.registration.registration_cloud import prepare_registration_cloud
+from multilica.results import FeatureCloud, PreprocessedCloud
+from multilica.stages.features import compute_features
+from multilica.stages.fine import Side, prepare_side
+from multilica.stages.verify import RoughSide, short_gicp
+from multilica.visibility.sensor_view import SensorView, prepare_sensor_view
+
+__all__ = ["PreparedLidar", "prepare_lidar"]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedLidar:
+    """What all searches and registrations of one LiDAR share; clouds for GICP are built on first use.
+
+    Args:
+        cloud: its points; the returns are left out.
+        features: descriptors on the usual voxel grid.
+        view: None where verification is off.
+    """
+
+    cloud: PreprocessedCloud
+    features: FeatureCloud
+    view: SensorView | None
+    config: CalibrationConfig
+    _features: dict[float, FeatureCloud] = field(default_factory=dict)
+
+    def features_at(self, voxel_size_m: float) -> FeatureCloud:
+        """Return the descriptors on a voxel grid of that size."""
+        usual = self.config.features
+        if voxel_size_m == usual.voxel_size_m:
+            return self.features
+        if voxel_size_m not in self._features:
+            of_size = usual.model_copy(update={"voxel_size_m": voxel_size_m})
+            self._features[voxel_size_m] = compute_features(self.cloud, of_size)
+        return self._features[voxel_size_m]
+
+    @cached_property
+    def rough_side(self) -> RoughSide:
+        """The LiDAR as one side of a short GICP; only where verification is on."""
+        assert self.view is not None  # noqa: S101
+        gicp = short_gicp(self.config.verify, self.config.fine)
+        return RoughSide(self.view, prepare_registration_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
+
+    @cached_property
+    def side(self) -> Side:
+        """The LiDAR as one side of a fine registration."""
+        views = [] if self.view is None else self.view.alone
+        return prepare_side(self.cloud.lidar, self.cloud.points_m, views, self.config)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Leave out what is built on first use: types of the engines cannot be copied to another process."""
+        return PreparedLidar, (self.cloud, self.features, self.view, self.config)
+
+
+def prepare_lidar(cloud: PreprocessedCloud, config: CalibrationConfig) -> PreparedLidar:
+    """Compute the descriptors of a LiDAR, and its view if verification is on."""
+    features = compute_features(cloud, config.features)
+    view = prepare_sensor_view(cloud, config.visibility) if config.verify.enabled else None
+    slim = replace(cloud, returns_m=np.empty((0, 3)), dropped_m={})
+    return PreparedLidar(slim, features, view, config)

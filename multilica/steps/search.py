@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Search for the poses of pairs until accepted pairs link all LiDARs."""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+
+from multilica import events
+from multilica.acceptance.rig import check_ambiguous_chains, check_cycles, check_scene_symmetry
+from multilica.config import Stage
+from multilica.geometry import RigidTransform
+from multilica.registration.poses import is_distinct
+from multilica.results import PairKey, PairRegistration
+from multilica.stages.loops import choose_loops, implied_poses, is_open
+from multilica.stages.prior import known_between
+from multilica.stages.search_order import next_round
+from multilica.steps.pairs import (
+    PAIR_STAGES,
+    PairSearch,
+    SearchRequest,
+    promise_of,
+    register_implied,
+    score_implied,
+    search_pair,
+)
+from multilica.steps.state import CalibrationState
+
+__all__ = ["search_pairs"]
+
+
+def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
+    """Search the most promising pairs first, until accepted pairs link all LiDARs or none is left to search.
+
+    A pair that accepted pairs link is not searched: its pose follows from theirs. The beams of its LiDARs test that
+    pose, and where it contradicts them the pair is searched as well.
+
+    Args:
+        until: the last stage to run; before `fine`, all pairs are searched so far.
+    """
+    usual = state.config.features.voxel_size_m
+    if until != "fine" or not state.config.verify.enabled:
+        _search(state, state.pairs, usual, until)
+        return
+    start_s = time.perf_counter()
+    promise = dict(zip(state.pairs, state.workers.map(promise_of, state.pairs), strict=True))
+    state.timing_s["correspond"] = time.perf_counter() - start_s
+    for voxel_size_m in (usual, *state.config.features.further_voxel_sizes_m):
+        tried = set() if voxel_size_m == usual else _not_to_widen(state)
+        while True:
+            accepted = [(pair.target, pair.source) for pair in state.accepted]
+            pairs = next_round(list(state.clouds), accepted, tried, promise)
+            if not pairs and not _close_loops(state, tried):
+                break
+            if pairs and voxel_size_m != usual:
+                state.observe(events.SearchWidened(tuple(pairs), voxel_size_m))
+            tried.update(pairs)
+            _search(state, pairs, voxel_size_m)
+
+
+def _not_to_widen(state: CalibrationState) -> set[PairKey]:
+    """Return the pairs for which other descriptors cannot help: a pose was found, and others fit as well."""
+    return {pair for pair, found in state.registrations.items() if found.verdict.outcome != "reject"}
+
+
+def _search(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
+    """Search pairs; a pair that was searched before with other descriptors is replaced only if it is accepted now."""
+    requests = [SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until) for pair in pairs]
+    for pair, found in zip(pairs, state.workers.map(search_pair, requests), strict=True):
+        for stage in PAIR_STAGES:
+            state.timing_s[stage] = state.timing_s.get(stage, 0.0) + found.elapsed_s.get(stage, 0.0)
+        again = pair in state.coarse
+        if not again or (found.registration is not None and found.registration.verdict.accepted):
+            _take(state, pair, found)
+
+
+def _take(state: CalibrationState, pair: PairKey, found: PairSearch) -> None:
+    state.observe(events.CorrespondencesMatched(found.matches))
+    if found.coarse is not None:
+        state.coarse[pair] = found.coarse
+        state.observe(events.HypothesesFound(found.coarse, found.matches))
+    if found.verified is not None:
+        state.verified[pair] = found.verified
+        state.observe(events.HypothesesVerified(*pair, found.verified))
+    if found.registration is not None:
+        state.registrations[pair] = found.registration
+        state.observe(events.PairRegistered(found.registration))
+
+
+def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
+    """Test the poses of pairs that accepted pairs link, and check the accepted pairs against each other.
+
+    Returns:
+        Whether a verdict changed, so that pairs may have to be searched.
+    """
+    poses = {
+        pair: pose
+        for pair, pose in implied_poses(state.clouds, state.pairs, state.accepted).items()
+        if pair not in state.tested_loops and is_open(state.registrations.get(pair), pose)
+    }
+    state.tested_loops.update(poses)
+    limits = state.config.acceptance
+    scores = dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
+    state.remember(scores.values())
+    contradicted = {pair for pair, score in scores.items() if score.visibility.contradiction > limits.min_lead}
+    chosen = choose_loops(
+        {pair: score for pair, score in scores.items() if pair not in contradicted}, limits.min_evidence
+    )
+    registered = state.workers.map(register_implied, [poses[pair] for pair in chosen])
+    for pair, found in zip(chosen, registered, strict=True):
+        if _moved_away(found, poses[pair]):
+            contradicted.add(pair)
+            continue
+        state.observe(events.LoopRegistered(found))
+        if found.verdict.accepted:
+            state.registrations[pair] = found
+    pairs = sorted(contradicted - searched)
+    searched.update(pairs)
+    _search(state, pairs, state.config.features.voxel_size_m)
+    return _check_pairs(state)
+
+
+def _moved_away(found: PairRegistration, implied: RigidTransform) -> bool:
+    return is_distinct(implied, [found.T_target_source.with_target(implied.target)])
+
+
+def _check_pairs(state: CalibrationState) -> bool:
+    """Check the accepted pairs against symmetries of the scene, cycles and chains."""
+    limits = state.config.acceptance
+    checks: tuple[Callable[[Sequence[PairRegistration]], list[PairRegistration]], ...] = (
+        lambda pairs: check_scene_symmetry(pairs, state.score_rough_pose, state.score_turned, limits),
+        lambda pairs: check_cycles(pairs, state.score_pose, limits),
+        lambda pairs: check_ambiguous_chains(pairs, state.score_pose, limits),
+    )
+    changed = False
+    for check in checks:
+        before = list(state.registrations.items())
+        after: Iterable[PairRegistration] = check([pair for _, pair in before])
+        for (key, old), new in zip(before, after, strict=True):
+            if new is not old:
+                changed = True
+                state.registrations[key] = new
+                state.observe(events.VerdictChanged(new))
+    return changed

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks whose results come in the order of the items, run by this process."""
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+from multilica.workers.shared import Shared
+
+__all__ = ["Workers"]
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+class Workers:
+    """Runs tasks in this process; `WorkerProcesses` runs them in others."""
+
+    def __init__(self) -> None:
+        self._shared = Shared()
+
+    def share(self, name: str, value: object) -> None:
+        """Make a value available to all tasks as ``shared[name]``; its arrays are copied once, for all workers.
+
+        Raises:
+            ValueError: the name is taken; `forget` frees it.
+        """
+        self._shared.add(name, value)
+
+    def forget(self) -> None:
+        """Drop all shared values."""
+        self._shared.clear()
+
+    def map(self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item]) -> Iterator[_Result]:
+        """Yield ``function(shared, item)`` for each item in order, each as soon as it and those before are there.
+
+        The tasks start with the first ``next``; worker processes go on while the caller uses a result. For them, items
+        and results are copies with read-only arrays. The results do not depend on the number of workers if a task
+        depends on its item and the shared values alone.
+
+        Args:
+            function: a function of a module other than the main module.
+
+        Raises:
+            WorkerDiedError: a worker was killed or crashed.
+            Exception: whatever a task raises, after the results of the items before it.
+        """
+        for item in items:
+            yield function(self._shared, item)

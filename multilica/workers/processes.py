@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tasks spread over worker processes."""
+
+import os
+import socket
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import count
+from selectors import EVENT_READ, DefaultSelector
+from typing import Any, NoReturn, TypeVar
+
+from multilica.errors import WorkerDiedError
+from multilica.workers.failures import TaskFailure
+from multilica.workers.parcels import end, pack, unpack
+from multilica.workers.pool import Workers
+from multilica.workers.server import UNREADABLE, start_server
+from multilica.workers.shared import Shared
+
+__all__ = ["WorkerProcesses", "available_cores", "open_workers"]
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+@contextmanager
+def open_workers(workers: int, modules: Sequence[str] = ()) -> Iterator[Workers]:
+    """Open a pool of worker processes with one thread each; none is left when the context ends.
+
+    Opening does not wait for the processes: they import the modules while the caller goes on. They do not import the
+    main module of the caller.
+
+    Args:
+        workers: the most processes that work at the same time; 0: one per available core. With one, no process is
+            started, and the tasks run in this one.
+        modules: imported once for all workers: those of the tasks and the libraries that they use.
+    """
+    most = workers or available_cores()
+    if most <= 1:
+        yield Workers()
+        return
+    control, theirs = socket.socketpair()
+    with control:
+        with theirs:
+            server = start_server(theirs, modules)
+        with server:
+            pool = WorkerProcesses(most, control)
+            try:
+                yield pool
+            finally:
+                pool.close()
+                control.close()
+                server.terminate()
+
+
+class WorkerProcesses(Workers):
+    """Runs tasks in worker processes, which are forked when there are tasks for them.
+
+    Args:
+        most: processes at the same time.
+        control: the socket of the server that forks them.
+    """
+
+    def __init__(self, most: int, control: socket.socket) -> None:
+        super().__init__()
+        self._most = most
+        self._control = control
+        self._parcels: dict[str, int] = {}
+        self._jobs: dict[int, tuple[int, dict[int, Any]]] = {}
+        self._numbers = count()
+        self._selector = DefaultSelector()
+        self._workers: list[socket.socket] = []
+        self._ready: list[socket.socket] = []
+
+    def share(self, name: str, value: object) -> None:  # noqa: D102
+        super().share(name, value)
+        self._parcels[name] = pack((name, value))
+        self._tell(self._parcels[name])
+
+    def forget(self) -> None:  # noqa: D102
+        super().forget()
+        self._close_parcels()
+        parcel = pack(None)
+        self._tell(parcel)
+        os.close(parcel)
+
+    def map(  # noqa: D102
+        self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item]
+    ) -> Iterator[_Result]:
+        number, answers = next(self._numbers), dict[int, Any]()
+        parcel = pack((number, function, items))
+        self._jobs[number] = parcel, answers
+        try:
+            self._tell(parcel)
+            self._fork(min(self._most, len(items)))
+            for index in range(len(items)):
+                while index not in answers:
+                    self._receive()
+                yield _result_of(answers.pop(index))
+        finally:
+            del self._jobs[number]
+            end(parcel)
+            os.close(parcel)
+
+    def close(self) -> None:
+        """Close the connections to the workers."""
+        self._selector.close()
+        for worker in self._workers:
+            worker.close()
+        self._close_parcels()
+
+    def _close_parcels(self) -> None:
+        for parcel in self._parcels.values():
+            os.close(parcel)
+        self._parcels.clear()
+
+    def _fork(self, workers: int) -> None:
+        """Have workers forked until there are as many."""
+        while len(self._workers) < workers:
+            ours, theirs = socket.socketpair()
+            self._workers.append(ours)
+            self._selector.register(ours, EVENT_READ, ours)
+            with theirs:
+                _send(self._control, theirs.fileno())
+
+    def _tell(self, parcel: int) -> None:
+        for worker in self._ready:
+            _send(worker, parcel)
+
+    def _receive(self) -> None:
+        """Wait for messages of the workers, and keep the answers to jobs that are still open."""
+        for key, _ in self._selector.select():
+            sent, parcels = _received(key.data)
+            if not sent:
+                _raise_died()
+            if not parcels:
+                self._introduce(key.data)
+                continue
+            message: Any = unpack(parcels[0])
+            os.close(parcels[0])
+            number, index, answer = message
+            if number == UNREADABLE:
+                _result_of(answer)
+            if number in self._jobs:
+                self._jobs[number][1][index] = answer
+
+    def _introduce(self, worker: socket.socket) -> None:
+        """Tell a worker that has just started what the others know."""
+        self._ready.append(worker)
+        for parcel in (*self._parcels.values(), *(parcel for parcel, _ in self._jobs.values())):
+            _send(worker, parcel)
+
+
+def _result_of(answer: Any) -> Any:  # noqa: ANN401 - results have any type
+    if isinstance(answer, TaskFailure):
+        answer.reraise()
+    return answer
+
+
+def _send(receiver: socket.socket, parcel: int) -> None:
+    try:
+        socket.send_fds(receiver, [b"."], [parcel])
+    except (BrokenPipeError, ConnectionResetError):
+        _raise_died()
+
+
+def _received(worker: socket.socket) -> tuple[bytes, list[int]]:
+    try:
+        sent, parcels, _, _ = socket.recv_fds(worker, 1, 1)
+    except ConnectionResetError:
+        _raise_died()
+    return sent, parcels
+
+
+def _raise_died() -> NoReturn:
+    raise WorkerDiedError(
+        "A worker process died, perhaps because memory ran out; use fewer --workers, fewer --frames or a larger "
+        "preprocess.voxel_size_m."
+    ) from None

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An uncertain LiDAR is told with its figure, direction, limit and advice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from multilica.diagnosis import explain
+from multilica.diagnosis.causes import ADVICE
+from tests.sinks.made_documents import made_document, parsed
+from tests.sinks.made_events import UNPLACED
+
+
+@pytest.fixture
+def document():
+    return made_document("uncertain")
+
+
+def test_the_sigma_above_its_limit_is_told_with_its_direction(document):
+    told = explain(parsed(document))
+    (uncertain,) = told.uncertain
+    assert told.missing == ()
+    assert [one.lidar for one in told.placed] == ["front left/1"]
+    assert (uncertain.lidar, uncertain.cause, uncertain.direction) == (UNPLACED, "uncertain", "along x of top")
+    assert (uncertain.sigma_m, uncertain.max_sigma_m) == (pytest.approx(0.03), 0.02)
+    assert uncertain.headline == "rear is uncertain: sigma 30.0 mm along x of top, limit 20 mm."
+    assert uncertain.advice == ADVICE["uncertain"]
+    assert any("--max-sigma" in advice for advice in uncertain.advice)
+
+
+def test_a_rotation_above_its_limit_is_told_in_degrees(document):
+    covariance = np.diag(np.deg2rad([0.1, 0.1, 0.31]).tolist() + [1e-3] * 3) ** 2
+    document["lidars"][UNPLACED]["covariance"] = covariance.tolist()
+    (uncertain,) = explain(parsed(document)).uncertain
+    assert uncertain.headline == "rear is uncertain: sigma 0.310 deg about z of top, limit 0.2 deg."
+
+
+def test_the_headline_names_uncertain_and_missing_ones():
+    document = made_document("uncertain")
+    assert explain(parsed(document)).headline == (
+        "1 of 3 LiDARs is uncertain. rear: one pose fits, but its sigma is above the limit."
+    )
+    document["lidars"]["front left/1"] |= {"placed": False, "status": "not_placed", "T_target_source": None}
+    document["pairs"] = []
+    told = explain(parsed(document))
+    assert told.headline.startswith("1 of 3 LiDARs is not placed. front left/1: ")
+    assert " 1 of 3 LiDARs is uncertain. rear: " in told.headline
+    lines = told.findings
+    assert lines[lines.index(told.uncertain[0].headline) + 1].startswith("  What helps: ")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"covariance": None}, "an uncertain LiDAR without a covariance"),
+        ({"T_target_source": None}, "a LiDAR that is uncertain without a pose"),
+        ({"placed": True}, "`placed` contradicts its `status`"),
+    ],
+)
+def test_a_document_that_contradicts_itself_is_refused(document, change, words):
+    document["lidars"][UNPLACED] |= change
+    with pytest.raises(ValidationError, match=words):
+        parsed(document)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Chains of accepted pairs that an undecided pair with more evidence excludes."""
+
+from dataclasses import replace
+
+import pytest
+
+from multilica.acceptance.rig import check_ambiguous_chains, is_contradicted
+from multilica.config import AcceptanceConfig
+from multilica.results import Stability, Verdict
+from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
+from tests.unit.made_pairs import pose, undecided
+
+_CONFIG = AcceptanceConfig()
+_SLIDES = Stability(sigma_m=0.005, sigma_rad=1e-4, push_m=0.3, pushed_off_m=0.3, thinned_off_m=0.0)
+_CHAIN = (linked("b", "a", 500), linked("b", "c", 300), linked("d", "c", 400))
+
+
+def _undecided(target, source, distinctive=600, *, turned=True, stability=_SLIDES):
+    """Make an undecided pair; turned: its pose is not the one that the other pairs imply."""
+    made = linked(target, source, distinctive, undecided("not_observable"))
+    if turned:
+        made = moved_to(made, pose(target, target, (0.0, 1.0, 0.0), 3.1) @ true_pose(target, source))
+    return replace(made, registrations=(replace(made.registrations[0], stability=stability),))
+
+
+def _nothing_in_common(at):
+    return scored(at, 0)
+
+
+def test_the_weakest_pair_of_an_excluded_chain_is_doubted():
+    doubted = check_ambiguous_chains([*_CHAIN, _undecided("d", "a")], _nothing_in_common, _CONFIG)
+    assert [is_contradicted(pair) for pair in doubted] == [False, True, False, False]
+    assert doubted[1].verdict.outcome == "undecided"
+    assert "178 deg from where a fits d; one of the pairs is wrong" in doubted[1].verdict.text
+
+
+def test_pairs_are_doubted_until_no_chain_is_left():
+    further = linked("b", "d", 350)
+    doubted = check_ambiguous_chains([*_CHAIN, further, _undecided("d", "a")], _nothing_in_common, _CONFIG)
+    assert [is_contradicted(pair) for pair in doubted] == [False, True, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("known", "score_pose"),
+    [
+        (_undecided("d", "a", turned=False), _nothing_in_common),
+        (_undecided("a", "d", turned=False), _nothing_in_common),
+        (_undecided("d", "a"), scored),
+        (_undecided("d", "a", 200), _nothing_in_common),
+        (_undecided("d", "a", stability=None), _nothing_in_common),
+        (replace(_undecided("d", "a"), verdict=Verdict("reject")), _nothing_in_common),
+    ],
+    ids=["one of its poses", "the other way round", "scores as well", "less evidence", "doubted by others", "rejected"],
+)
+def test_an_undecided_pair_that_excludes_no_chain_is_ignored(known, score_pose):
+    pairs = [*_CHAIN, known]
+    after = check_ambiguous_chains(pairs, score_pose, _CONFIG)
+    assert all(one is other for one, other in zip(after, pairs, strict=True))

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All stages of a pair in one task, as far as they are asked for."""
+
+import numpy as np
+import pytest
+
+from multilica.config import CalibrationConfig, with_overrides
+from multilica.geometry import RigidTransform
+from multilica.results import PRIOR
+from multilica.steps.pairs import PAIR_STAGES, SearchRequest, register_implied, score_implied, search_pair
+from multilica.steps.prepared_lidar import prepare_lidar
+from tests.unit.made_rooms import HALL, scan
+
+_CONFIG = CalibrationConfig()
+_TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
+_SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
+_TRUTH = _TARGET.inverse() @ _SOURCE
+_USUAL_M = _CONFIG.features.voxel_size_m
+
+
+def _prepared(config=_CONFIG):
+    clouds = scan("t", _TARGET, HALL), scan("s", _SOURCE, HALL, seed=1)
+    return {cloud.lidar: prepare_lidar(cloud, config) for cloud in clouds}
+
+
+@pytest.fixture(scope="module")
+def lidars():
+    return _prepared()
+
+
+def _search(lidars, until="fine", **request):
+    return search_pair(lidars, SearchRequest(("t", "s"), _USUAL_M, until=until, **request))
+
+
+@pytest.mark.parametrize("until", PAIR_STAGES)
+def test_a_search_goes_as_far_as_asked(lidars, until):
+    found = _search(lidars, until)
+    results = (found.matches, found.coarse, found.verified, found.registration)
+    done = PAIR_STAGES.index(until) + 1
+    assert [result is not None for result in results] == [index < done for index in range(4)]
+    assert list(found.elapsed_s) == list(PAIR_STAGES[:done])
+    assert all(elapsed_s >= 0.0 for elapsed_s in found.elapsed_s.values())
+
+
+def test_a_search_finds_the_pose_of_a_pair(lidars):
+    found = _search(lidars).registration
+    metres, radians = found.T_target_source.with_target("t").distance_to(_TRUTH)
+    assert metres < 0.01
+    assert radians < np.deg2rad(0.1)
+    assert found.verdict.accepted
+
+
+def test_a_prior_is_one_more_hypothesis(lidars):
+    plain, known = (_search(lidars, "coarse", prior=prior).coarse.hypotheses for prior in (None, _TRUTH))
+    assert len(known) == len(plain) + 1
+    assert known[-1].origin == PRIOR
+    assert known[-1].T_target_source is _TRUTH
+
+
+def test_without_verification_the_fitness_decides():
+    unverified = _prepared(with_overrides(_CONFIG, ["verify.enabled=false"]))
+    found = _search(unverified)
+    assert found.verified is None
+    assert "verify" not in found.elapsed_s
+    assert found.registration.registrations == ()
+    assert found.registration.verdict.accepted is (found.registration.fitness >= 0.2)
+
+
+def test_without_a_hypothesis_there_is_no_registration():
+    far = _prepared(with_overrides(_CONFIG, ["acceptance.max_baseline_m=0.001"]))
+    found = _search(far)
+    assert found.coarse.hypotheses == ()
+    assert found.verified == ()
+    assert found.registration is None
+
+
+def test_an_implied_pose_is_scored_and_registered_from_there(lidars):
+    near = RigidTransform.from_xyz_rpy("t", "t", (0.05, 0.0, 0.0), (0.0, 0.0, 0.01)) @ _TRUTH
+    scored, registered = score_implied(lidars, near), register_implied(lidars, near)
+    assert scored.T_target_source is near
+    assert np.isnan(scored.fitness)
+    assert registered.T_target_source.with_target("t").distance_to(_TRUTH)[0] < 0.01
+    assert registered.hypothesis == -1
+    assert registered.evidence > scored.evidence

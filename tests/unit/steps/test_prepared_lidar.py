@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A prepared LiDAR is copied to workers without what it builds on first use."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from multilica.config import CalibrationConfig, with_overrides
+from multilica.geometry import RigidTransform
+from multilica.results import Hypothesis
+from multilica.steps.pairs import register_sides
+from multilica.steps.prepared_lidar import prepare_lidar
+from multilica.visibility.sensor_view import score_pose
+from tests.unit.made_rooms import HALL, scan
+
+_CONFIG = CalibrationConfig()
+_TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
+_SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
+_TRUTH = _TARGET.inverse() @ _SOURCE
+
+
+def _prepared(config=_CONFIG):
+    clouds = scan("t", _TARGET, HALL), scan("s", _SOURCE, HALL, seed=1)
+    return [prepare_lidar(cloud, config) for cloud in clouds]
+
+
+@pytest.fixture(scope="module")
+def lidars():
+    return _prepared()
+
+
+def _copied(lidars):
+    return [pickle.loads(pickle.dumps(lidar)) for lidar in lidars]  # noqa: S301
+
+
+def _registered(lidars):
+    target, source = lidars
+    return register_sides(target.side, source.side, [Hypothesis(_TRUTH)], _CONFIG)
+
+
+def test_a_copy_gives_the_same_bits(lidars):
+    one, other = (_registered(each) for each in (lidars, _copied(lidars)))
+    assert one.T_target_source.matrix.tobytes() == other.T_target_source.matrix.tobytes()
+    assert one.information.tobytes() == other.information.tobytes()
+    assert one.evidence == other.evidence
+    scores = [score_pose(*(each.view for each in pair), _TRUTH, 0.15, 0.5) for pair in (lidars, _copied(lidars))]
+    first, second = (score.visibility for score in scores)
+    assert np.array_equal(first.labels, second.labels)
+    assert first.information.tobytes() == second.information.tobytes()
+
+
+def test_a_copy_builds_its_sides_itself(lidars):
+    lidar = lidars[0]
+    before = len(pickle.dumps(lidar))
+    assert lidar.side is lidar.side
+    assert lidar.rough_side.cloud is lidar.rough_side.cloud
+    lidar.features_at(0.5)
+    assert len(pickle.dumps(lidar)) == before
+    (copy,) = _copied([lidar])
+    assert "side" not in vars(copy)
+    assert copy.features_at(0.5).descriptors.tobytes() == lidar.features_at(0.5).descriptors.tobytes()
+
+
+def test_the_usual_descriptors_are_not_computed_again(lidars):
+    lidar = lidars[0]
+    assert lidar.features_at(_CONFIG.features.voxel_size_m) is lidar.features
+    assert lidar.features_at(0.5) is lidar.features_at(0.5)
+    assert len(lidar.features_at(0.5).points_m) < len(lidar.features.points_m)
+
+
+def test_without_verification_there_is_no_view():
+    for lidar in _prepared(with_overrides(_CONFIG, ["verify.enabled=false"])):
+        assert lidar.view is None
+        assert lidar.side.views == ()
+
+
+def test_the_returns_are_left_out(lidars):
+    assert len(lidars[0].cloud.returns_m) == 0
+    assert len(lidars[0].cloud.points_m) > 1000

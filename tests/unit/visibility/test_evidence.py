@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The log-odds that a pose is true: what raises them, what lowers them, and ties but for rounding."""
+
+from dataclasses import replace
+from math import log
+
+import numpy as np
+import pytest
+
+from multilica.results import Registration
+from multilica.results.visibility_score import (
+    DISTANCE_WEIGHT,
+    DISTINCTIVE_WEIGHT,
+    FEW_POINTS,
+    HIDDEN_WEIGHT,
+    PRIOR_LOG_ODDS,
+    STRAY_SHARE,
+    VIOLATION_WEIGHT,
+    VisibilityScore,
+)
+from tests.unit.made_pairs import pose
+
+
+def _score(agree=1000, on_the_main_plane=600.0, violate=0, **structure):
+    information = np.diag([0.0, 0.0, 0.0, on_the_main_plane, 0.0, 0.0])
+    return VisibilityScore(agree, violate, 0, 0, information, np.zeros(0, dtype=np.uint8), **structure)
+
+
+def test_the_evidence_is_the_weighted_sum_of_four_logarithms():
+    score = _score(violate=7, structure_agree=90, structure_occluded=60)
+    assert score.distinctive == pytest.approx(400.0)
+    assert score.shared_share == pytest.approx((90 + FEW_POINTS) / (90 + FEW_POINTS + 60))
+    assert score.contradiction == pytest.approx(VIOLATION_WEIGHT * log(1 + 7 - STRAY_SHARE * 1000))
+    expected = (
+        PRIOR_LOG_ODDS
+        + DISTINCTIVE_WEIGHT * log(401)
+        + HIDDEN_WEIGHT * log(score.shared_share)
+        - score.contradiction
+        - DISTANCE_WEIGHT * log(1 + 2.5)
+    )
+    assert score.evidence(2.5) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_pose_with_nothing_in_common_has_the_prior_odds():
+    assert _score(agree=0, on_the_main_plane=0.0).evidence(0.0) == PRIOR_LOG_ODDS
+
+
+@pytest.mark.parametrize(
+    "worse",
+    [
+        {"on_the_main_plane": 900.0},
+        {"violate": 10},
+        {"structure_occluded": 200},
+    ],
+    ids=["on one plane", "in empty space", "hidden"],
+)
+def test_each_weakness_costs_evidence(worse):
+    usual = {"structure_agree": 200}
+    assert _score(**{**usual, **worse}).evidence(1.0) < _score(**usual).evidence(1.0)
+
+
+def test_lidars_far_apart_need_more_evidence():
+    evidence = [_score().evidence(distance_m) for distance_m in (0.0, 1.0, 3.0, 12.0)]
+    assert evidence == sorted(evidence, reverse=True)
+    assert evidence[0] - evidence[3] == pytest.approx(DISTANCE_WEIGHT * log(13))
+
+
+def test_stray_points_in_empty_space_cost_nothing():
+    assert _score(agree=1000, violate=3).contradiction == 0.0
+    assert _score(agree=1000, violate=4).contradiction > 0.0
+
+
+def test_the_evidence_of_a_registration_counts_its_distance():
+    near, far = (
+        Registration(0, pose("t", "s", xyz_m), _score(), 0.9, 0.03, 1.0, np.zeros((0, 3)))
+        for xyz_m in ((0.6, 0.0, 0.8), (6.0, 0.0, 8.0))
+    )
+    assert near.evidence == _score().evidence(1.0)
+    assert far.evidence == _score().evidence(10.0)
+    assert replace(near, visibility=_score(violate=50)).evidence < near.evidence
+
+
+@pytest.mark.parametrize("rounding", [-1e-12, 0.0, 1e-12])
+def test_evidence_does_not_depend_on_rounding(rounding):
+    assert _score(90, 40.0 + rounding).evidence(1.0) == _score(90, 40.0).evidence(1.0)
+    assert _score(40, 40.0 + rounding).evidence(0.0) == PRIOR_LOG_ODDS
