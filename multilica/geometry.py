@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 __all__ = [
     "LEVER_ARM_M",
+    "Float32Array",
     "FloatArray",
     "RigidTransform",
     "fixed_sign",
@@ -28,6 +29,7 @@ LEVER_ARM_M = 10.0
 """Lever arm at which a rotation counts as a length: the usual distance of the structure that two LiDARs share."""
 
 FloatArray = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 _ORTHONORMAL_TOLERANCE = 1e-6

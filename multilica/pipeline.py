@@ -16,16 +16,13 @@ from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
 from multilica.stages.prior import require_usable
 from multilica.steps import clouds, outcome, rig
+from multilica.steps.calibration_workers import open_calibration_workers
 from multilica.steps.pairs import PAIR_STAGES
 from multilica.steps.search import search_pairs
 from multilica.steps.state import CalibrationState
-from multilica.workers import Workers, open_workers
+from multilica.workers import Workers
 
-__all__ = ["calibrate", "open_workers_for"]
-
-# What tasks need, imported once for all workers.
-_WORKER_MODULES = ("multilica.steps.worker_imports",)
-
+__all__ = ["calibrate"]
 
 _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (
     (("preprocess",), lambda state, _: clouds.preprocess_clouds(state)),
@@ -79,22 +76,19 @@ def calibrate(
     try:
         with threadpool_limits(1), _opened(workers, config) as state.workers:
             _run_stages(state)
+            result = outcome.result_of(state)
+            state.workers.forget()
     except UnfitSnapshotError as error:
         observe(events.CalibrationFinished(outcome.refused(state, Refusal(error.code, str(error)))))
         raise
-    result = outcome.result_of(state)
+    del state  # prepared LiDARs take most of the memory, and the sinks need some for the last files
     observe(events.CalibrationFinished(result))
     return result
 
 
-def open_workers_for(config: CalibrationConfig) -> AbstractContextManager[Workers]:
-    """Open the worker processes for calibrations with that configuration; none if it stops before they have work."""
-    return open_workers(1 if config.until == "ingest" else config.runtime.workers, _WORKER_MODULES)
-
-
 def _opened(workers: Workers | None, config: CalibrationConfig) -> AbstractContextManager[Workers]:
     if workers is None:
-        return open_workers_for(config)
+        return open_calibration_workers(config)
     workers.forget()
     return nullcontext(workers)
 

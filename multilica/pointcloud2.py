@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from multilica.snapshot import Float32Array
+from multilica.geometry import Float32Array
 
 __all__ = [
     "DATATYPES",

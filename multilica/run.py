@@ -3,6 +3,7 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,11 +24,13 @@ from multilica.ingest.locate import PathLike, locate
 from multilica.ingest.remote.address import stem_of
 from multilica.ingest.snapshot_metadata import config_for
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
-from multilica.pipeline import calibrate, open_workers_for
+from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
+from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
 from multilica.stages.prior import require_usable
+from multilica.steps.calibration_workers import open_calibration_workers
 from multilica.workers import Workers
 
 __all__ = ["CalibrationRun", "default_directory", "run_calibration"]
@@ -66,6 +69,7 @@ def run_calibration(
     prior: str | None = None,
     mcap_encoding: str = "foxglove",
     observe: RunObserver = events.ignore,
+    workers: Workers | None = None,
 ) -> CalibrationRun:
     """Read recordings, calibrate, and write a run directory.
 
@@ -80,6 +84,7 @@ def run_calibration(
         prior: poses to try as well, as `read_prior` takes them.
         mcap_encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
         observe: called with each event as it happens; not with those of the joint result.
+        workers: an open pool, as `calibrate` takes it.
 
     Returns:
         The result, joint if there are several snapshots, with the paths of its files.
@@ -94,8 +99,8 @@ def run_calibration(
     config = config or CalibrationConfig(ingest=config_for(files))
     found = find_snapshots(files, config=config.ingest)
     directory = default_directory(files, len(found)) if out is None else Path(out)
-    with open_workers_for(config) as workers:
-        request = _Request(config, prior, mcap_encoding, observe, workers)
+    with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
+        request = _Request(config, prior, mcap_encoding, observe, pool)
         if len(found) > 1:
             return _run_jointly(found, directory, request)
         return _run_one(_read(found[0], config, observe), directory, request)
@@ -129,10 +134,11 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
         prior = found.extrinsics
         for note in found.notes:
             request.observe(events.InputNoted(note))
-    with open_run(directory, request.config, request.mcap_encoding) as run:
+    beside = pass_aside if request.workers.processes else nullcontext
+    with open_run(directory, request.config, request.mcap_encoding) as run, beside(run) as sinks:
 
         def observe(event: Event) -> None:
-            run(event)
+            sinks(event)
             if getattr(event, "stage", "") != "ingest":  # sent when the snapshot was read
                 request.observe(event)
 

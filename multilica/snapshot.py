@@ -4,14 +4,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from multilica.errors import UnknownNameError
-from multilica.geometry import FloatArray, RigidTransform, read_only
+from multilica.geometry import Float32Array, FloatArray, RigidTransform, read_only
 
 __all__ = ["Float32Array", "LidarScans", "Scan", "Snapshot"]
-
-Float32Array = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

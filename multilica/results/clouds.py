@@ -2,12 +2,14 @@
 """Clouds of single LiDARs after each stage."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from multilica.geometry import FloatArray
+from multilica.geometry import Float32Array, FloatArray
 from multilica.results.registrations import Reason
 
 __all__ = ["FeatureCloud", "PreprocessedCloud", "SensorHealth"]
+
+_ENOUGH_RETURNS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,17 +35,29 @@ class PreprocessedCloud:
     """One LiDAR's returns after cleaning.
 
     Args:
-        returns_m: (R, 3) every kept return in the LiDAR's own frame: one beam each.
+        returns_m: (R, 3) every kept return in the LiDAR's own frame, as recorded: one beam each.
         points_m: (N, 3) the same, thinned on the voxel grid.
         dropped_m: per reason, the (K, 3) points that were dropped.
         health: None where the sensor was not examined.
+        left_out: kept returns that `returns_m` lacks.
     """
 
     lidar: str
-    returns_m: FloatArray
+    returns_m: Float32Array
     points_m: FloatArray
     dropped_m: Mapping[str, FloatArray] = field(default_factory=dict)
     health: SensorHealth | None = None
+    left_out: int = 0
+
+    @property
+    def returns(self) -> int:
+        """Number of kept returns."""
+        return len(self.returns_m) + self.left_out
+
+    def slim(self) -> "PreprocessedCloud":
+        """Keep only every nth return, enough to show the field of view: all of them take most of the memory."""
+        every_nth = self.returns_m[:: max(1, len(self.returns_m) // _ENOUGH_RETURNS)]
+        return replace(self, returns_m=every_nth.copy(), left_out=self.returns - len(every_nth))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -108,7 +108,7 @@ class RunState:
             case events.StageFinished(stage):
                 self.stages.append(stage)
             case events.CloudPreprocessed(cloud):
-                self.clouds[cloud.lidar] = cloud
+                self.clouds[cloud.lidar] = cloud.slim()
             case events.FeaturesComputed(features):
                 self.features[features.lidar] = features
             case events.CorrespondencesMatched(matches):

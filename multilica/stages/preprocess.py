@@ -36,10 +36,9 @@ def preprocess(
     too_far = np.isfinite(range_m) & (range_m > config.max_range_m)
     dropped = {"too_near": points_m[too_near], "too_far": points_m[too_far], "moving": moving}
     kept = points_m[np.isfinite(range_m) & ~too_near & ~too_far]
-    kept.setflags(write=False)
     return PreprocessedCloud(
         lidar=lidar.name,
-        returns_m=read_only(kept, np.float64),
+        returns_m=read_only(kept, np.float32),
         points_m=read_only(thin(kept, config.voxel_size_m), np.float64),
         dropped_m={reason: points for reason, points in dropped.items() if len(points)},
     )

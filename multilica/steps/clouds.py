@@ -13,6 +13,7 @@ from multilica.stages.sensor_health import examine_sensor
 from multilica.stages.stillness import Motion, detect_motion, explain_motion
 from multilica.steps.prepared_lidar import PreparedLidar, prepare_lidar
 from multilica.steps.state import CalibrationState
+from multilica.workers import Shared
 
 __all__ = ["prepare_lidars", "preprocess_clouds", "require_two_lidars"]
 
@@ -35,14 +36,15 @@ def require_two_lidars(snapshot: Snapshot) -> None:
 def preprocess_clouds(state: CalibrationState) -> None:
     """Check that the vehicle stands still, check each sensor, and clean its cloud."""
     config, snapshot = state.config, state.snapshot
-    cleaned = list(state.workers.map(clean_lidar, [(lidar, config) for lidar in snapshot.lidars]))
-    motions = {lidar.name: each.motion for lidar, each in zip(snapshot.lidars, cleaned, strict=True)}
+    tasks = {_cleaned(lidar.name): (lidar, config) for lidar in snapshot.lidars}
+    cleaned = [each for _, each in state.workers.map_and_share(clean_lidar, tasks)]
+    motions = {each.cloud.lidar: each.motion for each in cleaned}
     if refusal := explain_motion({name: motion for name, motion in motions.items() if motion}, snapshot.source):
         raise UnfitSnapshotError(refusal, code="moving_vehicle")
     for each in cleaned:
         state.health.append(each.health)
         if len(each.cloud.points_m):
-            state.clouds[each.cloud.lidar] = each.cloud
+            state.clouds[each.cloud.lidar] = each.cloud.slim()
         state.observe(events.CloudPreprocessed(each.cloud))
     _require_clouds(state)
 
@@ -85,15 +87,19 @@ def _require_clouds(state: CalibrationState) -> None:
 
 def prepare_lidars(state: CalibrationState) -> None:
     """Compute descriptors of each LiDAR, and prepare it for the work on pairs."""
-    tasks = [(cloud, state.config) for cloud in state.clouds.values()]
-    for lidar in state.workers.map(prepare_one, tasks):
-        name = lidar.cloud.lidar
+    tasks = {name: (name, state.config) for name in state.clouds}
+    for name, lidar in state.workers.map_and_share(prepare_one, tasks):
         state.lidars[name] = lidar
-        state.workers.share(name, lidar)
         state.observe(events.FeaturesComputed(lidar.features))
+    state.workers.forget([_cleaned(lidar.name) for lidar in state.snapshot.lidars])
 
 
-def prepare_one(shared: object, task: tuple[PreprocessedCloud, CalibrationConfig]) -> PreparedLidar:
+def prepare_one(shared: Shared, task: tuple[str, CalibrationConfig]) -> PreparedLidar:
     """Prepare one LiDAR, a task for a worker."""
-    del shared
-    return prepare_lidar(*task)
+    name, config = task
+    return prepare_lidar(shared[_cleaned(name)].cloud, config)
+
+
+def _cleaned(lidar: str) -> str:
+    """Return the name under which a cleaned LiDAR is shared, apart from that of the prepared one."""
+    return f"{lidar}, cleaned"

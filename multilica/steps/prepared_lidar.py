@@ -65,5 +65,5 @@ def prepare_lidar(cloud: PreprocessedCloud, config: CalibrationConfig) -> Prepar
     """Compute the descriptors of a LiDAR, and its view if verification is on."""
     features = compute_features(cloud, config.features)
     view = prepare_sensor_view(cloud, config.visibility) if config.verify.enabled else None
-    slim = replace(cloud, returns_m=np.empty((0, 3)), dropped_m={})
+    slim = replace(cloud, returns_m=np.empty((0, 3), np.float32), dropped_m={}, left_out=cloud.returns)
     return PreparedLidar(slim, features, view, config)

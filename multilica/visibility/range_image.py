@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import Delaunay, cKDTree
 
-from multilica.geometry import FloatArray, largest_index, lengths
+from multilica.geometry import Float32Array, FloatArray, largest_index, lengths
 from multilica.results import BeamLabel
 
 __all__ = ["RangeImage", "build_range_image", "label_points"]
@@ -62,7 +62,7 @@ _MIN_INCIDENCE = 0.05
 _POLE_DIRECTIONS = 400
 
 
-def build_range_image(returns_m: FloatArray) -> RangeImage | None:
+def build_range_image(returns_m: Float32Array) -> RangeImage | None:
     """Triangulate the beams of one sensor.
 
     Args:
@@ -72,7 +72,7 @@ def build_range_image(returns_m: FloatArray) -> RangeImage | None:
         None if there are too few beams to span a triangle.
     """
     stride = max(1, len(returns_m) // _MAX_RETURNS)
-    beams_m, cell_rad = _one_per_cell(returns_m[::stride])
+    beams_m, cell_rad = _one_per_cell(returns_m[::stride].astype(np.float64))
     if len(beams_m) < 4:
         return None
     range_m = lengths(beams_m)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tasks whose results come in the order of the items, run by this process."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import TypeVar
 
 from multilica.workers.shared import Shared
@@ -13,9 +13,14 @@ _Result = TypeVar("_Result")
 
 
 class Workers:
-    """Runs tasks in this process; `WorkerProcesses` runs them in others."""
+    """Runs tasks in this process; `WorkerProcesses` runs them in others.
+
+    Attributes:
+        processes: the most other processes that run tasks at the same time.
+    """
 
     def __init__(self) -> None:
+        self.processes = 0
         self._shared = Shared()
 
     def share(self, name: str, value: object) -> None:
@@ -26,9 +31,9 @@ class Workers:
         """
         self._shared.add(name, value)
 
-    def forget(self) -> None:
-        """Drop all shared values."""
-        self._shared.clear()
+    def forget(self, names: Collection[str] | None = None) -> None:
+        """Drop shared values, all if no names are given."""
+        self._shared.drop(names)
 
     def map(self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item]) -> Iterator[_Result]:
         """Yield ``function(shared, item)`` for each item in order, each as soon as it and those before are there.
@@ -46,3 +51,15 @@ class Workers:
         """
         for item in items:
             yield function(self._shared, item)
+
+    def map_and_share(
+        self, function: Callable[[Shared, _Item], _Result], items: Mapping[str, _Item]
+    ) -> Iterator[tuple[str, _Result]]:
+        """Yield the name and the result of each item as `map` does, and share the result under that name.
+
+        Raises:
+            ValueError: a name is taken.
+        """
+        for name, item in items.items():
+            self._shared.add(name, result := function(self._shared, item))
+            yield name, result

@@ -3,7 +3,7 @@
 
 import os
 import socket
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
 from selectors import EVENT_READ, DefaultSelector
@@ -11,9 +11,10 @@ from typing import Any, NoReturn, TypeVar
 
 from multilica.errors import WorkerDiedError
 from multilica.workers.failures import TaskFailure
+from multilica.workers.messages import UNREADABLE, Answer, Forgotten, Job
 from multilica.workers.parcels import end, pack, unpack
 from multilica.workers.pool import Workers
-from multilica.workers.server import UNREADABLE, start_server
+from multilica.workers.server import start_server
 from multilica.workers.shared import Shared
 
 __all__ = ["WorkerProcesses", "available_cores", "open_workers"]
@@ -61,13 +62,13 @@ class WorkerProcesses(Workers):
     """Runs tasks in worker processes, which are forked when there are tasks for them.
 
     Args:
-        most: processes at the same time.
+        processes: the most at the same time.
         control: the socket of the server that forks them.
     """
 
-    def __init__(self, most: int, control: socket.socket) -> None:
+    def __init__(self, processes: int, control: socket.socket) -> None:
         super().__init__()
-        self._most = most
+        self.processes = processes
         self._control = control
         self._parcels: dict[str, int] = {}
         self._jobs: dict[int, tuple[int, dict[int, Any]]] = {}
@@ -78,25 +79,36 @@ class WorkerProcesses(Workers):
 
     def share(self, name: str, value: object) -> None:  # noqa: D102
         super().share(name, value)
-        self._parcels[name] = pack((name, value))
-        self._tell(self._parcels[name])
+        self._keep(name, pack(Answer(UNREADABLE, 0, value, name)))
 
-    def forget(self) -> None:  # noqa: D102
-        super().forget()
-        self._close_parcels()
-        parcel = pack(None)
+    def forget(self, names: Collection[str] | None = None) -> None:  # noqa: D102
+        super().forget(names)
+        for name in tuple(self._parcels) if names is None else names:
+            os.close(self._parcels.pop(name))
+        parcel = pack(Forgotten(names))
         self._tell(parcel)
         os.close(parcel)
 
     def map(  # noqa: D102
         self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item]
     ) -> Iterator[_Result]:
+        return self._map(function, items, ())
+
+    def map_and_share(  # noqa: D102
+        self, function: Callable[[Shared, _Item], _Result], items: Mapping[str, _Item]
+    ) -> Iterator[tuple[str, _Result]]:
+        self._shared.require_free(items)
+        return zip(items, self._map(function, tuple(items.values()), tuple(items)), strict=True)
+
+    def _map(
+        self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item], names: Sequence[str]
+    ) -> Iterator[_Result]:
         number, answers = next(self._numbers), dict[int, Any]()
-        parcel = pack((number, function, items))
+        parcel = pack(Job(number, function, items, names))
         self._jobs[number] = parcel, answers
         try:
             self._tell(parcel)
-            self._fork(min(self._most, len(items)))
+            self._fork(min(self.processes, len(items)))
             for index in range(len(items)):
                 while index not in answers:
                     self._receive()
@@ -111,12 +123,8 @@ class WorkerProcesses(Workers):
         self._selector.close()
         for worker in self._workers:
             worker.close()
-        self._close_parcels()
-
-    def _close_parcels(self) -> None:
         for parcel in self._parcels.values():
             os.close(parcel)
-        self._parcels.clear()
 
     def _fork(self, workers: int) -> None:
         """Have workers forked until there are as many."""
@@ -126,6 +134,11 @@ class WorkerProcesses(Workers):
             self._selector.register(ours, EVENT_READ, ours)
             with theirs:
                 _send(self._control, theirs.fileno())
+
+    def _keep(self, name: str, parcel: int) -> None:
+        """Tell the workers a value to share, those of now and those to come."""
+        self._parcels[name] = parcel
+        self._tell(parcel)
 
     def _tell(self, parcel: int) -> None:
         for worker in self._ready:
@@ -140,13 +153,17 @@ class WorkerProcesses(Workers):
             if not parcels:
                 self._introduce(key.data)
                 continue
-            message: Any = unpack(parcels[0])
-            os.close(parcels[0])
-            number, index, answer = message
-            if number == UNREADABLE:
-                _result_of(answer)
-            if number in self._jobs:
-                self._jobs[number][1][index] = answer
+            answer: Any = unpack(parcels[0])
+            wanted = answer.job in self._jobs
+            if wanted and answer.name is not None:
+                super().share(answer.name, answer.value)
+                self._keep(answer.name, parcels[0])
+            else:
+                os.close(parcels[0])
+            if answer.job == UNREADABLE:
+                _result_of(answer.value)
+            if wanted:
+                self._jobs[answer.job][1][answer.item] = answer.value
 
     def _introduce(self, worker: socket.socket) -> None:
         """Tell a worker that has just started what the others know."""

@@ -11,16 +11,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
-from typing import Any
 
 from multilica.workers.failures import failure_of
+from multilica.workers.messages import UNREADABLE, Answer, Forgotten, Job
 from multilica.workers.parcels import pack, take, unpack
 from multilica.workers.shared import Shared
 
-__all__ = ["UNREADABLE", "serve", "start_server"]
-
-UNREADABLE = -1
-"""Number of the job in the answer to a message that a worker could not read."""
+__all__ = ["serve", "start_server"]
 
 # Read by OpenMP, OpenBLAS and MKL when they are loaded. OpenBLAS and MKL fall back to the first.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -98,26 +95,27 @@ def _work(caller: socket.socket) -> None:
             return
         (descriptor,) = descriptors
         try:
-            message: Any = unpack(descriptor)
+            message = unpack(descriptor)
         except Exception as error:  # noqa: BLE001
-            _send(caller, pack((UNREADABLE, 0, failure_of(error))))
+            _send(caller, pack(Answer(UNREADABLE, 0, failure_of(error))))
         else:
             match message:
-                case None:
-                    shared.clear()
-                case (str(name), value):
+                case Forgotten(names):
+                    shared.drop(names)
+                case Answer(_, _, value, str(name)):
                     shared.add(name, value)
-                case (int(job), function, items):
+                case Job(number, function, items, names):
                     while (index := take(descriptor)) < len(items):
-                        _run(caller, job, index, partial(function, shared, items[index]))
+                        task = partial(function, shared, items[index])
+                        _run(caller, number, index, task, names[index] if names else None)
         os.close(descriptor)
 
 
-def _run(caller: socket.socket, job: int, index: int, task: Callable[[], object]) -> None:
+def _run(caller: socket.socket, job: int, index: int, task: Callable[[], object], name: str | None) -> None:
     try:
-        parcel = pack((job, index, task()))
+        parcel = pack(Answer(job, index, task(), name))
     except Exception as error:  # noqa: BLE001
-        parcel = pack((job, index, failure_of(error)))
+        parcel = pack(Answer(job, index, failure_of(error)))
     _send(caller, parcel)
 
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values that tasks share."""
 
+from collections.abc import Collection, Iterable
 from typing import Any
 
 __all__ = ["Shared"]
@@ -22,10 +23,20 @@ class Shared:
         Raises:
             ValueError: the name is taken.
         """
-        if name in self._values:
-            raise ValueError(f"'{name}' is shared already")
+        self.require_free([name])
         self._values[name] = value
 
-    def clear(self) -> None:
-        """Forget all values."""
-        self._values.clear()
+    def require_free(self, names: Iterable[str]) -> None:
+        """Check that no value has one of these names.
+
+        Raises:
+            ValueError: a name is taken.
+        """
+        for name in names:
+            if name in self._values:
+                raise ValueError(f"'{name}' is shared already")
+
+    def drop(self, names: Collection[str] | None) -> None:
+        """Forget the values of those names, or all."""
+        for name in tuple(self._values) if names is None else names:
+            del self._values[name]

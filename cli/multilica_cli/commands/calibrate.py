@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`multilica calibrate`: calibration of a recording."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -53,13 +54,8 @@ def calibrate(
 
     Several recordings of the same LiDARs are several snapshots of one rig: each is calibrated alone, then all jointly.
     """
-    from multilica.ingest import frames_recorded
-    from multilica.ingest.locate import locate
-    from multilica.run import run_calibration
-    from multilica_cli.progress import show_progress
-    from multilica_cli.tables.result import print_run
+    from multilica.steps.calibration_workers import open_calibration_workers
 
-    files = [locate(source) for source in sources]
     given = {
         "target": target,
         "until": until,
@@ -69,9 +65,21 @@ def calibrate(
         "runtime.workers": workers,
         "record.detail": record,
     }
-    config = resolve_config(preset, config_file, given, settings or (), frames_recorded(files))
-    with show_progress(quiet=quiet) as observe:
-        run = run_calibration(files, out, config, prior=prior, mcap_encoding=mcap_encoding, observe=observe)
+    resolve = partial(resolve_config, preset, config_file, given, settings or ())
+    with open_calibration_workers(resolve()) as pool:
+        # Imported while the workers start.
+        from multilica.ingest import frames_recorded
+        from multilica.ingest.locate import locate
+        from multilica.run import run_calibration
+        from multilica_cli.progress import show_progress
+        from multilica_cli.tables.result import print_run
+
+        files = [locate(source) for source in sources]
+        config = resolve(frames_recorded(files))
+        with show_progress(quiet=quiet) as observe:
+            run = run_calibration(
+                files, out, config, prior=prior, mcap_encoding=mcap_encoding, observe=observe, workers=pool
+            )
     if as_json:
         typer.echo((run.directory / "result.json").read_text(encoding="utf-8"), nl=False)
     else:

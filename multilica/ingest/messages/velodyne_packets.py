@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import velodyne_decoder
 
+from multilica.geometry import Float32Array
 from multilica.ingest.damage import reason_of
 from multilica.ingest.messages.cloud import Cloud
 from multilica.ingest.messages.ros import deserialize
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
-from multilica.snapshot import Float32Array, Scan
+from multilica.snapshot import Scan
 
 __all__ = ["decode_cloud"]
 

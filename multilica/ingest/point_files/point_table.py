@@ -6,8 +6,8 @@ from itertools import islice
 
 import numpy as np
 
+from multilica.geometry import Float32Array
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points, finite_points, point_dtype
-from multilica.snapshot import Float32Array
 
 __all__ = ["PointTable", "Points"]
 

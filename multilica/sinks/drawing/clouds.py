@@ -4,7 +4,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from multilica.snapshot import Float32Array, Snapshot
+from multilica.geometry import Float32Array
+from multilica.snapshot import Snapshot
 
 __all__ = ["every_nth", "sample_indices", "sample_points", "shown_radius_m", "slot_offsets_m"]
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from multilica.geometry import FloatArray, RigidTransform, fixed_sign, largest_index
+from multilica.geometry import Float32Array, FloatArray, RigidTransform, fixed_sign, largest_index
 from multilica.results import BoolArray, Correspondences, Hypothesis, LidarPlacement
 from multilica.sinks.drawing.clouds import every_nth, sample_indices
 from multilica.sinks.run_state import RunState
@@ -85,7 +85,7 @@ def shown_field_of_view(state: RunState, lidar: str) -> tuple[FloatArray, ...]:
     return state.outlines[lidar]
 
 
-def field_of_view(returns_m: FloatArray, radius_m: float = _RADIUS_M) -> tuple[FloatArray, ...]:
+def field_of_view(returns_m: Float32Array, radius_m: float = _RADIUS_M) -> tuple[FloatArray, ...]:
     """Return the convex outline, in azimuth and elevation, of a LiDAR's returns.
 
     A LiDAR that sees all around, with no gap of 20 degrees, gets a circle at its lowest and its highest elevation.
@@ -97,7 +97,7 @@ def field_of_view(returns_m: FloatArray, radius_m: float = _RADIUS_M) -> tuple[F
     Returns:
         Polylines (K, 3): the outline or both circles, then rays from the sensor; none if the returns span no area.
     """
-    directions = every_nth(returns_m, _ENOUGH_RETURNS)
+    directions = every_nth(returns_m, _ENOUGH_RETURNS).astype(np.float64)
     directions = directions[np.linalg.norm(directions, axis=1) > 0.0]
     if len(directions) < 3:
         return ()

@@ -29,13 +29,12 @@ from foxglove.messages import (
 )
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from multilica.geometry import RigidTransform
+from multilica.geometry import Float32Array, RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
 from multilica.sinks.drawing.palette import Rgb
 from multilica.sinks.drawing.primitives import Drawing, Ellipsoid, Label, Lines
 from multilica.sinks.mcap.messages import McapMessage, MessageSchema
 from multilica.sinks.text.log_lines import LogLine
-from multilica.snapshot import Float32Array
 
 __all__ = ["FoxgloveEncoding"]
 

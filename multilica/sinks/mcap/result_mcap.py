@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from multilica import events
 from multilica.errors import UnknownNameError
-from multilica.geometry import RigidTransform
+from multilica.geometry import Float32Array, RigidTransform
 from multilica.results import CalibrationResult
 from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.clouds import sample_points
@@ -24,7 +24,7 @@ from multilica.sinks.mcap.messages import McapMessage, MessageWriter
 from multilica.sinks.mcap.result_drawings import cloud_frames, foxglove_layout, result_drawings
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, log_end, log_lines
-from multilica.snapshot import Float32Array, LidarScans, Snapshot
+from multilica.snapshot import LidarScans, Snapshot
 
 if TYPE_CHECKING:
     from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
@@ -39,6 +39,8 @@ _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html
 # Readers treat zero as unset; ROS times end in 2038.
 _STAMP_WITHOUT_CLOCK_NS = 10**9
 _FAR_FUTURE_NS = 2**31 * 10**9 - 3600 * 10**9
+# They take milliseconds, and the whole file follows.
+_LAST_STAGES = ("merge", "refine", "ground")
 _CHANGES_DRAWINGS = (
     events.CloudPreprocessed,
     events.CorrespondencesMatched,
@@ -56,7 +58,7 @@ class ResultMcap:
 
     Use it as an observer within its `with` block. The file is written at the end of the block and can attach files of
     other sinks. Until then, and after an interrupted or killed run, `<stem>.partial.mcap` has the state at the end of
-    the last stage: a complete, indexed file, not compressed.
+    the last long stage: a complete, indexed file, not compressed.
 
     Args:
         path: final name; an existing file is replaced.
@@ -82,7 +84,7 @@ class ResultMcap:
         self._attached = tuple(attached)
         self._state = state if state is not None else RunState()
         self._lines: list[LogLine] = []
-        self._clouds: dict[str, McapMessage] = {}
+        self._cloud_topics: dict[str, str] = {}
         self._drawings: list[McapMessage] = []
         self._finished = False
 
@@ -92,17 +94,12 @@ class ResultMcap:
     def __call__(self, event: events.Event) -> None:
         """Update the state; write the partial file when a stage ends, or the last one of stages that ran together."""
         self._state(event)
-        if isinstance(event, events.CloudPreprocessed):
-            self._clouds.pop(event.cloud.lidar, None)
-        if isinstance(event, events.CalibrationFinished):
-            for place in event.result.placements:
-                if place.uncertain:
-                    self._clouds.pop(place.lidar, None)
         if isinstance(event, _CHANGES_DRAWINGS):
             self._drawings.clear()
         self._lines += log_lines(event)
         self._finished |= isinstance(event, events.CalibrationFinished)
-        if isinstance(event, events.StageFinished) and event.stage == self._state.stage:
+        ended = isinstance(event, events.StageFinished) and event.stage == self._state.stage
+        if ended and self._state.stage not in _LAST_STAGES:
             self._write(partial_path(self.path))
 
     def __exit__(
@@ -142,14 +139,14 @@ class ResultMcap:
     def _write_scene(
         self, messages: MessageWriter, snapshot: Snapshot, result: CalibrationResult, stamp_ns: int
     ) -> None:
-        """Write transforms first, so that a reader in time order can place every cloud; encode only what changed."""
+        """Write transforms first, so that a reader in time order can place every cloud."""
         frames = cloud_frames(result)
         messages.write(self._encoding.transforms(_static_poses(result, frames), stamp_ns), stamp_ns)
         for lidar in snapshot.lidars:
-            if lidar.name not in self._clouds:
-                points_m = _shown_points(self._state, lidar)
-                self._clouds[lidar.name] = self._encoding.cloud(lidar.name, frames[lidar.name], points_m, stamp_ns)
-            messages.write(self._clouds[lidar.name], stamp_ns)
+            points_m = _shown_points(self._state, lidar)
+            cloud = self._encoding.cloud(lidar.name, frames[lidar.name], points_m, stamp_ns)
+            self._cloud_topics[lidar.name] = cloud.topic
+            messages.write(cloud, stamp_ns)
         if not self._drawings:
             drawn = result_drawings(self._state, result).items()
             self._drawings = [self._encoding.drawings(topic, drawings, stamp_ns) for topic, drawings in drawn]
@@ -157,11 +154,10 @@ class ResultMcap:
             messages.write(drawing, stamp_ns)
 
     def _attachments(self, document: ResultDocument, target: str) -> dict[str, bytes]:
-        topics = {name: self._clouds[name].topic for name in self._state.lidars}
         return {
             "config.toml": toml_text(document.config.model_dump(mode="json")).encode(),
             "result.json": document.model_dump_json().encode(),
-            "foxglove-layout.json": foxglove_layout(target, topics).encode(),
+            "foxglove-layout.json": foxglove_layout(target, self._cloud_topics).encode(),
             **{path.name: path.read_bytes() for path in self._attached if path.is_file()},
         }
 

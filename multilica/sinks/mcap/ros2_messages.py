@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 from mcap.well_known import Profile
 
-from multilica.geometry import RigidTransform
+from multilica.geometry import Float32Array, RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
 from multilica.sinks.drawing.palette import Rgb
 from multilica.sinks.drawing.primitives import Drawing
 from multilica.sinks.mcap import ros2_types as ros2
 from multilica.sinks.mcap.messages import McapMessage
 from multilica.sinks.text.log_lines import LogLine
-from multilica.snapshot import Float32Array
 
 __all__ = ["Ros2Encoding"]
 

@@ -10,10 +10,9 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-from multilica.geometry import RigidTransform
+from multilica.geometry import Float32Array, RigidTransform
 from multilica.pointcloud2 import encode_points
 from multilica.sinks.mcap.messages import MessageSchema
-from multilica.snapshot import Float32Array
 
 __all__ = [
     "POINT_CLOUD",

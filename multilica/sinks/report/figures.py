@@ -9,6 +9,7 @@ import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import BeamLabel, PairKey
+from multilica.sinks.drawing.clouds import every_nth
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, Rgb
 from multilica.sinks.report.cloud_picture import Layer, View, draw_clouds, png_bytes, side_view, top_view
 from multilica.sinks.report.contents import ReportContents, ScoredPoints
@@ -18,6 +19,8 @@ __all__ = ["Figure", "pair_figures", "rig_figures"]
 _SIZE_PX = (1080, 720)
 _PAIR_SIZE_PX = (900, 640)
 _SCORED_DOT_PX = 4
+# One per two pixels: more change little that can be seen.
+_RIG_POINTS = _SIZE_PX[0] * _SIZE_PX[1] // 2
 _DIMMED = 0.6
 _LABEL_COLOURS: tuple[tuple[BeamLabel, Rgb], ...] = (
     (BeamLabel.OCCLUDED, OCCLUDED),
@@ -71,9 +74,13 @@ def _rig_layers(
     """Return a layer per LiDAR with returns, in the level frame; if `placed`, without unplaced LiDARs."""
     same = {name: RigidTransform.identity(contents.target, name) for name in contents.names}
     poses = contents.poses() if placed else same
+    enough = _RIG_POINTS // max(1, len(poses))
     return [
         Layer(
-            pose.apply(contents.clouds[name]), colours[name], sensor=pose, label=_label(contents, name, placed=placed)
+            pose.apply(every_nth(contents.clouds[name], enough)),
+            colours[name],
+            sensor=pose,
+            label=_label(contents, name, placed=placed),
         )
         for name, pose in ((name, level @ pose) for name, pose in poses.items())
         if len(contents.clouds.get(name, ()))

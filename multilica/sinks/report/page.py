@@ -62,8 +62,11 @@ class ReportFile:
     def __call__(self, event: events.Event) -> None:
         """Update the state; write the report after the last event."""
         self._state(event)
-        if isinstance(event, events.CalibrationFinished):
-            self._write()
+        match event:
+            case events.CalibrationStarted():
+                _template()  # compiled while workers compute
+            case events.CalibrationFinished():
+                self._write()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -107,8 +107,8 @@ def _dropped_row(state: RunState, lidar: str, reasons: Sequence[str]) -> Sequenc
         lidar,
         f"{total:,}",
         *(f"{count:,}" for count in dropped),
-        f"{len(cloud.returns_m):,}",
-        f"{len(cloud.points_m):,}" if len(cloud.returns_m) else "**none**",
+        f"{cloud.returns:,}",
+        f"{len(cloud.points_m):,}" if cloud.returns else "**none**",
     )
 
 

@@ -70,7 +70,7 @@ def _ingest(state: RunState) -> dict[str, IngestFigures]:
 def _preprocess(state: RunState) -> dict[str, PreprocessFigures]:
     return {
         name: PreprocessFigures(
-            returns=len(cloud.returns_m),
+            returns=cloud.returns,
             points=len(cloud.points_m),
             dropped={reason: len(points_m) for reason, points_m in sorted(cloud.dropped_m.items())},
             digest=_digest(cloud.points_m),

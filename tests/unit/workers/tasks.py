@@ -30,6 +30,15 @@ def scaled(shared, factor):
     return factor * shared["cloud"]
 
 
+def scaled_by(_, item):
+    cloud, factor = item
+    return factor * cloud
+
+
+def total_of(shared, name):
+    return float(shared[name].sum())
+
+
 def layout(shared, array):
     cloud = shared["cloud"]
     return cloud.flags.f_contiguous, cloud.flags.writeable, array.flags.writeable, array.shape

@@ -64,6 +64,28 @@ def test_arrays_keep_their_layout_and_are_read_only(two):
     assert not result.flags.writeable
 
 
+def test_results_can_be_shared_by_name(workers):
+    found = dict(workers.map_and_share(tasks.scaled_by, {"two": (CLOUD, 2.0), "three": (CLOUD, 3.0)}))
+    assert [result.tobytes() for result in found.values()] == [(2.0 * CLOUD).tobytes(), (3.0 * CLOUD).tobytes()]
+    totals = [float((2.0 * CLOUD).sum()), float((3.0 * CLOUD).sum())]
+    assert list(workers.map(tasks.total_of, ["two", "three"] * 3)) == totals * 3
+    with pytest.raises(ValueError, match="'two' is shared already"):
+        list(workers.map_and_share(tasks.scaled_by, {"two": (CLOUD, 2.0)}))
+    workers.forget(["two"])
+    assert list(workers.map(tasks.total_of, ["three"])) == totals[1:]
+    with pytest.raises(KeyError, match="two"):
+        list(workers.map(tasks.total_of, ["two"]))
+
+
+def test_a_task_that_fails_shares_nothing(workers):
+    results = workers.map_and_share(tasks.fail, {"first": "fine", "second": "system", "third": "fine"})
+    assert next(results) == ("first", "fine")
+    with pytest.raises(OSError, match="No space"):
+        next(results)
+    with pytest.raises(KeyError, match="second"):
+        list(workers.map(tasks.total_of, ["second"]))
+
+
 def test_forgotten_values_can_be_shared_anew(workers):
     workers.share("cloud", CLOUD)
     assert next(iter(workers.map(tasks.total, [1]))) == float(CLOUD.sum())

@@ -61,7 +61,7 @@ def _failed_scene(state: RunState, failure: Failure) -> rrb.Container | rrb.View
     """Show the pose with the most evidence above the competing one; without a pair the clouds of all LiDARs."""
     pair = failure.pair
     if pair is None:
-        kept = {name: len(state.clouds[name].returns_m) if name in state.clouds else 0 for name in state.lidars}
+        kept = {name: state.clouds[name].returns if name in state.clouds else 0 for name in state.lidars}
         names = {name: f"{name}: {count:,} returns kept" for name, count in kept.items()}
         shown = ("preprocessed", "dropped")
         return rrb.Grid(*(views.single_lidar_view(state, lidar, shown, name) for lidar, name in names.items()))

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Events passed on in a thread, so that sinks write while worker processes compute."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from queue import SimpleQueue
+from threading import Thread
+
+from multilica.events import Event, Observer
+
+__all__ = ["pass_aside"]
+
+
+@contextmanager
+def pass_aside(observe: Observer) -> Iterator[Observer]:
+    """Pass events to an observer in a thread, in their order; all are passed when the context ends.
+
+    What the observer raises is raised by the next call or at the end, and no event follows.
+    """
+    aside = _Aside(observe)
+    thread = Thread(target=aside.run, name="sinks", daemon=True)
+    thread.start()
+    try:
+        yield aside
+    finally:
+        aside.end()
+        thread.join()
+    aside.raise_failure()
+
+
+class _Aside:
+    def __init__(self, observe: Observer) -> None:
+        self._observe = observe
+        self._events: SimpleQueue[Event | None] = SimpleQueue()
+        self._failure: BaseException | None = None
+
+    def __call__(self, event: Event) -> None:
+        self.raise_failure()
+        self._events.put(event)
+
+    def run(self) -> None:
+        """Pass events on until `end`."""
+        try:
+            while (event := self._events.get()) is not None:
+                self._observe(event)
+        except BaseException as failure:  # noqa: BLE001 - the caller's thread raises it
+            self._failure = failure
+
+    def end(self) -> None:
+        self._events.put(None)
+
+    def raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure

@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Worker processes for calibrations; light to import, so that a program can open them before it imports the rest."""
+
+from contextlib import AbstractContextManager
+
+from multilica.config import CalibrationConfig
+from multilica.workers import Workers, open_workers
+
+__all__ = ["open_calibration_workers"]
+
+# What tasks need, imported once for all workers.
+_MODULES = ("multilica.steps.worker_imports",)
+
+
+def open_calibration_workers(config: CalibrationConfig) -> AbstractContextManager[Workers]:
+    """Open the worker processes for calibrations with that configuration; none if it stops before they have work."""
+    return open_workers(1 if config.until == "ingest" else config.runtime.workers, _MODULES)

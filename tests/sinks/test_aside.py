@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+import threading
+
+import pytest
+
+from multilica.sinks.aside import pass_aside
+
+
+def test_events_are_passed_in_order_by_one_other_thread():
+    seen = []
+    with pass_aside(lambda event: seen.append((event, threading.current_thread()))) as observe:
+        for event in range(100):
+            observe(event)
+    assert [event for event, _ in seen] == list(range(100))
+    (thread,) = {thread for _, thread in seen}
+    assert thread is not threading.current_thread()
+    assert not thread.is_alive()
+
+
+def test_the_caller_does_not_wait():
+    go, seen = threading.Event(), []
+
+    def wait(event):
+        go.wait(10.0)
+        seen.append(event)
+
+    with pass_aside(wait) as observe:
+        observe(1)
+        observe(2)
+        assert seen == []
+        go.set()
+    assert seen == [1, 2]
+
+
+def test_a_failure_reaches_the_caller_and_ends_the_events():
+    seen, failed = [], threading.Event()
+
+    def fail(event):
+        seen.append(event)
+        failed.set()
+        raise OSError(28, "No space left on device")
+
+    def run():
+        with pass_aside(fail) as observe:
+            observe(1)
+            failed.wait(10.0)
+            while True:
+                observe(2)
+
+    with pytest.raises(OSError, match="No space"):
+        run()
+    assert seen == [1]
+
+
+def test_a_failure_of_the_last_event_is_raised_at_the_end():
+    def fail(_):
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(OSError, match="No space"), pass_aside(fail) as observe:
+        observe(1)
+
+
+def test_an_exception_of_the_caller_comes_after_the_events():
+    seen = []
+
+    def stop():
+        with pass_aside(seen.append) as observe:
+            observe(1)
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        stop()
+    assert seen == [1]
