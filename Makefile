@@ -10,7 +10,7 @@ SAMPLE := recordings/samples/edgar-street.mcap
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo test test-kernels lint pytest node ros2 bench sample docs format constraints clean
+.PHONY: help libraries pictures demo test test-kernels lint pytest node ros2 bench bench-tables sample docs docs-pictures format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -35,12 +35,18 @@ pytest: $(READY) pictures node ros2
 bench: $(READY) ## Measure every claim on simulated and real scenes; an hour or more.
 	$(BIN)/python -m tests.bench
 
+bench-tables: $(READY) ## Write docs/benchmark.md: the paper's tables on simulated rigs; 15 minutes of CPU time.
+	$(BIN)/python -m tests.bench tables
+
 sample: $(READY) ## Make the embedded sample anew.
 	$(BIN)/multilica simulate --rig edgar --scene street --seed 1 --frames 2 --keep-every 4 --out $(SAMPLE)
 
 docs: $(READY) ## Write docs/configuration.md and docs/result.schema.json from the models.
 	$(BIN)/multilica config --markdown > docs/configuration.md
 	$(BIN)/python -c "from multilica.results.document.result import schema_text; print(schema_text())" > docs/result.schema.json
+
+docs-pictures: $(READY) pictures node ## Draw docs/pictures anew and check the output that the pages quote; a few minutes.
+	$(BIN)/python -m tests.documentation_pictures
 
 format: $(READY) ## Format the code, fix what the linter can fix.
 	$(BIN)/ruff check --fix .

@@ -152,8 +152,8 @@ def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _R
     if config.target:
         require_lidar(config.target, sources)
     with open_run(directory, request.config, request.mcap_encoding) as run:
-        run.clear()  # an interrupted run must not leave an earlier joint result beside its own snapshots
-        alone = [_run_alone(source, directory / source.name, request) for source in sources]
+        run.start()
+        alone = [_run_alone(source, run.place / source.name, request) for source in sources]
         result = join(alone, config)
         shown = next(source for source in sources if source.name == shown_snapshot(result))
         result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run)

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Ends of the process: exit codes, failures, signals."""
+"""Ends of the process: exit codes and failures."""
 
 from __future__ import annotations
 
 import os
-import signal
 import sys
-import time
 from enum import IntEnum
-from types import FrameType
 from typing import TYPE_CHECKING
 
 import typer
 
 from multilica.errors import InputError, MultilicaError, UsageError
+from multilica_cli.signals import Interrupted, print_line
 from multilica_cli.terminal import printable
 
 if TYPE_CHECKING:
@@ -22,16 +20,13 @@ if TYPE_CHECKING:
 __all__ = [
     "DEBUG_VARIABLE",
     "ExitCode",
-    "Interrupted",
     "describe_failure",
     "exit_code",
     "print_failure",
-    "unwind_on_signals",
 ]
 
 DEBUG_VARIABLE = "MULTILICA_DEBUG"
 """Environment variable; 1 adds the traceback to each failure."""
-_GRACE_S = 5.0
 
 
 class ExitCode(IntEnum):
@@ -53,38 +48,11 @@ def exit_code(run: CalibrationRun) -> ExitCode:
     return ExitCode.DONE if stopped_early or run.result.status == "complete" else ExitCode.NOT_PLACED
 
 
-class Interrupted(BaseException):
-    """A signal that asked the process to end."""
-
-    def __init__(self, signal_number: int) -> None:
-        self.exit_code = 128 + signal_number
-        super().__init__(f"Stopped by {signal.Signals(signal_number).name}.")
-
-
-def unwind_on_signals() -> None:
-    """Raise `Interrupted` in the main thread on SIGINT, SIGTERM and SIGHUP, unless the parent ignores them.
-
-    After the first signal, more of them are ignored for five seconds, so that they do not disturb the clean-up.
-    """
-    ignored_until_s = 0.0
-
-    def unwind(number: int, frame: FrameType | None) -> None:
-        nonlocal ignored_until_s
-        del frame
-        if time.monotonic() >= ignored_until_s:
-            ignored_until_s = time.monotonic() + _GRACE_S
-            raise Interrupted(number)
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, unwind)
-
-
 def print_failure(failure: BaseException) -> int:
     """Print the failure on stderr and return the exit code."""
     code, sentence = describe_failure(failure)
     if sentence:
-        print(f"multilica: {printable(' '.join(sentence.split()))}", file=sys.stderr)  # noqa: T201
+        print_line(printable(" ".join(sentence.split())))
     if os.environ.get(DEBUG_VARIABLE) == "1":
         sys.excepthook(type(failure), failure, failure.__traceback__)
     return code

@@ -3,7 +3,6 @@
 
 import gc
 import os
-import sys
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -12,11 +11,13 @@ import typer
 import multilica
 from multilica_cli.commands.calibrate import calibrate
 from multilica_cli.commands.config import config
+from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
 from multilica_cli.commands.simulate import simulate
-from multilica_cli.exit_codes import print_failure, unwind_on_signals
+from multilica_cli.exit_codes import print_failure
+from multilica_cli.signals import Interrupted, received
 
 __all__ = ["app", "main", "run"]
 
@@ -29,7 +30,7 @@ app = typer.Typer(
     "4 a LiDAR uncertain, not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM, "
     "129 SIGHUP.",
 )
-for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, demo):
+for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, datasets, demo):
     app.command()(command)
 
 
@@ -38,13 +39,12 @@ _OBJECTS_BEFORE_COLLECTION = 500_000
 after each 700 new objects, take time for nothing."""
 
 
-def main() -> None:
-    """Run the command line of this process."""
+def main() -> int:
+    """Run the command line of this process and return its exit code."""
     # Cores are used by worker processes. Libraries read this when they are loaded.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
-    unwind_on_signals()
-    sys.exit(run())
+    return run()
 
 
 def run(arguments: Sequence[str] | None = None) -> int:
@@ -54,7 +54,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except SystemExit:
         raise
     except BaseException as failure:  # noqa: BLE001
-        return print_failure(failure)
+        return print_failure(failure if isinstance(failure, Interrupted) else received() or failure)
 
 
 def _print_version(asked: bool) -> None:

@@ -69,7 +69,9 @@ WindowSeconds = Annotated[
     float | None, typer.Option("--over", metavar="S", help="Spread the frames over this many seconds.")
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Fail if any part of the recording is unreadable.")]
-Preset = Annotated[str | None, typer.Option("--preset", metavar="default|paper", help="Set of parameters.")]
+Preset = Annotated[
+    str | None, typer.Option("--preset", metavar="default|paper|paper-algorithm1", help="Set of parameters.")
+]
 PriorSource = Annotated[
     str | None,
     typer.Option(

@@ -54,10 +54,10 @@ def accept(registrations: Sequence[Registration], config: AcceptanceConfig) -> V
 
 
 def accept_by_fitness(registration: PairRegistration, config: MergeConfig) -> Verdict:
-    """Accept a fitness at or above the threshold, as the paper does."""
-    if registration.fitness >= config.fitness_threshold:
+    """Accept a fitness above the threshold, as the paper does."""
+    if registration.fitness > config.fitness_threshold:
         return Verdict("accept")
-    text = f"fitness {registration.fitness:.3f} is below {config.fitness_threshold:g}"
+    text = f"fitness {registration.fitness:.3f} is not above {config.fitness_threshold:g}"
     return Verdict("reject", (Reason("low_fitness", registration.fitness, config.fitness_threshold, text),))
 
 

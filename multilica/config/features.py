@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Parameters of descriptors and matches."""
 
+from typing import Literal
+
 from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
@@ -11,6 +13,11 @@ __all__ = ["CorrespondConfig", "FeaturesConfig"]
 class FeaturesConfig(Section):
     """FPFH descriptors."""
 
+    engine: Literal["open3d_tensor", "open3d"] = Field(
+        "open3d_tensor",
+        description="implementation of FPFH; they differ where neighbours are equally near; open3d: twice as slow, and "
+        "the voxel grid begins at the cloud, not at the sensor",
+    )
     voxel_size_m: PositiveMetres = Field(0.35, description="voxel grid on which descriptors are computed")
     further_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
         (0.5, 0.25),
@@ -21,6 +28,9 @@ class FeaturesConfig(Section):
     feature_radius_voxels: Positive = Field(5.0, description="neighbourhood of a descriptor, in voxels")
     feature_neighbours: Count = Field(100, description="largest number of neighbours of a descriptor")
     max_range_m: PositiveMetres = Field(40.0, description="farther returns get no descriptor")
+    range_shape: Literal["ball", "box"] = Field(
+        "ball", description="what max_range_m limits; ball: the distance; box: each coordinate in the LiDAR's frame"
+    )
     orient_normals: bool = Field(default=True, description="orient normals towards the sensor that saw the surface")
 
 
@@ -28,5 +38,15 @@ class CorrespondConfig(Section):
     """Matching of descriptors."""
 
     mutual: bool = Field(default=True, description="keep a match only if each is the other's nearest neighbour")
-    max_keypoints: Count = Field(8000, description="descriptors per LiDAR that are matched; more are drawn evenly")
-    max_matches: Count = Field(2000, description="the nearest matches that the coarse stage gets; bounds its memory")
+    engine: Literal["blocks", "kd_tree"] = Field(
+        "blocks", description="search of the nearest; blocks: in single precision; kd_tree: in double precision"
+    )
+    max_keypoints: int = Field(
+        8000, ge=0, description="descriptors per LiDAR that are matched; more are drawn evenly; 0: all"
+    )
+    max_matches: int = Field(
+        2000,
+        ge=0,
+        description="the nearest matches that the coarse stage gets; bounds its memory; 0: all, in the order of the "
+        "source's points",
+    )

@@ -13,7 +13,11 @@ __all__ = ["FineConfig"]
 class FineConfig(Section):
     """GICP of the finalists, and of the best of them on all points."""
 
-    engine: Literal["small_gicp", "open3d"] = Field("small_gicp", description="implementation of GICP")
+    engine: Literal["small_gicp", "open3d"] = Field(
+        "small_gicp",
+        description="implementation of GICP; open3d: covariances follow from normals, and the voxel grid begins at the "
+        "cloud, not at the sensor",
+    )
     voxel_size_m: PositiveMetres = Field(
         0.15, description="voxel grid of GICP; on a finer one range noise bends the normals, and so turns the pose"
     )
@@ -24,10 +28,10 @@ class FineConfig(Section):
     max_iterations: Count = Field(30, description="largest number of iterations of each run")
     rotation_epsilon_rad: Positive = Field(1e-4, description="converged when a step turns by less (small_gicp)")
     translation_epsilon_m: PositiveMetres = Field(1e-4, description="converged when a step moves by less (small_gicp)")
-    gicp_epsilon: Positive = Field(0.005, description="variance along the normal (open3d)")
+    gicp_epsilon: Positive = Field(0.005, description="variance along the normal; 1 across it (open3d)")
     relative_fitness: Positive = Field(1e-7, description="converged when fitness changes by less (open3d)")
     relative_rmse: Positive = Field(1e-7, description="converged when the RMSE changes by less (open3d)")
-    neighbours: Count = Field(20, description="points from which a covariance is estimated")
+    neighbours: Count = Field(20, description="points from which a covariance or a normal is estimated")
     fitness_distance_m: PositiveMetres = Field(
         0.25, description="a point nearer than this to the other cloud is an inlier of fitness and RMSE"
     )

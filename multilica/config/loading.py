@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from multilica.config.calibration import PRESETS, CalibrationConfig
 from multilica.config.section import Section
+from multilica.config.unused import leaf_keys, refuse_unused
 from multilica.errors import ConfigError, UnknownNameError
 
 __all__ = ["known_keys", "load_config", "preset", "with_overrides"]
@@ -31,7 +32,8 @@ def load_config(path: Path) -> CalibrationConfig:
     """Read a TOML file; missing keys come from the preset that it names, else from `default`.
 
     Raises:
-        ConfigError: no such file, not TOML, an unknown key, or a value out of range.
+        ConfigError: no such file, not TOML, an unknown key, a value out of range, or a key that differs from the
+            preset and has no effect.
         UnknownNameError: no such preset.
     """
     try:
@@ -41,22 +43,31 @@ def load_config(path: Path) -> CalibrationConfig:
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{path} is not a readable TOML file: {error}.") from error
     base = preset(str(table.get("preset", "default")))
-    return _merged(base, table, str(path))
+    config = _merged(base, table, str(path))
+    kept, found = dict(leaf_keys(base.model_dump())), dict(leaf_keys(config.model_dump()))
+    # A file that `multilica config --toml` wrote has every key.
+    refuse_unused(config, [key for key, _ in leaf_keys(table) if found.get(key) != kept.get(key)], str(path))
+    return config
 
 
 def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> CalibrationConfig:
     """Apply ``section.key=value`` settings; a value is read as TOML, else as a bare string.
 
     Raises:
-        ConfigError: a text without ``=``, an unknown key, or a value out of range.
+        ConfigError: a text without ``=``, an unknown key, a value out of range, or a key without effect.
     """
+    given: dict[str, str] = {}
     for override in overrides:
         key, equals, text = override.partition("=")
         if not equals or not key.strip():
             raise ConfigError(
                 f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30."
             )
-        config = _merged(config, _nested(key.strip().split("."), _toml_value(text.strip())), f"setting '{override}'")
+        table = _nested(key.strip().split("."), _toml_value(text.strip()))
+        config = _merged(config, table, f"setting '{override}'")
+        given.update({leaf: f"setting '{override}'" for leaf, _ in leaf_keys(table)})
+    for key, where in given.items():
+        refuse_unused(config, [key], where)
     return config
 
 

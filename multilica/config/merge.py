@@ -16,9 +16,10 @@ class MergeConfig(Section):
     mode: Literal["graph", "algorithm1", "target_first"] = Field(
         "graph",
         description="graph: accepted pairs join their LiDARs, groups are registered only where none does; algorithm1: "
-        "the paper's; target_first: all to the target, then the rest to the merged cloud",
+        "the best pair first, then what its LiDARs share with others again, as in the paper; target_first: each LiDAR "
+        "to the target, then the rest to the merged cloud, as the published code of the paper",
     )
-    fitness_threshold: Share = Field(0.2, description="smallest fitness of a pair where verification is off")
+    fitness_threshold: Share = Field(0.2, description="where verification is off, a pair needs a larger fitness")
 
 
 class RefineConfig(Section):

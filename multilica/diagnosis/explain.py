@@ -168,7 +168,12 @@ def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
 
 
 def _warnings(document: ResultDocument) -> Iterator[str]:
-    """Yield a sentence per dirty sensor, placement far from its prior, and pair that contradicts the others."""
+    """Yield a sentence per doubt: unchecked placements, dirty sensors, priors far off, pairs that contradict others."""
+    if document.accepted_by == "fitness" and len(document.placed) > 1:
+        yield (
+            "the placements were accepted by their fitness alone "
+            f"(preset {document.config.preset}, verify.enabled=false); a wrong pose can have a high fitness."
+        )
     for name, entry in document.lidars.items():
         for reason in entry.health.reasons if entry.health is not None else ():
             if reason.code == "dirty":

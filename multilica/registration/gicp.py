@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import small_gicp
@@ -45,7 +45,8 @@ def register(
     for distance_m in config.max_correspondence_distances_m:
         state = run(state, target, within_reach, distance_m, config)
         converged &= state.converged
-    fitness, rmse_m, inliers = fitness_and_rmse(target, source, state.pose, config.fitness_distance_m)
+    fit = state.fit if config.fitness_distance_m == config.max_correspondence_distances_m[-1] else None
+    fitness, rmse_m, inliers = fit or fitness_and_rmse(target, source, state.pose, config.fitness_distance_m)
     return PairRegistration(
         target=target.name,
         source=source.name,
@@ -91,13 +92,18 @@ def fitness_and_rmse(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Gicp:
-    """State of a GICP run."""
+    """State of a GICP run.
+
+    Args:
+        fit: fitness, RMSE and inliers within the correspondence distance; None where the engine does not give them.
+    """
 
     pose: RigidTransform
     iterations: int = 0
     converged: bool = False
     hessian: FloatArray | None = None
     steps: tuple[GicpStep, ...] = ()
+    fit: tuple[float, float, int] | None = None
 
     def moved(
         self,
@@ -167,4 +173,6 @@ def _run_open3d(
         registration.ICPConvergenceCriteria(config.relative_fitness, config.relative_rmse, config.max_iterations),
     )
     inliers, iterations = len(result.correspondence_set), config.max_iterations
-    return state.moved(result.transformation, iterations, distance_m, inliers, float("nan"), converged=inliers > 0)
+    moved = state.moved(result.transformation, iterations, distance_m, inliers, float("nan"), converged=inliers > 0)
+    fit = (float(result.fitness), float(result.inlier_rmse), inliers) if inliers else None
+    return replace(moved, fit=fit)

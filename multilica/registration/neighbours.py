@@ -8,9 +8,10 @@ import small_gicp
 from scipy.ndimage import distance_transform_cdt
 
 from multilica.geometry import FloatArray, lengths
+from multilica.registration.lazy_open3d import o3d
 from multilica.results import IndexArray
 
-__all__ = ["MovedPoints", "PointTree", "Surface", "spread_and_normals", "thin"]
+__all__ = ["MovedPoints", "PointTree", "Surface", "spread_and_normals", "thin", "thin_from_cloud"]
 
 # Along the longest side of a cloud: metres per cell, so that a grid costs less than the tree.
 _GRID_CELLS = 100
@@ -23,13 +24,17 @@ class PointTree:
         points_m: (N, 3).
 
     Attributes:
-        cloud, engine: the same points and tree as the types of small_gicp.
+        cloud: the same points as the type of small_gicp.
     """
 
     def __init__(self, points_m: FloatArray) -> None:
         self.points_m = np.ascontiguousarray(points_m)
         self.cloud = small_gicp.PointCloud(self.points_m)
-        self.engine = small_gicp.KdTree(self.cloud, num_threads=1)
+
+    @cached_property
+    def engine(self) -> small_gicp.KdTree:
+        """The tree as the type of small_gicp, built on first use."""
+        return small_gicp.KdTree(self.cloud, num_threads=1)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Build the tree again in another process: types of the engine cannot be copied."""
@@ -198,3 +203,11 @@ def thin(points_m: FloatArray, voxel_size_m: float) -> FloatArray:
         return points_m
     voxels = small_gicp.voxelgrid_sampling(points_m, voxel_size_m, num_threads=1)
     return np.ascontiguousarray(voxels.points()[:, :3])
+
+
+def thin_from_cloud(points_m: FloatArray, voxel_size_m: float) -> FloatArray:
+    """Do the same on Open3D's grid, which begins half a voxel below the smallest coordinates, not at the sensor."""
+    if voxel_size_m == 0.0 or len(points_m) == 0:
+        return points_m
+    pcd = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(np.array(points_m)))
+    return np.asarray(pcd.voxel_down_sample(voxel_size_m).points)

@@ -10,7 +10,7 @@ import small_gicp
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray
 from multilica.registration.lazy_open3d import o3d
-from multilica.registration.neighbours import PointTree, Surface, thin
+from multilica.registration.neighbours import PointTree, Surface, thin, thin_from_cloud
 
 __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
 
@@ -26,9 +26,9 @@ class RegistrationCloud:
         name: the LiDAR, or the root of a group.
         points_m: (N, 3) in the frame of that name.
         tree: nearest neighbours among `points_m`.
-        engine_cloud: the engine's own type, with covariances.
+        engine_cloud: the engine's own type, with covariances; that of Open3D with normals, from which it makes them.
         engine: name of the engine.
-        neighbours: points from which a covariance is estimated.
+        neighbours: points from which a covariance or a normal is estimated.
     """
 
     name: str
@@ -49,11 +49,12 @@ class RegistrationCloud:
 
 
 def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConfig) -> RegistrationCloud:
-    """Thin a cloud and estimate a covariance per point from its neighbours."""
-    thinned, voxel_size_m = thin(points_m, config.voxel_size_m), config.voxel_size_m
+    """Thin a cloud on the engine's grid, and estimate a covariance or normal per point from its neighbours."""
+    thinned_on_grid = thin if config.engine == "small_gicp" else thin_from_cloud
+    thinned, voxel_size_m = thinned_on_grid(points_m, config.voxel_size_m), config.voxel_size_m
     while len(thinned) > config.max_points:
         voxel_size_m *= _COARSER
-        thinned = thin(thinned, voxel_size_m)
+        thinned = thinned_on_grid(thinned, voxel_size_m)
     return _with_covariances(name, thinned, config.engine, config.neighbours)
 
 
@@ -64,5 +65,5 @@ def _with_covariances(name: str, points_m: FloatArray, engine: str, neighbours: 
         small_gicp.estimate_covariances(tree.cloud, tree.engine, num_neighbors=neighbours, num_threads=1)
     else:
         engine_cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
-        engine_cloud.estimate_covariances(o3d.geometry.KDTreeSearchParamKNN(neighbours))
+        engine_cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(neighbours))
     return RegistrationCloud(name, tree.points_m, tree, engine_cloud, engine, neighbours)

@@ -31,7 +31,7 @@ PRIOR = "prior"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correspondences:
-    """Matched points of two LiDARs, best first; row i of each array belongs to match i.
+    """Matched points of two LiDARs; row i of each array belongs to match i.
 
     Args:
         target_points_m, source_points_m: (M, 3), each in its own LiDAR's frame.
@@ -109,6 +109,7 @@ class CoarseResult:
     Args:
         hypotheses: that of the prior, if there is one, comes last.
         graph_nodes, graph_edges: size of the consistency graph; 0 where the solver builds none.
+        clique_size: members of its largest clique that was found.
     """
 
     target: str
@@ -116,3 +117,4 @@ class CoarseResult:
     hypotheses: tuple[Hypothesis, ...]
     graph_nodes: int = 0
     graph_edges: int = 0
+    clique_size: int = 0

@@ -26,6 +26,7 @@ __all__ = [
     "Truth",
     "evaluate",
     "summarise",
+    "truth_per_run",
 ]
 
 Outcome = Literal["within", "between", "false_accept", "false_refuse", "uncertain_within", "uncertain_beyond"]
@@ -199,7 +200,7 @@ def evaluate(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: Tole
         raise UsageError(f"Run {repeated[0]} is given more than once; give each run once, or it counts twice.")
     comparisons: list[Comparison] = []
     left_out: list[LeftOut] = []
-    for run, truth in zip(runs, _one_each(truths, len(runs)), strict=True):
+    for run, truth in zip(runs, truth_per_run(truths, len(runs)), strict=True):
         left_out += _left_out(run, truth)
         found = [
             one
@@ -230,7 +231,12 @@ def summarise(comparisons: Sequence[Comparison]) -> Summary:
     )
 
 
-def _one_each(truths: Sequence[Truth], runs: int) -> Sequence[Truth]:
+def truth_per_run(truths: Sequence[Truth], runs: int) -> Sequence[Truth]:
+    """Return one truth per run, from one for all or from one each.
+
+    Raises:
+        UsageError: another number of truths.
+    """
     if len(truths) == 1:
         return [truths[0]] * runs
     if len(truths) != runs:

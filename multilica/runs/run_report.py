@@ -8,12 +8,12 @@ import numpy as np
 
 from multilica.errors import SourceNotFoundError, UsageError
 from multilica.geometry import RigidTransform
-from multilica.results import LEVEL_FRAME
+from multilica.results import LEVEL_FRAME, PairKey
 from multilica.results.document import PairEntry
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.report.contents import ReportContents, ScoredPoints
 from multilica.sinks.report.page import report_html
-from multilica.sinks.rerun.reading import RecordedScores, read_recorded_cloud, read_recorded_scores
+from multilica.sinks.rerun.reading import RecordedScores, read_recorded_clouds, read_recorded_scores
 from multilica.sinks.rerun.viewer import viewer_picture
 from multilica.stages.ground import estimate_level
 
@@ -43,8 +43,13 @@ def contents_of_run(path: Path) -> ReportContents:
     if run.recording is None:
         raise SourceNotFoundError(f"{path} has no recording (.rrd) beside it, which has the clouds to draw.")
     recording = run.recording
-    clouds = {name: read_recorded_cloud(recording, name).astype(np.float64) for name in run.document.lidars}
-    scored = {pair.key: _scored(recording, pair) for pair in run.document.pairs}
+    recorded = read_recorded_clouds(recording, list(run.document.lidars))
+    clouds = {name: points_m.astype(np.float64) for name, points_m in recorded.items()}
+    # No picture shows an accepted pair.
+    shown = [pair for pair in run.document.pairs if not pair.verdict.accepted]
+    scores = read_recorded_scores(recording, [pair.key for pair in shown])
+    scored: dict[PairKey, tuple[ScoredPoints, ...]] = {pair.key: () for pair in run.document.pairs}
+    scored |= {pair.key: _scored(scores[pair.key], pair) for pair in shown}
     contents = ReportContents(run.document, clouds, scored)
     return replace(contents, level=_level(contents))
 
@@ -56,11 +61,8 @@ def _level(contents: ReportContents) -> RigidTransform | None:
     return estimate_level(contents.target, contents.clouds, contents.poses(), document.config)
 
 
-def _scored(recording: Path, pair: PairEntry) -> tuple[ScoredPoints, ...]:
-    """Return the chosen pose, then the competing one; nothing for an accepted pair, which no picture shows."""
-    if pair.verdict.accepted:
-        return ()
-    found = read_recorded_scores(recording, pair.target, pair.source)
+def _scored(found: RecordedScores, pair: PairEntry) -> tuple[ScoredPoints, ...]:
+    """Return the chosen pose, then the competing one."""
     finalists = [
         RigidTransform(pair.target, pair.source, np.asarray(one.T_target_source)) for one in pair.registrations
     ]

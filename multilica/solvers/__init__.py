@@ -2,22 +2,32 @@
 """Solvers that turn matches with many outliers into poses, all with one signature."""
 
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 
 from multilica.config import CoarseConfig
-from multilica.geometry import RigidTransform
 from multilica.results import Correspondences
 from multilica.solvers.cliques import solve_by_cliques
-from multilica.solvers.library_solvers import solve_by_fgr, solve_by_kiss_matcher, solve_by_ransac, solve_by_teaserpp
+from multilica.solvers.library_solvers import solve_by_fgr, solve_by_kiss_matcher, solve_by_ransac
+from multilica.solvers.solution import Solution
+from multilica.solvers.teaser import solve_by_maximum_clique, solve_by_teaserpp
 
-__all__ = ["SOLVERS", "Solver"]
+__all__ = ["SOLVERS", "Solution", "Solver", "solver_in_use"]
 
-Solver = Callable[[Correspondences, CoarseConfig, int], tuple[tuple[RigidTransform, ...], int]]
-"""Takes matches, configuration and seed to poses, the most trusted first, and the consistency graph's edges (or 0)."""
+Solver = Callable[[Correspondences, CoarseConfig, int], Solution]
+"""Takes at least one match, the configuration and a seed."""
 
 SOLVERS: Mapping[str, Solver] = {
     "cliques": solve_by_cliques,
-    "kiss_matcher": solve_by_kiss_matcher,
+    "maximum_clique": solve_by_maximum_clique,
     "teaserpp": solve_by_teaserpp,
+    "kiss_matcher": solve_by_kiss_matcher,
     "ransac": solve_by_ransac,
     "fgr": solve_by_fgr,
 }
+
+
+def solver_in_use(config: CoarseConfig) -> str:
+    """Name the solver that runs: `maximum_clique` for `teaserpp` where `teaserpp_python` is not installed."""
+    if config.solver == "teaserpp" and find_spec("teaserpp_python") is None:
+        return "maximum_clique"
+    return config.solver

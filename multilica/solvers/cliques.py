@@ -11,6 +11,7 @@ from multilica.registration.poses import is_distinct
 from multilica.results import BoolArray, Correspondences, IndexArray
 from multilica.solvers.consistency_graph import build_consistency_graph, grow_clique
 from multilica.solvers.robust_pose import align_points, robust_pose
+from multilica.solvers.solution import Solution
 
 __all__ = ["solve_by_cliques"]
 
@@ -28,9 +29,7 @@ _CLIQUE_BOUNDS = 2.0
 _REFIT_BOUNDS = (2.0, 1.0, 1.0)
 
 
-def solve_by_cliques(
-    matches: Correspondences, config: CoarseConfig, seed: int
-) -> tuple[tuple[RigidTransform, ...], int]:
+def solve_by_cliques(matches: Correspondences, config: CoarseConfig, seed: int) -> Solution:
     """Solve by the idea of TEASER++ (Yang et al., T-RO 2020), extended to several hypotheses.
 
     Build a consistency graph on invariant lengths and angles. Grow a clique from the match that is consistent with the
@@ -43,11 +42,13 @@ def solve_by_cliques(
     edges = int(neighbours.sum()) // 2
     explained = np.zeros(len(matches), dtype=np.bool_)
     found: list[tuple[RigidTransform, int]] = []
+    largest = 0
     while len(found) < _CLIQUES_PER_HYPOTHESIS * config.max_hypotheses:
         first = int(neighbours.argmax())
         if neighbours[first] < _MIN_MATCHES - 1 or (len(found) == _FIRST_CLIQUES and _stands_out(found)):
             break
         clique = grow_clique(graph, first)
+        largest = max(largest, len(clique))
         explains = np.zeros_like(explained)
         if len(clique) >= _MIN_MATCHES:
             pose, explains = _fit(matches, clique, config)
@@ -56,7 +57,7 @@ def solve_by_cliques(
         neighbours -= np.count_nonzero(graph[explains & ~explained], axis=0)
         explained |= explains
         neighbours[explained] = 0
-    return tuple(pose for pose, _ in found), edges
+    return Solution(tuple(pose for pose, _ in found), edges, largest)
 
 
 def _fit(matches: Correspondences, clique: IndexArray, config: CoarseConfig) -> tuple[RigidTransform, BoolArray]:

@@ -10,7 +10,7 @@ from multilica.config import CoarseConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct, is_near
 from multilica.results import PRIOR, CoarseResult, Correspondences, Hypothesis
-from multilica.solvers import SOLVERS
+from multilica.solvers import SOLVERS, Solution, solver_in_use
 
 __all__ = ["find_hypotheses"]
 
@@ -40,13 +40,15 @@ def find_hypotheses(
     """
     plausible = matches.within_baseline(max_baseline_m)
     enough = len(plausible) >= _MIN_MATCHES
-    poses, edges = SOLVERS[config.solver](plausible, config, seed) if enough else ((), 0)
-    near = [_supported(pose, matches, config, config.solver) for pose in poses if is_near(pose, max_baseline_m)]
-    hypotheses = _distinct((each for each in near if each.score >= _MIN_MATCHES), config.max_hypotheses)
+    solver = solver_in_use(config)
+    found = SOLVERS[solver](plausible, config, seed) if enough else Solution()
+    near = [_supported(pose, matches, config, solver) for pose in found.poses if is_near(pose, max_baseline_m)]
+    agreed = (each for each in near if each.score >= config.min_agreeing_matches)
+    hypotheses = _distinct(agreed, config.max_hypotheses)
     if prior is not None and is_near(prior, max_baseline_m):
         hypotheses.append(_supported(prior, matches, config, PRIOR))
     numbered = tuple(replace(hypothesis, index=index) for index, hypothesis in enumerate(hypotheses))
-    return CoarseResult(matches.target, matches.source, numbered, len(plausible), edges)
+    return CoarseResult(matches.target, matches.source, numbered, len(plausible), found.graph_edges, found.clique_size)
 
 
 def _supported(pose: RigidTransform, matches: Correspondences, config: CoarseConfig, origin: str) -> Hypothesis:

@@ -3,6 +3,7 @@
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from multilica.config import CoarseConfig, CorrespondConfig
 from multilica.geometry import FloatArray
@@ -22,8 +23,9 @@ _BLOCK = 64
 def match_features(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
     """Match each descriptor of the source with the nearest of the target, the closest matches first.
 
-    With `mutual`, a match is kept only if each is the other's nearest neighbour in descriptor space. Neighbours are
-    found in single precision, so that of several nearly identical descriptors any may be taken for the nearest.
+    With `mutual`, a match is kept only if each is the other's nearest neighbour in descriptor space. Engine `blocks`
+    finds neighbours in single precision, so that of several nearly identical descriptors any may be taken for the
+    nearest. Without a limit the matches keep the order of the source's points.
     """
     return _match(_sample(target, config.max_keypoints), _sample(source, config.max_keypoints), config)
 
@@ -39,16 +41,19 @@ def pair_promise(target: FeatureCloud, source: FeatureCloud, config: CoarseConfi
     matches = _match(*few, CorrespondConfig()).within_baseline(max_baseline_m)
     if len(matches) == 0:
         return 0.0
-    poses, _ = solve_by_cliques(matches, config.model_copy(update={"max_hypotheses": 1}), 0)
-    near = [pose for pose in poses if is_near(pose, max_baseline_m)]
+    found = solve_by_cliques(matches, config.model_copy(update={"max_hypotheses": 1}), 0)
+    near = [pose for pose in found.poses if is_near(pose, max_baseline_m)]
     agreeing = (matches.agreeing(pose, config.noise_bound_m, config.normal_tolerance_deg) for pose in near)
     return float(max(map(np.count_nonzero, agreeing), default=0))
 
 
 def _match(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
-    pairs = _nearest_pairs(target.descriptors, source.descriptors, mutual=config.mutual)
+    nearest_pairs = _nearest_by_kd_tree if config.engine == "kd_tree" else _nearest_pairs
+    pairs = nearest_pairs(target.descriptors, source.descriptors, mutual=config.mutual)
     distances = np.linalg.norm(source.descriptors[pairs[:, 0]] - target.descriptors[pairs[:, 1]], axis=1)
-    best = np.lexsort((pairs[:, 0], distances))[: config.max_matches]
+    best = np.arange(len(pairs))
+    if config.max_matches:
+        best = np.lexsort((pairs[:, 0], distances))[: config.max_matches]
     source_index, target_index = pairs[best].T
     return Correspondences(
         target=target.lidar,
@@ -62,8 +67,8 @@ def _match(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig)
 
 
 def _sample(cloud: FeatureCloud, most: int) -> FeatureCloud:
-    """Draw at most so many descriptors."""
-    if len(cloud.points_m) <= most:
+    """Draw at most so many descriptors; all if 0."""
+    if most == 0 or len(cloud.points_m) <= most:
         return cloud
     kept = np.sort(np.random.default_rng(0).permutation(len(cloud.points_m))[:most])
     return FeatureCloud(cloud.lidar, cloud.points_m[kept], cloud.normals[kept], cloud.descriptors[kept])
@@ -95,6 +100,18 @@ def _nearest_pairs(target: FloatArray, source: FloatArray, *, mutual: bool) -> I
     _, first = np.unique(nearest[chosen], return_index=True)
     chosen = np.sort(chosen[first])
     return np.column_stack([chosen, nearest[chosen]])
+
+
+def _nearest_by_kd_tree(target: FloatArray, source: FloatArray, *, mutual: bool) -> IndexArray:
+    """Do the same in double precision."""
+    if len(target) == 0 or len(source) == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    _, nearest = cKDTree(target).query(source)
+    pairs = np.column_stack([np.arange(len(source)), nearest])
+    if not mutual:
+        return pairs
+    _, nearest_source = cKDTree(source).query(target)
+    return np.asarray(pairs[nearest_source[nearest] == pairs[:, 0]])
 
 
 def _squared(descriptors: FloatArray) -> npt.NDArray[np.float64]:

@@ -4,9 +4,9 @@
 import numpy as np
 
 from multilica.config import FeaturesConfig
-from multilica.geometry import read_only
+from multilica.geometry import FloatArray, read_only
 from multilica.registration.lazy_open3d import o3d
-from multilica.registration.neighbours import thin
+from multilica.registration.neighbours import thin, thin_from_cloud
 from multilica.results import FeatureCloud, PreprocessedCloud
 
 __all__ = ["compute_features"]
@@ -18,12 +18,31 @@ def compute_features(cloud: PreprocessedCloud, config: FeaturesConfig) -> Featur
     """Compute FPFH descriptors (Rusu et al., ICRA 2009) on a voxel grid, with normals that point to the sensor.
 
     The sign of a normal changes the histogram. Both sensors of a rig see the same side of a surface, so normals that
-    point to the sensor make descriptors of the two comparable.
+    point to the sensor make descriptors of the two comparable. Without `orient_normals` the sign is arbitrary.
     """
-    near = np.linalg.norm(cloud.points_m, axis=1) <= config.max_range_m
-    points = thin(cloud.points_m[near], config.voxel_size_m)
+    near = _range_m(cloud.points_m, config) <= config.max_range_m
+    compute = _compute_tensor if config.engine == "open3d_tensor" else _compute
+    points, normals, descriptors = compute(cloud.points_m[near], config)
+    return FeatureCloud(
+        lidar=cloud.lidar,
+        points_m=read_only(points, np.float64),
+        normals=read_only(normals, np.float64),
+        descriptors=read_only(descriptors, np.float64),
+    )
+
+
+def _range_m(points_m: FloatArray, config: FeaturesConfig) -> FloatArray:
+    """Return what `max_range_m` limits for each of (N, 3) points: distance, or largest coordinate."""
+    if config.range_shape == "box":
+        return np.asarray(np.abs(points_m).max(axis=1, initial=0.0))
+    return np.asarray(np.linalg.norm(points_m, axis=1))
+
+
+def _compute_tensor(points_m: FloatArray, config: FeaturesConfig) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the thinned points (N, 3) with normals (N, 3) and descriptors (N, 33), by Open3D's tensor library."""
+    points = thin(points_m, config.voxel_size_m)
     if len(points) == 0:
-        return FeatureCloud(cloud.lidar, points, np.empty((0, 3)), np.empty((0, _FPFH_BINS)))
+        return points, np.empty((0, 3)), np.empty((0, _FPFH_BINS))
     pcd = o3d.t.geometry.PointCloud(points)
     pcd.estimate_normals(config.normal_neighbours, config.normal_radius_voxels * config.voxel_size_m)
     if config.orient_normals:
@@ -31,9 +50,20 @@ def compute_features(cloud: PreprocessedCloud, config: FeaturesConfig) -> Featur
     fpfh = o3d.t.pipelines.registration.compute_fpfh_feature(
         pcd, config.feature_neighbours, config.feature_radius_voxels * config.voxel_size_m
     )
-    return FeatureCloud(
-        lidar=cloud.lidar,
-        points_m=read_only(points, np.float64),
-        normals=read_only(pcd.point.normals.numpy(), np.float64),
-        descriptors=read_only(fpfh.numpy(), np.float64),
+    return points, pcd.point.normals.numpy(), fpfh.numpy()
+
+
+def _compute(points_m: FloatArray, config: FeaturesConfig) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Do the same with Open3D's older library and its voxel grid."""
+    pcd = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(thin_from_cloud(points_m, config.voxel_size_m)))
+    if len(pcd.points) == 0:
+        return np.empty((0, 3)), np.empty((0, 3)), np.empty((0, _FPFH_BINS))
+    search = o3d.geometry.KDTreeSearchParamHybrid
+    voxel_size_m = config.voxel_size_m
+    pcd.estimate_normals(search(config.normal_radius_voxels * voxel_size_m, config.normal_neighbours))
+    if config.orient_normals:
+        pcd.orient_normals_towards_camera_location(np.zeros(3))
+    fpfh = o3d.pipelines.registration.compute_fpfh_feature(
+        pcd, search(config.feature_radius_voxels * voxel_size_m, config.feature_neighbours)
     )
+    return np.asarray(pcd.points), np.asarray(pcd.normals), np.asarray(fpfh.data).T

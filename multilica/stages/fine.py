@@ -73,14 +73,15 @@ def register_best(
         fit: off: without the fit to planes, and so without information.
 
     Returns:
-        The narrower side is the source. `registrations` holds the distinct finalists, the best first. Its stability
-        is tested if it has enough evidence, and is not firm, or is uncertain, or has a competing pose.
+        The narrower side is the source; where verification is off, the roles are as given. `registrations` holds the
+        distinct finalists, the best first. Its stability is tested if it has enough evidence, and is not firm, or is
+        uncertain, or has a competing pose.
     """
+    if not target.views:
+        return _register_first(target, source, hypotheses[0], config)
     if len(source.cloud.points_m) > len(target.cloud.points_m):
         target, source = source, target
         hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
-    if not target.views:
-        return _register_first(target, source, hypotheses[0], config)
     pair = _Pair(target, source, config, fit)
     finalists = pair.finalists(hypotheses)
     thinned = len(finalists) > 1 or pair.is_hopeless(finalists[0])

@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Merging of registered pairs into one rig: along the graph of accepted pairs, or by the paper's Algorithm 1."""
+"""Merging of registered pairs into one rig: along the graph of accepted pairs, or as the paper does."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from multilica.config import MergeConfig
-from multilica.geometry import RigidTransform
 from multilica.results import Group, MergeCandidate, MergeDecision, PairRegistration
 
-__all__ = ["MergeStep", "merge", "merge_along_graph"]
+__all__ = ["MergeStep", "merge_along_graph", "merge_by_fitness", "merge_target_first"]
 
 
-Reregister = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration | None]
+RegisterGroups = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration | None]
 """Registers the second group against the first, given the registrations between members; None if impossible."""
+RegisterAgain = Callable[[Group, Group, PairRegistration], PairRegistration | None]
+"""Registers the second group against the first from where the registration of their roots began."""
+RegisterRest = Callable[[Group, Group], PairRegistration | None]
+"""Registers the second group against the first from what is found between their clouds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +36,7 @@ class MergeStep:
 
 
 def merge_along_graph(
-    target: str, names: Sequence[str], pairs: Sequence[PairRegistration], register_groups: Reregister
+    target: str, names: Sequence[str], pairs: Sequence[PairRegistration], register_groups: RegisterGroups
 ) -> Iterator[MergeStep]:
     """Join what accepted pairs link, the pair with the most evidence first; register groups only where none does.
 
@@ -72,18 +74,7 @@ def merge_along_graph(
                 kept, added = added, kept
             grown = kept.joined(added, kept.pose_of(added, chosen.T_target_source))
             groups |= dict.fromkeys(grown.poses, grown)
-        ordered = sorted(
-            {id(group): group for group in groups.values()}.values(),
-            key=lambda group: (target not in group.poses, -len(group.poses), group.members),
-        )
-        decision = MergeDecision(
-            step=step,
-            candidates=tuple(_candidate(pair) for pair in ranked),
-            chosen=None if chosen is None else _candidate(chosen),
-            reason=_reason(ranked, chosen),
-            groups=tuple(group.members for group in ordered),
-        )
-        yield MergeStep(decision, chosen, tuple(ordered))
+        yield _step(step, ranked, chosen, target, {id(group): group for group in groups.values()}.values())
         if chosen is None:
             return
 
@@ -92,94 +83,98 @@ def _by_evidence(pairs: Sequence[PairRegistration]) -> list[PairRegistration]:
     return sorted(pairs, key=lambda pair: (-pair.evidence, pair.target, pair.source))
 
 
-def merge(
-    target: str, names: Sequence[str], pairs: Sequence[PairRegistration], reregister: Reregister, config: MergeConfig
+def merge_by_fitness(
+    target: str, names: Sequence[str], pairs: Sequence[PairRegistration], register_again: RegisterAgain
 ) -> Iterator[MergeStep]:
-    """Run the paper's Algorithm 1: merge the best pair, register the rest against the grown cloud, repeat.
+    """Run the paper's Algorithm 1: merge the best pair, drop its source's other pairs, register its target's again.
 
-    Groups without the target grow as well, so a chain A-B, B-C, C-target ends with all placed, in whatever order its
-    pairs are merged. Mode `target_first` is the paper's simpler one: every LiDAR accepted against the target is
-    merged as it is, and only the rest is registered against the merged cloud.
+    The paper's code ends without a result when a pair without the target LiDAR is the best, because it never counts
+    that source as placed. Here the members of a group are placed when the group is joined to the target's.
 
     Args:
         names: all LiDARs, the target included.
-        pairs: at most one registration per unordered pair.
+        pairs: one or both directions of each pair; the target LiDAR is never a source.
 
     Yields:
         One step per turn; the last one has `chosen` None unless all LiDARs are placed.
     """
-    state = _State(target, {name: Group.of_one(name) for name in names}, {pair.lidars: pair for pair in pairs})
+    groups = {name: Group.of_one(name) for name in names}
+    candidates = {(pair.target, pair.source): pair for pair in pairs}
     for step in range(len(names)):
-        if len(state.groups) == 1:
+        if len(groups) == 1:
             return
-        target_first = config.mode == "target_first" and state.has_direct()
-        ranked = state.ranked(direct_only=target_first)
+        ranked = _by_evidence(list(candidates.values()))
         chosen = next((pair for pair in ranked if pair.verdict.accepted), None)
         if chosen is not None:
-            state = state.merged(chosen, reregister, keep_pairs=target_first)
-        groups = state.ordered_groups()
-        decision = MergeDecision(
-            step=step,
-            candidates=tuple(_candidate(pair) for pair in ranked),
-            chosen=None if chosen is None else _candidate(chosen),
-            reason=_reason(ranked, chosen),
-            groups=tuple(group.members for group in groups),
-        )
-        yield MergeStep(decision, chosen, groups)
+            kept, added, pose = groups[chosen.target], groups[chosen.source], chosen.T_target_source
+            if added.root == target:
+                kept, added, pose = added, kept, pose.inverse()
+            del groups[added.root]
+            groups[kept.root] = kept.joined(added, pose)
+            candidates = {key: pair for key, pair in candidates.items() if added.root not in key}
+            again = {
+                key: register_again(groups[key[0]], groups[key[1]], pair)
+                for key, pair in candidates.items()
+                if kept.root in key
+            }
+            candidates = {key: pair for key, pair in {**candidates, **again}.items() if pair is not None}
+        yield _step(step, ranked, chosen, target, groups.values())
         if chosen is None:
             return
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _State:
-    target: str
-    groups: Mapping[str, Group]
-    pairs: Mapping[frozenset[str], PairRegistration]
+def merge_target_first(
+    target: str, names: Sequence[str], pairs: Sequence[PairRegistration], register_rest: RegisterRest
+) -> Iterator[MergeStep]:
+    """Merge each LiDAR that is accepted against the target as it is, then register the rest to the merged cloud, once.
 
-    def has_direct(self) -> bool:
-        return any(self.target in key and pair.verdict.accepted for key, pair in self.pairs.items())
+    This is the default of the paper's published code. That gives the pose of a LiDAR that fails twice, with a note that
+    it is not successful; here that LiDAR is not placed.
 
-    def ranked(self, *, direct_only: bool) -> list[PairRegistration]:
-        pairs = [pair for key, pair in self.pairs.items() if not direct_only or self.target in key]
-        return _by_evidence(pairs)
+    Args:
+        names: all LiDARs, the target included.
+        pairs: those without the target are not used.
 
-    def ordered_groups(self) -> tuple[Group, ...]:
-        return tuple(
-            sorted(self.groups.values(), key=lambda group: (group.root != self.target, -len(group.poses), group.root))
-        )
+    Yields:
+        One step per turn; the last one has `chosen` None unless all LiDARs are placed.
+    """
+    groups = {name: Group.of_one(name) for name in names}
+    left = _by_evidence([pair for pair in pairs if target in pair.lidars])
+    again = False
+    for step in range(len(names)):
+        if len(groups) == 1:
+            return
+        chosen = next((pair for pair in left if pair.verdict.accepted), None)
+        if chosen is None and len(groups[target].poses) > 1 and not again:
+            others = [group for root, group in sorted(groups.items()) if root != target]
+            found = [register_rest(groups[target], other) for other in others]
+            left, again = _by_evidence([pair for pair in found if pair is not None]), True
+            chosen = next((pair for pair in left if pair.verdict.accepted), None)
+        if chosen is not None:
+            pose = chosen.T_target_source.with_target(target)
+            groups[target] = groups[target].joined(groups.pop(pose.source), pose)
+        yield _step(step, left, chosen, target, groups.values())
+        left = [pair for pair in left if pair is not chosen]
+        if chosen is None:
+            return
 
-    def merged(self, pair: PairRegistration, reregister: Reregister, *, keep_pairs: bool) -> _State:
-        kept, added, T_kept_added = self._oriented(pair)
-        grown = kept.joined(added, T_kept_added)
-        groups = {root: group for root, group in self.groups.items() if root not in (kept.root, added.root)}
-        pairs = {
-            key: other
-            for key, other in self.pairs.items()
-            if added.root not in key and (keep_pairs or kept.root not in key)
-        }
-        after = _State(self.target, {**groups, grown.root: grown}, pairs)
-        if keep_pairs and after.has_direct():
-            return after
-        return after.reregistered(grown, self.pairs, reregister)
 
-    def reregistered(
-        self, grown: Group, known: Mapping[frozenset[str], PairRegistration], reregister: Reregister
-    ) -> _State:
-        others = [group for root, group in sorted(self.groups.items()) if root != grown.root]
-        fresh = {}
-        for other in others:
-            between = [pair for key, pair in known.items() if other.root in key and key & set(grown.poses)]
-            if between:
-                pair = reregister(grown, other, sorted(between, key=lambda pair: -pair.evidence))
-                if pair is not None:
-                    fresh[pair.lidars] = pair
-        return _State(self.target, self.groups, {**self.pairs, **fresh})
-
-    def _oriented(self, pair: PairRegistration) -> tuple[Group, Group, RigidTransform]:
-        """Return the group that keeps its root, the target's or else the larger, the other group, and the pose."""
-        first, second = self.groups[pair.target], self.groups[pair.source]
-        swap = second.root == self.target or (first.root != self.target and len(second.poses) > len(first.poses))
-        return (second, first, pair.T_target_source.inverse()) if swap else (first, second, pair.T_target_source)
+def _step(
+    step: int,
+    ranked: Sequence[PairRegistration],
+    chosen: PairRegistration | None,
+    target: str,
+    groups: Iterable[Group],
+) -> MergeStep:
+    ordered = tuple(sorted(groups, key=lambda group: (target not in group.poses, -len(group.poses), group.members)))
+    decision = MergeDecision(
+        step=step,
+        candidates=tuple(_candidate(pair) for pair in ranked),
+        chosen=None if chosen is None else _candidate(chosen),
+        reason=_reason(ranked, chosen),
+        groups=tuple(group.members for group in ordered),
+    )
+    return MergeStep(decision, chosen, ordered)
 
 
 def _candidate(pair: PairRegistration) -> MergeCandidate:

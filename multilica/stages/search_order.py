@@ -2,10 +2,11 @@
 """Order in which pairs of LiDARs are searched."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import combinations, permutations
 
 from multilica.results import PairKey
 
-__all__ = ["components", "next_round"]
+__all__ = ["components", "next_round", "pairs_by_role"]
 
 
 def components(names: Iterable[str], pairs: Iterable[PairKey]) -> dict[str, str]:
@@ -45,3 +46,14 @@ def next_round(
         for each in groups:
             chosen.setdefault(each, pair)
     return [pair for pair in ranked if pair in chosen.values()]
+
+
+def pairs_by_role(names: Sequence[str], target: str, mode: str) -> list[PairKey]:
+    """List the pairs that a search without verification needs, each with the roles of `merge.mode`.
+
+    With `target_first` every LiDAR is the source of the target. With `algorithm1` each pair is searched in both
+    directions, which differ in their fitness and often in their pose. With `graph` each is searched once.
+    """
+    if mode == "target_first":
+        return [(target, name) for name in names if name != target]
+    return list(permutations(names, 2) if mode == "algorithm1" else combinations(names, 2))

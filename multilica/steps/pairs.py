@@ -2,7 +2,7 @@
 """Search and registration of single pairs, as tasks for worker processes."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.acceptance.accept import accept, accept_by_fitness
@@ -13,6 +13,7 @@ from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features, pair_promise
 from multilica.stages.fine import Side, register_best
 from multilica.stages.verify import verify_hypotheses
+from multilica.steps.prepared_lidar import PreparedLidar
 from multilica.visibility.sensor_view import score_pose
 from multilica.workers import Shared
 
@@ -70,7 +71,7 @@ def promise_of(lidars: Shared, pair: PairKey) -> float:
     return pair_promise(target.features, source.features, config.coarse, config.acceptance.max_baseline_m)
 
 
-def search_pair(lidars: Shared, request: SearchRequest) -> PairSearch:
+def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchRequest) -> PairSearch:
     """Search the pose of a pair without an initial guess: match, find hypotheses, verify them, register the best."""
     target, source = (lidars[name] for name in request.pair)
     config = target.config

@@ -9,14 +9,15 @@ from multilica import events
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import GroundConfig
 from multilica.geometry import FloatArray
-from multilica.results import GroundPlane, Group, Hypothesis, PairRegistration
+from multilica.results import GroundPlane, Group, Hypothesis, PairRegistration, PreprocessedCloud
 from multilica.stages.fine import Side, prepare_side, select_finalists
 from multilica.stages.ground import estimate_ground
 from multilica.stages.group_registration import poses_between, register_groups
-from multilica.stages.merge import merge, merge_along_graph
+from multilica.stages.merge import merge_along_graph, merge_by_fitness, merge_target_first
 from multilica.stages.refine import refine, trusted_pairs
 from multilica.stages.target import choose_target
-from multilica.steps.pairs import register_sides
+from multilica.steps.pairs import SearchRequest, register_sides, search_pair
+from multilica.steps.prepared_lidar import prepare_lidar
 from multilica.steps.state import CalibrationState
 
 __all__ = ["fit_ground", "merge_pairs", "refine_rig"]
@@ -32,10 +33,23 @@ def merge_pairs(state: CalibrationState) -> None:
     def register(group: Group, other: Group, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
         return _register_groups(state, group, other, pairs)
 
+    def register_again(group: Group, other: Group, pair: PairRegistration) -> PairRegistration | None:
+        if state.config.verify.enabled:
+            return _register_groups(state, group, other, [pair])
+        return _register_from_coarse(state, group, other)
+
+    def register_rest(group: Group, other: Group) -> PairRegistration | None:
+        if state.config.verify.enabled:
+            between = [pair for pair in registrations if pair.lidars & {*group.poses} and pair.lidars & {*other.poses}]
+            return _register_groups(state, group, other, between)
+        return _search_merged(state, group, other)
+
     if config.mode == "graph":
         steps = merge_along_graph(state.target, names, registrations, register)
+    elif config.mode == "algorithm1":
+        steps = merge_by_fitness(state.target, names, registrations, register_again)
     else:
-        steps = merge(state.target, names, registrations, register, config)
+        steps = merge_target_first(state.target, names, registrations, register_rest)
     for step in steps:
         state.decisions.append(step.decision)
         if step.chosen is not None:
@@ -59,6 +73,28 @@ def _register_groups(
         return register_sides(_side_of(state, group), _side_of(state, other), hypotheses, state.config, fit=fit)
 
     found = register_groups(group, other, pairs, poses_between(group, other, finalists), register, state.config)
+    if found is not None:
+        state.observe(events.GroupsRegistered(found))
+    return found
+
+
+def _register_from_coarse(state: CalibrationState, group: Group, other: Group) -> PairRegistration:
+    """Register two groups from the coarse pose of their roots."""
+    start = state.coarse[group.root, other.root].hypotheses[0]
+    found = register_sides(_side_of(state, group), _side_of(state, other), [start], state.config)
+    state.observe(events.GroupsRegistered(found))
+    return found
+
+
+def _search_merged(state: CalibrationState, group: Group, other: Group) -> PairRegistration | None:
+    """Search the pose of a single LiDAR in the merged cloud of a group, without an initial guess."""
+    if group.members not in state.merged_lidars:
+        points_m = _merged_points(state, group)
+        cloud = PreprocessedCloud(group.root, np.empty((0, 3), dtype=np.float32), points_m)
+        state.merged_lidars[group.members] = prepare_lidar(cloud, state.config)
+    lidars = {group.root: state.merged_lidars[group.members], other.root: state.lidars[other.root]}
+    request = SearchRequest((group.root, other.root), state.config.features.voxel_size_m)
+    found = search_pair(lidars, request).registration
     if found is not None:
         state.observe(events.GroupsRegistered(found))
     return found

@@ -12,7 +12,8 @@ from multilica.registration.poses import is_distinct
 from multilica.results import PairKey, PairRegistration
 from multilica.stages.loops import choose_loops, implied_poses, is_open
 from multilica.stages.prior import known_between
-from multilica.stages.search_order import next_round
+from multilica.stages.search_order import next_round, pairs_by_role
+from multilica.stages.target import choose_target
 from multilica.steps.pairs import (
     PAIR_STAGES,
     PairSearch,
@@ -37,7 +38,11 @@ def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
         until: the last stage to run; before `fine`, all pairs are searched so far.
     """
     usual = state.config.features.voxel_size_m
-    if until != "fine" or not state.config.verify.enabled:
+    if not state.config.verify.enabled:
+        target, _ = choose_target(state.config.target, state.clouds, ())
+        _search(state, pairs_by_role(list(state.clouds), target, state.config.merge.mode), usual, until)
+        return
+    if until != "fine":
         _search(state, state.pairs, usual, until)
         return
     start_s = time.perf_counter()

@@ -53,6 +53,7 @@ class CalibrationState:
     target_reason: str = ""
     decisions: list[MergeDecision] = field(default_factory=list)
     sides: dict[tuple[str, ...], Side] = field(default_factory=dict)
+    merged_lidars: dict[tuple[str, ...], PreparedLidar] = field(default_factory=dict)
     group: Group | None = None
     merges: list[PairRegistration] = field(default_factory=list)
     covariances: Mapping[str, FloatArray] = field(default_factory=dict)

@@ -23,7 +23,7 @@ MEASUREMENTS = (
     "ingest",
     "recording",
 )
-ON_REQUEST = ("paper", "fuzz", "evidence")
+ON_REQUEST = ("paper", "tables", "fuzz", "evidence")
 
 
 def main(names: list[str]) -> int:

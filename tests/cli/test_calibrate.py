@@ -55,6 +55,16 @@ def test_a_higher_limit_of_sigma_places_an_uncertain_lidar(invoke: Invoke, two_l
     assert pose.xyz_m == pytest.approx(told["uncertain"]["right"]["xyz_m"], abs=0.005)
 
 
+@pytest.mark.parametrize("preset", ["paper", "paper-algorithm1"])
+def test_a_preset_of_the_paper_says_what_it_accepted_by(preset: str, invoke: Invoke, two_lidars: Path) -> None:
+    outcome = invoke("calibrate", two_lidars, "--target", "left", "--out", "run", "--preset", preset)
+    assert outcome.code == ExitCode.DONE
+    sentence = f"the placements were accepted by their fitness alone (preset {preset}, verify.enabled=false)"
+    assert f"Warning: {sentence}" in outcome.out
+    assert sentence in Path("run/report.html").read_text(encoding="utf-8")
+    assert json.loads(Path("run/result.json").read_text(encoding="utf-8"))["accepted_by"] == "fitness"
+
+
 def test_progress_goes_to_stderr_without_colours(invoke: Invoke, two_lidars: Path) -> None:
     outcome = invoke("calibrate", two_lidars, "--out", "run", "--until", "features")
     assert outcome.code == ExitCode.DONE

@@ -129,3 +129,17 @@ def test_failures_are_one_sentence(arguments: list[str], code: int, words: str, 
     outcome = invoke("evaluate", *arguments)
     assert_one_sentence(outcome, code)
     assert words in outcome.err
+
+
+def test_the_table_of_the_paper(invoke: Invoke) -> None:
+    outcome = invoke("evaluate", "runs/a", "runs/b", "--truth", "t.toml", "--table", "paper")
+    assert outcome.code == 0
+    rows = [line.split() for line in outcome.out.splitlines()]
+    assert ["a", "left", "front", "success", "3.0", "4.0", "0.0"] in [row[:7] for row in rows]
+    assert any(row[:4] == ["b", "rear", "front", "NOT"] for row in rows)
+    left = next(row for row in rows if row[:2] == ["left", "2"])
+    assert left[1:9] == ["2", "2", "(100%)", "2", "(100%)", "3.0", "4.0", "0.0"]
+    between = next(row for row in rows if row[:3] == ["rear", "in", "left"])
+    assert between[3:8] == ["2", "1", "(50%)", "0", "(0%)"]
+    document = json.loads(invoke("evaluate", "runs/a", "--truth", "t.toml", "--table", "paper", "--json").out)
+    assert (document["schema"], document["to_target"]["successes"]) == ("multilica/paper-table/1", 1)

@@ -7,7 +7,8 @@ import pytest
 
 from multilica.errors import InputError, MultilicaError, UnknownNameError, WorkerDiedError
 from multilica_cli import main
-from multilica_cli.exit_codes import ExitCode, Interrupted, describe_failure
+from multilica_cli.exit_codes import ExitCode, describe_failure
+from multilica_cli.signals import Interrupted
 from tests.cli.support import Invoke, assert_one_sentence
 
 

@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import importlib
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
-from multilica_cli.exit_codes import Interrupted, unwind_on_signals
+from multilica_cli.signals import Interrupted, received, unwind_on_signals
 from tests.cli.support import command_of_process, environment_of_process
 
 
@@ -45,9 +47,10 @@ def test_a_stopped_run_leaves_a_readable_recording(
 
 @pytest.fixture
 def restored_handlers() -> object:
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
     before = {number: signal.getsignal(number) for number in numbers}
     yield
+    unwind_on_signals()  # forgets what was received
     for number, handler in before.items():
         signal.signal(number, handler)
 
@@ -68,3 +71,42 @@ def test_signals_that_the_parent_ignores_stay_ignored() -> None:
     unwind_on_signals()
     signal.raise_signal(signal.SIGHUP)
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+@pytest.mark.usefixtures("restored_handlers")
+def test_a_signal_within_an_import_waits_for_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = ("import signal, time", "signal.raise_signal(signal.SIGTERM)", "time.sleep(0.1)", "loaded = True")
+    (tmp_path / "slow_library.py").write_text("\n".join(lines))
+    monkeypatch.syspath_prepend(tmp_path)
+    unwind_on_signals()
+    with pytest.raises(Interrupted) as caught:
+        _import_and_wait()
+    assert caught.value.exit_code == 143
+    assert sys.modules["slow_library"].loaded
+    assert received().exit_code == 143
+
+
+def _import_and_wait() -> None:
+    importlib.import_module("slow_library")
+    time.sleep(10.0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay_s", [0.1, 0.2, 0.4, 0.7, 0.9, 1.1, 1.3])
+def test_a_signal_at_the_start_is_told_in_one_line(
+    number: signal.Signals, delay_s: float, two_lidars: Path, tmp_path: Path
+) -> None:
+    arguments = ["multilica", "calibrate", str(two_lidars), "--out", str(tmp_path / "run"), "--quiet"]
+    code = f"""
+import os, sys, threading
+sys.argv = {arguments!r}
+from multilica_cli.__main__ import main
+threading.Timer({delay_s}, os.kill, (os.getpid(), {int(number)})).start()
+main()
+"""
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=environment_of_process(), check=False
+    )
+    assert ended.returncode == 128 + number, ended.stderr
+    assert ended.stderr.count("\n") == 1
+    assert f"Stopped by {number.name}." in ended.stderr

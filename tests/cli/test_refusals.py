@@ -109,6 +109,8 @@ def test_inspect_refuses_what_cannot_be_read(make: object, invoke: Invoke, tmp_p
         (["--set", "fine.max_iteration=3"], "fine.max_iterations"),
         (["--set", "fine.max_iterations=many"], "fine.max_iterations"),
         (["--set", "fine"], "section.key=value"),
+        (["--set", "fine.gicp_epsilon=0.01"], "no effect with fine.engine=small_gicp"),
+        (["--set", "coarse.gnc_factor=2.0"], "no effect with coarse.solver=cliques"),
         (["--max-sigma", "50"], "--max-sigma 50,0.5"),
         (["--max-sigma", "50,0.5,1"], "--max-sigma 50,0.5"),
         (["--max-sigma", "-50,0.5"], "two numbers above zero"),

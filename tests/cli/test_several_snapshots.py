@@ -45,7 +45,7 @@ def test_an_outlier_and_a_refused_snapshot_are_named(invoke: Invoke, snapshots: 
     assert [row["outcome"] for row in evaluated["lidars"]] == ["within", "false_accept"]
 
 
-def test_without_a_usable_snapshot_no_older_joint_result_is_left(invoke: Invoke, snapshots: Path) -> None:
+def test_without_a_usable_snapshot_an_older_joint_result_stays(invoke: Invoke, snapshots: Path) -> None:
     Path("run").mkdir()
     Path("run/result.json").write_text("{}", encoding="utf-8")
     sources = [snapshots / "alone.mcap", snapshots / "alone.mcap"]
@@ -54,7 +54,8 @@ def test_without_a_usable_snapshot_no_older_joint_result_is_left(invoke: Invoke,
     outcome = invoke("calibrate", sources[0], copy, "--out", "run", "--quiet")
     assert_one_sentence(outcome, ExitCode.INPUT)
     assert "None of 2 snapshots can be used" in outcome.err
-    assert list(Path("run").iterdir()) == []
+    assert "The earlier result in run is unchanged." in outcome.err
+    assert Path("run/result.json").read_text(encoding="utf-8") == "{}"
 
 
 @pytest.mark.parametrize(

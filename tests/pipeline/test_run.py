@@ -116,8 +116,9 @@ def test_a_refused_snapshot_leaves_an_earlier_run(recordings: Path, tmp_path: Pa
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(UnfitSnapshotError) as caught:
         multilica.run_calibration(recordings / "moving.mcap", tmp_path, EARLY)
-    assert caught.value.__notes__ == [f"The earlier result in {tmp_path} is unchanged."]
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert caught.value.__notes__[0] == f"The earlier result in {tmp_path} is unchanged."
+    assert f"see `multilica explain {tmp_path / 'unfinished'}`" in caught.value.__notes__[1]
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
 def test_an_interrupted_run_keeps_its_recording(recordings: Path, tmp_path: Path) -> None:

@@ -4,21 +4,18 @@
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser
 
 from multilica.sinks.rerun.recording import RerunRecording
+from tests.sinks.browser import NoBrowserError, headless_browser
 from tests.sinks.made_events import made_events
-
-BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
-# A root user's browser has no sandbox, a machine without a graphics card draws in software.
-ARGUMENTS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
 def record(path: Path, *args, **kwargs) -> Path:
@@ -51,10 +48,9 @@ def rerun_rrd():
 
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
-    found = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if found is None:
-        pytest.skip("no browser: apt-get install chromium-headless-shell")
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=found, args=[*ARGUMENTS])
+    with ExitStack() as stack:
+        try:
+            browser = stack.enter_context(headless_browser())
+        except NoBrowserError as error:
+            pytest.skip(str(error))
         yield browser
-        browser.close()

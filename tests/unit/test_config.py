@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from typing import get_args
+
 import pytest
 from pydantic import ValidationError
 
@@ -11,6 +13,7 @@ from multilica.config import (
     preset,
     with_overrides,
 )
+from multilica.config.unused import _USED_WITH
 from multilica.errors import ConfigError, UnknownNameError
 
 
@@ -36,7 +39,13 @@ def test_the_paper_preset_is_what_the_paper_says():
     assert paper.coarse.max_hypotheses == 1
     assert paper.verify.enabled is False
     assert (paper.fine.engine, paper.fine.max_correspondence_distances_m) == ("open3d", (1.0,))
-    assert (paper.merge.mode, paper.merge.fitness_threshold) == ("algorithm1", 0.2)
+    assert (paper.merge.mode, paper.merge.fitness_threshold) == ("target_first", 0.2)
+
+
+def test_the_presets_of_the_paper_differ_in_how_they_merge():
+    algorithm1 = preset("paper-algorithm1")
+    assert algorithm1.merge.mode == "algorithm1"
+    assert algorithm1.model_copy(update={"preset": "paper", "merge": preset("paper").merge}) == preset("paper")
 
 
 def test_an_unknown_preset_is_named_with_those_that_exist():
@@ -148,3 +157,38 @@ def test_every_key_is_known_once():
     keys = known_keys()
     assert {"target", "until", "preset", "fine.voxel_size_m"} <= set(keys)
     assert len(set(keys)) == len(keys)
+
+
+@pytest.mark.parametrize(
+    ("setting", "chooser"),
+    [
+        ("fine.gicp_epsilon=0.005", "fine.engine=small_gicp"),
+        ("coarse.gnc_factor=1.2", "coarse.solver=cliques"),
+    ],
+)
+def test_a_setting_without_effect_is_refused(setting, chooser):
+    key = setting.partition("=")[0]
+    with pytest.raises(ConfigError, match=rf"setting '{setting}', {key} has no effect with {chooser}; leave it out"):
+        with_overrides(CalibrationConfig(), [setting])
+    with pytest.raises(ConfigError, match=r"rotation_epsilon_rad has no effect with fine\.engine=open3d"):
+        with_overrides(preset("paper"), ["fine.rotation_epsilon_rad=0.1"])
+
+
+@pytest.mark.parametrize("settings", [("fine.gicp_epsilon=0.1", "fine.engine=open3d"), ("coarse.max_hypotheses=3",)])
+def test_a_setting_with_effect_is_taken_in_any_order(settings):
+    assert with_overrides(CalibrationConfig(), settings) != CalibrationConfig()
+    assert with_overrides(CalibrationConfig(), settings[::-1]) == with_overrides(CalibrationConfig(), settings)
+
+
+def test_a_file_may_repeat_but_not_change_keys_without_effect(tmp_path):
+    assert load_config(_written(tmp_path, "[fine]\ngicp_epsilon = 0.005\n")) == CalibrationConfig()
+    with pytest.raises(ConfigError, match=r"fine\.gicp_epsilon has no effect with fine\.engine=small_gicp"):
+        load_config(_written(tmp_path, "[fine]\ngicp_epsilon = 0.01\n"))
+
+
+def test_every_key_that_only_some_use_exists():
+    for key, (chooser, users) in _USED_WITH.items():
+        assert {key, chooser} <= {*known_keys()}
+        section, name = chooser.split(".")
+        allowed = get_args(type(getattr(CalibrationConfig(), section)).model_fields[name].annotation)
+        assert {*users} < {*allowed}

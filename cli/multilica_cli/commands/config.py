@@ -25,10 +25,13 @@ _PAGE_HEAD = (
     "",
     "# Configuration",
     "",
-    "Every parameter is defined once, in `multilica/config`. Values come from a preset (`--preset default|paper`) or a",
+    "Every parameter is defined once, in `multilica/config`. Values come from a preset (`--preset NAME`) or a",
     "TOML file (`--config FILE`; its key `preset` gives the keys that it leaves out), then from options of the command",
-    "line, then from `--set section.key=value`. Unknown keys are an error. `multilica config` prints the resulting",
-    "values, `multilica config --toml` prints them as a file to start from; `result.json` holds those of its run.",
+    "line, then from `--set section.key=value`. Unknown keys are an error, and so are keys that the chosen engine or",
+    "solver does not use. `multilica config` prints the resulting values, `multilica config --toml` prints them as a",
+    "file to start from; `result.json` holds those of its run.",
+    "",
+    "The preset `paper-algorithm1` is `paper` with `merge.mode` `algorithm1`.",
 )
 _TABLE_HEAD = ("| key | default | `paper`, if different | unit | allowed | meaning |", "|---|---|---|---|---|---|")
 _BOUNDS = {"minimum": ">= {}", "exclusiveMinimum": "> {}", "maximum": "<= {}", "exclusiveMaximum": "< {}"}
@@ -129,7 +132,7 @@ def _configuration_file(config: CalibrationConfig) -> str:
 
 
 def configuration_page() -> str:
-    """Write the page of the documentation: one table per section, with the values of both presets."""
+    """Write the page of the documentation: one table per section, with the values of `default` and `paper`."""
     from multilica.config import preset
 
     paper = {parameter.key: parameter.value for parameter in parameters(preset("paper"))}

@@ -4,7 +4,7 @@
 from dataclasses import asdict
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -94,6 +94,10 @@ def evaluate(
     out: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Also write a .parquet or .csv table with a row per LiDAR.")
     ] = None,
+    table: Annotated[
+        Literal["paper"] | None,
+        typer.Option(metavar="paper", help="Print the paper's table instead: RMSE per axis, also between the LiDARs."),
+    ] = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
@@ -101,20 +105,29 @@ def evaluate(
     from multilica import runs as saved
     from multilica.extrinsics import read_extrinsics
     from multilica.runs.evaluation_document import evaluation_document, require_table_name, write_table
+    from multilica.runs.paper_document import paper_document
+    from multilica.runs.paper_table import paper_table
     from multilica_cli.tables.errors import print_evaluation
+    from multilica_cli.tables.paper import print_paper_table
 
     if out is not None:
         require_table_name(out)
     tolerances = saved.Tolerances(within_m, radians(within_deg), wrong_m, radians(wrong_deg), wrong_sigma)
     known = [saved.Truth(str(path), read_extrinsics(path)) for path in truths]
-    evaluation = saved.evaluate([saved.read_run(path) for path in runs], known, tolerances)
+    read = [saved.read_run(path) for path in runs]
+    evaluation = saved.evaluate(read, known, tolerances)
+    of_paper = paper_table(read, known, tolerances) if table else None
     if out is not None:
         write_table(evaluation, out)
     if as_json:
-        typer.echo(evaluation_document(evaluation).model_dump_json(indent=2))
+        document = paper_document(of_paper) if of_paper else evaluation_document(evaluation)
+        typer.echo(document.model_dump_json(indent=2))
         return
     console = stdout_console(quiet=quiet)
-    print_evaluation(evaluation, console)
+    if of_paper:
+        print_paper_table(of_paper, console)
+    else:
+        print_evaluation(evaluation, console)
     if out is not None:
         console.print(f"wrote {out}")
 
@@ -154,7 +167,7 @@ def report(
     """Create report.html for a run that was killed before it wrote one."""
     from multilica.runs.run_report import report_of_run
     from multilica.sinks.files.atomic import write_text_atomically
-    from multilica.sinks.report.page import REPORT_HTML
+    from multilica.sinks.files.run_files import REPORT_HTML
 
     file = out or (run if run.is_dir() else run.parent) / REPORT_HTML
     if out is None and file.exists():

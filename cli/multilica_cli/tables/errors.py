@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from multilica.runs.first_difference import Change
     from multilica.runs.pose_error import PoseError
 
-__all__ = ["print_difference", "print_evaluation"]
+__all__ = ["print_difference", "print_evaluation", "print_left_out", "short_names"]
 
 _ERROR_COLUMNS = ("x\nmm", "y\nmm", "z\nmm", "total\nmm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg", "total\ndeg")
 _WORDS = {
@@ -44,6 +44,11 @@ def print_evaluation(evaluation: Evaluation, console: Console) -> None:
     targets = sorted({one.target for one in evaluation.comparisons})
     if len(targets) > 1:
         console.print(f"note: the axes are those of each run's own target: {', '.join(targets)}")
+    print_left_out(evaluation, console)
+
+
+def print_left_out(evaluation: Evaluation, console: Console) -> None:
+    """Print what no count includes, with the reason."""
     for left_out in evaluation.left_out:
         what = left_out.run if left_out.lidar is None else f"{left_out.run}, LiDAR {left_out.lidar}"
         console.print(f"left out: {what}: {left_out.reason}")
@@ -65,7 +70,7 @@ def _detail_table(evaluation: Evaluation) -> Table:
     if len(shown) < len(every):
         title += f"; {len(every) - len(shown)} LiDARs within tolerance are not listed"
     table = plain_table(title, ("run", "LiDAR", "outcome", *_ERROR_COLUMNS, "total\nsigma"), numbers_from=3)
-    labels = _short_names(evaluation.runs)
+    labels = short_names(evaluation.runs)
     for run, comparisons in groupby(shown, key=lambda one: one.run):
         label = labels[run]
         for one in comparisons:
@@ -78,7 +83,7 @@ def _detail_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def _short_names(runs: tuple[str, ...]) -> dict[str, str]:
+def short_names(runs: tuple[str, ...]) -> dict[str, str]:
     """Return each run without the folder that is common to all."""
     try:
         shared = commonpath([Path(run).parent for run in runs])

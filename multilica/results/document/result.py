@@ -108,6 +108,10 @@ class ResultDocument(Entry):
     )
     target: str = Field(description="LiDAR that all poses are relative to; empty until it is chosen.")
     target_reason: str = Field(description="Why that LiDAR is the target.")
+    accepted_by: Literal["evidence", "fitness"] = Field(
+        "evidence",
+        description="What placements were accepted by: evidence of the beams, or the fitness alone, as in the paper.",
+    )
     refusal: RefusalEntry | None = Field(description="Why the snapshot was not calibrated at all; null if it was.")
     lidars: Mapping[str, LidarEntry] = Field(description="Per LiDAR in name order, the target with the identity.")
     pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")

@@ -62,6 +62,8 @@ class CoarseFigures(Entry):
     hypotheses: int = Field(description="Number of hypotheses.")
     graph_nodes: int = Field(description="Nodes of the consistency graph.")
     graph_edges: int = Field(description="Connections of the consistency graph.")
+    clique_size: int = Field(0, description="Members of its largest clique that was found.")
+    solver: str = Field("", description="The solver that ran; empty if it found no hypothesis.")
     score: Number = Field(None, description="Number of matches that agree with the first hypothesis.")
     xyz_m: Vector3 | None = Field(None, description="Position.")
     rpy_deg: Vector3 | None = Field(None, description="Roll, pitch, yaw, extrinsic xyz.")

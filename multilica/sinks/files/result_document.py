@@ -66,6 +66,7 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
         result,
         provenance,
         schema=RESULT_SCHEMA,
+        accepted_by="evidence" if config.verify.enabled else "fitness",
         lidars={each.lidar: _lidar(each, health.get(each.lidar), result.target) for each in result.placements},
         pairs=tuple(map(_pair, result.pairs)),
         snapshots=tuple(map(_snapshot, result.snapshots)),

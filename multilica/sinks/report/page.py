@@ -22,15 +22,14 @@ from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_c
 from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.files.run_files import REPORT_HTML
 from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
 from multilica.sinks.report.outcome import Outcome, outcome_of
 from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_scene
 from multilica.sinks.run_state import RunState
 
-__all__ = ["MAX_BYTES", "REPORT_HTML", "ReportFile", "report_html"]
-
-REPORT_HTML = "report.html"
+__all__ = ["MAX_BYTES", "ReportFile", "report_html"]
 
 MAX_BYTES = 8_000_000
 """Limit of ticket systems and mail; the clouds of the 3-D view are thinned until the page fits."""

@@ -79,8 +79,10 @@ def _log_curves(scene: RerunScene, registration: PairRegistration, start: str) -
     if not registration.steps:
         return
     pair = (registration.target, registration.source)
-    colours = distinct_colours([pair_label(*each) for each in scene.state.pairs])
-    colour = colours[pair_label(*scene.state.pair_of(registration))]
+    # A loop that was not accepted may join a pair that was never matched.
+    matched = scene.state.pair_of(registration)
+    colours = distinct_colours([pair_label(*each) for each in sorted({*scene.state.pairs, matched})])
+    colour = colours[pair_label(*matched)]
     line = rr.SeriesLines(names=f"{pair_label(*pair)} {start}", colors=colour, widths=2.0)
     for quantity in CURVES:
         path = curve_path(quantity, *pair, start)

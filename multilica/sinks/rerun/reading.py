@@ -1,37 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reader of recordings, whole or cut off."""
+"""Reader of what recordings hold."""
 
-import shutil
-import struct
-import tempfile
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform
+from multilica.results import PairKey
 from multilica.results.document import ResultDocument, parse_result
 from multilica.sinks.rerun.entity_paths import RESULT, lidar_path, pair_path
+from multilica.sinks.rerun.rrd_process import read_batches
 
-__all__ = ["RecordedScores", "read_recorded_cloud", "read_recorded_document", "read_recorded_scores"]
+__all__ = ["RecordedScores", "read_recorded_clouds", "read_recorded_document", "read_recorded_scores"]
 
 _TEXT = "TextDocument:text"
 _POSITIONS = "Points3D:positions"
 _CLASSES = "Points3D:class_ids"
 _STEP = "step"
-
-# An RRD file is a head, then messages: kind and length, 64 bits each, little-endian, then so many bytes. A message of
-# kind 0 ends the stream; the reader refuses a file that ends within a message.
-_MAGIC = b"RRF2"
-_HEAD_BYTES = 12
-_MESSAGE_HEAD = struct.Struct("<QQ")
-_KNOWN_KINDS = range(1, 4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +45,7 @@ def read_recorded_document(path: Path) -> ResultDocument:
     Raises:
         UnreadableSourceError: no recording, or cut off before the first stage ended.
     """
-    texts = _cells(_batches(path, RESULT), _TEXT)
+    texts = _cells(read_batches(path, [RESULT])[RESULT], _TEXT)
     if not texts:
         raise UnreadableSourceError(
             f"{path} has no {RESULT}, which `multilica calibrate` writes when its first stage ends; give the recording "
@@ -69,33 +59,42 @@ def _progress(document: ResultDocument) -> tuple[bool, int]:
     return document.status != "unfinished", len(document.progress.finished) if document.progress is not None else 0
 
 
-def read_recorded_cloud(path: Path, lidar: str) -> npt.NDArray[np.float32]:
-    """Read the preprocessed points (N, 3) of a LiDAR in its own frame; none if the recording has none.
+def read_recorded_clouds(path: Path, lidars: Sequence[str]) -> dict[str, npt.NDArray[np.float32]]:
+    """Read the preprocessed points (N, 3) of LiDARs, each in its own frame; none if the recording has none.
 
     Raises:
-        UnreadableSourceError: no recording.
+        UnreadableSourceError: no recording, or a damaged one.
     """
-    return _points_m(_cells(_batches(path, lidar_path(lidar, "preprocessed")), _POSITIONS))
+    places = {lidar: lidar_path(lidar, "preprocessed") for lidar in lidars}
+    found = read_batches(path, list(places.values()))
+    return {lidar: _points_m(_cells(found[place], _POSITIONS)) for lidar, place in places.items()}
 
 
-def read_recorded_scores(path: Path, target: str, source: str) -> RecordedScores:
-    """Read the scored points of a pair's source, in either order of the pair.
+def read_recorded_scores(path: Path, pairs: Sequence[PairKey]) -> dict[PairKey, RecordedScores]:
+    """Read the scored points of the source of each pair (target, source), in either order of the pair.
 
     Raises:
-        UnreadableSourceError: no recording.
+        UnreadableSourceError: no recording, or a damaged one.
     """
-    scored = _batches(path, pair_path(target, source, "scored", "source"))
-    competing_pose = _competing(path, target, source)
+    kinds = (("scored", "source"), ("scored", "target"), ("competing", "pose"))
+    both_ways = [key for target, source in pairs for key in ((target, source), (source, target))]
+    found = read_batches(path, [pair_path(*key, *kind) for key in both_ways for kind in kinds])
+    return {pair: _scores(found, *pair) for pair in pairs}
+
+
+def _scores(found: Mapping[str, list[Any]], target: str, source: str) -> RecordedScores:
+    scored = found[pair_path(target, source, "scored", "source")]
+    competing_pose = _competing(found, target, source)
     if not scored:
-        scored = _batches(path, pair_path(source, target, "scored", "target"))
-        reverse = _competing(path, source, target)
+        scored = found[pair_path(source, target, "scored", "target")]
+        reverse = _competing(found, source, target)
         competing_pose = None if reverse is None else reverse.inverse()
     labels = [np.asarray(cell, dtype=np.uint8) for cell in reversed(_cells(scored, _CLASSES))]
     return RecordedScores(_points_m(_cells(scored, _POSITIONS)), tuple(labels), competing_pose)
 
 
-def _competing(path: Path, target: str, source: str) -> RigidTransform | None:
-    batches = _batches(path, pair_path(target, source, "competing", "pose"))
+def _competing(found: Mapping[str, list[Any]], target: str, source: str) -> RigidTransform | None:
+    batches = found[pair_path(target, source, "competing", "pose")]
     translations, quaternions = (_cells(batches, f"Transform3D:{part}") for part in ("translation", "quaternion"))
     if not translations or not quaternions:
         return None
@@ -117,58 +116,3 @@ def _cells(batches: list[Any], column: str) -> list[Any]:
         if cell
     ]
     return [cell for _, cell in sorted(found, key=lambda each: each[0])]
-
-
-def _batches(path: Path, entity: str) -> list[Any]:
-    """Return everything logged to one entity; of a file that was cut off, all before the cut."""
-    from rerun.chunk import RrdReader
-
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="RRD file has no footer")
-        try:
-            with _whole_part(path) as whole:
-                chunks = RrdReader(whole).stream().filter(content=entity).to_chunks()
-        except (ValueError, OSError, RuntimeError) as error:
-            raise UnreadableSourceError(f"{path} is not a recording that can be read: {error}.") from error
-    return [chunk.to_record_batch() for chunk in chunks if chunk.entity_path == entity]
-
-
-@contextmanager
-def _whole_part(path: Path) -> Iterator[Path]:
-    """Provide a file with all complete messages of a recording: the file itself if it was not cut off.
-
-    A file that is no recording is provided as it is, and the reader refuses it.
-    """
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        end = _end_of_whole_messages(file, size)
-        if end is None:
-            yield path
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / path.name
-            file.seek(0)
-            with copy.open("wb") as kept:
-                shutil.copyfileobj(file, kept)
-                kept.truncate(end)
-            yield copy
-
-
-def _end_of_whole_messages(file: BinaryIO, size: int) -> int | None:
-    """Return where the last complete message ends; None if the file is complete, or no recording."""
-    if file.read(_HEAD_BYTES)[: len(_MAGIC)] != _MAGIC:
-        return None
-    at = _HEAD_BYTES
-    while at < size:
-        file.seek(at)
-        head = file.read(_MESSAGE_HEAD.size)
-        if len(head) < _MESSAGE_HEAD.size:
-            return at
-        kind, length = _MESSAGE_HEAD.unpack(head)
-        after = at + _MESSAGE_HEAD.size + length
-        if kind == 0 and after <= size:
-            return None
-        if kind not in _KNOWN_KINDS or after > size:
-            return at
-        at = after
-    return None

@@ -18,6 +18,7 @@ from multilica.sinks.rerun.matches import log_matches
 from multilica.sinks.rerun.record_limits import limits_for
 from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
 from multilica.sinks.rerun.scene import RerunScene
+from multilica.sinks.rerun.streams import end_threads, send_blueprint
 from multilica.sinks.rerun.tables import log_pair_tables, log_summary
 from multilica.sinks.rerun.verdict import log_contested_places
 from multilica.sinks.run_state import RunState
@@ -76,6 +77,8 @@ class RerunRecording:
         self._stream.disconnect()
         if whole:
             partial_path(self.path).replace(self.path)
+        del self._stream, self._scene
+        end_threads()
 
 
 def _flush(stream: rr.RecordingStream) -> None:
@@ -95,7 +98,7 @@ def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:
     _send_properties(scene, "running")
     log_input(scene, event)
     log_summary(scene)
-    scene.stream.send_blueprint(stage_blueprint(scene.state))
+    send_blueprint(scene.stream, stage_blueprint(scene.state))
     _flush(scene.stream)
 
 
@@ -110,7 +113,7 @@ def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
         log_pair_tables(scene)
     log_summary(scene)
     if event.stage in ("preprocess", "coarse", "verify", "fine", "merge"):
-        scene.stream.send_blueprint(stage_blueprint(scene.state))
+        send_blueprint(scene.stream, stage_blueprint(scene.state))
     _flush(scene.stream)
 
 
@@ -126,7 +129,7 @@ def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
     log_summary(scene)
     _send_properties(scene, event.result.status)
     blueprint = final_blueprint if event.result.refusal is None else stage_blueprint
-    scene.stream.send_blueprint(blueprint(scene.state))
+    send_blueprint(scene.stream, blueprint(scene.state))
     _flush(scene.stream)
 
 
@@ -135,7 +138,7 @@ def _log_end(scene: RerunScene, error: BaseException | None) -> None:
     scene.log_line(log_end(error))
     log_summary(scene, cause_of_end(error))
     _send_properties(scene, "interrupted")
-    scene.stream.send_blueprint(stage_blueprint(scene.state))
+    send_blueprint(scene.stream, stage_blueprint(scene.state))
 
 
 def _send_properties(scene: RerunScene, status: str) -> None:

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["show_recording", "viewer_picture"]
 
 _COMMAND = (sys.executable, "-m", "rerun")
+# The viewer also listens for data.
+_LOOPBACK = ("--bind", "127.0.0.1")
 _NO_DRIVER = (
     "pictures without a screen need a Vulkan driver, on Debian and Ubuntu "
     "`sudo apt-get install mesa-vulkan-drivers libvulkan1`"
@@ -44,7 +46,7 @@ def show_recording(recording: Path) -> None:
             f"Cannot open {recording} in a window: neither DISPLAY nor WAYLAND_DISPLAY is set; write a picture with "
             "--png FILE, or open the file with `rerun` on a machine with a screen."
         )
-    code = subprocess.run([*_COMMAND, str(recording)], check=False).returncode  # noqa: S603
+    code = subprocess.run([*_COMMAND, *_LOOPBACK, str(recording)], check=False).returncode  # noqa: S603
     if code != 0:
         raise ViewerError(
             f"Rerun's viewer failed on {recording} with exit code {code}; write a picture with --png FILE."
@@ -70,7 +72,7 @@ def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:
 def _headless_viewer(size_px: tuple[int, int]) -> Iterator[ViewerClient]:
     """Start a viewer on a free port; stop it at the end of the block."""
     port = _free_port()
-    arguments = ["--headless", "--hide-welcome-screen", "--port", str(port)]
+    arguments = [*_LOOPBACK, "--headless", "--hide-welcome-screen", "--port", str(port)]
     arguments += ["--window-size", f"{size_px[0]}x{size_px[1]}"]
     # It counts its runs unless CI is set; it starts a process of its own, so both end as a group.
     with (

@@ -101,7 +101,9 @@ def _coarse(state: RunState) -> dict[str, CoarseFigures]:
             hypotheses=len(coarse.hypotheses),
             graph_nodes=coarse.graph_nodes,
             graph_edges=coarse.graph_edges,
+            clique_size=coarse.clique_size,
             **({"score": coarse.hypotheses[0].score} if coarse.hypotheses else {}),
+            **({"solver": coarse.hypotheses[0].origin} if coarse.hypotheses else {}),
             **(_pose(coarse.hypotheses[0].T_target_source) if coarse.hypotheses else {}),
         )
         for pair, coarse in state.coarse.items()

@@ -22,16 +22,23 @@ VOXEL_M, GICP_VOXEL_M = 0.3, 0.25
 def main(source: str, target: str) -> None:
     """Print the pose of each LiDAR but the target."""
     clouds = read_mcap(source) if source.endswith(".mcap") else read_folder(source)
+    for name, pose in place(clouds, target).items():
+        print(json.dumps({"lidar": name, "T_target_source": pose.tolist()}))
+
+
+def place(clouds: dict[str, np.ndarray], target: str) -> dict[str, np.ndarray]:
+    """Return ``T_target_source`` (4, 4) of each LiDAR but the target, from points (N, 3) per LiDAR."""
     coarse = {name: small_gicp.voxelgrid_sampling(points, VOXEL_M).points()[:, :3] for name, points in clouds.items()}
     fine = {name: small_gicp.preprocess_points(points, GICP_VOXEL_M) for name, points in clouds.items()}
     target_cloud, target_tree = fine[target]
+    poses = {}
     for name in sorted(clouds.keys() - {target}):
         matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(VOXEL_M))
         found = matcher.estimate(coarse[name].astype(np.float32), coarse[target].astype(np.float32))
         start = np.eye(4)
         start[:3, :3], start[:3, 3] = found.rotation, found.translation
-        pose = small_gicp.align(target_cloud, fine[name][0], target_tree, start).T_target_source
-        print(json.dumps({"lidar": name, "T_target_source": pose.tolist()}))
+        poses[name] = small_gicp.align(target_cloud, fine[name][0], target_tree, start).T_target_source
+    return poses
 
 
 def read_mcap(path: str) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -25,6 +26,7 @@ from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_directory import open_run
 from tests.sinks.made_events import made_events
 
+NAMES = {"calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"}
 CONFIG = CalibrationConfig(target="top", fine={"max_iterations": 7})
 
 
@@ -86,18 +88,31 @@ def test_the_resolved_configuration_can_be_given_back(tmp_path):
     assert load_config(tmp_path / "config.toml") == CONFIG
 
 
-def test_files_of_an_earlier_run_are_removed(tmp_path):
+def files_in(directory):
+    return {path.relative_to(directory): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
+
+
+def test_an_earlier_result_stays_until_the_new_one_is_whole(tmp_path):
     run_into(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
+    before = files_in(tmp_path)
     run = run_into(tmp_path, stop_after=8)
-    assert [path.name for path in run.written] == [
-        "report.html",
-        "recording.partial.rrd",
-        "result.partial.mcap",
-        "config.toml",
-    ]
+    unfinished = tmp_path / "unfinished"
+    names = ["report.html", "recording.partial.rrd", "result.partial.mcap", "config.toml"]
+    assert list(run.written) == [unfinished / name for name in names]
+    assert {path: data for path, data in files_in(tmp_path).items() if path.parts[0] != "unfinished"} == before
+    run = run_into(tmp_path)
+    assert not unfinished.exists()
+    assert {path.name for path in run.written} | {"notes.txt"} == {path.name for path in tmp_path.iterdir()}
+    assert (tmp_path / "recording.rrd").read_bytes() != before[Path("recording.rrd")]
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    assert not any("partial" in path.name for path in run_into(tmp_path).written)
+
+
+def test_files_of_an_unfinished_run_are_removed(tmp_path):
+    run_into(tmp_path, stop_after=8)
+    assert (tmp_path / "recording.partial.rrd").exists()
+    run_into(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == NAMES
 
 
 def test_what_a_killed_run_was_writing_goes_with_it(tmp_path):
@@ -112,6 +127,42 @@ def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):
     assert run_into(tmp_path, stop_after=0).written == before
 
 
+@pytest.mark.parametrize("moved", range(8))
+def test_the_next_run_finishes_a_replacement_that_was_killed(tmp_path, monkeypatch, moved):
+    run_into(tmp_path)
+    replace, left = Path.replace, iter(range(moved))
+
+    def replace_some(path, target):
+        if path.parent.name == "unfinished" and not path.name.startswith(".") and next(left, None) is None:
+            raise SystemExit
+        return replace(path, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", replace_some)
+        if moved < 7:
+            with pytest.raises(SystemExit):
+                run_into(tmp_path)
+        else:
+            run_into(tmp_path)
+    with pytest.raises(ValueError, match="nothing more"), open_run(tmp_path, CONFIG):
+        raise ValueError("nothing more")
+    assert {path.name for path in tmp_path.iterdir()} == NAMES
+
+
+def test_an_entry_of_the_users_own_is_not_overwritten(tmp_path):
+    (tmp_path / "unfinished").mkdir()
+    (tmp_path / "unfinished" / "chapter.txt").write_text("mine")
+    with pytest.raises(UsageError, match="its 'unfinished' is not of a multilica run"):
+        run_into(tmp_path)
+    assert (tmp_path / "unfinished" / "chapter.txt").read_text() == "mine"
+
+
+def test_a_second_run_in_the_same_directory_is_refused(tmp_path):
+    with open_run(tmp_path, CONFIG), pytest.raises(UsageError, match="Another multilica run is writing to"):
+        run_into(tmp_path)
+    assert run_into(tmp_path).written
+
+
 def refuse_into(directory):
     """A run whose snapshot is refused in stage preprocess."""
     told = list(made_events("failed"))
@@ -124,16 +175,17 @@ def refuse_into(directory):
 
 def test_a_refused_snapshot_leaves_every_file(tmp_path):
     assert refuse_into(tmp_path).started
-    names = {"calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"}
-    assert {path.name for path in tmp_path.iterdir()} == names
+    assert {path.name for path in tmp_path.iterdir()} == NAMES
     assert json.loads((tmp_path / "result.json").read_text())["refusal"]["code"] == "moving_vehicle"
 
 
 def test_a_refused_snapshot_leaves_an_earlier_result_alone(tmp_path):
     run_into(tmp_path)
-    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    assert not refuse_into(tmp_path).started
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    before = files_in(tmp_path)
+    run = refuse_into(tmp_path)
+    assert json.loads((tmp_path / "unfinished" / "result.json").read_text())["refusal"]["code"] == "moving_vehicle"
+    assert {path.parent.name for path in run.written} == {"unfinished"}
+    assert {path: data for path, data in files_in(tmp_path).items() if path.parts[0] != "unfinished"} == before
 
 
 def test_an_earlier_refusal_is_no_result_to_keep(tmp_path):
@@ -141,14 +193,6 @@ def test_an_earlier_refusal_is_no_result_to_keep(tmp_path):
     assert refuse_into(tmp_path).started
     run_into(tmp_path)
     assert json.loads((tmp_path / "result.json").read_text())["refusal"] is None
-
-
-def test_earlier_run_can_be_removed_before_the_start(tmp_path):
-    run_into(tmp_path)
-    (tmp_path / "notes.txt").write_text("mine")
-    with open_run(tmp_path, CONFIG) as run:
-        run.clear()
-    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
 def test_a_file_in_the_way_is_refused_in_one_sentence(tmp_path):

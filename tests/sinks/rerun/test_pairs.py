@@ -128,3 +128,21 @@ def test_dropped_points_are_listed_with_their_reasons(partial):
     assert "| top | 1,200 | 4 | 9 | 1,200 | 600 |" in text
     assert "`too_near`: nearer than 1 m, such as the vehicle's own body (`preprocess.min_range_m`)" in text
     assert {f"| {name} |" for name in LIDARS} <= set(re.findall(r"^\| [^|]+ \|", text, flags=re.MULTILINE))
+
+
+def test_a_refused_loop_may_join_a_pair_never_matched(tmp_path):
+    path = tmp_path / "loop.rrd"
+    with RerunRecording(path) as observe:
+        for event in made_events():
+            match event:
+                case events.CorrespondencesMatched(each) if (each.target, each.source) == ("rear", "top"):
+                    continue
+                case events.HypothesesFound(each) if (each.target, each.source) == ("rear", "top"):
+                    continue
+                case events.HypothesesVerified(target="rear", source="top"):
+                    continue
+                case events.PairRegistered(PairRegistration(target="rear", source="top") as found):
+                    observe(events.LoopRegistered(replace(found, verdict=Verdict("reject", found.verdict.reasons))))
+                    continue
+            observe(event)
+    assert len(Recording(path).cells("/gicp/inliers/rear/top/0", "Scalars:scalars")) == 4

@@ -3,7 +3,11 @@
 
 from __future__ import annotations
 
-from multilica.sinks.rerun.reading import read_recorded_cloud, read_recorded_document
+import numpy as np
+import pytest
+
+from multilica.errors import UnreadableSourceError
+from multilica.sinks.rerun.reading import read_recorded_clouds, read_recorded_document
 from tests.sinks.made_events import LIDARS
 
 
@@ -12,6 +16,29 @@ def test_clouds_and_document_are_read_back(recordings):
     assert document.status == "partial"
     assert document.timing_s == {}
     figures = document.stages.preprocess
-    for lidar in LIDARS:
-        assert len(read_recorded_cloud(recordings["partial"], lidar)) == figures[lidar].points
-    assert len(read_recorded_cloud(recordings["partial"], "nobody")) == 0
+    clouds = read_recorded_clouds(recordings["partial"], [*LIDARS, "nobody"])
+    assert {name: len(points_m) for name, points_m in clouds.items()} == {
+        **{lidar: figures[lidar].points for lidar in LIDARS},
+        "nobody": 0,
+    }
+
+
+def test_a_reader_that_crashes_is_told_in_one_sentence(recordings, monkeypatch):
+    monkeypatch.setattr("multilica.sinks.rerun.rrd_process._COMMAND", "import os; os.abort()")
+    with pytest.raises(UnreadableSourceError, match=r"is a damaged recording: Rerun's reader crashed on it"):
+        read_recorded_document(recordings["partial"])
+
+
+def test_damaged_recordings_are_read_or_refused(recordings, tmp_path):
+    rng, whole = np.random.default_rng(0), recordings["partial"].read_bytes()
+    refused = 0
+    for number in range(8):
+        damaged = bytearray(whole)
+        damaged[int(rng.integers(len(whole)))] ^= 1 << int(rng.integers(8))
+        path = tmp_path / f"{number}.rrd"
+        path.write_bytes(damaged)
+        try:
+            assert read_recorded_document(path).target == "top"
+        except UnreadableSourceError:
+            refused += 1
+    assert refused > 0

@@ -40,6 +40,15 @@ def test_finds_the_truth(config):
     assert result.steps
 
 
+def test_epsilon_changes_the_pose_of_open3d():
+    config = preset("paper").fine
+    poses = [
+        register(*_clouds(each), RigidTransform.identity("t", "s"), each).T_target_source
+        for each in (config, config.model_copy(update={"gicp_epsilon": 0.5}))
+    ]
+    assert poses[0].distance_to(poses[1])[0] > 1e-5
+
+
 def test_it_converged_only_if_it_did_with_each_distance():
     start = RigidTransform.identity("t", "s")
     many = FineConfig(max_correspondence_distances_m=(0.5,) + (0.25,) * 20, max_iterations=2)

@@ -14,7 +14,7 @@ from multilica.solvers import SOLVERS
 from multilica.stages.coarse import find_hypotheses
 
 _PACKAGES = {"kiss_matcher": "kiss_matcher", "teaserpp": "teaserpp_python"}
-_WRONG_SHARE = {"cliques": 0.9, "kiss_matcher": 0.9, "teaserpp": 0.9, "ransac": 0.6, "fgr": 0.6}
+_WRONG_SHARE = {"cliques": 0.9, "maximum_clique": 0.9, "kiss_matcher": 0.9, "teaserpp": 0.9, "ransac": 0.6, "fgr": 0.6}
 _CONFIG = CoarseConfig(noise_bound_m=0.2)
 
 
@@ -49,7 +49,7 @@ def _matches(seed, count, wrong_share):
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_finds_the_pose_that_the_right_matches_agree_on(solver, seed):
     matches = _matches(seed, 600, _WRONG_SHARE[solver])
-    (best, *_), _ = SOLVERS[solver](matches, _CONFIG, 0)
+    best, *_ = SOLVERS[solver](matches, _CONFIG, 0).poses
     metres, radians = best.distance_to(_truth(seed))
     assert metres < 0.1
     assert radians < np.deg2rad(0.5)
@@ -74,14 +74,21 @@ def test_a_handful_of_matches_is_no_crash(solver, count):
 
 def test_the_same_seed_gives_the_same_bits(solver):
     matches = _matches(4, 400, _WRONG_SHARE[solver])
-    first, second = (SOLVERS[solver](matches, _CONFIG, 7)[0] for _ in range(2))
+    first, second = (SOLVERS[solver](matches, _CONFIG, 7).poses for _ in range(2))
     assert [pose.matrix.tobytes() for pose in first] == [pose.matrix.tobytes() for pose in second]
 
 
-@pytest.mark.parametrize(("name", "package"), _PACKAGES.items())
-def test_a_solver_that_is_not_installed_says_how_to_get_on(name, package, monkeypatch):
-    monkeypatch.setitem(sys.modules, package, None)
+@pytest.mark.parametrize(("name", "instead"), [("kiss_matcher", "cliques"), ("teaserpp", "maximum_clique")])
+def test_a_solver_that_is_not_installed_says_how_to_get_on(name, instead, monkeypatch):
+    monkeypatch.setitem(sys.modules, _PACKAGES[name], None)
     with pytest.raises(
-        MissingDependencyError, match=rf"'{name}' is not installed; .*`pip install .*coarse\.solver=cliques"
+        MissingDependencyError, match=rf"'{name}' is not installed; .*`pip install .*coarse\.solver={instead}"
     ):
-        find_hypotheses(_matches(1, 50, 0.0), CoarseConfig(solver=name), 100.0, 0)
+        SOLVERS[name](_matches(1, 50, 0.0), CoarseConfig(solver=name), 0)
+
+
+def test_without_teaserpp_the_same_is_solved_without_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "teaserpp_python", None)
+    coarse = find_hypotheses(_matches(1, 600, 0.9), CoarseConfig(noise_bound_m=0.2, solver="teaserpp"), 100.0, 0)
+    assert coarse.hypotheses[0].origin == "maximum_clique"
+    assert coarse.clique_size >= 60

@@ -148,3 +148,25 @@ def test_poses_beyond_the_baseline_promise_nothing():
 @pytest.mark.parametrize("counts", [(0, 0), (0, 5), (5, 0), (1, 1), (2, 2)])
 def test_too_few_descriptors_promise_nothing(counts):
     assert _promise(_features("t", _random(counts[0])), _features("s", _random(counts[1]))) == 0.0
+
+
+def test_without_a_limit_matches_are_in_the_order_of_the_source():
+    target, source = _seen_by_both(0.8, RigidTransform.identity("t", "s"))
+    config = CorrespondConfig(engine="kd_tree", max_keypoints=0, max_matches=0)
+    matches = match_features(target, source, config)
+    order = [source.points_m.tolist().index(point) for point in matches.source_points_m.tolist()]
+    assert order == sorted(order)
+    assert len(order) > 1500
+    assert len(match_features(target, source, config.model_copy(update={"max_matches": 7}))) == 7
+
+
+@pytest.mark.parametrize("mutual", [True, False])
+def test_both_engines_find_the_same_matches(mutual):
+    clouds = _seen_by_both(0.5, RigidTransform.identity("t", "s"))
+    found = [
+        match_features(*clouds, CorrespondConfig(engine=engine, mutual=mutual, max_matches=0))
+        for engine in ("blocks", "kd_tree")
+    ]
+    assert np.array_equal(found[0].target_points_m, found[1].target_points_m)
+    assert np.array_equal(found[0].source_points_m, found[1].source_points_m)
+    assert len(found[0]) > 500

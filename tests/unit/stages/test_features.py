@@ -9,6 +9,7 @@ from multilica.results import PreprocessedCloud
 from multilica.stages.features import compute_features
 
 _ROOM_HALF_M = np.array([6.0, 4.0, 2.0])
+_SHIFT = np.array([0.1, 0.2, 0.05])
 
 
 def _room(seed=0, count=20_000):
@@ -68,3 +69,28 @@ def test_the_same_cloud_gives_the_same_bits():
 def test_next_to_no_points_are_no_crash(count):
     features = compute_features(_cloud(_room()[:count]), FeaturesConfig())
     assert len(features.points_m) == len(features.normals) == len(features.descriptors) <= count
+
+
+def test_a_box_keeps_its_corners_and_a_ball_does_not():
+    points = np.array([[9.0, 9.0, 9.0], [9.0, 0.0, 0.0], [-11.0, 0.0, 0.0], [0.0, -9.0, 9.0]])
+    kept = {
+        shape: compute_features(_cloud(points), FeaturesConfig(max_range_m=10.0, range_shape=shape)).points_m
+        for shape in ("ball", "box")
+    }
+    assert sorted(kept["ball"].tolist()) == [[9.0, 0.0, 0.0]]
+    assert sorted(kept["box"].tolist()) == sorted(points[[0, 1, 3]].tolist())
+
+
+def test_the_grid_of_the_engine_open3d_moves_with_the_cloud():
+    points = _room(count=5_000)
+    config = FeaturesConfig(engine="open3d", orient_normals=False)
+    here, moved = (compute_features(_cloud(each), config) for each in (points, points + _SHIFT))
+    assert np.allclose(np.sort(here.points_m, axis=0), np.sort(moved.points_m - _SHIFT, axis=0))
+    by_tensor = [compute_features(_cloud(each), FeaturesConfig()) for each in (points, points + _SHIFT)]
+    assert len({len(each.points_m) for each in by_tensor}) == 2
+
+
+@pytest.mark.parametrize("engine", ["open3d_tensor", "open3d"])
+def test_no_points_in_range_give_no_descriptors(engine):
+    features = compute_features(_cloud(np.array([[90.0, 0.0, 0.0]])), FeaturesConfig(engine=engine))
+    assert features.descriptors.shape == (0, 33)

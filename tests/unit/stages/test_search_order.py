@@ -3,7 +3,7 @@ from itertools import combinations
 
 import pytest
 
-from multilica.stages.search_order import components, next_round
+from multilica.stages.search_order import components, next_round, pairs_by_role
 
 _NAMES = "abcd"
 _PROMISE = {pair: promise for promise, pair in enumerate(combinations(_NAMES, 2))}
@@ -53,3 +53,11 @@ def test_a_chain_of_rounds_needs_one_search_less_than_lidars():
         searched += pairs
         accepted += pairs
     assert len(searched) == len(_NAMES) - 1
+
+
+@pytest.mark.parametrize(
+    ("mode", "pairs"),
+    [("target_first", "ba bc"), ("algorithm1", "ab ac ba bc ca cb"), ("graph", "ab ac bc")],
+)
+def test_the_mode_of_the_merge_gives_the_roles(mode, pairs):
+    assert ["".join(pair) for pair in pairs_by_role("abc", "b", mode)] == pairs.split()

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`multilica datasets`: the presets side by side on a data set of the paper."""
+
+from math import radians
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from multilica_cli.configuration import topic_names
+from multilica_cli.options import Json, Quiet, Settings
+from multilica_cli.terminal import stdout_console
+
+__all__ = ["datasets"]
+
+
+def datasets(
+    name: Annotated[Literal["helipr", "edgar", "opencalib"], typer.Argument(metavar="NAME", help="The data set.")],
+    path: Annotated[
+        Path,
+        typer.Argument(
+            metavar="PATH",
+            help="helipr: folder of a sequence. edgar: folder with a ROS 2 bag or a folder of PCD files per scene. "
+            "opencalib: lidar2lidar/auto_calib/data, or one folder of it.",
+            show_default=False,
+        ),
+    ],
+    *,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Directory for scenes and runs.", show_default="recordings/runs/<NAME>"),
+    ] = None,
+    presets: Annotated[
+        list[str] | None,
+        typer.Option("--preset", metavar="NAME", help="Preset to run. Repeatable.", show_default="all"),
+    ] = None,
+    scenes: Annotated[int, typer.Option(metavar="N", help="Largest number of scenes.")] = 10,
+    frames: Annotated[int, typer.Option(metavar="N", help="Frames per LiDAR and scene.")] = 5,
+    target: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Target LiDAR.", show_default="that of the data set")
+    ] = None,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option("--topic", metavar="NAME=/topic", help="edgar: the topic of a LiDAR of the truth. Repeatable."),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="True poses, as TOML or as the authors' config.yaml.",
+            show_default="that of the data set",
+        ),
+    ] = None,
+    settings: Settings = None,
+    within_m: Annotated[float, typer.Option(metavar="M", help="Largest position error of a success.")] = 0.02,
+    within_deg: Annotated[float, typer.Option(metavar="DEG", help="Largest rotation error of a success.")] = 0.1,
+    quiet: Quiet = False,
+    as_json: Json = False,
+) -> None:
+    """Run the presets on still moments of a data set of the paper, and print the paper's tables beside its figures."""
+    from multilica.config import PRESETS
+    from multilica.datasets import READERS, SceneRequest, published, run_presets
+    from multilica.datasets.document import dataset_document
+    from multilica.runs import Tolerances
+    from multilica_cli.progress import show_progress
+    from multilica_cli.tables.datasets import print_dataset
+
+    limits = Tolerances(within_m, radians(within_deg), max(0.05, within_m), radians(max(0.5, within_deg)))
+    request = SceneRequest(scenes, frames, topic_names(topics or ()) or {}, truth)
+    with show_progress(quiet=quiet) as observe:
+        found = run_presets(
+            READERS[name](path, request),
+            presets or tuple(PRESETS),
+            out or Path("recordings") / "runs" / name,
+            target=target or "",
+            settings=settings or (),
+            observe=observe,
+        )
+    known = published(name, limits)
+    if as_json:
+        typer.echo(dataset_document(name, found, known, limits).model_dump_json(indent=2))
+    else:
+        print_dataset(name, found, known, limits, stdout_console(quiet=quiet))

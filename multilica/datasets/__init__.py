@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Public data sets: their own files as scenes with truth, and the presets side by side on them."""
+
+from collections.abc import Mapping
+
+from multilica.datasets import edgar, helipr, opencalib
+from multilica.datasets.presets import DatasetRuns, PresetRuns, run_presets
+from multilica.datasets.published import Published, published
+from multilica.datasets.scene import DatasetScene, Reader, SceneRequest
+
+__all__ = [
+    "READERS",
+    "DatasetRuns",
+    "DatasetScene",
+    "PresetRuns",
+    "Published",
+    "Reader",
+    "SceneRequest",
+    "published",
+    "run_presets",
+]
+
+READERS: Mapping[str, Reader] = {
+    "edgar": edgar.read_scenes,
+    "helipr": helipr.read_scenes,
+    "opencalib": opencalib.read_scenes,
+}
+"""Data set -> its reader."""

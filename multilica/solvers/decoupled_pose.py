@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rotation and translation of a clique of matches, one after the other, as TEASER++ estimates them."""
+
+import numpy as np
+
+from multilica.config import CoarseConfig
+from multilica.geometry import FloatArray
+
+__all__ = ["decoupled_pose", "vote_translation"]
+
+# Far beyond it every weight is 0 or 1, so that it need not grow on until it overflows.
+_SHARPEST = 1e100
+
+
+def decoupled_pose(target_m: FloatArray, source_m: FloatArray, config: CoarseConfig) -> tuple[FloatArray, FloatArray]:
+    """Estimate the rotation from a ring of differences, and then each component of the translation.
+
+    Yang, Shi and Carlone, "TEASER: Fast and Certifiable Point Cloud Registration", T-RO 2020, sections V to VII.
+
+    Args:
+        target_m, source_m: (N, 3) matched points in the order of the ring, N >= 2.
+
+    Returns:
+        Rotation (3, 3) and translation (3,).
+    """
+    ring_target_m, ring_source_m = (np.roll(points, -1, axis=0) - points for points in (target_m, source_m))
+    # A difference has the noise of two points.
+    rotation = _robust_rotation(ring_target_m, ring_source_m, 2.0 * config.noise_bound_m, config)
+    bound_m = config.noise_bound_m * np.sqrt(config.cbar2)
+    offsets_m = target_m - source_m @ rotation.T
+    return rotation, np.array([vote_translation(along, bound_m) for along in offsets_m.T])
+
+
+def _robust_rotation(
+    target_m: FloatArray, source_m: FloatArray, noise_bound_m: float, config: CoarseConfig
+) -> FloatArray:
+    """Rotate (N, 3) vectors onto others by graduated non-convexity on a truncated cost (Yang et al., RA-L 2020)."""
+    bound_m2 = noise_bound_m**2
+    weights = np.ones(len(target_m))
+    rotation, sharpness, cost_before = np.eye(3), 0.0, np.inf
+    for _ in range(config.gnc_max_iterations):
+        rotation = _rotation(target_m, source_m, weights)
+        squared_m2 = np.sum((target_m - source_m @ rotation.T) ** 2, axis=1)
+        if sharpness == 0.0:
+            excess = 2.0 * squared_m2.max() / bound_m2 - 1.0
+            if excess <= 0.0:
+                break
+            sharpness = 1.0 / excess
+        cost = float(weights @ squared_m2)
+        between = np.sqrt(bound_m2 * sharpness * (sharpness + 1.0) / np.maximum(squared_m2, 1e-300)) - sharpness
+        outside = squared_m2 >= (sharpness + 1.0) / sharpness * bound_m2
+        inside = squared_m2 <= sharpness / (sharpness + 1.0) * bound_m2
+        weights = np.where(outside, 0.0, np.where(inside, 1.0, between))
+        if abs(cost - cost_before) < config.gnc_cost_threshold:
+            break
+        sharpness, cost_before = min(sharpness * config.gnc_factor, _SHARPEST), cost
+    return rotation
+
+
+def _rotation(target_m: FloatArray, source_m: FloatArray, weights: FloatArray) -> FloatArray:
+    """Fit the rotation (3, 3) of (N, 3) vectors with ``target ~ R @ source`` and weights (N,)."""
+    u, _, vt = np.linalg.svd(target_m.T @ (source_m * weights[:, None]))
+    u[:, -1] *= np.linalg.det(u @ vt)
+    return np.asarray(u @ vt)
+
+
+def vote_translation(offsets_m: FloatArray, bound_m: float) -> float:
+    """Estimate one component of the translation from the offsets (N,) of the matches by adaptive voting.
+
+    The sets of offsets within the bound of one place change only at the ends of their intervals, so one place between
+    each two ends is tried. TEASER++ adds the bound, not its square, for each offset that is left out.
+
+    Returns:
+        The mean of the set with the least cost, metres.
+    """
+    ends_m = np.sort(np.concatenate([offsets_m - bound_m, offsets_m + bound_m]))
+    centres_m = (ends_m[:-1] + ends_m[1:]) / 2.0
+    within = np.abs(offsets_m - centres_m[:, None]) <= bound_m
+    count = np.count_nonzero(within, axis=1)
+    within, count = within[count > 0], count[count > 0]
+    mean_m = (within @ offsets_m) / count
+    spread = np.sum(np.where(within, offsets_m - mean_m[:, None], 0.0) ** 2, axis=1)
+    return float(mean_m[np.argmin(spread + bound_m * (len(offsets_m) - count))])

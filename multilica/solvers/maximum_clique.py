@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The largest clique of a graph, exactly."""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.sparse import csr_array
+
+from multilica.errors import MultilicaError
+from multilica.results import BoolArray, IndexArray
+from multilica.solvers.consistency_graph import grow_clique
+
+__all__ = ["maximum_clique"]
+
+# Greedy cliques from so many nodes with the most neighbours: one of them is nearly always as large as can be.
+_STARTS = 20
+
+
+def maximum_clique(graph: BoolArray) -> IndexArray:
+    """Find a largest set of nodes that are all connected with each other.
+
+    A greedy clique is a lower bound. What cannot belong to a clique as large is removed, and HiGHS solves an integer
+    program for the rest (docs/decisions/0007-exact-maximum-clique.md). Of several as large, one whose nodes have few
+    connections is taken. The library of TEASER++ searches such nodes first, but may take another one.
+
+    Args:
+        graph: (M, M) symmetric, M >= 1; the diagonal is ignored.
+
+    Returns:
+        Its members in ascending order.
+    """
+    graph = graph & ~np.eye(len(graph), dtype=np.bool_)
+    connections = np.count_nonzero(graph, axis=1)
+    starts = np.argsort(-connections, kind="stable")[:_STARTS]
+    nodes, rest = _within_cliques(graph, max(len(grow_clique(graph, int(start))) for start in starts))
+    later = np.argsort(np.lexsort((nodes, connections[nodes])))
+    # All these shares together count less than one member.
+    share = 1.0 - later / (len(nodes) + 1.0) ** 2
+    return np.asarray(nodes[_heaviest_clique(rest, share)])
+
+
+def _within_cliques(graph: BoolArray, size: int) -> tuple[IndexArray, BoolArray]:
+    """Keep nodes and edges that may belong to a clique of that size: both ends of an edge need neighbours in common."""
+    nodes = np.arange(len(graph), dtype=np.int64)
+    while True:
+        enough = np.count_nonzero(graph, axis=1) >= size - 1
+        if not enough.all():
+            nodes, graph = nodes[enough], graph[np.ix_(enough, enough)]
+            continue
+        connected = graph.astype(np.float32)
+        kept = graph & (connected @ connected >= size - 2)
+        if np.array_equal(kept, graph):
+            return nodes, graph
+        graph = kept
+
+
+def _heaviest_clique(graph: BoolArray, weights: npt.NDArray[np.float64]) -> IndexArray:
+    """Solve the integer program: of each set of nodes without an edge among them, at most one is a member."""
+    without = _sets_without_edges(graph)
+    if not without:
+        return np.arange(len(graph), dtype=np.int64)
+    rows = np.repeat(np.arange(len(without)), [len(each) for each in without])
+    incidence = csr_array((np.ones(len(rows)), (rows, np.concatenate(without))), shape=(len(without), len(graph)))
+    solved = milp(
+        -weights,
+        integrality=np.ones(len(graph)),
+        bounds=Bounds(0.0, 1.0),
+        constraints=LinearConstraint(incidence, -np.inf, 1.0),
+        options={"mip_rel_gap": 0.0},
+    )
+    if solved.x is None:
+        raise MultilicaError(f"The largest clique of {len(graph)} matches was not found: {solved.message}")
+    return np.flatnonzero(solved.x > 0.5)
+
+
+def _sets_without_edges(graph: BoolArray) -> list[IndexArray]:
+    """Cover all pairs of nodes that no edge connects; large sets make the program easy."""
+    apart = ~graph & ~np.eye(len(graph), dtype=np.bool_)
+    uncovered, sets = apart.copy(), list[IndexArray]()
+    for node in range(len(graph)):
+        while len(others := np.flatnonzero(uncovered[node])):
+            members = [node, int(others[0])]
+            candidates = np.flatnonzero(apart[node] & apart[members[1]])
+            while len(candidates):
+                members.append(int(candidates[0]))
+                candidates = candidates[apart[members[-1], candidates]]
+            sets.append(np.array(members, dtype=np.int64))
+            uncovered[np.ix_(members, members)] = False
+    return sets

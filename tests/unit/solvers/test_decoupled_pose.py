@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from multilica.config import preset
+from multilica.solvers.decoupled_pose import decoupled_pose, vote_translation
+
+_CONFIG = preset("paper").coarse
+
+
+def _clique(seed, count, wrong):
+    """Matches of which the wrong ones are off by up to twice the noise bound, so that they are in the clique."""
+    rng = np.random.default_rng(seed)
+    rotation, translation = Rotation.random(random_state=seed).as_matrix(), rng.uniform(-3, 3, 3)
+    source = rng.uniform(-20, 20, (count, 3))
+    target = source @ rotation.T + translation + rng.normal(0, 0.01, (count, 3))
+    target[:wrong] += rng.uniform(0.5, 0.7, (wrong, 3))
+    return target, source, rotation, translation
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_few_wrong_matches_do_not_matter(seed):
+    target, source, rotation, translation = _clique(seed, 30, 3)
+    found_rotation, found_translation = decoupled_pose(target, source, _CONFIG)
+    assert Rotation.from_matrix(found_rotation.T @ rotation).magnitude() < np.deg2rad(0.3)
+    assert np.abs(found_translation - translation).max() < 0.1
+
+
+def test_without_noise_it_is_exact():
+    target, source, rotation, translation = _clique(1, 10, 0)
+    target = source @ rotation.T + translation
+    found_rotation, found_translation = decoupled_pose(target, source, _CONFIG)
+    assert np.allclose(found_rotation, rotation, atol=1e-9)
+    assert np.allclose(found_translation, translation, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_vote_has_the_least_cost_of_all_sets(seed):
+    offsets = np.random.default_rng(seed).uniform(-1, 1, 9)
+    bound = 0.3
+
+    def cost(centre):
+        near = np.abs(offsets - centre) <= bound
+        mean = offsets[near].mean() if near.any() else np.nan
+        return np.sum((offsets[near] - mean) ** 2) + bound * np.count_nonzero(~near), mean
+
+    costs = [cost(centre) for centre in np.arange(-1.3, 1.3, 0.0005)]
+    least, mean = min((each for each in costs if np.isfinite(each[1])), key=lambda each: each[0])
+    assert vote_translation(offsets, bound) == pytest.approx(mean, abs=1e-9)
+    assert least <= 9 * bound
+
+
+def test_a_larger_c_bar_lets_more_offsets_vote():
+    target, source, *_ = _clique(2, 12, 4)
+    _, narrow = decoupled_pose(target, source, _CONFIG)
+    _, wide = decoupled_pose(target, source, _CONFIG.model_copy(update={"cbar2": 9.0}))
+    assert np.abs(narrow - wide).max() > 0.05
