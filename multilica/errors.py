@@ -16,7 +16,8 @@
     ├── ViewerError                 no viewer can be shown on this machine  exit code 1
     └── WorkerDiedError             a worker process was killed or crashed  exit code 1
 
-Each message is one sentence that says what was found, where, what was expected and what to do.
+Each message is one sentence that says what was found, where, what was expected and what to do. Names and values in it
+may come from a file, so that its length is bounded and characters that a terminal would obey are escaped.
 """
 
 import difflib
@@ -36,11 +37,32 @@ __all__ = [
     "UsageError",
     "ViewerError",
     "WorkerDiedError",
+    "escape_controls",
 ]
+
+_MAX_MESSAGE = 500
+_TAIL = 150
+_MAX_COMPARED = 100
+
+
+def escape_controls(text: str) -> str:
+    """Return a text in one line, with what cannot be printed as escapes: controls, also those of the direction."""
+    return text if text.isprintable() else "".join(each if each.isprintable() else _escaped(each) for each in text)
+
+
+def _escaped(character: str) -> str:
+    code = ord(character)
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
 
 
 class MultilicaError(Exception):
-    """Base of every error that multilica raises on purpose."""
+    """Base of every error that multilica raises on purpose; a long message loses its middle."""
+
+    def __init__(self, message: str) -> None:
+        text = escape_controls(message)
+        if len(text) > _MAX_MESSAGE:
+            text = f"{text[: _MAX_MESSAGE - _TAIL - 5]} ... {text[-_TAIL:]}"
+        super().__init__(text)
 
 
 class UsageError(MultilicaError):
@@ -58,7 +80,7 @@ class UnknownNameError(UsageError):
         self.available = tuple(sorted(available))
         self._arguments = kind, name, self.available, where
         place = f" in {where}" if where else ""
-        close = difflib.get_close_matches(name, self.available, n=1)
+        close = difflib.get_close_matches(name[:_MAX_COMPARED], self.available, n=1)
         hint = f" Did you mean '{close[0]}'?" if close else ""
         listed = ", ".join(self.available) or "none"
         super().__init__(f"There is no {kind} '{name}'{place}; available: {listed}.{hint}")

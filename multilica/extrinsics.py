@@ -1,15 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of the LiDARs of a rig, in memory and as a TOML table."""
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, ValidationError, model_validator
 
+from multilica.documents import (
+    MAX_TOML_BYTES,
+    DocumentError,
+    first_problem,
+    parse_toml,
+    read_limited,
+    require_length,
+    shown,
+)
 from multilica.errors import SourceNotFoundError, UnknownNameError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 
@@ -24,7 +32,9 @@ __all__ = [
 ]
 
 EXTRINSICS_SCHEMA: Literal["multilica/extrinsics/1"] = "multilica/extrinsics/1"
-Numbers = tuple[float, ...]
+Number = Annotated[float, Strict(), AfterValidator(require_length)]
+Three = tuple[Number, Number, Number]
+Four = tuple[Number, Number, Number, Number]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,10 +70,10 @@ class PoseTable(BaseModel):
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
-    xyz_m: Numbers | None = None
-    rpy_deg: Numbers | None = None
-    quaternion_xyzw: Numbers | None = None
-    T_target_source: tuple[Numbers, ...] | None = None
+    xyz_m: Three | None = None
+    rpy_deg: Three | None = None
+    quaternion_xyzw: Four | None = None
+    T_target_source: tuple[Four, Four, Four, Four] | None = None
 
     @model_validator(mode="after")
     def _check_pose(self) -> Self:
@@ -125,21 +135,20 @@ def read_extrinsics(path: Path, *, with_uncertain: bool = False) -> Extrinsics:
         UnreadableSourceError: not TOML, or not such a table.
     """
     try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
+        values = parse_toml(read_limited(path, MAX_TOML_BYTES))
     except FileNotFoundError as error:
         raise SourceNotFoundError(f"No extrinsics file at {path}.") from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, DocumentError) as error:
         raise UnreadableSourceError(f"{path} is not a TOML file that can be read: {error}.") from error
     if values.get("schema") != EXTRINSICS_SCHEMA:
         raise UnreadableSourceError(
-            f"{path} has schema {values.get('schema')!r}; expected '{EXTRINSICS_SCHEMA}', "
+            f"{path} has schema {shown(values.get('schema'))}; expected '{EXTRINSICS_SCHEMA}', "
             "as calibration.toml and truth files have it."
         )
     try:
         table = ExtrinsicsTable.model_validate(values)
     except ValidationError as error:
-        first = error.errors()[0]
-        where, what = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
+        where, what, _ = first_problem(error)
         raise UnreadableSourceError(f"{path} is not a table of extrinsics: {where}: {what}.") from error
     entries = {**(table.uncertain if with_uncertain else {}), **table.lidars}
     return Extrinsics(table.target, {name: entry.pose(table.target, name) for name, entry in entries.items()})

@@ -106,6 +106,8 @@ def point_dtype(fields: tuple[PointField, ...], point_step: int, *, big_endian: 
         listed = ", ".join(field.name for field in fields) or "none"
         raise ValueError(f"has no field {' or '.join(missing)}; its fields are: {listed}")
     names = [name for name in (*_COORDINATES, _INTENSITY) if name in chosen]
+    if len({chosen[name].offset for name in _COORDINATES}) < len(_COORDINATES):
+        raise ValueError("has two coordinates at the same bytes of each point")
     return np.dtype(
         {
             "names": names,

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from math import inf
 from pathlib import Path
@@ -38,7 +37,7 @@ def resolve_config(
         UsageError: a preset and a file, an unknown key or a value out of range.
         SourceNotFoundError: no such file.
     """
-    from multilica.config import load_config, preset, with_overrides
+    from multilica.config import load_config, preset, read_config_table, with_overrides
 
     if preset_name and config_file:
         raise UsageError(
@@ -46,7 +45,7 @@ def resolve_config(
             f'or write preset = "{preset_name}" into the file.'
         )
     config = load_config(config_file) if config_file else preset(preset_name or "default")
-    table = tomllib.loads(config_file.read_text(encoding="utf-8")) if config_file else {}
+    table = read_config_table(config_file) if config_file else {}
     if recorded_frames and "frames" not in table.get("ingest", {}):
         config = with_overrides(config, [f"ingest.frames={recorded_frames}"])
     given = [f"{key}={inline_toml(value)}" for key, value in options.items() if value is not None]

@@ -27,6 +27,7 @@ __all__ = [
 
 DEBUG_VARIABLE = "MULTILICA_DEBUG"
 """Environment variable; 1 adds the traceback to each failure."""
+_LONGEST = 500
 
 
 class ExitCode(IntEnum):
@@ -52,13 +53,20 @@ def print_failure(failure: BaseException) -> int:
     """Print the failure on stderr and return the exit code."""
     code, sentence = describe_failure(failure)
     if sentence:
-        print_line(printable(" ".join(sentence.split())))
+        print_line(_shortened(printable(" ".join(sentence.split()))))
     if os.environ.get(DEBUG_VARIABLE) == "1":
         sys.excepthook(type(failure), failure, failure.__traceback__)
     return code
 
 
-def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: PLR0911 - one return per kind of failure
+def _shortened(sentence: str) -> str:
+    """Cut out the middle of what is too long to read: a name or a text of the input."""
+    if len(sentence) <= _LONGEST:
+        return sentence
+    return f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
+
+
+def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: C901, PLR0911 - a return per kind of failure
     """Return the exit code of a failure, and a sentence for the user that is empty if there is nothing to say."""
     match failure:
         case UsageError():
@@ -73,6 +81,10 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: PLR091
             return ExitCode.USAGE, _usage_sentence(failure)
         case BrokenPipeError():
             return ExitCode.BROKEN, ""
+        case ImportError() if "failed to map segment" in str(failure) or "llocate memory" in str(failure):
+            return ExitCode.BROKEN, (
+                f"Out of memory: a library cannot be loaded ({failure}); allow the process more memory (`ulimit -v`)."
+            )
         case ImportError() if "shared object" in str(failure):
             return ExitCode.BROKEN, (
                 f"A library that multilica needs cannot be loaded ({failure}); on Debian and Ubuntu "

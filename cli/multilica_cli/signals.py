@@ -28,8 +28,9 @@ class Interrupted(BaseException):
 def unwind_on_signals() -> None:
     """Raise `Interrupted` in the main thread on SIGINT, SIGTERM and SIGHUP, unless the parent ignores them.
 
-    A signal within an import waits for its end: libraries take an exception there for one of their own. After the
-    first signal, more of them are ignored for five seconds, so that they do not disturb the clean-up.
+    A signal within an import waits for its end: libraries take an exception there for one of their own. One that the
+    interpreter drops, within the clean-up of an object, is raised again. After the first signal, more of them are
+    ignored for five seconds, so that they do not disturb the clean-up.
     """
     ignored_until_s = 0.0
 
@@ -45,6 +46,13 @@ def unwind_on_signals() -> None:
             return
         raise Interrupted(_received[-1])
 
+    def raise_again(dropped: "sys.UnraisableHookArgs") -> None:
+        if isinstance(dropped.exc_value, Interrupted):
+            signal.setitimer(signal.ITIMER_REAL, _RETRY_S)
+        else:
+            sys.__unraisablehook__(dropped)
+
+    sys.unraisablehook = raise_again
     _received.clear()
     for number in (*_NUMBERS, signal.SIGALRM):
         if signal.getsignal(number) is not signal.SIG_IGN:

@@ -8,11 +8,12 @@ import typer
 from rich.console import Console
 from rich.text import Text
 
+from multilica.errors import escape_controls
+
 __all__ = ["print_json", "printable", "stderr_console", "stdout_console"]
 
 _WIDTH_OF_FILES = 160
 _LEAST_WIDTH = 100
-_ESCAPES = {code: f"\\x{code:02x}" for code in (*range(0x20), *range(0x7F, 0xA0)) if chr(code) not in "\n\t"}
 
 
 class _PlainConsole(Console):
@@ -25,7 +26,8 @@ class _PlainConsole(Console):
 
 def printable(text: str) -> str:
     """Escape control characters: names from a recording could otherwise send commands to the terminal."""
-    return text.translate(_ESCAPES).encode("utf-8", "backslashreplace").decode("utf-8")
+    lines = ("\t".join(map(escape_controls, line.split("\t"))) for line in text.split("\n"))
+    return "\n".join(lines).encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def print_json(document: object) -> None:

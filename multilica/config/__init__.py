@@ -8,7 +8,7 @@ from multilica.config.features import CorrespondConfig, FeaturesConfig
 from multilica.config.fine import FineConfig
 from multilica.config.ground import GroundConfig
 from multilica.config.ingest import IngestConfig
-from multilica.config.loading import known_keys, load_config, preset, with_overrides
+from multilica.config.loading import known_keys, load_config, preset, read_config_table, with_overrides
 from multilica.config.merge import JointConfig, MergeConfig, RefineConfig
 from multilica.config.preprocess import HealthConfig, PreprocessConfig, StillnessConfig
 from multilica.config.runtime import RecordConfig, RuntimeConfig
@@ -41,5 +41,6 @@ __all__ = [
     "known_keys",
     "load_config",
     "preset",
+    "read_config_table",
     "with_overrides",
 ]

@@ -3,7 +3,7 @@
 
 from pydantic import Field
 
-from multilica.config.section import Metres, Positive, PositiveMetres, Section
+from multilica.config.section import NotNegative, Positive, PositiveMetres, Section
 
 __all__ = ["AcceptanceConfig"]
 
@@ -29,7 +29,7 @@ class AcceptanceConfig(Section):
         0.15,
         description="a pose slides if a pushed or thinned registration ends farther away than this: half the push",
     )
-    firm_eigenvalue: Metres = Field(
+    firm_eigenvalue: NotNegative = Field(
         8.0,
         description="a pose is firm if the smallest eigenvalue of its information (points, 10 m arm) reaches this; "
         "for others more poses are tested",

@@ -35,6 +35,9 @@ class IngestConfig(Section):
         (), description="topics, patterns such as /lidar_*/points, or types to use; empty: all topics with point clouds"
     )
     strict: bool = Field(default=False, description="fail if any part of the recording is unreadable")
+    max_memory_mb: Positive = Field(
+        2000.0, description="memory that reading may take; a source that needs more is refused"
+    )
     timeout_s: Positive = Field(30.0, description="seconds after which reading from a live source stops")
 
     @field_validator("start_at", mode="before")

@@ -12,9 +12,13 @@ from pydantic import ValidationError
 from multilica.config.calibration import PRESETS, CalibrationConfig
 from multilica.config.section import Section
 from multilica.config.unused import leaf_keys, refuse_unused
+from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited, shown
 from multilica.errors import ConfigError, UnknownNameError
 
-__all__ = ["known_keys", "load_config", "preset", "with_overrides"]
+__all__ = ["known_keys", "load_config", "preset", "read_config_table", "with_overrides"]
+
+_MAX_KEYS = 16
+"""Parts of a key of a setting."""
 
 
 def preset(name: str) -> CalibrationConfig:
@@ -36,18 +40,27 @@ def load_config(path: Path) -> CalibrationConfig:
             preset and has no effect.
         UnknownNameError: no such preset.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise ConfigError(f"There is no configuration file at {path}.") from error
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{path} is not a readable TOML file: {error}.") from error
+    table = read_config_table(path)
     base = preset(str(table.get("preset", "default")))
     config = _merged(base, table, str(path))
     kept, found = dict(leaf_keys(base.model_dump())), dict(leaf_keys(config.model_dump()))
     # A file that `multilica config --toml` wrote has every key.
     refuse_unused(config, [key for key, _ in leaf_keys(table) if found.get(key) != kept.get(key)], str(path))
     return config
+
+
+def read_config_table(path: Path) -> dict[str, Any]:
+    """Read the table in a TOML file as it stands there, without a check of its keys.
+
+    Raises:
+        ConfigError: no such file, or not TOML.
+    """
+    try:
+        return parse_toml(read_limited(path, MAX_TOML_BYTES))
+    except FileNotFoundError as error:
+        raise ConfigError(f"There is no configuration file at {path}.") from error
+    except (OSError, DocumentError) as error:
+        raise ConfigError(f"{path} is not a readable TOML file: {error}.") from error
 
 
 def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> CalibrationConfig:
@@ -59,11 +72,12 @@ def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> Calib
     given: dict[str, str] = {}
     for override in overrides:
         key, equals, text = override.partition("=")
-        if not equals or not key.strip():
+        keys = key.strip().split(".")
+        if not equals or not key.strip() or len(keys) > _MAX_KEYS:
             raise ConfigError(
                 f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30."
             )
-        table = _nested(key.strip().split("."), _toml_value(text.strip()))
+        table = _nested(keys, _toml_value(key, text.strip()))
         config = _merged(config, table, f"setting '{override}'")
         given.update({leaf: f"setting '{override}'" for leaf, _ in leaf_keys(table)})
     for key, where in given.items():
@@ -75,11 +89,13 @@ def _nested(keys: list[str], value: object) -> dict[str, Any]:
     return {keys[0]: value if len(keys) == 1 else _nested(keys[1:], value)}
 
 
-def _toml_value(text: str) -> object:
+def _toml_value(key: str, text: str) -> object:
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
+        return parse_toml(f"value = {text}")["value"]
+    except DocumentError as error:
+        if isinstance(error.__cause__, tomllib.TOMLDecodeError):
+            return text
+        raise ConfigError(f"Cannot read the setting '{key}': {error}.") from error
 
 
 def _merged(base: CalibrationConfig, table: Mapping[str, Any], where: str) -> CalibrationConfig:
@@ -100,10 +116,9 @@ def _deep_update(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, An
 
 
 def _explain(error: ValidationError, where: str) -> str:
-    first = error.errors()[0]
-    key = ".".join(str(part) for part in first["loc"])
-    if first["type"] != "extra_forbidden":
-        return f"In {where}, {key} is {first['input']!r}: {first['msg'][0].lower()}{first['msg'][1:]}."
+    key, what, found = first_problem(error)
+    if error.errors(include_url=False, include_context=False)[0]["type"] != "extra_forbidden":
+        return f"In {where}, {key} is {shown(found)}: {what}."
     close = _nearest_key(key)
     hint = f" Did you mean '{close}'?" if close else " `multilica config` lists them all."
     return f"In {where}, there is no key '{key}'.{hint}"

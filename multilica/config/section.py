@@ -3,18 +3,21 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
 
-__all__ = ["Count", "Metres", "Positive", "PositiveMetres", "Section", "Share"]
+from multilica.documents import require_length
 
-Positive = Annotated[float, Field(gt=0.0)]
-PositiveMetres = Annotated[float, Field(gt=0.0)]
-Metres = Annotated[float, Field(ge=0.0)]
-Share = Annotated[float, Field(ge=0.0, le=1.0)]
-Count = Annotated[int, Field(ge=1)]
+__all__ = ["Count", "Metres", "NotNegative", "Positive", "PositiveMetres", "Section", "Share"]
+
+NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
+Positive = Annotated[float, Strict(), Field(gt=0.0)]
+PositiveMetres = Annotated[float, Strict(), Field(gt=0.0), AfterValidator(require_length)]
+Metres = Annotated[float, Strict(), Field(ge=0.0), AfterValidator(require_length)]
+Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
+Count = Annotated[int, Strict(), Field(ge=1)]
 
 
 class Section(BaseModel):
-    """A table of the configuration: frozen, without unknown keys."""
+    """A table of the configuration: frozen, without unknown keys or numbers that are not finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

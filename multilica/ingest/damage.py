@@ -45,6 +45,8 @@ def damage_named(where: str) -> Iterator[None]:
 def reason_of(error: Exception) -> str:
     """Return the meaning of a library's exception, as a clause in one line."""
     text = " ".join(str(error).split()).rstrip(".")
+    if type(error).__name__ == "InterruptError":
+        return "reading it takes many more steps than its size explains"
     if "database disk image is malformed" in text:
         return "the file ends too early or was overwritten"
     return _REASON_OF_CLASS.get(type(error).__name__) or text or type(error).__name__

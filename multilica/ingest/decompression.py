@@ -4,9 +4,10 @@
 import bz2
 
 import lz4.frame
-import numpy as np
 import zstandard
 from isal.isal_zlib import crc32 as crc32_of
+
+from multilica.ingest.memory import memory_budget
 
 __all__ = [
     "MAX_RECORDS",
@@ -32,6 +33,7 @@ def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: 
 
     Raises:
         ValueError: the size is impossible, or not that of the data; the text is a clause.
+        MemoryLimitError: the size exceeds the memory budget of the ingest.
     """
     if size > MAX_UNPACKED_BYTES:
         raise ValueError(f"a record claims to unpack to {size} bytes; the limit is {MAX_UNPACKED_BYTES}")
@@ -66,14 +68,16 @@ def _unpacked(compression: str, packed: bytes | memoryview, size: int, *, partia
         return memoryview(packed)
     if size == 0:
         return memoryview(b"")
+    memory = memory_budget()
+    memory.require(size)
     if compression == "zstd":
         return _unpacked_zstd(packed, size, partial=partial)
     if compression == "lz4":
         # The class around this function would copy `packed`.
         context = lz4.frame.create_decompression_context()
-        return memoryview(lz4.frame.decompress_chunk(context, packed, max_length=size)[0])
+        return memory.keep(lz4.frame.decompress_chunk(context, packed, max_length=size)[0])
     if compression == "bz2":
-        return memoryview(bz2.BZ2Decompressor().decompress(packed, max_length=size))
+        return memory.keep(bz2.BZ2Decompressor().decompress(packed, max_length=size))
     raise ValueError(f"a record is compressed with '{compression[:16]}'; expected zstd, lz4 or bz2")
 
 
@@ -81,7 +85,7 @@ def _unpacked_zstd(packed: bytes | memoryview, size: int, *, partial: bool) -> m
     stated_size = zstandard.frame_content_size(packed)
     if stated_size not in (-1, size) and not partial:
         raise ValueError(f"a record unpacks to {stated_size} bytes, yet claims {size}")
-    unpacked = np.empty(size, np.uint8).data
+    unpacked = memory_budget().empty(size)
     stream = zstandard.ZstdDecompressor().stream_reader(packed)
     length = stream.readinto(unpacked)
     if not partial and stream.read(1):

@@ -7,6 +7,7 @@ To add a format, write its reader and add one entry to `FORMATS`.
 from dataclasses import dataclass
 from enum import Enum
 
+from multilica.documents import LFS_POINTER
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.decompression import ZSTD_MAGIC
 from multilica.ingest.remote.remote_file import SourceFile
@@ -119,6 +120,8 @@ def require_format(head: bytes | memoryview, named: FileFormat | None) -> FileFo
     start = bytes(head[:HEAD_BYTES])
     if not start:
         raise ValueError("is empty")
+    if start.startswith(LFS_POINTER):
+        raise ValueError("is a pointer of Git LFS, not the file; get the file with `git lfs pull`")
     found = next((entry for entry in FORMATS.values() if entry.matches(start)), None)
     if found is None and named is not None and not named.magic:
         return named

@@ -8,6 +8,8 @@ from collections.abc import Callable, Collection, Generator, Iterable
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeAlias
 
+from multilica.errors import escape_controls
+
 __all__ = [
     "MessageObserver",
     "Messages",
@@ -154,5 +156,5 @@ def joint_topics(counts: Iterable[tuple[Topic, int]]) -> tuple[Topic, ...]:
 
 
 def sanitize_text(value: object) -> str:
-    """Return the value as valid UTF-8 text; lone surrogates, as in JSON or file names, become question marks."""
-    return str(value).encode("utf-8", "replace").decode("utf-8")
+    """Return the value as valid UTF-8 text: lone surrogates become question marks, control characters escapes."""
+    return escape_controls(str(value).encode("utf-8", "replace").decode("utf-8"))

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The metadata that `multilica record` saves in a snapshot."""
 
-import json
+import re
 from collections.abc import Collection, Sequence
 from contextlib import closing, suppress
 from io import BytesIO
+from typing import Annotated
 
 from mcap.data_stream import ReadDataStream
 from mcap.reader import make_reader
 from mcap.records import Metadata
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from multilica.config import IngestConfig
+from multilica.documents import DocumentError, parse_json
 from multilica.ingest.containers.exact_reader import ExactReader
 from multilica.ingest.containers.mcap_records import RECORD_HEAD
 from multilica.ingest.damage import DamagedRecordingError, damage_named
@@ -21,11 +24,35 @@ from multilica.ingest.remote.address import is_live
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
 
-__all__ = ["config_for", "frames_recorded", "notes_recorded"]
+__all__ = ["SnapshotMetadata", "config_for", "frames_recorded", "notes_recorded"]
 
 _MAX_BYTES = 1 << 20
 """Limit of a snapshot's metadata, which take a few hundred bytes."""
 _PREFIX = "When it was recorded: "
+_MAX_FRAMES = 1_000_000
+
+
+def _frames(text: object) -> object:
+    """Return the number of frames in the text of it; 0 for anything else."""
+    return int(text) if isinstance(text, str) and re.fullmatch("[0-9]{1,7}", text) else 0
+
+
+def _list(text: object) -> object:
+    """Return the list in a JSON text; an empty one for anything else."""
+    try:
+        found = parse_json(text) if isinstance(text, str) else None
+    except DocumentError:
+        found = None
+    return found if isinstance(found, list) else []
+
+
+class SnapshotMetadata(BaseModel):
+    """The metadata record of a snapshot; `frames` is 0 if they are not known."""
+
+    model_config = ConfigDict(frozen=True)
+
+    frames: Annotated[int, BeforeValidator(_frames), Field(le=_MAX_FRAMES)] = 0
+    notes: Annotated[tuple[object, ...], BeforeValidator(_list)] = ()
 
 
 def config_for(sources: Sequence[PathLike]) -> IngestConfig:
@@ -41,8 +68,7 @@ def frames_recorded(sources: Sequence[PathLike]) -> int | None:
     """
     if any(map(is_live, sources)):
         return None
-    texts = [_metadata(locate(source)).get("frames", "") for source in sources]
-    counts = [int(text) if text.isdecimal() else 0 for text in texts]
+    counts = [_metadata(locate(source)).frames for source in sources]
     return max(counts) if counts and all(counts) else None
 
 
@@ -53,16 +79,17 @@ def notes_recorded(files: Sequence[SourceFile], known: Collection[str]) -> list[
 
 
 def _notes(path: SourceFile) -> list[str]:
-    try:
-        notes = json.loads(_metadata(path).get("notes", "[]"))
-    except (ValueError, RecursionError):
-        return []
-    texts = [note for note in notes if isinstance(note, str)] if isinstance(notes, list) else []
-    return [" ".join(sanitize_text(text).split()) for text in texts]
+    return [" ".join(sanitize_text(note).split()) for note in _metadata(path).notes if isinstance(note, str)]
 
 
-def _metadata(path: SourceFile) -> dict[str, str]:
+def _metadata(path: SourceFile) -> SnapshotMetadata:
     """Return the metadata; empty for every other file, and for a file that cannot be read, which fails later."""
+    with suppress(ValidationError):
+        return SnapshotMetadata.model_validate(_texts(path))
+    return SnapshotMetadata()
+
+
+def _texts(path: SourceFile) -> dict[str, str]:
     with suppress(DamagedRecordingError), damage_named(str(path)):
         if named_format(path) is not FORMATS["mcap"] or not (path.exists() and path.is_file()):
             return {}

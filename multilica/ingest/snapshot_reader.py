@@ -12,7 +12,9 @@ from dataclasses import dataclass, replace
 from multilica.config import IngestConfig
 from multilica.errors import UsageError
 from multilica.ingest.locate import PathLike, find_source, locate
+from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
+from multilica.ingest.plausibility import plausibility_notes
 from multilica.ingest.recording import MessageObserver, Recording, sanitize_text
 from multilica.ingest.remote.address import is_live, without_secrets
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
@@ -34,6 +36,7 @@ __all__ = [
 WHOLE_FILE_BYTES = 256 << 20
 """Of larger files, only the size, the beginning and the end are hashed."""
 _EDGE_BYTES = 64 << 20
+_NAMELESS = "lidar"
 _REMOTE_EDGE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
 
@@ -95,12 +98,17 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         SourceNotFoundError: nothing exists at that path.
         UnreadableSourceError: the source is empty, broken, or not what its name says.
         UnfitSnapshotError: there are no point clouds, or none in the window.
+        MemoryLimitError: reading takes more than `config.max_memory_mb`.
         UnknownNameError: there is no point cloud topic of that name.
         UsageError: several recordings of the same LiDAR, or a topic with two names.
     """
     found = find_source(source)
     config = config or config_for(found.files)
-    with ThreadPoolExecutor(max_workers=1) as thread, closing(open_source(found)) as recording:
+    with (
+        limited_memory(config.max_memory_mb, found.label),
+        ThreadPoolExecutor(max_workers=1) as thread,
+        closing(open_source(found)) as recording,
+    ):
         # Hashing takes as long as unpacking and releases the GIL.
         sha256 = thread.submit(sha256_of_files, found.files)
         given = choose_topics(recording, config.topics, found.label, config.only)
@@ -133,7 +141,7 @@ def assemble_snapshot(
     shared = {frame_id: topics for frame_id, topics in sorted(topics_of.items()) if frame_id and len(topics) > 1}
     names = _unique_names(
         {
-            topic: given[topic] or ("" if frame_id in shared else frame_id) or topic.strip("/") or topic
+            topic: given[topic] or ("" if frame_id in shared else frame_id) or topic.strip("/") or topic or _NAMELESS
             for topic, frame_id in sorted(frame_ids.items(), key=lambda item: (not given[item[0]], item[0]))
         }
     )
@@ -142,15 +150,17 @@ def assemble_snapshot(
         "frame, the result is the correction, not the pose of the sensors."
         for frame_id, topics in shared.items()
     ]
+    lidars = tuple(
+        LidarScans(names[topic], tuple(cloud.scan for cloud in frames), frame_ids[topic], sanitize_text(topic))
+        for topic, frames in clouds.items()
+    )
+    doubts = plausibility_notes(sorted(lidars, key=lambda lidar: lidar.name), static[0])
     return Snapshot(
-        lidars=tuple(
-            LidarScans(names[topic], tuple(cloud.scan for cloud in frames), frame_ids[topic], sanitize_text(topic))
-            for topic, frames in clouds.items()
-        ),
+        lidars=lidars,
         source=sanitize_text(label),
         source_sha256=sha256,
         static_transforms=static[0],
-        notes=tuple(map(sanitize_text, (*window.notes, *static[1], *frame_notes, *notes))),
+        notes=tuple(map(sanitize_text, (*window.notes, *static[1], *frame_notes, *doubts, *notes))),
     )
 
 

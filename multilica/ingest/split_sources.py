@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.ingest.locate import PathLike, find_source, locate, require_distinct
+from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.ingest.selection.topics import choose_topics
@@ -89,7 +90,7 @@ def _lidars(path: SourceFile, config: IngestConfig) -> tuple[str, ...]:
     """Return the names of the LiDARs; none if reading the snapshot will fail."""
     found = find_source(path)
     first = config.model_copy(update={"frames": 1})
-    with closing(open_source(found)) as recording:
+    with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         try:
             given = choose_topics(recording, config.topics, found.label, config.only)
             window = collect_frames(recording, given.keys(), first, found.label)

@@ -11,6 +11,7 @@ from multilica.config import IngestConfig
 from multilica.errors import InputError, UnfitSnapshotError
 from multilica.geometry import RigidTransform
 from multilica.ingest.locate import PathLike, find_source
+from multilica.ingest.memory import limited_memory
 from multilica.ingest.message_types import OUSTER_TURN
 from multilica.ingest.messages.cloud import Cloud, is_cloud
 from multilica.ingest.opening import open_source
@@ -103,7 +104,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     """
     found = find_source(source)
     config = config or config_for(found.files)
-    with closing(open_source(found)) as recording:
+    with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _read(recording, config, found.label)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from multilica.diagnosis import Explanation, explain
+from multilica.documents import MAX_JSON_BYTES, DocumentError, read_limited
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.geometry import FloatArray, RigidTransform, read_only
 from multilica.results.document import LidarEntry, ResultDocument, parse_result
@@ -128,8 +129,8 @@ def _read_result_json(file: Path) -> ResultDocument:
         UnreadableSourceError: not JSON, of another schema, or damaged.
     """
     try:
-        text = file.read_bytes()
-    except OSError as error:
+        text = read_limited(file, MAX_JSON_BYTES)
+    except (OSError, DocumentError) as error:
         raise UnreadableSourceError(f"{file} is not a JSON file that can be read: {error}.") from error
     return parse_result(file, text)
 

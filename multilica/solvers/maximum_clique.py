@@ -2,8 +2,6 @@
 """The largest clique of a graph, exactly."""
 
 import numpy as np
-import numpy.typing as npt
-from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from multilica.errors import MultilicaError
@@ -14,14 +12,17 @@ __all__ = ["maximum_clique"]
 
 # Greedy cliques from so many nodes with the most neighbours: one of them is nearly always as large as can be.
 _STARTS = 20
+# Share of the pairs of nodes that are connected.
+_DENSE = 0.5
 
 
 def maximum_clique(graph: BoolArray) -> IndexArray:
     """Find a largest set of nodes that are all connected with each other.
 
-    A greedy clique is a lower bound. What cannot belong to a clique as large is removed, and HiGHS solves an integer
-    program for the rest (docs/decisions/0007-exact-maximum-clique.md). Of several as large, one whose nodes have few
-    connections is taken. The library of TEASER++ searches such nodes first, but may take another one.
+    A greedy clique is a lower bound. What cannot belong to a clique as large is removed. Of a sparse rest, NetworkX
+    searches the branches; for a dense one, HiGHS solves an integer program: each takes for ever where the other is
+    fast (docs/decisions/0007-exact-maximum-clique.md). Of several as large, one whose nodes have few connections is
+    taken. The library of TEASER++ searches such nodes first, but may take another one.
 
     Args:
         graph: (M, M) symmetric, M >= 1; the diagonal is ignored.
@@ -34,9 +35,8 @@ def maximum_clique(graph: BoolArray) -> IndexArray:
     starts = np.argsort(-connections, kind="stable")[:_STARTS]
     nodes, rest = _within_cliques(graph, max(len(grow_clique(graph, int(start))) for start in starts))
     later = np.argsort(np.lexsort((nodes, connections[nodes])))
-    # All these shares together count less than one member.
-    share = 1.0 - later / (len(nodes) + 1.0) ** 2
-    return np.asarray(nodes[_heaviest_clique(rest, share)])
+    solve = _solve_dense if np.count_nonzero(rest) > _DENSE * rest.size else _search_sparse
+    return np.asarray(nodes[solve(rest, later)])
 
 
 def _within_cliques(graph: BoolArray, size: int) -> tuple[IndexArray, BoolArray]:
@@ -54,12 +54,29 @@ def _within_cliques(graph: BoolArray, size: int) -> tuple[IndexArray, BoolArray]
         graph = kept
 
 
-def _heaviest_clique(graph: BoolArray, weights: npt.NDArray[np.float64]) -> IndexArray:
+def _search_sparse(graph: BoolArray, later: IndexArray) -> IndexArray:
+    """Search branches, bounded by colours; of cliques as large, the first when nodes are taken in their order."""
+    import networkx as nx
+
+    # Any member counts more than all ranks together, and a rank more than all later ones.
+    count = len(graph)
+    weights = {node: (1 << count) + (1 << (count - 1 - int(rank))) for node, rank in enumerate(later)}
+    searched = nx.from_numpy_array(graph)
+    nx.set_node_attributes(searched, weights, "weight")
+    clique, _ = nx.max_weight_clique(searched, weight="weight")
+    return np.sort(np.array(clique, dtype=np.int64))
+
+
+def _solve_dense(graph: BoolArray, later: IndexArray) -> IndexArray:
     """Solve the integer program: of each set of nodes without an edge among them, at most one is a member."""
+    from scipy.optimize import Bounds, LinearConstraint, milp  # takes a tenth of a second, and `default` needs none
+
     without = _sets_without_edges(graph)
     if not without:
         return np.arange(len(graph), dtype=np.int64)
     rows = np.repeat(np.arange(len(without)), [len(each) for each in without])
+    # All shares that are missing together count less than one member.
+    weights = 1.0 - later / (len(graph) + 1.0) ** 2
     incidence = csr_array((np.ones(len(rows)), (rows, np.concatenate(without))), shape=(len(without), len(graph)))
     solved = milp(
         -weights,

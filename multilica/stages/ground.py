@@ -7,7 +7,6 @@ import numpy as np
 
 from multilica.config import CalibrationConfig, GroundConfig
 from multilica.geometry import FloatArray, RigidTransform, read_only
-from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import thin
 from multilica.results import LEVEL_FRAME, BoolArray, GroundPlane
 
@@ -19,6 +18,9 @@ BASE_FRAME = "base"
 _VOXEL_SIZE_M = 0.1
 _MIN_POINTS = 100
 _LEVEL_POINTS = 3_000
+# Enough to rank planes by their points; the best is fitted to all.
+_SCORED_POINTS = 4_000
+_FITS = 5
 # Walls of a hall with its ceiling: the ground is at most the sixth largest plane.
 _MAX_PLANES = 6
 # Reflections and slopes put a few points below the ground.
@@ -44,12 +46,12 @@ def estimate_ground(
     points_m = thin(points_m[np.linalg.norm(points_m, axis=1) <= config.max_range_m], _VOXEL_SIZE_M)
     if len(points_m) < _MIN_POINTS:
         return None, f"{len(points_m)} points are too few for a plane; expected {_MIN_POINTS} and more"
-    o3d.utility.random.seed(seed)
+    rng = np.random.default_rng(seed)
     left = points_m
     for _ in range(_MAX_PLANES):
         if len(left) < _MIN_POINTS:
             break
-        normal, offset_m, on_plane = _largest_plane(left, config)
+        normal, offset_m, on_plane = _largest_plane(left, config, rng)
         if _is_ground(normal, offset_m, points_m, config):
             on_plane = np.abs(points_m @ normal + offset_m) <= config.distance_m
             a, b, c = normal
@@ -87,15 +89,35 @@ def _sample(points_m: FloatArray, clouds: int) -> FloatArray:
     return points_m[np.sort(rows)]
 
 
-def _largest_plane(points_m: FloatArray, config: GroundConfig) -> tuple[FloatArray, float, BoolArray]:
-    """Return normal and offset of the plane, towards the sensor, since the ground lies below it; and its points."""
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m))
-    coefficients, inliers = cloud.segment_plane(config.distance_m, 3, config.iterations)
-    on_plane = np.zeros(len(points_m), dtype=bool)
-    on_plane[inliers] = True
-    plane = np.asarray(coefficients, dtype=np.float64)
-    plane = plane * np.copysign(1.0, plane[3]) / np.linalg.norm(plane[:3])
-    return plane[:3], float(plane[3]), on_plane
+def _largest_plane(
+    points_m: FloatArray, config: GroundConfig, rng: np.random.Generator
+) -> tuple[FloatArray, float, BoolArray]:
+    """Find the plane with the most points by RANSAC (Fischler and Bolles, 1981), fitted to its points.
+
+    Open3D's differs between equal runs: its threads share the random numbers.
+
+    Returns:
+        Normal and offset, towards the sensor, since the ground lies below it; and which points lie on it.
+    """
+    corners = points_m[rng.integers(len(points_m), size=(config.iterations, 3))]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    if not np.any(length > 0.0):
+        return np.zeros(3), 0.0, np.ones(len(points_m), dtype=np.bool_)  # one line of points spans no plane
+    normals, corners = normals[length > 0.0] / length[length > 0.0, None], corners[length > 0.0]
+    offsets_m = np.einsum("ij,ij->i", normals, corners[:, 0])
+    sample = points_m if len(points_m) <= _SCORED_POINTS else points_m[rng.choice(len(points_m), _SCORED_POINTS)]
+    counts = np.count_nonzero(np.abs(sample @ normals.T - offsets_m) <= config.distance_m, axis=0)
+    best = int(np.argmax(counts))
+    normal, offset_m = normals[best], -float(offsets_m[best])
+    for _ in range(_FITS):
+        on_plane = points_m[np.abs(points_m @ normal + offset_m) <= config.distance_m]
+        centre_m = on_plane.mean(axis=0)
+        normal = np.linalg.eigh((on_plane - centre_m).T @ (on_plane - centre_m))[1][:, 0]
+        offset_m = -float(normal @ centre_m)
+    if offset_m < 0.0:
+        normal, offset_m = -normal, -offset_m
+    return normal, offset_m, np.abs(points_m @ normal + offset_m) <= config.distance_m
 
 
 def _is_ground(normal: FloatArray, offset_m: float, points_m: FloatArray, config: GroundConfig) -> bool:

@@ -2,7 +2,7 @@
 """Check that the vehicle stood still."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import small_gicp
@@ -10,7 +10,14 @@ from scipy.spatial.transform import Rotation
 
 from multilica.config import StillnessConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, lengths
-from multilica.registration.neighbours import PointTree, thin
+from multilica.registration.neighbours import thin
+from multilica.registration.tracking import (
+    SEEN_SHIFT_M,
+    Structure,
+    explained_share,
+    register_frames,
+    track_frames,
+)
 from multilica.snapshot import Scan
 
 __all__ = ["Motion", "detect_motion", "explain_motion"]
@@ -25,6 +32,7 @@ class Motion:
         significance: size of the motion in standard deviations of the registration.
         observable: surfaces constrain all directions, or motion was detected in those that they constrain.
         moving: motion was detected, larger than the configuration allows.
+        at_least: shift and turn are lower bounds, as the LiDAR was lost on its way.
     """
 
     shift_m: float = 0.0
@@ -32,6 +40,7 @@ class Motion:
     significance: float = 0.0
     observable: bool = False
     moving: bool = False
+    at_least: bool = False
 
 
 # The vehicle's own body moves with the LiDAR, which hides the motion.
@@ -39,10 +48,7 @@ _BODY_M = 2.5
 # Beyond, neighbouring beams are too far apart to show a surface's orientation.
 _FAR_M = 40.0
 _VOXEL_M = 0.5
-_NEIGHBOURS = 15
 _MIN_POINTS = 100
-# A car at 50 km/h goes 1.4 m in a frame.
-_REACHES_M = (1.5, 0.75, 0.4)
 # small_gicp flattens covariances to 1e-3 along the normal, for each of the two clouds.
 _NORMAL_VARIANCE_M2 = 2e-3
 # Along a tunnel the noise of normals alone makes a tenth of a percent of the points face the motion.
@@ -53,8 +59,15 @@ _MIN_SIGNIFICANCE = 8.0
 _ALONE_SIGNIFICANCE = 25.0
 
 
+# At rest, 0.8 and more in common even where little is seen; a metre of motion leaves less than 0.2.
+_TRACKED_BELOW = 0.6
+_LOST_BELOW = 0.3
+
+
 def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
     """Detect motion by registering the last frame of a LiDAR to its first, through the middle one.
+
+    Where this leaves too few surfaces in common, the LiDAR is followed from frame to frame.
 
     Args:
         scans: frames of one LiDAR, oldest first.
@@ -66,13 +79,46 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
     clouds_m = [_surroundings(scans[index]) for index in chosen]
     if len(clouds_m) < 2 or min(len(cloud_m) for cloud_m in clouds_m) < _MIN_POINTS:
         return Motion()
-    first, *later = (_structure(cloud_m) for cloud_m in clouds_m)
+    first, *later = map(Structure, clouds_m)
     pose = np.eye(4)
     for structure in later:
         # At constant speed it has gone about twice as far by the last frame as by the middle one.
-        result = _register(first, structure, pose @ pose)
+        result = register_frames(first, structure, pose @ pose)
         pose = result.T_target_source
-    return _motion(result, config)
+    found = _motion(result, result.T_target_source, config)
+    share, _ = explained_share(first, later[-1], pose)
+    if share >= _TRACKED_BELOW:
+        return _confirmed(found, first, later[-1])
+    between = {index: Structure(cloud_m) for index, cloud_m in zip(chosen, clouds_m, strict=True)}
+    return _tracked(scans, between, config) or found
+
+
+def _confirmed(found: Motion, first: Structure, last: Structure) -> Motion:
+    """Return the motion, unless it is so large that the frames could not have this much in common without it.
+
+    A rosette's pattern over a fence suggests motions of decimetres at rest.
+    """
+    if found.moving and found.shift_m > SEEN_SHIFT_M and explained_share(first, last, np.eye(4))[0] >= _TRACKED_BELOW:
+        return replace(found, moving=False, observable=False)
+    return found
+
+
+def _tracked(scans: Sequence[Scan], known: Mapping[int, Structure], config: StillnessConfig) -> Motion | None:
+    """Follow a LiDAR through all frames; None if that tells nothing either."""
+    frames = []
+    for index, scan in enumerate(scans):
+        cloud_m = np.empty((0, 3)) if index in known else _surroundings(scan)
+        if index in known or len(cloud_m) >= _MIN_POINTS:
+            frames.append(known[index] if index in known else Structure(cloud_m))
+    track = track_frames(frames)
+    if track is not None:
+        motion = _motion(track.step, track.T_first_last, config)
+        if track.is_whole or motion.moving:
+            return replace(motion, at_least=not track.is_whole)
+    share, direction = explained_share(frames[0], frames[1], np.eye(4))
+    if share >= _LOST_BELOW or not np.any(direction):
+        return None
+    return Motion(SEEN_SHIFT_M, 0.0, np.inf, observable=True, moving=True, at_least=True)
 
 
 def _surroundings(scan: Scan) -> FloatArray:
@@ -81,32 +127,9 @@ def _surroundings(scan: Scan) -> FloatArray:
     return thin(points_m[(range_m > _BODY_M) & (range_m < _FAR_M)], _VOXEL_M)
 
 
-def _structure(points_m: FloatArray) -> PointTree:
-    tree = PointTree(points_m)
-    small_gicp.estimate_covariances(tree.cloud, tree.engine, num_neighbors=_NEIGHBOURS, num_threads=1)
-    return tree
-
-
-def _register(target: PointTree, source: PointTree, start: FloatArray) -> small_gicp.RegistrationResult:
-    for reach_m in _REACHES_M:
-        result = small_gicp.align(
-            target.cloud,
-            source.cloud,
-            target.engine,
-            init_T_target_source=start,
-            registration_type="GICP",
-            max_correspondence_distance=reach_m,
-            num_threads=1,
-            max_iterations=15,
-            rotation_epsilon=1e-4,
-            translation_epsilon=1e-4,
-        )
-        start = result.T_target_source
-    return result
-
-
-def _motion(result: small_gicp.RegistrationResult, config: StillnessConfig) -> Motion:
-    rotation, shift_m = result.T_target_source[:3, :3], result.T_target_source[:3, 3]
+def _motion(result: small_gicp.RegistrationResult, pose: FloatArray, config: StillnessConfig) -> Motion:
+    """Return the motion of a pose (4, 4) that a registration, or a chain with it as the clearest link, has found."""
+    rotation, shift_m = pose[:3, :3], pose[:3, 3]
     twist_m = np.concatenate([LEVER_ARM_M * Rotation.from_matrix(rotation).as_rotvec(), rotation.T @ shift_m])
     scale = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
     hessian = result.H * np.outer(scale, scale)
@@ -130,7 +153,8 @@ def explain_motion(motions: Mapping[str, Motion], source: str = "") -> str:
     if observable == 1 < len(motions) and all(motion.significance < _ALONE_SIGNIFICANCE for motion in moving.values()):
         return ""
     evidence = ", ".join(
-        f"{name} by {motion.shift_m:.2f} m and {np.rad2deg(motion.turn_rad):.1f} deg"
+        f"{name} by {'at least ' if motion.at_least else ''}{motion.shift_m:.2f} m and "
+        f"{np.rad2deg(motion.turn_rad):.1f} deg"
         for name, motion in sorted(moving.items())
     )
     return (

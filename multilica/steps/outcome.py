@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 from multilica.acceptance.accept import imprecision
-from multilica.config import STAGES, CalibrationConfig
-from multilica.geometry import FloatArray, RigidTransform
+from multilica.config import STAGES
+from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct
 from multilica.registration.stability import weakest_deviations
 from multilica.results import (
@@ -62,16 +62,7 @@ def _level(state: CalibrationState, target: str) -> RigidTransform | None:
     if state.ground is not None:
         return RigidTransform(LEVEL_FRAME, target, state.ground.T_base_target.matrix)
     clouds = {name: cloud.points_m for name, cloud in state.clouds.items()}
-    (level,) = state.workers.map(level_of, [(target, clouds, state.poses, state.config)])
-    return level
-
-
-def level_of(
-    shared: object, rig: tuple[str, Mapping[str, FloatArray], Mapping[str, RigidTransform], CalibrationConfig]
-) -> RigidTransform | None:
-    """Estimate the pose of the target in a frame with z up, a task for a worker, which has Open3D loaded."""
-    del shared
-    return estimate_level(*rig)
+    return estimate_level(target, clouds, state.poses, state.config)
 
 
 def placement_of(name: str, target: str, state: CalibrationState) -> LidarPlacement:

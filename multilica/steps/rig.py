@@ -7,9 +7,8 @@ import numpy as np
 
 from multilica import events
 from multilica.acceptance.rig import is_contradicted
-from multilica.config import GroundConfig
 from multilica.geometry import FloatArray
-from multilica.results import GroundPlane, Group, Hypothesis, PairRegistration, PreprocessedCloud
+from multilica.results import Group, Hypothesis, PairRegistration, PreprocessedCloud
 from multilica.stages.fine import Side, prepare_side, select_finalists
 from multilica.stages.ground import estimate_ground
 from multilica.stages.group_registration import poses_between, register_groups
@@ -133,12 +132,5 @@ def fit_ground(state: CalibrationState) -> None:
     if not state.config.ground.enabled or state.group is None:
         return
     points_m = _merged_points(state, state.group)
-    task = state.target, points_m, state.config.ground, state.config.runtime.seed
-    ((state.ground, reason),) = state.workers.map(ground_of, [task])
+    state.ground, reason = estimate_ground(state.target, points_m, state.config.ground, state.config.runtime.seed)
     state.observe(events.GroundEstimated(state.ground, reason))
-
-
-def ground_of(shared: object, rig: tuple[str, FloatArray, GroundConfig, int]) -> tuple[GroundPlane | None, str]:
-    """Fit the ground plane, a task for a worker, which has Open3D loaded."""
-    del shared
-    return estimate_ground(*rig)

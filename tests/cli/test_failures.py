@@ -7,7 +7,7 @@ import pytest
 
 from multilica.errors import InputError, MultilicaError, UnknownNameError, WorkerDiedError
 from multilica_cli import main
-from multilica_cli.exit_codes import ExitCode, describe_failure
+from multilica_cli.exit_codes import ExitCode, describe_failure, print_failure
 from multilica_cli.signals import Interrupted
 from tests.cli.support import Invoke, assert_one_sentence
 
@@ -24,6 +24,7 @@ from tests.cli.support import Invoke, assert_one_sentence
         (OSError(28, "No space left on device", "run/result.json"), ExitCode.BROKEN, "No space left on device (run"),
         (ImportError("libGL.so.1: cannot open shared object file"), ExitCode.BROKEN, "apt-get install"),
         (MemoryError(), ExitCode.BROKEN, "Out of memory"),
+        (ImportError("lib.so: failed to map segment from shared object"), ExitCode.BROKEN, "ulimit -v"),
         (ValueError("no\nway"), ExitCode.BROKEN, "ValueError"),
         (ImportError("cannot import name 'x'"), ExitCode.BROKEN, "bug in multilica"),
         (BrokenPipeError(), ExitCode.BROKEN, ""),
@@ -39,6 +40,14 @@ def test_a_note_of_what_remains_is_part_of_the_sentence() -> None:
     interrupted = Interrupted(signal.SIGTERM)
     interrupted.add_note("The recording is in run.")
     assert describe_failure(interrupted)[1] == "Stopped by SIGTERM. The recording is in run."
+
+
+def test_a_long_sentence_loses_its_middle(capsys: pytest.CaptureFixture[str]) -> None:
+    assert print_failure(InputError(f"The topic {'x' * 10_000} is empty; give another.")) == ExitCode.INPUT
+    told = capsys.readouterr().err
+    assert len(told) < 600
+    assert told.startswith("multilica: The topic xxx")
+    assert told.endswith("xxx is empty; give another.\n")
 
 
 @pytest.fixture

@@ -46,7 +46,8 @@ def test_a_stopped_run_leaves_a_readable_recording(
 
 
 @pytest.fixture
-def restored_handlers() -> object:
+def restored_handlers(monkeypatch: pytest.MonkeyPatch) -> object:
+    monkeypatch.setattr(sys, "unraisablehook", sys.unraisablehook)
     numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
     before = {number: signal.getsignal(number) for number in numbers}
     yield
@@ -84,6 +85,23 @@ def test_a_signal_within_an_import_waits_for_its_end(tmp_path: Path, monkeypatch
     assert caught.value.exit_code == 143
     assert sys.modules["slow_library"].loaded
     assert received().exit_code == 143
+
+
+class _InterruptedAtItsEnd:
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+
+def _drop_and_wait() -> None:
+    _InterruptedAtItsEnd()
+    time.sleep(10.0)
+
+
+@pytest.mark.usefixtures("restored_handlers")
+def test_a_signal_within_the_end_of_an_object_is_not_lost() -> None:
+    unwind_on_signals()
+    with pytest.raises(Interrupted):
+        _drop_and_wait()
 
 
 def _import_and_wait() -> None:

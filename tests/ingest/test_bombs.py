@@ -95,7 +95,7 @@ def test_a_frame_that_lies_about_its_size() -> None:
 
 @pytest.mark.parametrize("claimed", [1 << 40, MAX_UNPACKED_BYTES, 100 << 20])
 def test_a_chunk_that_is_a_bomb(tmp_path: Path, claimed: int) -> None:
-    """A few kilobytes that claim more than they hold, or unpack to ten million records of nothing."""
+    """A few kilobytes that claim more than they hold, or unpack to nothing but zeros."""
     write_mcap(make_snapshot(lidars=1), tmp_path / "a.mcap", chunk_size=1)
     content = (tmp_path / "a.mcap").read_bytes()
     packed = zstandard.ZstdCompressor().compress(bytes(100 << 20))
@@ -106,7 +106,7 @@ def test_a_chunk_that_is_a_bomb(tmp_path: Path, claimed: int) -> None:
     with pytest.raises(UnreadableSourceError, match=r"a\.mcap is damaged: ") as caught:
         read_snapshot(tmp_path / "a.mcap")
     if claimed == 100 << 20:
-        assert "a chunk holds an impossible number of records" in str(caught.value)
+        assert "its records make no sense" in str(caught.value)
 
 
 def test_a_packed_bag_that_is_a_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

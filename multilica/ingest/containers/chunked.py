@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from contextvars import copy_context
 from dataclasses import dataclass
 from functools import partial
 from itertools import count
@@ -15,6 +16,7 @@ from itertools import count
 from multilica.ingest.containers.exact_reader import ExactReader
 from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.decompression import UNCOMPRESSED, require_checksum, unpack
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.recording import Messages, RawMessage, Span, Topic
 
 __all__ = ["ChunkPlace", "ChunkedRecording", "PackedChunk"]
@@ -25,6 +27,8 @@ _MAX_RATIO = 0.9
 """Only chunks compressed below this share of their size are worth a thread; base64, for one, is only copied."""
 _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time wait for each other up to this size; above it, messages are no longer sorted."""
+_MESSAGE_BYTES = 512
+"""Memory of a waiting message besides its data."""
 _END_OF_TIME = 2**64
 _NOTHING = memoryview(b"")
 
@@ -118,14 +122,17 @@ class ChunkedRecording:
         waiting: list[tuple[int, int, RawMessage]] = []
         waiting_bytes = 0
         number = count()
+        memory = memory_budget()
         with closing(self._unpacked(chunks)) as unpacked:
             for part, next_start_ns in zip(unpacked, starts, strict=False):
                 waiting_bytes += len(part.records)
                 for message in self._messages_of(part, topics):
                     if message.log_time_ns >= start_ns:
+                        memory.take(_MESSAGE_BYTES)
                         heapq.heappush(waiting, (message.log_time_ns, next(number), message))
                 crowded = waiting_bytes > _MAX_WAITING_BYTES
                 while waiting and (crowded or waiting[0][0] <= next_start_ns):
+                    memory.give(_MESSAGE_BYTES)
                     yield heapq.heappop(waiting)[2]
                 waiting_bytes *= bool(waiting)
 
@@ -149,7 +156,7 @@ class ChunkedRecording:
                 chunk = self._read(place)
                 threaded = isinstance(chunk, PackedChunk) and chunk.is_worth_a_thread
                 unpack = partial(self._unpack, place, chunk)
-                ahead.append(thread.submit(unpack).result if threaded else unpack)
+                ahead.append(thread.submit(copy_context().run, unpack).result if threaded else unpack)
                 while len(ahead) > (_AHEAD if threaded else 0):
                     yield ahead.popleft()()
             while ahead:

@@ -1,15 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """A file whose reads are complete or fail."""
 
+import errno
+import os
+from contextlib import suppress
 from io import BufferedReader, RawIOBase
 from struct import Struct
 from typing import Any, cast
 
-import numpy as np
-
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.remote.remote_file import SourceFile
 
 __all__ = ["EndOfFileError", "ExactReader", "unpack_head"]
+
+
+_FIRST_BLOCK_BYTES = 4 << 10
+_BLOCK_BYTES = 4 << 20
+_MAX_SKIPPED = 1000
+"""Regions of zeros; a power loss leaves a few."""
 
 
 class EndOfFileError(EOFError):
@@ -25,6 +33,7 @@ class ExactReader(BufferedReader):
     def __init__(self, path: SourceFile) -> None:
         super().__init__(cast(RawIOBase, path.open("rb", buffering=0)))
         self._size = path.stat().st_size
+        self._skipped = 0
 
     @property
     def remaining(self) -> int:
@@ -38,11 +47,42 @@ class ExactReader(BufferedReader):
             raise EndOfFileError
         return super().read(size)
 
+    def skip_zeros(self) -> None:
+        """Move to the next byte that is not zero, or to the end; holes of a sparse file are not read.
+
+        Raises:
+            ValueError: it was called more often than any damage explains.
+        """
+        self._skipped += 1
+        if self._skipped > _MAX_SKIPPED:
+            raise ValueError("its records make no sense")
+        size = _FIRST_BLOCK_BYTES
+        while self.remaining:
+            block = super().read(min(size, self.remaining))
+            if block.count(0) < len(block):
+                self.seek(self.tell() - len(block.lstrip(b"\0")))
+                return
+            size = _BLOCK_BYTES
+            self._skip_hole()
+
+    def _skip_hole(self) -> None:
+        place = self.tell()
+        with suppress(OSError, ValueError):
+            descriptor = self.fileno()
+            before = os.lseek(descriptor, 0, os.SEEK_CUR)
+            try:
+                place = os.lseek(descriptor, place, os.SEEK_DATA)
+            except OSError as error:
+                place = self._size if error.errno == errno.ENXIO else place
+            finally:
+                os.lseek(descriptor, before, os.SEEK_SET)
+        self.seek(place)
+
     def view(self, size: int) -> memoryview:
         """Read like `read`, into memory that is not cleared first, which is faster."""
         if size > self.remaining:
             raise EndOfFileError
-        data = np.empty(size, np.uint8).data
+        data = memory_budget().empty(size)
         if self.readinto(data) != size:
             raise EndOfFileError
         return data

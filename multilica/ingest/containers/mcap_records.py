@@ -28,6 +28,7 @@ __all__ = [
     "chunk_of",
     "record_length",
     "records_of",
+    "require_opcode",
     "topic_of",
 ]
 
@@ -49,11 +50,18 @@ def records_of(data: memoryview) -> Iterator[tuple[int, memoryview]]:
             return
         opcode, length = unpack_head(RECORD_HEAD, data, place)
         place += RECORD_HEAD.size
+        require_opcode(opcode, length)
         if length > len(data) - place or (opcode == Opcode.MESSAGE and length < MESSAGE_HEAD.size):
             raise EndOfFileError
         yield opcode, data[place : place + length]
         place += length
     raise ValueError("a chunk holds an impossible number of records")
+
+
+def require_opcode(opcode: int, length: int) -> None:
+    """Raise ValueError for what no writer writes: zeros, and records without content but the end of the file."""
+    if opcode == 0 or (length == 0 and opcode != Opcode.FOOTER):
+        raise ValueError("its records make no sense")
 
 
 def record_length(head: bytes) -> tuple[int, int]:

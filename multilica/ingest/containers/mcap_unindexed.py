@@ -24,6 +24,7 @@ from multilica.ingest.containers.mcap_records import (
     KnownChannels,
     chunk_claims,
     record_length,
+    require_opcode,
 )
 from multilica.ingest.containers.unindexed import Part, Survey, UnindexedRecording
 from multilica.ingest.damage import DamagedRecordingError, damage_named, reason_of
@@ -34,6 +35,7 @@ __all__ = ["open_unindexed", "survey"]
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
 _BLOCK_BYTES = 1 << 20
 _BOUNDED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+_MAX_CHECKED_BYTES = 256 << 20
 _CHUNK_HEAD_BYTES = 64
 _INDEX_HEAD_BYTES = 6
 
@@ -67,7 +69,19 @@ def _records(stream: ExactReader, place: int) -> Iterator[tuple[int, memoryview]
         before = crc32
         head = stream.read(RECORD_HEAD.size)
         opcode, length = RECORD_HEAD.unpack(head)
+        if opcode == 0:
+            _skip_damage(stream)
+            place = stream.tell()
+            continue
+        require_opcode(opcode, length)
         crc32 = crc32_of(head, crc32)
+        if opcode not in _READ and (place or length > _MAX_CHECKED_BYTES):
+            # Its bytes, which may be a hole of a sparse file, only count for the checksum.
+            if length > stream.remaining:
+                raise EndOfFileError
+            place = max(place, 1)
+            stream.seek(stream.tell() + length)
+            continue
         if opcode not in _READ:
             for offset in range(0, length, _BLOCK_BYTES):
                 crc32 = crc32_of(stream.read(min(_BLOCK_BYTES, length - offset)), crc32)
@@ -122,9 +136,25 @@ def _add_next(stream: ExactReader, found: Survey, known: KnownChannels) -> bool:
     return opcode not in (Opcode.DATA_END, Opcode.FOOTER)
 
 
+def _skip_damage(stream: ExactReader) -> None:
+    """Go on behind zeros, as a power loss leaves them where blocks were not written any more.
+
+    Raises:
+        ValueError: nothing but zeros follows.
+    """
+    stream.seek(stream.tell() - RECORD_HEAD.size)
+    stream.skip_zeros()
+    if not stream.remaining:
+        raise ValueError("the file ends in zeros, as after a power loss")
+
+
 def _next_head(stream: ExactReader) -> tuple[int, int]:
     head = stream.read(RECORD_HEAD.size)
     opcode, length = RECORD_HEAD.unpack(head)
+    if opcode == 0:
+        _skip_damage(stream)
+        return _next_head(stream)
+    require_opcode(opcode, length)
     return record_length(head) if opcode in _BOUNDED else (opcode, length)
 
 

@@ -15,6 +15,8 @@ import apsw
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.damage import DamagedRecordingError, damage_named
+from multilica.ingest.decompression import MAX_UNPACKED_BYTES
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.recording import Messages, Recording, Span, Topic, joint_span, joint_topics, normal_type
 
 __all__ = ["open_file"]
@@ -30,14 +32,31 @@ _TIME = "IFNULL(CAST(timestamp AS INTEGER), 0)"
 _TOPICS = """
     SELECT id, IFNULL(CAST(name AS TEXT), ''), IFNULL(CAST(type AS TEXT), ''),
         IFNULL(CAST(serialization_format AS TEXT), '')
-    FROM topics
+    FROM topics WHERE typeof(id) = 'integer'
 """
-_TALLIES = f"SELECT topic_id, COUNT(*), MIN({_TIME}), MAX({_TIME}) FROM messages GROUP BY topic_id"  # noqa: S608
+_TALLIES = f"""
+    SELECT topic_id, COUNT(*), MIN({_TIME}), MAX({_TIME}) FROM messages
+    WHERE typeof(topic_id) = 'integer' GROUP BY topic_id
+"""  # noqa: S608
 _MESSAGES = f"""
     SELECT topic_id, {_TIME}, IFNULL(CAST(data AS BLOB), x'') FROM messages
     WHERE topic_id IN (SELECT value FROM json_each(?)) AND timestamp >= ? ORDER BY
 """  # noqa: S608
-_EVERY_MESSAGE = f"SELECT topic_id, {_TIME}, CAST(data AS BLOB) FROM messages ORDER BY id"  # noqa: S608
+_EVERY_MESSAGE = f"""
+    SELECT topic_id, {_TIME}, CAST(data AS BLOB) FROM messages WHERE typeof(topic_id) = 'integer' ORDER BY id
+"""  # noqa: S608
+_TABLES = ("topics", "messages")
+_OBJECTS = "SELECT type, name, tbl_name, rootpage FROM sqlite_master"
+_PLAIN = ("table", "index")
+_EXPRESSION = -2
+"""Number of a column of an index that is none of the table's."""
+_STEPS_PER_BYTE = 20
+_FREE_STEPS = 5_000_000
+"""A row has five bytes or more and takes up to a hundred steps of SQLite's machine; a page that is linked many times
+would take them without end."""
+_STEPS_PER_CALL = 1_000_000
+_MAX_SQL_BYTES = 1 << 20
+_MAX_COLUMNS = 200
 
 
 def open_file(path: Path, where: str) -> Recording:
@@ -74,7 +93,9 @@ class Ros2Sqlite:
         chosen = {key: topic for key, topic in self._topics.items() if topic.name in topics}
         query = _MESSAGES + ("id" if self.damage else "timestamp, id")
         with damage_named(self._where):
+            memory = memory_budget()
             for key, log_time_ns, data in self._database.execute(query, (json.dumps(list(chosen)), start_ns)):
+                memory.require(len(data))
                 yield chosen[key].message(log_time_ns, data, self._where)
 
     def close(self) -> None:
@@ -84,9 +105,8 @@ class Ros2Sqlite:
 
 def _open_whole(path: Path, where: str) -> Ros2Sqlite:
     with _connected(path, where) as database:
-        rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
-        tables = {str(name) for (name,) in rows}
-        if not {"topics", "messages"} <= tables:
+        tables = _require_plain(database)
+        if not {*_TABLES} <= tables:
             raise UnreadableSourceError(
                 f"{where} is an SQLite file but not a ROS 2 bag: expected the tables messages and topics, "
                 f"found {', '.join(sorted(tables)) or 'none'}."
@@ -103,6 +123,7 @@ def _open_beginning(path: Path, where: str) -> Ros2Sqlite:
     with _connected(path, where, vfs=_WHOLE_PAGES) as database:
         # SQLite refuses a file that is shorter than its header says, unless the schema is under repair.
         database.execute("PRAGMA writable_schema=ON")
+        _require_plain(database)
         tallies: dict[int, tuple[int, int, int]] = {}
         damage = "the file ends too early"
         try:
@@ -115,6 +136,46 @@ def _open_beginning(path: Path, where: str) -> Ros2Sqlite:
         if not tallies:
             raise DamagedRecordingError(where, damage)
         return Ros2Sqlite(where, database, _topics(database), tallies, damage)
+
+
+def _require_plain(database: apsw.Connection) -> set[str]:
+    """Return the names of the tables; raise ValueError if the schema has anything that SQLite would execute."""
+    tables: set[str] = set()
+    for kind, name, table, root_page in database.execute(_OBJECTS).fetchall():
+        is_virtual = kind == "table" and not root_page
+        if kind not in _PLAIN or is_virtual:
+            what = "virtual table" if is_virtual else str(kind)
+            raise ValueError(f"it defines the {what} '{name}', which a ROS 2 bag does not have")
+        if kind == "table":
+            tables.add(str(name))
+        elif table in _TABLES:
+            columns = database.execute("SELECT cid FROM pragma_index_xinfo(?)", (name,)).fetchall()
+            partial = database.execute("SELECT name FROM pragma_index_list(?) WHERE partial", (table,)).fetchall()
+            if (_EXPRESSION,) in columns or (name,) in partial:
+                raise ValueError(f"it defines the index '{name}' with an expression, which a ROS 2 bag does not have")
+    for table in tables & {*_TABLES}:
+        rows = database.execute("SELECT name FROM pragma_table_xinfo(?) WHERE hidden <> 0", (table,)).fetchall()
+        if rows:
+            raise ValueError(f"it defines the computed column '{rows[0][0]}', which a ROS 2 bag does not have")
+    return tables
+
+
+def _limit(database: apsw.Connection, file_bytes: int) -> None:
+    """Bound what a query may take: no value is longer than the file, no query has more steps than its rows need."""
+    database.execute("PRAGMA trusted_schema=OFF")
+    database.execute("PRAGMA cell_size_check=ON")
+    database.limit(apsw.SQLITE_LIMIT_LENGTH, min(MAX_UNPACKED_BYTES, file_bytes + _MAX_SQL_BYTES))
+    database.limit(apsw.SQLITE_LIMIT_SQL_LENGTH, _MAX_SQL_BYTES)
+    database.limit(apsw.SQLITE_LIMIT_COLUMN, _MAX_COLUMNS)
+    database.limit(apsw.SQLITE_LIMIT_ATTACHED, 0)
+    calls_left = 1 + (_FREE_STEPS + _STEPS_PER_BYTE * file_bytes) // _STEPS_PER_CALL
+
+    def is_over() -> bool:
+        nonlocal calls_left
+        calls_left -= 1
+        return calls_left < 0
+
+    database.set_progress_handler(is_over, _STEPS_PER_CALL)
 
 
 def _topics(database: apsw.Connection) -> dict[int, Topic]:
@@ -132,7 +193,7 @@ def _connected(path: Path, where: str, *, vfs: str | None = None) -> Iterator[ap
     with damage_named(where):
         database = apsw.Connection(f"file:{quote(str(path.resolve()))}?mode=ro{immutable}", flags, vfs)
         try:
-            database.execute("PRAGMA trusted_schema=OFF")
+            _limit(database, path.stat().st_size)
             yield database
         except BaseException:
             database.close()

@@ -5,39 +5,50 @@ import json
 import ssl
 import struct
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Literal
 
-from websockets.exceptions import InvalidHandshake, InvalidStatus, InvalidURI, WebSocketException
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, TypeAdapter, ValidationError
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI, WebSocketException
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from multilica.documents import DocumentError, first_problem, parse_json
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.recording import Topic, normal_type, sanitize_text
 from multilica.ingest.remote.address import without_secrets
 
-__all__ = ["Advertised", "ConnectionLost", "FoxgloveSocket", "Received", "Withdrawn"]
+__all__ = ["Advertised", "ConnectionLost", "FoxgloveSocket", "Oddity", "Received", "Withdrawn"]
 
 _SUBPROTOCOLS = (Subprotocol("foxglove.sdk.v1"), Subprotocol("foxglove.websocket.v1"))
 """Of foxglove-sdk and foxglove_bridge 3 or newer, and of older bridges; the messages are the same."""
 _MESSAGE_HEAD = struct.Struct("<BIQ")
 """Opcode, subscription, log time."""
 _MESSAGE_DATA = 1
-_MAX_MESSAGE_BYTES = 256 << 20
+_MAX_MESSAGE_BYTES = 64 << 20
+"""Twenty times the size of a large scan."""
+_MAX_WAITING = 4
+"""Messages that the library receives ahead."""
+_TOO_BIG = 1009
 _CLOSE_S = 1.0
 _SERVER_TROUBLE = 500
 
 
 class ConnectionLost(Exception):  # noqa: N818 - an event rather than an error: the caller connects again
-    """The server does not answer."""
+    """The server does not answer; `oddity` is what it did wrong, as a predicate, if it did."""
+
+    def __init__(self, text: str, oddity: str = "") -> None:
+        self.oddity = oddity
+        super().__init__(text)
 
 
 @dataclass(frozen=True, slots=True)
 class Advertised:
-    """Topics that the server offers from now on, by channel number."""
+    """Topics that the server offers from now on, by channel number; `oddity` is that of an invalid channel."""
 
     channels: Mapping[int, Topic]
+    oddity: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +65,63 @@ class Received:
     subscription: int
     log_time_ns: int
     data: memoryview
+
+
+@dataclass(frozen=True, slots=True)
+class Oddity:
+    """A message that makes no sense; `what` says why, as a predicate."""
+
+    what: str
+
+
+def _sanitized(value: object) -> object:
+    """Replace what is no valid text: JSON may hold half a surrogate pair."""
+    return sanitize_text(value) if isinstance(value, str) else value
+
+
+_Number = Annotated[int, Strict(), Field(ge=0, lt=1 << 32)]
+_Text = Annotated[str, BeforeValidator(_sanitized), Strict(), Field(max_length=1024)]
+
+
+class ChannelMessage(BaseModel):
+    """A channel in an advertisement; other keys are of no use here."""
+
+    model_config = ConfigDict(frozen=True)
+
+    id: _Number
+    topic: _Text
+    encoding: _Text
+    schemaName: _Text
+
+
+class AdvertiseMessage(BaseModel):
+    """An advertisement; an invalid channel does not affect the others."""
+
+    model_config = ConfigDict(frozen=True)
+
+    op: Literal["advertise"]
+    channels: Annotated[tuple[object, ...], Field(max_length=10_000)]
+
+
+class UnadvertiseMessage(BaseModel):
+    """The end of an advertisement."""
+
+    model_config = ConfigDict(frozen=True)
+
+    op: Literal["unadvertise"]
+    channelIds: Annotated[tuple[_Number, ...], Field(max_length=10_000)]
+
+
+class OtherMessage(BaseModel):
+    """A message of another operation: the protocol has more, and gets more."""
+
+    model_config = ConfigDict(frozen=True)
+
+    op: _Text
+
+
+_MESSAGES: Mapping[str, type[BaseModel]] = {"advertise": AdvertiseMessage, "unadvertise": UnadvertiseMessage}
+_OTHER = TypeAdapter(OtherMessage)
 
 
 class FoxgloveSocket:
@@ -74,6 +142,7 @@ class FoxgloveSocket:
                 open_timeout=timeout_s,
                 close_timeout=_CLOSE_S,
                 max_size=_MAX_MESSAGE_BYTES,
+                max_queue=_MAX_WAITING,
             )
         except (InvalidHandshake, InvalidURI) as error:
             if isinstance(error, InvalidStatus) and error.response.status_code >= _SERVER_TROUBLE:
@@ -103,14 +172,18 @@ class FoxgloveSocket:
         except (OSError, WebSocketException) as error:
             raise ConnectionLost(str(error)) from error
 
-    def receive(self, timeout_s: float) -> Advertised | Withdrawn | Received | None:
+    def receive(self, timeout_s: float) -> Advertised | Withdrawn | Received | Oddity | None:
         """Return the next event, None for others or without any in time; raise ConnectionLost if the server is gone."""
         try:
             frame = self._socket.recv(timeout=timeout_s)
         except TimeoutError:
             return None
         except (OSError, EOFError, WebSocketException) as error:
-            raise ConnectionLost(str(error)) from error
+            is_too_big = isinstance(error, ConnectionClosed) and error.sent is not None and error.sent.code == _TOO_BIG
+            oddity = f"has more than {_MAX_MESSAGE_BYTES} bytes" if is_too_big else ""
+            raise ConnectionLost(str(error), oddity) from error
+        except (UnicodeDecodeError, RecursionError) as error:
+            return Oddity(f"is not valid: {type(error).__name__}")
         return _text(frame) if isinstance(frame, str) else _binary(frame)
 
     def close(self) -> None:
@@ -118,29 +191,42 @@ class FoxgloveSocket:
         self._socket.close()
 
 
-def _text(frame: str) -> Advertised | Withdrawn | None:
-    # The protocol has other operations, and gets more.
-    with suppress(ValueError, TypeError, KeyError):
-        table = json.loads(frame)
-        if table["op"] == "advertise":
-            return Advertised(_channels(table["channels"]))
-        if table["op"] == "unadvertise":
-            return Withdrawn(frozenset(int(number) for number in table["channelIds"]))
+def _text(frame: str) -> Advertised | Withdrawn | Oddity | None:
+    try:
+        table = parse_json(frame)
+        model = _MESSAGES.get(_OTHER.validate_python(table).op)
+        message = None if model is None else model.model_validate(table)
+    except DocumentError as error:
+        return Oddity(f"is not JSON: {error}")
+    except ValidationError as error:
+        where, what, _ = first_problem(error)
+        return Oddity(f"is not of the protocol: {where or 'it'}: {what}")
+    match message:
+        case AdvertiseMessage(channels=entries):
+            return _advertised(entries)
+        case UnadvertiseMessage(channelIds=numbers):
+            return Withdrawn(frozenset(numbers))
     return None
 
 
-def _channels(entries: Iterable[dict[str, Any]]) -> dict[int, Topic]:
+def _advertised(entries: Iterable[object]) -> Advertised:
     channels: dict[int, Topic] = {}
+    oddity = ""
     for entry in entries:
-        # An invalid channel does not affect the others.
-        with suppress(ValueError, TypeError, KeyError):
-            topic, message_type, encoding = (sanitize_text(entry[key]) for key in ("topic", "schemaName", "encoding"))
-            channels[int(entry["id"])] = Topic(topic, normal_type(message_type), encoding)
-    return channels
+        try:
+            channel = ChannelMessage.model_validate(entry)
+        except ValidationError as error:
+            where, what, _ = first_problem(error)
+            oddity = oddity or f"offers a channel that is not of the protocol: {where or 'it'}: {what}"
+        else:
+            channels[channel.id] = Topic(channel.topic, normal_type(channel.schemaName), channel.encoding)
+    return Advertised(channels, oddity)
 
 
-def _binary(frame: bytes) -> Received | None:
-    if len(frame) < _MESSAGE_HEAD.size or frame[0] != _MESSAGE_DATA:
+def _binary(frame: bytes) -> Received | Oddity | None:
+    if not frame or (frame[0] == _MESSAGE_DATA and len(frame) < _MESSAGE_HEAD.size):
+        return Oddity(f"has {len(frame)} bytes, fewer than its head")
+    if frame[0] != _MESSAGE_DATA:
         return None
     _, subscription, log_time_ns = _MESSAGE_HEAD.unpack_from(frame)
-    return Received(subscription, log_time_ns, memoryview(frame)[_MESSAGE_HEAD.size :])
+    return Received(subscription, log_time_ns, memory_budget().keep(frame)[_MESSAGE_HEAD.size :])

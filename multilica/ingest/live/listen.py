@@ -9,7 +9,15 @@ from dataclasses import replace
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UnreadableSourceError, UsageError
-from multilica.ingest.live.foxglove_socket import Advertised, ConnectionLost, FoxgloveSocket, Received, Withdrawn
+from multilica.ingest.live.foxglove_socket import (
+    Advertised,
+    ConnectionLost,
+    FoxgloveSocket,
+    Oddity,
+    Received,
+    Withdrawn,
+)
+from multilica.ingest.memory import limited_memory
 from multilica.ingest.recording import MessageObserver, Messages, RawMessage, Topic
 from multilica.ingest.remote.address import require_valid, without_secrets
 from multilica.ingest.selection.topics import choose_topics, unread_notes
@@ -24,6 +32,13 @@ _LONGEST_PAUSE_S = 5.0
 _STATIC_S = 1.0
 """A bridge sends latched messages to a new subscriber at once."""
 _STATIC_SUFFIX = "tf_static"
+_MAX_STATIC = 256
+"""Messages with static transforms to keep; a vehicle sends a handful."""
+_MAX_CHANNELS = 10_000
+_MAX_ODDITIES = 100
+_MAX_TEXT = 200
+_QUICK_S = 1.0
+"""A server that ends connections sooner than this is not asked again at once."""
 
 
 class LiveRecording:
@@ -51,6 +66,8 @@ class LiveRecording:
         self._wanted: frozenset[str] = frozenset()
         self._static: list[RawMessage] = []
         self._counts: Counter[str] = Counter()
+        self._oddities: Counter[str] = Counter()
+        self._connected_s = 0.0
         self._socket = self._connect()
 
     @property
@@ -58,6 +75,16 @@ class LiveRecording:
         """The topics offered now, each with the expected number of messages."""
         offered = (replace(topic, count=self._expected) for topic in self._channels.values())
         return tuple(sorted(offered, key=lambda topic: topic.name))
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes on messages that were ignored."""
+        if not self._oddities:
+            return []
+        (first, _), *_ = self._oddities.items()
+        count = self._oddities.total()
+        messages = "1 message that was" if count == 1 else f"{count} messages that were"
+        return [f"{without_secrets(self._url)} sent {messages} ignored; the first one {first[:_MAX_TEXT]}."]
 
     def wait_for(self, is_offered: Callable[[], bool]) -> None:
         """Listen until the server offers what is needed, or time is up."""
@@ -109,15 +136,24 @@ class LiveRecording:
     def _next(self, timeout_s: float) -> RawMessage | None:
         try:
             received = self._socket.receive(timeout_s)
-        except ConnectionLost:
+        except ConnectionLost as error:
+            if error.oddity:
+                self._count_oddity(error.oddity)
             self._reconnect()
             return None
         match received:
-            case Advertised(channels):
+            case Advertised(channels, oddity):
+                if oddity:
+                    self._count_oddity(oddity)
+                if len(self._channels) + len(channels) > _MAX_CHANNELS:
+                    self._count_oddity(f"offers more than {_MAX_CHANNELS} channels")
+                    return None
                 self._channels |= channels
                 self._subscribe([number for number, topic in channels.items() if topic.name in self._wanted])
             case Withdrawn(numbers):
                 self._channels = {key: topic for key, topic in self._channels.items() if key not in numbers}
+            case Oddity(what):
+                self._count_oddity(what)
             case Received(subscription) if subscription in self._channels:
                 return self._message(self._channels[subscription], received)
         return None
@@ -125,14 +161,21 @@ class LiveRecording:
     def _message(self, topic: Topic, received: Received) -> RawMessage:
         message = topic.message(received.log_time_ns, received.data, without_secrets(self._url))
         if topic.name.endswith(_STATIC_SUFFIX):
-            self._static.append(message)
+            if len(self._static) < _MAX_STATIC:
+                self._static.append(message)
         else:
             self._counts[topic.name] += 1
             self._observe(topic.name, self._counts[topic.name])
         return message
 
+    def _count_oddity(self, what: str) -> None:
+        # The first ones are told; a flood of others only counts.
+        self._oddities[what if len(self._oddities) < _MAX_ODDITIES else "is of another kind"] += 1
+
     def _reconnect(self) -> None:
         self._socket.close()
+        if time.monotonic() - self._connected_s < _QUICK_S:
+            time.sleep(max(0.0, min(_QUICK_S, self._left_s())))
         # A restarted server numbers its channels anew, and advertises them to new clients.
         self._channels = {}
         try:
@@ -145,6 +188,7 @@ class LiveRecording:
         pause_s = _FIRST_PAUSE_S
         while True:
             try:
+                self._connected_s = time.monotonic()
                 return FoxgloveSocket(self._url, max(self._left_s(), _FIRST_PAUSE_S))
             except ConnectionLost as error:
                 if self._left_s() <= pause_s:
@@ -178,7 +222,10 @@ def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObse
     label = without_secrets(url)
     if config.start_s or config.start_at or config.window_s or config.window == "auto":
         raise UsageError(f"Found a window for {label}; a live snapshot begins now and takes one scan after the other.")
-    with closing(LiveRecording(url, config.frames, config.timeout_s, report)) as recording:
+    with (
+        limited_memory(config.max_memory_mb, label),
+        closing(LiveRecording(url, config.frames, config.timeout_s, report)) as recording,
+    ):
         recording.wait_for(lambda: _is_offered(recording, config))
         given = choose_topics(recording, config.topics, label, config.only)
         for topic in sorted(given):
@@ -192,7 +239,7 @@ def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObse
         if config.strict and window.faults:
             raise UnfitSnapshotError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
         static = read_static_transforms(recording)
-        unread = unread_notes(recording)
+        unread = [*unread_notes(recording), *recording.notes]
     silent = tuple(sorted(given.keys() - window.clouds.keys()))
     return TakenSnapshot(assemble_snapshot(label, given, window, static, notes=unread), silent=silent)
 

@@ -2,12 +2,14 @@
 """Messages that are point clouds."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
 from typing import cast
 
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.damage import reason_of
+from multilica.ingest.memory import require_decodable
 from multilica.ingest.message_types import MESSAGE_TYPES, OTHER_PACKETS, is_installed
 from multilica.ingest.recording import RawMessage, Topic
 from multilica.snapshot import Scan
@@ -15,6 +17,8 @@ from multilica.snapshot import Scan
 __all__ = ["Cloud", "decode_cloud", "is_cloud", "obstacle"]
 
 _MAX_NAME = 32
+_MAX_STAMP_NS = 1 << 64
+"""Stamps beyond are no times, and overflow."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,9 +57,15 @@ def decode_cloud(message: RawMessage) -> Cloud:
     if message.fault:
         raise UnreadableSourceError(f"{message.origin} {message.fault}.")
     try:
-        return _decoder(MESSAGE_TYPES[message.message_type].decoder)(message)
+        require_decodable(len(message.data))
+        cloud = _decoder(MESSAGE_TYPES[message.message_type].decoder)(message)
     except ValueError as error:
         raise UnreadableSourceError(f"{message.origin} {error}.") from error
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as error:
+        raise UnreadableSourceError(f"{message.origin} cannot be decoded: {reason_of(error)}.") from error
+    if abs(cloud.scan.stamp_ns) >= _MAX_STAMP_NS:
+        return replace(cloud, scan=replace(cloud.scan, stamp_ns=message.log_time_ns))
+    return cloud
 
 
 @cache

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import struct
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -62,7 +63,7 @@ def deserialize(message: RawMessage) -> Any:  # noqa: ANN401 - the classes are m
         if message.encoding == "ros1":
             return types.deserialize_ros1(data, message_type)
         return types.deserialize_cdr(data, message_type)
-    except SerdeError as error:
+    except (SerdeError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error) as error:
         raise ValueError(f"cannot be unpacked: {reason_of(error)}") from error
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
+from multilica.ingest.memory import require_decodable
 from multilica.ingest.recording import RawMessage
 
 __all__ = ["WireReader", "message_bytes"]
@@ -108,6 +109,8 @@ def message_bytes(message: RawMessage) -> memoryview:
     if message.data[:4] != ZSTD_MAGIC:
         return memoryview(message.data)
     try:
-        return unpack_zstd_message(message.data)
+        unpacked = unpack_zstd_message(message.data)
     except ValueError as error:
         raise ValueError(f"cannot be unpacked: {error}") from error
+    require_decodable(len(unpacked))
+    return unpacked

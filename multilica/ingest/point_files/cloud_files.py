@@ -1,18 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point files as a recording: one file per LiDAR, or a folder of frames per LiDAR."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.damage import damage_named
 from multilica.ingest.formats import detect_format, named_format
+from multilica.ingest.memory import memory_budget
+from multilica.ingest.point_files import pcd, ply
+from multilica.ingest.point_files.point_table import MAX_HEADER_BYTES
 from multilica.ingest.recording import Messages, RawMessage, Topic
 from multilica.ingest.remote.remote_file import SourceFile
 
 __all__ = ["CloudFiles", "FrameFiles"]
 
+_CLAIMED: Mapping[str, Callable[[bytes], int]] = {"pcd": pcd.claimed_bytes, "ply": ply.claimed_bytes}
+"""Format -> function from the beginning of a file to the bytes that its header claims."""
 _MAX_FILE_BYTES = 1 << 30
 """A file with thirty million points is a map, not a scan."""
 
@@ -74,4 +79,16 @@ def _message(topic: Topic, path: SourceFile) -> RawMessage:
                 f"{path} has {size} bytes; expected one scan of at most {_MAX_FILE_BYTES} bytes."
             )
         encoding = _encoding(path)
-        return RawMessage(topic.name, encoding.upper(), encoding, 0, path.read_bytes(), str(path))
+        data = memory_budget().keep(_content(path, encoding, size))
+        return RawMessage(topic.name, encoding.upper(), encoding, 0, data, str(path))
+
+
+def _content(path: SourceFile, encoding: str, size: int) -> bytes:
+    """Return the content of a file; of one with more bytes than its header claims, only the claimed ones."""
+    with path.open("rb") as file:
+        head = file.read(MAX_HEADER_BYTES)
+        claimed = _CLAIMED[encoding](head) if encoding in _CLAIMED else size
+        length = min(size, max(claimed, len(head)))
+        memory_budget().require(length)
+        file.seek(0)
+        return file.read(length)

@@ -18,6 +18,7 @@ import numpy as np
 from multilica.ingest.damage import reason_of
 from multilica.ingest.decompression import MAX_UNPACKED_BYTES
 from multilica.ingest.formats import FORMATS, require_format
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.messages.cloud import Cloud
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
@@ -66,6 +67,7 @@ def _decompressed(header: Any, data: memoryview) -> memoryview:  # noqa: ANN401 
     size = header.point_count * header.point_format.size
     if size > MAX_UNPACKED_BYTES:
         raise ValueError(f"claims to unpack to {size} bytes; the limit is {MAX_UNPACKED_BYTES}")
+    memory_budget().require(2 * size)
     records = header.vlrs.get("LasZipVlr")
     if not records:
         raise ValueError("has compressed points, but no record that says how to unpack them")

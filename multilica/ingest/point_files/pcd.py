@@ -7,7 +7,7 @@ header claims.
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import accumulate
 from typing import Any
 
@@ -16,18 +16,22 @@ import numpy as np
 import numpy.typing as npt
 
 from multilica.ingest.formats import FORMATS, require_format
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.messages.cloud import Cloud
-from multilica.ingest.point_files.point_table import Points, PointTable
+from multilica.ingest.point_files.point_table import MAX_HEADER_BYTES, Points, PointTable, row_count
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import DATATYPES, PointField, finite_points
 from multilica.snapshot import Scan
 
-__all__ = ["decode_cloud"]
+__all__ = ["claimed_bytes", "decode_cloud"]
 
-_MAX_HEADER_BYTES = 1 << 16
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _DATATYPE_OF = {name: datatype for datatype, name in DATATYPES.items()}
 _SIZES = struct.Struct("<II")
+_READ = ("x", "y", "z", "intensity")
+_MAX_FIELDS = 1024
+_MAX_COUNT = 1 << 16
+_LISTED = 8
 _MAX_LZF_RATIO = 88
 """LZF's longest match has 264 bytes, stored in 3."""
 
@@ -36,9 +40,20 @@ def decode_cloud(message: RawMessage) -> Cloud:
     """Decode a PCD file with ascii, binary or binary_compressed data."""
     data = memoryview(message.data)
     require_format(data, FORMATS["pcd"])
-    table, storage, start = _read_header(bytes(data[:_MAX_HEADER_BYTES]))
+    table, storage, start = _read_header(bytes(data[:MAX_HEADER_BYTES]))
     points_m, intensity = _read_points(table, storage, data[start:])
     return Cloud(Scan(points_m, message.log_time_ns, intensity))
+
+
+def claimed_bytes(head: bytes) -> int:
+    """Return the size in bytes that the beginning of a file claims; that of the beginning if it is broken."""
+    try:
+        table, storage, start = _read_header(head)
+    except ValueError:
+        return len(head)
+    if storage == "binary_compressed":
+        return start + _SIZES.size + int.from_bytes(head[start : start + 4], "little")
+    return start + table.claimed_bytes(is_text=storage == "ascii")
 
 
 def _read_header(head: bytes) -> tuple[PointTable, str, int]:
@@ -60,6 +75,14 @@ def _table_of(entries: Mapping[str, list[str]]) -> PointTable:
     counts = _numbers(entries, "COUNT") or [1] * len(names)
     if not names or not len(names) == len(sizes) == len(kinds) == len(counts):
         raise ValueError("has header lines FIELDS, SIZE, TYPE and COUNT that are missing or differ in length")
+    if (
+        len(names) > _MAX_FIELDS
+        or max((*sizes, *counts)) > _MAX_COUNT
+        or any(count < 1 for name, count in zip(names, counts, strict=True) if name in _READ)
+    ):
+        raise ValueError(
+            f"has the header lines SIZE {_listed(sizes)} and COUNT {_listed(counts)}, which are impossible"
+        )
     widths = [size * count for size, count in zip(sizes, counts, strict=True)]
     offsets = [0, *accumulate(widths)]
     types = [f"{_KINDS.get(kind.upper(), '?')}{size}" for kind, size in zip(kinds, sizes, strict=True)]
@@ -84,16 +107,21 @@ def _points(entries: Mapping[str, list[str]]) -> int:
 
 def _numbers(entries: Mapping[str, list[str]], key: str) -> list[int]:
     words = entries.get(key, [])
-    if not all(word.isascii() and word.isdigit() for word in words):
-        raise ValueError(f"has the header line '{key} {' '.join(words)}'; expected whole numbers")
-    return [int(word) for word in words]
+    try:
+        return [row_count(word) for word in words]
+    except ValueError as error:
+        raise ValueError(f"has the header line '{key} {_listed(words)}'; expected whole numbers") from error
+
+
+def _listed(words: Sequence[object]) -> str:
+    return " ".join(map(str, words[:_LISTED])) + (" ..." if len(words) > _LISTED else "")
 
 
 def _read_points(table: PointTable, storage: str, body: memoryview) -> Points:
     if table.rows == 0:
         return finite_points(*np.empty((3, 0), np.float32))
     if storage == "ascii":
-        return table.read_text(bytes(body))
+        return table.read_text(body)
     if storage == "binary":
         return table.read_records(body)
     if storage == "binary_compressed":
@@ -122,6 +150,7 @@ def _decompressed(rows: int, expected: int, body: memoryview) -> bytes:
         raise ValueError(f"ends after {len(packed)} of its {compressed} compressed bytes")
     if claimed != expected or expected > _MAX_LZF_RATIO * compressed:
         raise ValueError(f"claims that {compressed} bytes unpack to {claimed}; expected {expected} for {rows} points")
+    memory_budget().require(2 * expected)
     try:
         raw = lzf.decompress(packed, expected)
     except ValueError as error:

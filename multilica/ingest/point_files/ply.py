@@ -10,14 +10,13 @@ import numpy as np
 
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.messages.cloud import Cloud
-from multilica.ingest.point_files.point_table import PointTable
+from multilica.ingest.point_files.point_table import MAX_HEADER_BYTES, PointTable, row_count
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import DATATYPES, PointField, finite_points
 from multilica.snapshot import Scan
 
-__all__ = ["decode_cloud"]
+__all__ = ["claimed_bytes", "decode_cloud"]
 
-_MAX_HEADER_BYTES = 1 << 16
 _STORAGES = ("ascii", "binary_little_endian", "binary_big_endian")
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -39,16 +38,26 @@ def decode_cloud(message: RawMessage) -> Cloud:
     """Decode the vertices of a PLY file with ascii or binary data."""
     data = memoryview(message.data)
     require_format(data, FORMATS["ply"])
-    storage, elements, start = _read_header(bytes(data[:_MAX_HEADER_BYTES]))
+    storage, elements, start = _read_header(bytes(data[:MAX_HEADER_BYTES]))
     before, vertices = _find_vertices(elements)
     if vertices.rows == 0:
         points_m, intensity = finite_points(*np.empty((3, 0), np.float32))
     elif storage == "ascii":
-        points_m, intensity = vertices.read_text(bytes(data[start:]), sum(element.rows for element in before))
+        points_m, intensity = vertices.read_text(data[start:], sum(element.rows for element in before))
     else:
         skipped = sum(element.rows * element.row_bytes for element in before)
         points_m, intensity = vertices.read_records(data[start + skipped :], big_endian=storage.endswith("big_endian"))
     return Cloud(Scan(points_m, message.log_time_ns, intensity))
+
+
+def claimed_bytes(head: bytes) -> int:
+    """Return the size in bytes up to the end of the vertices, as the beginning of a file claims it."""
+    try:
+        storage, elements, start = _read_header(head)
+        before, vertices = _find_vertices(elements)
+    except ValueError:
+        return len(head)
+    return start + sum(element.claimed_bytes(is_text=storage == "ascii") for element in (*before, vertices))
 
 
 def _read_header(head: bytes) -> tuple[str, list[_Element], int]:
@@ -71,9 +80,10 @@ def _read_header(head: bytes) -> tuple[str, list[_Element], int]:
 
 
 def _whole_number(word: str) -> int:
-    if not (word.isascii() and word.isdigit()):
-        raise ValueError(f"has '{word}' in its header where the number of rows is expected")
-    return int(word)
+    try:
+        return row_count(word)
+    except ValueError as error:
+        raise ValueError(f"has '{word[:20]}' in its header where the number of rows is expected") from error
 
 
 def _with_property(element: _Element, words: list[str]) -> _Element:

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from multilica.documents import shown
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.messages.cloud import Cloud
 from multilica.ingest.recording import RawMessage
@@ -20,6 +21,7 @@ __all__ = ["decode_cloud"]
 Table: TypeAlias = npt.NDArray[Any]
 
 _COLUMNS = {"kitti": 4, "nuscenes": 5}
+_MAX_SIZE = 1 << 40
 _NEAREST_M, _FARTHEST_M = 1e-6, 1e4
 _PLAUSIBLE_SHARE = 0.9
 """Share of numbers in this range among coordinates; of random bytes, seven in eight are outside."""
@@ -65,8 +67,8 @@ def _npy_header(head: BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         shape, fortran_order, dtype = read(head)
     except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError, tokenize.TokenError) as error:
         raise ValueError("has an invalid NumPy header") from error
-    if not all(isinstance(size, int) and size >= 0 for size in shape):
-        raise ValueError(f"claims the impossible shape {shape}")
+    if not all(type(size) is int and 0 <= size < _MAX_SIZE for size in shape):
+        raise ValueError(f"claims the impossible shape {shown(shape)}")
     return shape, bool(fortran_order), dtype
 
 

@@ -23,6 +23,8 @@ _NO_CREDENTIALS = {
 }
 _LATE = {"FSTimeoutError", "TimeoutError", "ConnectTimeoutError", "ReadTimeoutError"}
 _LOST = {"ClientConnectionError", "ClientPayloadError", "ConnectionError", "HTTPClientError", "IncompleteReadError"}
+_NO_HTTP = {"HttpProcessingError", "BadHttpMessage", "ContentEncodingError"}
+_BAD_REDIRECTS = {"InvalidURL", "InvalidUrlClientError", "RedirectClientError"}
 
 
 class ConnectionLostError(UnreadableSourceError):
@@ -49,12 +51,19 @@ def remote_failures_named(where: str, scheme: str) -> Iterator[None]:
         raise _explained(error, where, scheme) from error
 
 
-def _explained(error: Exception, where: str, scheme: str) -> MultilicaError:  # noqa: PLR0911 - one per reason
+def _explained(error: Exception, where: str, scheme: str) -> MultilicaError:  # noqa: C901, PLR0911 - one per reason
     causes = list(_causes(error))
     # By name, so that no client library is imported to recognise its exceptions.
     names = {kind.__name__ for cause in causes for kind in type(cause).__mro__}
-    status = _status(causes, names)
+    # A body that ends early has the status of bad HTTP.
+    status = None if "ClientPayloadError" in names else _status(causes, names)
     hint = _CREDENTIALS.get(scheme, "check that the address is complete and still valid")
+    if "TooManyRedirects" in names:
+        return UnreadableSourceError(f"The server of {where} redirects without end; check the address.")
+    if names & _BAD_REDIRECTS:
+        return UnreadableSourceError(f"The server of {where} redirects to an address that is not valid.")
+    if names & _NO_HTTP and not names & _LOST:
+        return UnreadableSourceError(f"The server of {where} does not answer in valid HTTP; download the file.")
     if names & _NO_CREDENTIALS:
         return UnreadableSourceError(f"No credentials were found for {where}; {hint}.")
     if status in (401, 403):

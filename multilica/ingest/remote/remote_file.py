@@ -13,6 +13,7 @@ import time
 import weakref
 from contextlib import closing, suppress
 from functools import cached_property
+from http import HTTPStatus
 from pathlib import Path, PurePosixPath
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -32,9 +33,13 @@ MAX_WHOLE_BYTES = 2 << 30
 """Limit of files that are downloaded as a whole."""
 
 _PIECE_BYTES = 8 << 20
+_BLOCK_BYTES = 1 << 20
 _RETRY_AFTER_S = (0.5, 2.0)
 _CONNECT_S = 10
 _READ_S = 30
+_SLOWEST_BYTES_PER_S = 50_000
+"""A read ends after `_READ_S` and the time that its bytes take at this speed, however steadily a server drips them."""
+_LONGEST_S = 600
 
 
 class RemoteFile:
@@ -115,14 +120,33 @@ class RemoteFile:
     @cached_property
     def _cache(self) -> FileCache:
         with remote_failures_named(str(self), self._scheme):
-            from multilica.ingest.remote.file_cache import BLOCK_BYTES, FileCache
+            from multilica.ingest.remote.file_cache import BLOCK_BYTES
 
             system, path = _open_system(self._url)
-            handle = system.open(path, "rb", block_size=BLOCK_BYTES, cache_type="none")
+            handle = system.open(
+                path, "rb", block_size=BLOCK_BYTES, cache_type="none", **self._known_size(system, path)
+            )
             is_folder = handle.details.get("type") == "directory"
         if is_folder:
             raise UnreadableSourceError(f"{self} is a folder; expected the address of a file.")
         on_disk = self._path_on_disk()
+        with remote_failures_named(str(self), self._scheme):
+            return self._cached(system, path, handle, on_disk)
+
+    def _known_size(self, system: Any, path: str) -> dict[str, int]:  # noqa: ANN401 - see _serves_ranges
+        """Ask a web server for the size, within a time limit, as an option for opening the file."""
+        if not self._is_web:
+            return {}
+        found = system.info(path, timeout=_READ_S)
+        return {"size": found["size"]} if found.get("size") and found.get("partial", True) else {}
+
+    @property
+    def _is_web(self) -> bool:
+        return self._scheme in ("https", "http")
+
+    def _cached(self, system: Any, path: str, handle: Any, on_disk: Path) -> FileCache:  # noqa: ANN401 - see above
+        from multilica.ingest.remote.file_cache import BLOCK_BYTES, FileCache
+
         if handle.size is None or not handle.seekable() or not self._serves_ranges(handle):
             handle.close()
             size = self._download(system, path, handle.size, on_disk)
@@ -132,12 +156,11 @@ class RemoteFile:
 
     def _serves_ranges(self, handle: Any) -> bool:  # noqa: ANN401 - fsspec has no types
         """Return whether the last byte can be read alone; a web server need not announce it."""
-        if self._scheme not in ("https", "http") or handle.size <= handle.blocksize:
+        if not self._is_web or handle.size <= handle.blocksize:
             return True
         try:
             with remote_failures_named(str(self), self._scheme):
-                handle.seek(handle.size - 1)
-                return bool(handle.read(1))
+                return bool(self._read_range(handle, handle.size - 1, handle.size))
         except WithoutRangesError:
             return False
 
@@ -148,11 +171,19 @@ class RemoteFile:
         size = 0
         with remote_failures_named(str(self), self._scheme):
             source = system.open(path, "rb", block_size=0)
+            start_s = time.monotonic()
             with closing(source), target.open("wb") as file:
                 while data := bytes(source.read(_PIECE_BYTES)):
                     size += file.write(data)
                     self._require_size(size, why)
+                    self._require_speed(size, time.monotonic() - start_s)
         return size
+
+    def _require_speed(self, size: int, taken_s: float) -> None:
+        if taken_s > _READ_S + size / _SLOWEST_BYTES_PER_S:
+            raise UnreadableSourceError(
+                f"The server of {self} sent only {size} bytes in {taken_s:.0f} s; try again later."
+            )
 
     def _path_on_disk(self) -> Path:
         """Return a path in a folder that is removed together with this object."""
@@ -161,20 +192,51 @@ class RemoteFile:
         return folder / (self.name or "download")
 
     def _fetch(self, start: int, end: int) -> bytes:
+        begin_s = time.monotonic()
         for pause_s in _RETRY_AFTER_S:
             try:
                 return self._fetch_once(start, end)
             except ConnectionLostError:
+                if time.monotonic() - begin_s >= _READ_S:
+                    raise
                 time.sleep(pause_s)
         return self._fetch_once(start, end)
 
+    def _read_range(self, handle: Any, start: int, end: int) -> bytes:  # noqa: ANN401 - see _serves_ranges
+        """Read a range of bytes; of a web server within a time limit for all of them."""
+        if self._is_web:
+            limit_s = _READ_S + (end - start) / _SLOWEST_BYTES_PER_S
+            from fsspec.asyn import sync
+
+            return cast(bytes, sync(handle.loop, _fetch_range, handle, start, end, timeout=limit_s))
+        handle.seek(start)
+        return bytes(handle.read(end - start))
+
     def _fetch_once(self, start: int, end: int) -> bytes:
         with remote_failures_named(str(self), self._scheme):
-            self._handle.seek(start)
-            data = bytes(self._handle.read(end - start))
+            data = self._read_range(self._handle, start, end)
         if len(data) != end - start:
             raise ConnectionLostError(f"The server of {self} sent {len(data)} of {end - start} bytes; try again.")
         return data
+
+
+async def _fetch_range(handle: Any, start: int, end: int) -> bytes:  # noqa: ANN401 - see _serves_ranges
+    """Read a range of bytes from a web server, and never more than asked for."""
+    options = dict(handle.kwargs)
+    headers = {**options.pop("headers", {}), "Range": f"bytes={start}-{end - 1}"}
+    data = bytearray()
+    async with handle.session.get(handle.fs.encode_url(handle.url), headers=headers, **options) as response:
+        if response.status == HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE:
+            return b""
+        response.raise_for_status()
+        given = response.headers.get("Content-Range", "").replace("=", " ").split("-")[0]
+        if start > 0 and response.status != HTTPStatus.PARTIAL_CONTENT and given != f"bytes {start}":
+            raise ValueError("no range requests")
+        async for block in response.content.iter_chunked(_BLOCK_BYTES):
+            data += block
+            if len(data) > end - start:
+                break
+    return bytes(data[: end - start])
 
 
 SourceFile: TypeAlias = Path | RemoteFile
@@ -209,7 +271,7 @@ def _options(url: str) -> dict[str, Any]:
         return {"config_kwargs": {"connect_timeout": _CONNECT_S, "read_timeout": _READ_S}}
     from aiohttp import ClientTimeout
 
-    timeout = ClientTimeout(sock_connect=_CONNECT_S, sock_read=_READ_S)
+    timeout = ClientTimeout(total=_LONGEST_S, sock_connect=_CONNECT_S, sock_read=_READ_S)
     if scheme == "gs":
         return {"requests_timeout": timeout}
     # Ranges of a response that is compressed are not ranges of the file.

@@ -134,6 +134,8 @@ def _ros_samples(
     bursts: dict[int, list[Any]] = defaultdict(list)
     logged_ns: dict[int, int] = {}
     for index, message in sampled(recording, [name], _times_ns(span, _MAX_SAMPLES, _MIN_STEP_S), span[1] + 1, most):
+        if message.message_type != message_type:
+            continue
         try:
             bursts[index].append(deserialize(message))
         except ValueError:

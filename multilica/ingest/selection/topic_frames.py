@@ -8,6 +8,7 @@ from statistics import median
 import numpy as np
 
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.messages.cloud import Cloud, decode_cloud, is_cloud
 from multilica.ingest.recording import RawMessage
 from multilica.snapshot import Scan
@@ -16,6 +17,7 @@ __all__ = ["TopicFrames", "clock_notes"]
 
 _MAX_CLOCK_OFFSET_S = 0.5
 """A scan takes a tenth of a second and logging a little more; a larger difference means that clocks are not set."""
+_MAX_BROKEN = 1000
 _NS_PER_S = 1e9
 
 
@@ -46,8 +48,8 @@ class TopicFrames:
 
     @property
     def is_full(self) -> bool:
-        """Whether there are enough frames."""
-        return len(self.clouds) >= self.wanted
+        """Whether there are enough frames, or so many broken ones that no more are tried."""
+        return len(self.clouds) >= self.wanted or len(self.broken) >= _MAX_BROKEN
 
     def take(self, message: RawMessage) -> None:
         """Decode and add a scan, unless there are enough."""
@@ -74,6 +76,7 @@ class TopicFrames:
         if len(scan.points_m) and not scan.points_m.any():
             # Zeros mean that no beam returned.
             scan = Scan(np.empty((0, 3), np.float32), scan.stamp_ns)
+        memory_budget().take(scan.points_m.nbytes + (0 if scan.intensity is None else scan.intensity.nbytes))
         self.clouds.append(replace(cloud, scan=replace(scan, log_time_ns=message.log_time_ns)))
 
     def by_time(self) -> tuple[Cloud, ...]:

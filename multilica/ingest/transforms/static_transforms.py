@@ -8,6 +8,7 @@ from itertools import islice
 
 import numpy as np
 
+from multilica.documents import MAX_LENGTH_M
 from multilica.geometry import RigidTransform
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.messages.ros_wire import WireReader
@@ -44,7 +45,9 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
     repeats, news_ns = 0, 0
     try:
         with closing(recording.messages(topics)) as messages:
-            for message in islice(messages, _MAX_MESSAGES):
+            # Another type may be recorded under the same name.
+            transforms = (message for message in messages if message.message_type in _TYPES)
+            for message in islice(transforms, _MAX_MESSAGES):
                 if _add(message, found, notes):
                     repeats, news_ns = 0, message.log_time_ns
                 repeats += 1
@@ -88,8 +91,8 @@ def _rigid(parent: str, child: str, values: tuple[float, ...]) -> RigidTransform
     if not parent or not child or parent == child:
         raise ValueError(f"its frames are '{parent}' and '{child}'; expected two different names")
     xyz_m, quaternion_xyzw = values[:3], values[3:]
-    if not all(map(math.isfinite, xyz_m)):
-        raise ValueError(f"'{child}' in '{parent}' has a translation that is not finite")
+    if not all(abs(value_m) <= MAX_LENGTH_M for value_m in xyz_m):
+        raise ValueError(f"'{child}' in '{parent}' has the translation {xyz_m}; expected metres up to {MAX_LENGTH_M:g}")
     norm = math.hypot(*quaternion_xyzw)
     if not abs(norm - 1.0) < _NORM_TOLERANCE:
         raise ValueError(f"'{child}' in '{parent}' has a quaternion of length {norm:.3g}; expected 1")

@@ -9,11 +9,14 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from defusedxml import DefusedXmlException, ElementTree
 
+from multilica.documents import read_limited, require_length
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 
 __all__ = ["Joint", "read_urdf"]
 
+_MAX_BYTES = 16 << 20
+"""A description without its meshes takes a few hundred kilobytes."""
 _NAMESPACE_OF_XACRO = "wiki/xacro}"
 
 
@@ -52,7 +55,7 @@ def read_urdf(path: Path) -> tuple[Joint, ...]:
 
 def _parse(path: Path) -> Element:
     try:
-        return ElementTree.fromstring(path.read_bytes())
+        return ElementTree.fromstring(read_limited(path, _MAX_BYTES))
     except FileNotFoundError as error:
         raise SourceNotFoundError(f"No URDF file at {path}.") from error
     except DefusedXmlException as error:
@@ -85,7 +88,7 @@ def _link(joint: Element, end: str, name: str) -> str:
 def _three(origin: Element | None, key: str, name: str) -> list[float]:
     text = "0 0 0" if origin is None else origin.get(key, "0 0 0")
     try:
-        numbers = [float(word) for word in text.split()]
+        numbers = [require_length(float(word)) for word in text.split()]
     except ValueError:
         numbers = []
     if len(numbers) != 3 or not np.isfinite(numbers).all():

@@ -10,6 +10,7 @@ from pydantic import Field, ValidationError, WithJsonSchema, model_validator
 from pydantic.json_schema import GenerateJsonSchema
 
 from multilica.config import CalibrationConfig, Stage
+from multilica.documents import DocumentError, first_problem, parse_json, shown
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.results.document.lidars import LidarEntry
@@ -47,6 +48,7 @@ class InputEntry(Entry):
     source: str = Field(description="File or address; empty for data in memory.")
     sha256: str = Field(description="Hash of the file; empty if it is not known.")
     lidars: Mapping[str, InputLidarEntry] = Field(description="Per LiDAR.")
+    notes: tuple[str, ...] = Field((), description="Warnings of the reader, such as lost scans or implausible points.")
 
 
 class RefusalEntry(Entry):
@@ -176,24 +178,23 @@ def parse_result(source: object, text: str | bytes) -> ResultDocument:
         UnreadableSourceError: not JSON, of another schema, or damaged.
     """
     try:
-        return ResultDocument.model_validate_json(text)
+        return ResultDocument.model_validate(parse_json(text))
+    except DocumentError as error:
+        raise UnreadableSourceError(f"{source} is not a JSON file that can be read: {error}.") from error
     except ValidationError as error:
         raise UnreadableSourceError(_problem(source, error)) from error
 
 
 def _problem(source: object, error: ValidationError) -> str:
-    problems = error.errors(include_url=False)
-    first = problems[0]
-    if first["type"] == "json_invalid":
-        return f"{source} is not a JSON file that can be read: {first['msg'].removeprefix('Invalid JSON: ')}."
+    problems = error.errors(include_url=False, include_context=False)
     schema = next(
         (each for each in problems if each["loc"] in ((), ("schema",)) and each["type"] != "value_error"), None
     )
     if schema is not None:
-        found = schema["input"] if schema["type"] == "literal_error" else None
-        return f"{source} has schema {found!r}; expected '{RESULT_SCHEMA}', as the result.json of a run has it."
-    where = ".".join(map(str, first["loc"])) or "the document"
-    what = first["msg"].removeprefix("Value error, ")
+        found = shown(schema["input"]) if schema["type"] == "literal_error" else None
+        return f"{source} has schema {found}; expected '{RESULT_SCHEMA}', as the result.json of a run has it."
+    where, what, _ = first_problem(error)
+    where = where or "the document"
     return f"{source} is not a whole result: {where}: {what}. Calibrate again with this version of multilica."
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
 from typing_extensions import TypeAliasType
 
+from multilica.documents import require_length
 from multilica.geometry import RigidTransform
 
 __all__ = ["Entry", "Matrix4", "Matrix6", "Number", "PairNames", "PoseEntry", "Quaternion", "Vector3"]
@@ -28,7 +29,8 @@ def _finite(value: object) -> bool:
 
 
 def _rigid(rows: _Rows4) -> _Rows4:
-    RigidTransform("", "", np.asarray(rows))
+    for value_m in RigidTransform("", "", np.asarray(rows)).matrix[:3, 3]:
+        require_length(value_m)
     return rows
 
 

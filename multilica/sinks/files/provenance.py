@@ -34,7 +34,7 @@ def provenance_of(snapshot: Snapshot) -> Provenance:
         )
         for lidar in snapshot.lidars
     }
-    source = InputEntry(source=snapshot.source, sha256=snapshot.source_sha256, lidars=lidars)
+    source = InputEntry(source=snapshot.source, sha256=snapshot.source_sha256, lidars=lidars, notes=snapshot.notes)
     return Provenance(collect_versions(), source, platform.platform())
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from multilica.config import IngestConfig
 from multilica.errors import MultilicaError
+from multilica.geometry import RigidTransform
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.ingest.message_types import OUSTER, is_installed
 from multilica.sinks.mcap.snapshot_mcap import window_metadata, write_snapshot_mcap
@@ -74,6 +76,13 @@ def _recorded(snapshot: Snapshot, path: Path) -> None:
     write_snapshot_mcap(snapshot, path, metadata=window_metadata(IngestConfig(frames=2)))
 
 
+def _with_transforms(snapshot: Snapshot, path: Path) -> None:
+    """Static transforms, without checksums that would hide most changes."""
+    pose = RigidTransform.from_xyz_rpy("base", "lidar_1", [1.0, 2.0, 3.0], [0.1, 0.2, 0.3])
+    with_pose = replace(snapshot, static_transforms=(pose,))
+    write_mcap(with_pose, path, compression=CompressionType.NONE, checked=False)
+
+
 def _first_scan(write: Callable[[Scan, Path], None]) -> Callable[[Snapshot, Path], None]:
     return lambda snapshot, path: write(snapshot.lidars[0].scans[0], path)
 
@@ -84,6 +93,10 @@ SEEDS: dict[str, Callable[[Snapshot, Path], None]] = {
     "plain.mcap": lambda snapshot, path: write_mcap(snapshot, path, compression=CompressionType.NONE),
     "unindexed.mcap": lambda snapshot, path: write_mcap(snapshot, path, indexed=False),
     "unchunked.mcap": lambda snapshot, path: write_mcap(snapshot, path, chunked=False, indexed=False),
+    "unchecked.mcap": lambda snapshot, path: write_mcap(
+        snapshot, path, compression=CompressionType.NONE, checked=False
+    ),
+    "transforms.mcap": _with_transforms,
     "foxglove.mcap": write_foxglove_sdk,
     "json.mcap": lambda snapshot, path: write_foxglove_json(snapshot, path, CompressionType.NONE),
     "livox.mcap": lambda snapshot, path: write_raw_mcap(

@@ -157,6 +157,7 @@ def write_mcap(
     indexed: bool = True,
     chunked: bool = True,
     chunk_size: int = 1024,
+    checked: bool = True,
     messages: Iterable[tuple[str, str, int, bytes]] | None = None,
 ) -> None:
     """`messages` in place of the snapshot's own."""
@@ -168,6 +169,7 @@ def write_mcap(
             compression=compression,
             use_chunking=chunked,
             index_types=IndexType.ALL if indexed else IndexType.NONE,
+            enable_crcs=checked,
         )
         writer.start(profile="ros2" if encoding == "cdr" else "ros1", library="test")
         channels: dict[str, int] = {}

@@ -61,6 +61,22 @@ def test_driving_is_measured() -> None:
     assert motion.significance > 100.0
 
 
+@pytest.mark.parametrize("step_m", [1.4, 2.0])
+def test_driving_across_a_bare_room_is_measured(step_m: float) -> None:
+    motion = detect_motion(_drive(_ROOM_M, step_m), _CONFIG)
+    assert motion.moving
+    assert not motion.at_least
+    assert motion.shift_m == pytest.approx(4 * step_m, abs=0.05)
+
+
+def test_a_lidar_that_jumps_out_of_sight_moves_at_least_a_bit() -> None:
+    here, there = _scan(_ROOM_M, 1), _scan((30.0, 2.5, 1.5), 2, _pose((0.0, 0.0, 0.0), 40.0))
+    motion = detect_motion([here, there], _CONFIG)
+    assert motion.moving
+    assert motion.at_least
+    assert "left by at least 0.20 m" in explain_motion({"left": motion})
+
+
 def test_turning_on_the_spot_is_measured() -> None:
     motion = detect_motion(_drive(_ROOM_M, 0.0, 0.5), _CONFIG)
     assert motion.moving

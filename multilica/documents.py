@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The guarded loader of TOML and JSON documents.
+
+Every document that a user or a file hands over passes here before its pydantic model sees it: limits of size, depth,
+and numbers. `tomllib` and `json` have none of their own, recurse, and build integers of any length.
+"""
+
+import json
+import re
+import tomllib
+from pathlib import Path
+from typing import Any, NoReturn
+
+from pydantic import ValidationError
+
+__all__ = [
+    "LFS_POINTER",
+    "MAX_JSON_BYTES",
+    "MAX_LENGTH_M",
+    "MAX_TOML_BYTES",
+    "DocumentError",
+    "first_problem",
+    "parse_json",
+    "parse_toml",
+    "read_limited",
+    "require_length",
+    "shown",
+]
+
+LFS_POINTER = b"version https://git-lfs.github.com/spec/"
+"""First bytes of the text that stands for a file in a checkout without Git LFS."""
+MAX_JSON_BYTES = 64 << 20
+"""The result of 20 LiDARs takes a few megabytes."""
+MAX_TOML_BYTES = 1 << 20
+"""The poses of a hundred LiDARs take a tenth of it."""
+MAX_LENGTH_M = 1e8
+"""Twice the way around the Earth: longer lengths are mistakes, and their squares overflow."""
+
+_MAX_DEPTH = 64
+_MAX_NUMBER = 2.0**63
+"""As nanoseconds since the epoch the year 2262."""
+_MAX_VALUES = 4_000_000
+"""Values that `json` may build; a list counts as four."""
+_MAX_SHOWN = 60
+# Possessive, so that the search stays linear.
+_LONG_KEY = re.compile(rb"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % _MAX_DEPTH)
+
+
+class DocumentError(ValueError):
+    """A document that cannot be used; the text is a clause, as in "it is nested more than 64 levels deep"."""
+
+
+def read_limited(path: Path, max_bytes: int) -> bytes:
+    """Read a file of at most `max_bytes`, whatever it claims its size to be.
+
+    Raises:
+        DocumentError: it is larger.
+        OSError: it cannot be read.
+    """
+    with path.open("rb") as file:
+        data = file.read(max_bytes + 1)
+    _require_size(data, max_bytes)
+    if data.startswith(LFS_POINTER):
+        raise DocumentError("it is a pointer of Git LFS, not the file; get the file with `git lfs pull`")
+    return data
+
+
+def parse_toml(data: bytes | str) -> dict[str, Any]:
+    """Parse a TOML document; raise DocumentError if it is not valid or exceeds a limit."""
+    data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    _require_size(data, MAX_TOML_BYTES)
+    if _LONG_KEY.search(data):
+        raise _too_deep()
+    try:
+        table = tomllib.loads(data.decode("utf-8"))
+    except RecursionError as error:
+        raise _too_deep() from error
+    except (ValueError, OverflowError) as error:
+        raise DocumentError(_reason(error)) from error
+    _require_plain(table)
+    return table
+
+
+def parse_json(data: bytes | str) -> Any:  # noqa: ANN401 - any JSON value
+    """Parse a JSON document; raise DocumentError if it is not valid or exceeds a limit."""
+    data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    _require_size(data, MAX_JSON_BYTES)
+    if data.count(b",") + 4 * (data.count(b"[") + data.count(b"{")) > _MAX_VALUES:
+        raise DocumentError("it has millions of values")
+    try:
+        value = json.loads(data.decode("utf-8"), parse_constant=_refuse_constant)
+    except RecursionError as error:
+        raise _too_deep() from error
+    except ValueError as error:
+        raise DocumentError(_reason(error)) from error
+    _require_plain(value)
+    return value
+
+
+def first_problem(error: ValidationError) -> tuple[str, str, object]:
+    """Return the place of a model's first problem, as ``section.key``, its meaning as a clause, and what was found."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    what = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    return ".".join(map(str, first["loc"])), f"{what[:1].lower()}{what[1:]}", first["input"]
+
+
+def shown(value: object) -> str:
+    """Return a value for a message, in a few characters."""
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) > _MAX_NUMBER:
+        return "an integer of more than 18 digits"
+    if isinstance(value, str) and len(value) > _MAX_SHOWN:
+        value = f"{value[:_MAX_SHOWN]}..."
+    text = repr(value)
+    return text if len(text) <= 2 * _MAX_SHOWN else f"{text[:_MAX_SHOWN]}..."
+
+
+def require_length(value_m: float) -> float:
+    """Return a length in metres; raise ValueError, with a clause as its text, if it is longer than `MAX_LENGTH_M`."""
+    if not abs(value_m) <= MAX_LENGTH_M:
+        raise ValueError(f"expected metres up to {MAX_LENGTH_M:g}, found {value_m:g}")
+    return value_m
+
+
+def _require_size(data: bytes, max_bytes: int) -> None:
+    if len(data) > max_bytes:
+        raise DocumentError(f"it has more than {max_bytes} bytes")
+
+
+def _require_plain(document: object) -> None:
+    """Check depth and numbers, without recursion."""
+    waiting: list[tuple[object, str, int]] = [(document, "", 0)]
+    while waiting:
+        value, name, depth = waiting.pop()
+        if isinstance(value, dict | list):
+            if depth >= _MAX_DEPTH:
+                raise _too_deep()
+            named = value.items() if isinstance(value, dict) else ((None, item) for item in value)
+            waiting.extend((item, _path(name, key), depth + 1) for key, item in named)
+        elif isinstance(value, float | int) and not abs(value) <= _MAX_NUMBER:
+            raise DocumentError(f"{name or 'it'} is {shown(value)}; expected a number up to {_MAX_NUMBER:.2g}")
+
+
+def _path(name: str, key: object) -> str:
+    return name if key is None else f"{name}.{key}" if name else str(key)
+
+
+def _too_deep() -> DocumentError:
+    return DocumentError(f"it is nested more than {_MAX_DEPTH} levels deep")
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise DocumentError(f"it has the number {name}, which is not finite")
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split()).rstrip(".")
+    return "it has a number of thousands of digits" if "integer string conversion" in text else text
