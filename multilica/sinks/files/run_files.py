@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from multilica.documents import MAX_JSON_BYTES, DocumentError, parse_json, read_limited
 from multilica.errors import UsageError
 from multilica.sinks.files.atomic import begun_files, partial_path, write_text_atomically
 from multilica.sinks.files.result_files import CALIBRATION_TOML, RESULT_JSON
@@ -104,7 +105,8 @@ def locked(directory: Path) -> Iterator[None]:
 def place_for_run(directory: Path) -> Path:
     """Return where a run into a locked directory writes, and finish what a killed run was doing there."""
     if (directory / UNFINISHED / _WHOLE).exists():
-        publish(directory)
+        with suppress(DocumentError):  # not a list that a run wrote
+            publish(directory)
     if (directory / UNFINISHED).exists():
         shutil.rmtree(directory / UNFINISHED)
     return directory / UNFINISHED if _holds_result(directory) else directory
@@ -120,15 +122,17 @@ def publish(directory: Path) -> None:
     listed = unfinished / _WHOLE
     if not listed.exists():
         write_text_atomically(listed, json.dumps(sorted(path.name for path in unfinished.iterdir())))
-    names = json.loads(listed.read_text(encoding="utf-8"))
+    whole = parse_json(listed.read_bytes())
+    # A list that came with the directory may hold anything; only entries of `unfinished` are moved.
+    present = {path.name for path in unfinished.iterdir()}
+    names = [name for name in whole if isinstance(name, str)] if isinstance(whole, list) else []
     for path in outputs(directory):
         if path.name not in names:
             path.unlink(missing_ok=True)
-    for name in names:
+    for name in sorted(present.intersection(names)):
         if (unfinished / name).is_dir() and (directory / name).is_dir():
             shutil.rmtree(directory / name)
-        if (unfinished / name).exists():
-            (unfinished / name).replace(directory / name)
+        (unfinished / name).replace(directory / name)
     shutil.rmtree(unfinished)
 
 
@@ -147,7 +151,7 @@ def _is_unfinished_run(unfinished: Path) -> bool:
 def _holds_result(directory: Path) -> bool:
     """Return whether an earlier run left a result that is not a refusal."""
     try:
-        document = json.loads((directory / RESULT_JSON).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        document = parse_json(read_limited(directory / RESULT_JSON, MAX_JSON_BYTES))
+    except (OSError, DocumentError):
         return False
     return isinstance(document, dict) and document.get("refusal") is None

@@ -149,6 +149,17 @@ def test_the_next_run_finishes_a_replacement_that_was_killed(tmp_path, monkeypat
     assert {path.name for path in tmp_path.iterdir()} == NAMES
 
 
+@pytest.mark.parametrize("listed", ['["../mine.txt", "config.toml"]', "not JSON", "7", "[1]"])
+def test_a_list_that_no_run_wrote_moves_nothing_else(tmp_path, listed):
+    run_into(tmp_path / "run")
+    run_into(tmp_path / "run", stop_after=8)
+    (tmp_path / "run" / "mine.txt").write_text("mine")
+    (tmp_path / "run" / "unfinished" / ".whole.json").write_text(listed)
+    run_into(tmp_path / "run")
+    assert {path.name for path in (tmp_path / "run").iterdir()} == NAMES | {"mine.txt"}
+    assert [path.name for path in tmp_path.iterdir()] == ["run"]
+
+
 def test_an_entry_of_the_users_own_is_not_overwritten(tmp_path):
     (tmp_path / "unfinished").mkdir()
     (tmp_path / "unfinished" / "chapter.txt").write_text("mine")
