@@ -13,19 +13,18 @@ __all__ = ["CorrespondConfig", "FeaturesConfig"]
 class FeaturesConfig(Section):
     """FPFH descriptors."""
 
-    engine: Literal["open3d_tensor", "open3d"] = Field(
-        "open3d_tensor",
-        description="implementation of FPFH; they differ where neighbours are equally near; open3d: twice as slow, and "
-        "the voxel grid begins at the cloud, not at the sensor",
+    engine: Literal["numpy", "open3d"] = Field(
+        "numpy",
+        description="implementation of FPFH; open3d: slower, and its voxel grid begins at the cloud, not at the sensor",
     )
     voxel_size_m: PositiveMetres = Field(0.35, description="voxel grid on which descriptors are computed")
     further_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
         (0.5, 0.25),
         description="voxel grids of further searches between LiDARs that no accepted pair connects, one after another",
     )
-    normal_radius_voxels: Positive = Field(2.0, description="neighbourhood of a normal, in voxels")
+    normal_radius_voxels: Positive = Field(2.0, le=10.0, description="neighbourhood of a normal, in voxels")
     normal_neighbours: Count = Field(30, description="largest number of neighbours of a normal")
-    feature_radius_voxels: Positive = Field(5.0, description="neighbourhood of a descriptor, in voxels")
+    feature_radius_voxels: Positive = Field(5.0, le=10.0, description="neighbourhood of a descriptor, in voxels")
     feature_neighbours: Count = Field(100, description="largest number of neighbours of a descriptor")
     max_range_m: PositiveMetres = Field(40.0, description="farther returns get no descriptor")
     range_shape: Literal["ball", "box"] = Field(

@@ -11,7 +11,7 @@ from multilica.geometry import FloatArray, lengths
 from multilica.registration.lazy_open3d import o3d
 from multilica.results import IndexArray
 
-__all__ = ["MovedPoints", "PointTree", "Surface", "spread_and_normals", "thin", "thin_from_cloud"]
+__all__ = ["MovedPoints", "PointTree", "Surface", "smallest_principal", "spread_and_normals", "thin", "thin_from_cloud"]
 
 # Along the longest side of a cloud: metres per cell, so that a grid costs less than the tree.
 _GRID_CELLS = 100
@@ -122,10 +122,10 @@ def spread_and_normals(points_m: FloatArray, neighbours: IndexArray) -> tuple[Fl
     around = [coordinate[neighbours] for coordinate in np.ascontiguousarray(points_m.T)]
     x, y, z = (each - each.mean(axis=1, keepdims=True) for each in around)
     products = ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))
-    return _smallest_principal(*(np.einsum("ij,ij->i", one, other) for one, other in products))
+    return smallest_principal(*(np.einsum("ij,ij->i", one, other) for one, other in products))
 
 
-def _smallest_principal(
+def smallest_principal(
     xx: FloatArray, yy: FloatArray, zz: FloatArray, xy: FloatArray, xz: FloatArray, yz: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return eigenvalues (M, 3), ascending, and unit eigenvectors (M, 3) of the smallest of symmetric 3 x 3 matrices.

@@ -52,6 +52,13 @@ def test_a_run_until_ingest_takes_no_open3d(tmp_path: Path) -> None:
     assert loaded & (PLOTS | {"open3d", "kiss_matcher", "rosbags"}) == set()
 
 
+def test_a_calibration_takes_no_open3d(tmp_path: Path) -> None:
+    options = ["--out", str(tmp_path), "--until", "fine", "--workers", "1", "--quiet"]
+    loaded = imported_by(f"from multilica_cli.main import run; run({['calibrate', str(SAMPLE), *options]!r})")
+    assert "small_gicp" in loaded
+    assert "open3d" not in loaded
+
+
 def test_open3d_comes_without_its_plots() -> None:
     loaded = imported_by(SHOW_POINT)
     assert "open3d" in loaded
