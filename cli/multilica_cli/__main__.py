@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Start and end of the process."""
 
+import gc
 import sys
 
 from multilica_cli.signals import Interrupted, end_on_signals, print_line, unwind_on_signals
 
 __all__ = ["main"]
 
+# What is imported stays to the end; at Python's own 700 the collector walks through it again and again.
+_NEW_OBJECTS = 50_000
+
 
 def main() -> None:
     """Handle signals, then import the rest and run the command line."""
     unwind_on_signals()
+    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
     try:
         from multilica_cli.main import main as run_command_line
 
@@ -19,6 +24,7 @@ def main() -> None:
         print_line(f"{stop}")
         code = stop.exit_code
     end_on_signals()
+    gc.freeze()  # spares the last walk: what is left ends with the process
     sys.exit(code)
 
 
