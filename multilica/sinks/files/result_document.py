@@ -20,7 +20,7 @@ from multilica.results.document.pairs import CycleErrorEntry, PairEntry, Refinem
 from multilica.results.document.result import RESULT_SCHEMA, GroundEntry, ProgressEntry, ResultDocument, SnapshotEntry
 from multilica.sinks.files.provenance import Provenance
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.prior_comparison import surprise
+from multilica.sinks.text.prior_comparison import exchanged_names, surprise
 from multilica.sinks.text.stage_figures import stage_figures
 
 __all__ = ["result_document", "result_so_far", "run_document"]
@@ -62,12 +62,15 @@ def result_so_far(state: RunState) -> CalibrationResult:
 def result_document(result: CalibrationResult, config: CalibrationConfig, provenance: Provenance) -> ResultDocument:
     """Convert a result to the document that `result.json` holds."""
     health = {each.lidar: each for each in result.health}
+    exchanged = exchanged_names(result.placements, result.target)
     return ResultDocument.of(
         result,
         provenance,
         schema=RESULT_SCHEMA,
         accepted_by="evidence" if config.verify.enabled else "fitness",
-        lidars={each.lidar: _lidar(each, health.get(each.lidar), result.target) for each in result.placements},
+        lidars={
+            each.lidar: _lidar(each, health.get(each.lidar), result.target, exchanged) for each in result.placements
+        },
         pairs=tuple(map(_pair, result.pairs)),
         snapshots=tuple(map(_snapshot, result.snapshots)),
         refinement=None if result.refinement is None else _refinement(result.refinement),
@@ -82,21 +85,26 @@ def _pose(T_target_source: RigidTransform | None) -> dict[str, Any]:
     return {"T_target_source": matrix, **{name: getattr(T_target_source, name, None) for name in names}}
 
 
-def _lidar(placement: LidarPlacement, health: SensorHealth | None, target: str) -> LidarEntry:
+def _lidar(
+    placement: LidarPlacement, health: SensorHealth | None, target: str, exchanged: tuple[str, str] | None
+) -> LidarEntry:
     contested, prior = placement.contested, placement.T_target_source_prior
     return LidarEntry.of(
         placement,
         **_pose(placement.T_target_source),
-        prior=None if prior is None else _prior(prior, placement, target),
+        prior=None if prior is None else _prior(prior, placement, target, exchanged),
         contested=contested and ContestedEntry.of(contested, angle_deg=math.degrees(contested.angle_rad)),
         health=health,
     )
 
 
-def _prior(prior: RigidTransform, placement: LidarPlacement, target: str) -> PriorEntry:
+def _prior(
+    prior: RigidTransform, placement: LidarPlacement, target: str, exchanged: tuple[str, str] | None
+) -> PriorEntry:
     off_m, off_rad = placement.prior_deviation or (math.nan, math.nan)
     off_deg = math.degrees(off_rad)
-    return PriorEntry(**_pose(prior), deviation_m=off_m, deviation_deg=off_deg, surprise=surprise(placement, target))
+    text = surprise(placement, target, exchanged)
+    return PriorEntry(**_pose(prior), deviation_m=off_m, deviation_deg=off_deg, surprise=text)
 
 
 def _snapshot(snapshot: SnapshotReport) -> SnapshotEntry:

@@ -13,6 +13,7 @@ from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.clouds import sample_points
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
+from multilica.sinks.text.prior_comparison import surprises
 from multilica.snapshot import LidarScans
 
 __all__ = ["ReportContents", "ScoredPoints", "contents_of"]
@@ -42,7 +43,7 @@ class ReportContents:
         document: see `multilica.sinks.files.result_document`.
         clouds: per LiDAR its preprocessed cloud (N, 3) in its own frame.
         scored: per registered pair its best pose, then the competing one, if any.
-        notes: remarks of the reader of the input.
+        notes: remarks of the reader of the input, and on poses far from their prior.
         ended_early: why the run ended without a result; "" if it finished.
         level: pose of the target in a frame with z up; None without a ground plane.
     """
@@ -86,7 +87,7 @@ def contents_of(state: RunState, ended_early: str = "") -> ReportContents:
         document=document,
         clouds={lidar.name: _cloud(state, lidar) for lidar in state.snapshot.lidars},
         scored={(pair.target, pair.source): _scored(state, pair) for pair in state.registrations.values()},
-        notes=state.snapshot.notes,
+        notes=(*state.snapshot.notes, *(() if state.result is None else surprises(state.result))),
         ended_early=ended_early,
         level=None if state.result is None else state.result.level,
     )

@@ -9,6 +9,7 @@ import re
 import numpy as np
 import pytest
 
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.report.contents import contents_of
@@ -45,6 +46,13 @@ def test_a_lidar_without_any_pose_failed_in_coarse():
     failures = {one.missing.lidar: one for one in outcome_of(made_contents("failed")).failures}
     assert failures[UNPLACED].missing.step.startswith("coarse")
     assert failures[UNPLACED].pair is None
+
+
+def test_a_pose_far_from_its_prior_is_noted():
+    turned = TRUTH["rear"] @ RigidTransform.from_xyz_rpy("rear", "rear", (0, 0, 0), (0, 0, 2))
+    claim = Extrinsics("top", TRUTH | {"rear": turned})
+    (note,) = made_contents("complete", prior=claim).notes
+    assert note.startswith("rear is turned by 115 deg about its z axis against its prior")
 
 
 def test_a_run_that_was_to_stop_has_not_failed():

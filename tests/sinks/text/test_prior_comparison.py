@@ -71,6 +71,43 @@ def test_a_large_difference_is_described_with_its_cause(xyz_m, rpy_deg, said):
     assert re.search(said, text)
 
 
+def _rig(claimed: dict[str, RigidTransform], found: dict[str, RigidTransform]) -> tuple[LidarPlacement, ...]:
+    return tuple(
+        LidarPlacement(name, "placed", "placed", T_target_source=found[name], T_target_source_prior=claimed[name])
+        for name in sorted(found)
+    )
+
+
+MOUNTS = {
+    "front": RigidTransform.from_xyz_rpy("top", "front", (2.0, 0.1, -0.4), (0.0, 0.1, 0.0)),
+    "left": RigidTransform.from_xyz_rpy("top", "left", (0.2, 0.9, -0.4), (0.0, 0.0, 1.6)),
+    "rear": RigidTransform.from_xyz_rpy("top", "rear", (-2.1, -0.1, -0.5), (0.05, 0.0, 3.1)),
+    "top": RigidTransform.identity("top", "top"),
+}
+
+
+def _exchange(one: str, other: str) -> dict[str, RigidTransform]:
+    """What is found where the recording has exchanged two names, relative to what is then called top."""
+    named = {name: name for name in MOUNTS} | {one: other, other: one}
+    from_top = MOUNTS[named["top"]].matrix
+    return {name: RigidTransform("top", name, np.linalg.solve(from_top, MOUNTS[named[name]].matrix)) for name in MOUNTS}
+
+
+@pytest.mark.parametrize("names", [("front", "rear"), ("left", "rear"), ("front", "top"), ("rear", "top")])
+def test_exchanged_names_are_told(names):
+    result = CalibrationResult("top", "as asked for", _rig(MOUNTS, _exchange(*names)))
+    texts = surprises(result)
+    assert texts
+    assert all(f"{names[0]} and {names[1]} have exchanged their names" in text for text in texts)
+
+
+def test_a_moved_mount_exchanges_no_names():
+    assert surprises(CalibrationResult("top", "as asked for", _rig(MOUNTS, MOUNTS))) == ()
+    moved = MOUNTS | {"rear": RigidTransform.from_xyz_rpy("top", "rear", (-1.0, 0.4, -0.5), (0.05, 0.0, 3.1))}
+    (text,) = surprises(CalibrationResult("top", "as asked for", _rig(MOUNTS, moved)))
+    assert "exchanged" not in text
+
+
 @pytest.mark.parametrize("angle_deg", [0.0, 1e-15, 1e-9, 0.49])
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, -1), (1, 1, 0)])
 def test_no_axis_is_named_for_a_rotation_of_zero(angle_deg, axis):
