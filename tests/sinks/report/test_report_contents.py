@@ -51,7 +51,7 @@ def test_a_lidar_without_any_pose_failed_in_coarse():
 def test_a_pose_far_from_its_prior_is_noted():
     turned = TRUTH["rear"] @ RigidTransform.from_xyz_rpy("rear", "rear", (0, 0, 0), (0, 0, 2))
     claim = Extrinsics("top", TRUTH | {"rear": turned})
-    (note,) = made_contents("complete", prior=claim).notes
+    *_, note = made_contents("complete", prior=claim).notes
     assert note.startswith("rear is turned by 115 deg about its z axis against its prior")
 
 
