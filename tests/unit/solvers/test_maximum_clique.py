@@ -4,6 +4,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from multilica.solvers import maximum_clique as module
 from multilica.solvers.consistency_graph import grow_clique
 from multilica.solvers.maximum_clique import maximum_clique
 
@@ -54,3 +55,15 @@ def test_of_two_as_large_the_one_with_fewer_connections_is_taken():
 def test_without_edges_a_single_node_is_the_largest():
     assert maximum_clique(_graph(3, [])).tolist() == [0]
     assert maximum_clique(np.eye(3, dtype=bool)).tolist() == [0]
+
+
+def test_noise_without_an_end_gives_a_large_clique(monkeypatch):
+    monkeypatch.setattr(module, "_BRANCHES", 0)
+    graph = _random(3, 90, 0.75)
+    found = maximum_clique(graph)
+    assert _is_clique(graph, found)
+    assert len(found) >= 13
+    monkeypatch.setattr(module, "_solve_dense", lambda *_: np.empty(0, dtype=np.int64))
+    greedy = maximum_clique(graph)
+    assert _is_clique(graph, greedy)
+    assert 13 <= len(greedy) <= len(found)
