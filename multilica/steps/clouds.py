@@ -85,19 +85,23 @@ def _require_clouds(state: CalibrationState) -> None:
         )
 
 
-def prepare_lidars(state: CalibrationState) -> None:
-    """Compute descriptors of each LiDAR, and prepare it for the work on pairs."""
-    tasks = {name: (name, state.config) for name in state.clouds}
+def prepare_lidars(state: CalibrationState, *, described: bool = True) -> None:
+    """Compute descriptors of each LiDAR, and prepare it for the work on pairs.
+
+    Args:
+        described: False leaves the descriptors out, where nothing is searched.
+    """
+    tasks = {name: (name, state.config, described) for name in state.clouds}
     for name, lidar in state.workers.map_and_share(prepare_one, tasks):
         state.lidars[name] = lidar
         state.observe(events.FeaturesComputed(lidar.features))
     state.workers.forget([_cleaned(lidar.name) for lidar in state.snapshot.lidars])
 
 
-def prepare_one(shared: Shared, task: tuple[str, CalibrationConfig]) -> PreparedLidar:
+def prepare_one(shared: Shared, task: tuple[str, CalibrationConfig, bool]) -> PreparedLidar:
     """Prepare one LiDAR, a task for a worker."""
-    name, config = task
-    return prepare_lidar(shared[_cleaned(name)].cloud, config)
+    name, config, described = task
+    return prepare_lidar(shared[_cleaned(name)].cloud, config, described=described)
 
 
 def _cleaned(lidar: str) -> str:

@@ -16,6 +16,8 @@ from multilica.visibility.sensor_view import SensorView, prepare_sensor_view
 
 __all__ = ["PreparedLidar", "prepare_lidar"]
 
+_NO_POINTS = np.empty((0, 3))
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedLidar:
@@ -61,9 +63,9 @@ class PreparedLidar:
         return PreparedLidar, (self.cloud, self.features, self.view, self.config)
 
 
-def prepare_lidar(cloud: PreprocessedCloud, config: CalibrationConfig) -> PreparedLidar:
-    """Compute the descriptors of a LiDAR, and its view if verification is on."""
-    features = compute_features(cloud, config.features)
+def prepare_lidar(cloud: PreprocessedCloud, config: CalibrationConfig, *, described: bool = True) -> PreparedLidar:
+    """Compute the descriptors of a LiDAR, if they are wanted, and its view if verification is on."""
+    features = compute_features(cloud if described else replace(cloud, points_m=_NO_POINTS), config.features)
     view = prepare_sensor_view(cloud, config.visibility) if config.verify.enabled else None
     slim = replace(cloud, returns_m=np.empty((0, 3), np.float32), dropped_m={}, left_out=cloud.returns)
     return PreparedLidar(slim, features, view, config)

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Comparison of a rig with its reference: which LiDARs are where they should be, and which have moved."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from multilica.checks.tolerances import Tolerance, Tolerances
+from multilica.errors import UsageError
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import FloatArray, RigidTransform, skew
+from multilica.runs.pose_error import PoseError
+from multilica.runs.run_documents import SavedPlacement, SavedRun
+
+__all__ = ["CheckVerdict", "LidarCheck", "RigCheck", "check_rig", "joint_verdict"]
+
+CheckVerdict = Literal["within", "outside", "undecided"]
+
+# A difference of less is explained by the uncertainty of the result: with correct covariances, one in 370 is larger.
+_SIGMAS = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LidarCheck:
+    """One LiDAR against its reference.
+
+    Args:
+        reason: of the verdict, for people.
+        error: found - reference pose, along the axes of the root; None where the LiDAR has no pose or no reference.
+        sigma_m, sigma_deg: largest standard deviation of the found pose; None where it is not known.
+    """
+
+    lidar: str
+    verdict: CheckVerdict
+    reason: str
+    tolerance: Tolerance
+    error: PoseError | None = None
+    sigma_m: float | None = None
+    sigma_deg: float | None = None
+
+    @property
+    def share(self) -> float | None:
+        """The difference as a share of the tolerance, in translation or rotation, whichever is larger."""
+        if self.error is None:
+            return None
+        return max(
+            self.error.distance_m / self.tolerance.translation_m, self.error.angle_deg / self.tolerance.rotation_deg
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigCheck:
+    """A rig against its reference.
+
+    Args:
+        name: of the run or recording.
+        root: the LiDAR that the others are compared to; it agrees with the reference by definition.
+        lidars: in name order, without the root.
+        notes: what cannot be told.
+    """
+
+    name: str
+    root: str
+    lidars: tuple[LidarCheck, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> CheckVerdict:
+        """``outside`` if any LiDAR is, else ``undecided`` if any is."""
+        return joint_verdict([each.verdict for each in self.lidars])
+
+    @property
+    def moved(self) -> tuple[str, ...]:
+        """The LiDARs outside."""
+        return tuple(each.lidar for each in self.lidars if each.verdict == "outside")
+
+    @property
+    def sentence(self) -> str:
+        """The outcome, for people."""
+        undecided = [each.lidar for each in self.lidars if each.verdict == "undecided"]
+        parts = []
+        if self.moved:
+            parts.append(f"{_and(self.moved)} {'is' if len(self.moved) == 1 else 'are'} outside")
+        if undecided:
+            parts.append(f"{_and(undecided)} cannot be decided")
+        if not parts:
+            return f"All {len(self.lidars) + 1} LiDARs are where the reference has them."
+        return f"{'; '.join(parts)}."
+
+
+def joint_verdict(verdicts: Sequence[CheckVerdict]) -> CheckVerdict:
+    """Return the verdict over several."""
+    ranked: tuple[CheckVerdict, ...] = ("outside", "undecided")
+    return next((verdict for verdict in ranked if verdict in verdicts), "within")
+
+
+def check_rig(found: SavedRun, reference: Extrinsics, tolerances: Tolerances) -> RigCheck:
+    """Compare the poses of a run with a reference.
+
+    The LiDARs are compared to that one with which most others agree, so that a single moved LiDAR is named even if it
+    is the target. A difference counts only if it is larger than three standard deviations, and a standard deviation
+    above the tolerance decides nothing.
+
+    Raises:
+        UsageError: run and reference have fewer than two LiDARs in common, or a tolerance is for none of them.
+    """
+    common = sorted({placement.lidar for placement in found.placements} & reference.members)
+    _require_names(found, reference, common, tolerances)
+    placed = {
+        placement.lidar: placement
+        for placement in found.placements
+        if placement.T_target_source is not None and placement.lidar in common
+    }
+    root, notes = _root(found.target, placed, reference, tolerances)
+    checks = tuple(
+        _check(placement, placed.get(root), found.target, reference, tolerances.of(placement.lidar))
+        for placement in sorted(found.placements, key=lambda each: each.lidar)
+        if placement.lidar in common and placement.lidar != root
+    )
+    extra = sorted({placement.lidar for placement in found.placements} - {*common})
+    absent = sorted(reference.members - {*common} - {reference.target})
+    if extra:
+        notes.append(f"the reference has no pose of {_and(extra)}")
+    if absent:
+        notes.append(f"{found.name} has no LiDAR {_and(absent)}")
+    return RigCheck(found.name, root, checks, tuple(notes))
+
+
+def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str], tolerances: Tolerances) -> None:
+    names = sorted(placement.lidar for placement in found.placements)
+    if len(common) < 2:
+        raise UsageError(
+            f"{found.name} ({', '.join(names)}) and the reference ({', '.join(sorted(reference.members))}) have "
+            f"{len(common)} LiDAR(s) in common; a check needs two or more of the same name."
+        )
+    if unknown := sorted({*tolerances.lidars} - {*names} - reference.members):
+        raise UsageError(f"There is a tolerance for '{unknown[0]}'; expected one of {', '.join(names)}.")
+
+
+def _root(
+    target: str, placed: dict[str, SavedPlacement], reference: Extrinsics, tolerances: Tolerances
+) -> tuple[str, list[str]]:
+    """Choose the LiDAR with which most agree, the target of the run among equals."""
+    if len(placed) < 2:
+        return (target if target in reference.members else min(reference.members)), []
+    agreeing = {
+        root: frozenset(
+            name
+            for name, placement in placed.items()
+            if name == root
+            or _agrees(PoseError.between(*_poses(placed[root], placement, reference)), tolerances.of(name))
+        )
+        for root in sorted(placed)
+    }
+    root = max(agreeing, key=lambda name: (len(agreeing[name]), name == target))
+    others = sorted(set(placed) - agreeing[root])
+    rival = next((name for name in others if len(agreeing[name]) == len(agreeing[root])), None)
+    if rival is None:
+        return root, []
+    return root, [f"as many LiDARs agree with {root} as with {rival}: which of them moved cannot be told"]
+
+
+def _agrees(error: PoseError, tolerance: Tolerance) -> bool:
+    return error.distance_m <= tolerance.translation_m and error.angle_deg <= tolerance.rotation_deg
+
+
+def _poses(
+    root: SavedPlacement, placement: SavedPlacement, reference: Extrinsics
+) -> tuple[RigidTransform, RigidTransform]:
+    """Return the found and the reference pose of a LiDAR in the frame of the root."""
+    assert root.T_target_source is not None and placement.T_target_source is not None  # noqa: S101, PT018
+    found = root.T_target_source.inverse() @ placement.T_target_source
+    return found, reference.between(root.lidar, placement.lidar)
+
+
+def _check(
+    placement: SavedPlacement, root: SavedPlacement | None, target: str, reference: Extrinsics, tolerance: Tolerance
+) -> LidarCheck:
+    if placement.T_target_source is None or root is None or root.T_target_source is None:
+        return LidarCheck(placement.lidar, "undecided", f"not placed: {placement.reason}", tolerance)
+    error = PoseError.between(*_poses(root, placement, reference))
+    covariance = _relative_covariance(root, placement, target)
+    if covariance is None:
+        of_translation = of_rotation = None
+    else:
+        of_translation = _sigmas(error.translation_m, covariance[3:, 3:])
+        of_rotation = _sigmas(np.rad2deg(error.rotation_rad), np.rad2deg(np.rad2deg(covariance[:3, :3])))
+    verdicts = [
+        _decide(error.distance_m, tolerance.translation_m, of_translation, 1000.0, "mm"),
+        _decide(error.angle_deg, tolerance.rotation_deg, of_rotation, 1.0, "deg"),
+    ]
+    verdict = joint_verdict([one for one, _ in verdicts])
+    return LidarCheck(
+        placement.lidar,
+        verdict,
+        "; ".join(text for one, text in verdicts if one == verdict),
+        tolerance,
+        error,
+        None if of_translation is None else of_translation.largest,
+        None if of_rotation is None else of_rotation.largest,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Sigmas:
+    """Standard deviations: along a difference, and in the weakest direction."""
+
+    along: float
+    largest: float
+
+
+def _sigmas(difference: FloatArray, covariance: FloatArray) -> _Sigmas:
+    largest = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+    length = float(np.linalg.norm(difference))
+    if length == 0.0:
+        return _Sigmas(largest, largest)
+    direction = difference / length
+    return _Sigmas(float(np.sqrt(direction @ covariance @ direction)), largest)
+
+
+def _decide(off: float, limit: float, sigmas: _Sigmas | None, scale: float, unit: str) -> tuple[CheckVerdict, str]:
+    """Return the verdict on one of translation and rotation, with its reason."""
+    size, most = f"{scale * off:.3g} {unit}", f"{scale * limit:.3g} {unit}"
+    if sigmas is not None and off > limit and off <= _SIGMAS * sigmas.along:
+        return "undecided", f"{size} is above {most}, yet within three sigma ({scale * sigmas.along:.2g} {unit})"
+    if off > limit:
+        return "outside", f"{size} is above {most}"
+    if sigmas is not None and sigmas.largest > limit:
+        return "undecided", f"its sigma of {scale * sigmas.largest:.2g} {unit} is above the tolerance of {most}"
+    return "within", f"{size} of {most}"
+
+
+def _relative_covariance(root: SavedPlacement, placement: SavedPlacement, target: str) -> FloatArray | None:
+    """Return the (6, 6) covariance of a pose in the frame of the root; an upper bound, as both may share errors."""
+    assert root.T_target_source is not None and placement.T_target_source is not None  # noqa: S101, PT018
+    moved_by_root = np.eye(6)
+    moved_by_root[3:, :3] = -skew(placement.T_target_source.xyz_m - root.T_target_source.xyz_m)
+    total = np.zeros((6, 6))
+    for each, motion in ((placement, np.eye(6)), (root, moved_by_root)):
+        if each.covariance is not None:
+            total += motion @ each.covariance @ motion.T
+        elif each.lidar != target:
+            return None
+    turn = np.kron(np.eye(2), root.T_target_source.rotation.T)
+    return np.asarray(turn @ total @ turn.T)
+
+
+def _and(names: Sequence[str]) -> str:
+    return " and ".join([part for part in (", ".join(names[:-1]), names[-1]) if part])
