@@ -8,14 +8,10 @@ from multilica_cli.signals import Interrupted, end_on_signals, print_line, unwin
 
 __all__ = ["main"]
 
-# What is imported stays to the end; at Python's own 700 the collector walks through it again and again.
-_NEW_OBJECTS = 50_000
-
 
 def main() -> None:
     """Handle signals, then import the rest and run the command line."""
     unwind_on_signals()
-    gc.set_threshold(_NEW_OBJECTS, *gc.get_threshold()[1:])
     try:
         from multilica_cli.main import main as run_command_line
 

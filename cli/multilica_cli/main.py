@@ -10,6 +10,7 @@ import typer
 
 import multilica
 from multilica_cli.commands.calibrate import calibrate
+from multilica_cli.commands.check import check, verify
 from multilica_cli.commands.config import config
 from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
@@ -27,10 +28,25 @@ app = typer.Typer(
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
     epilog="Exit codes: 0 all LiDARs placed, 1 system error or bug, 2 wrong usage, 3 unusable input, "
-    "4 a LiDAR uncertain, not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM, "
-    "129 SIGHUP.",
+    "4 a LiDAR uncertain, not placed, silent or undecided, 5 runs differ (diff) or a LiDAR is outside its tolerance "
+    "(check, verify), 130 Ctrl-C, 143 SIGTERM, 129 SIGHUP.",
 )
-for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, datasets, demo):
+for command in (
+    calibrate,
+    check,
+    verify,
+    inspect,
+    record,
+    explain,
+    diff,
+    view,
+    report,
+    config,
+    simulate,
+    evaluate,
+    datasets,
+    demo,
+):
     app.command()(command)
 
 

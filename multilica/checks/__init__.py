@@ -1,16 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of a rig against reference extrinsics, for pipelines."""
 
+from multilica.checks.check_document import CheckDocument, check_document
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, check_rig, joint_verdict
+from multilica.checks.reference import read_reference
 from multilica.checks.tolerances import Tolerance, Tolerances, read_tolerances
+from multilica.checks.verify_snapshot import verify_snapshot
 
 __all__ = [
+    "CheckDocument",
     "CheckVerdict",
     "LidarCheck",
     "RigCheck",
     "Tolerance",
     "Tolerances",
+    "check_document",
     "check_rig",
     "joint_verdict",
+    "read_reference",
     "read_tolerances",
+    "verify_snapshot",
 ]

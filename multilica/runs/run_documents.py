@@ -13,7 +13,16 @@ from multilica.geometry import FloatArray, RigidTransform, read_only
 from multilica.results.document import LidarEntry, ResultDocument, parse_result
 from multilica.sinks.files.result_files import RESULT_JSON
 
-__all__ = ["RunDocument", "SavedPlacement", "SavedRun", "explain_run", "read_run", "read_run_document"]
+__all__ = [
+    "RunDocument",
+    "SavedPlacement",
+    "SavedRun",
+    "explain_run",
+    "is_run",
+    "read_run",
+    "read_run_document",
+    "saved_run",
+]
 
 _RECORDINGS = ("recording.rrd", "recording.partial.rrd")
 _MCAPS = ("result.mcap", "result.partial.mcap")
@@ -153,12 +162,29 @@ def read_run(path: Path) -> SavedRun:
         UnreadableSourceError: not JSON, of another schema, or damaged.
     """
     file = _result_file(path)
-    document = _read_result_json(file)
+    return saved_run(RunDocument(file, _read_result_json(file), None), str(file.parent))
+
+
+def saved_run(run: RunDocument, name: str) -> SavedRun:
+    """Return the outcome of a run.
+
+    Raises:
+        UnreadableSourceError: it is damaged.
+    """
     try:
-        placements = tuple(_placement(document, lidar, entry) for lidar, entry in sorted(document.lidars.items()))
+        placements = tuple(
+            _placement(run.document, lidar, entry) for lidar, entry in sorted(run.document.lidars.items())
+        )
     except ValueError as error:
-        raise UnreadableSourceError(f"{file} is not a whole result: {error}.") from error
-    return SavedRun(str(file.parent), document.target, placements)
+        raise UnreadableSourceError(f"{run.path} is not a whole result: {error}.") from error
+    return SavedRun(name, run.document.target, placements)
+
+
+def is_run(path: Path) -> bool:
+    """Tell whether `read_run_document` is meant to read it: a run directory or one of its files, not a recording."""
+    if path.is_dir():
+        return (path / RESULT_JSON).exists() or any(_first_in(path, names) for names in (_RECORDINGS, _MCAPS))
+    return path.suffix in (".json", ".rrd") or path.name in _MCAPS
 
 
 def _result_file(path: Path) -> Path:

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of checks against a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from multilica_cli.tables.result import plain_table
+
+if TYPE_CHECKING:
+    from multilica.checks import LidarCheck, RigCheck
+
+__all__ = ["print_check"]
+
+_WORDS = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
+_COLUMNS = ("LiDAR", "verdict", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
+
+
+def print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Console) -> None:
+    """Print a table per rig, the reasons of what is not within, and the outcome."""
+    for rig in checks:
+        table = plain_table(f"{rig.name}, compared to {rig.root}", _COLUMNS, numbers_from=2)
+        for each in rig.lidars:
+            table.add_row(each.lidar, _WORDS[each.verdict], *_cells(each))
+        console.print(table)
+        for each in rig.lidars:
+            if each.verdict != "within":
+                console.print(f"{each.lidar}: {each.reason}")
+        for note in rig.notes:
+            console.print(f"note: {note}")
+    for path in written:
+        console.print(f"wrote {path}")
+    for rig in checks:
+        console.print(rig.sentence if len(checks) == 1 else f"{rig.name}: {rig.sentence}")
+
+
+def _cells(check: LidarCheck) -> tuple[str, ...]:
+    limits = f"{1000.0 * check.tolerance.translation_m:g}", f"{check.tolerance.rotation_deg:g}"
+    if check.error is None:
+        return "-", "-", limits[0], "-", "-", limits[1]
+    return (
+        f"{1000.0 * check.error.distance_m:.1f}",
+        "-" if check.sigma_m is None else f"{1000.0 * check.sigma_m:.1f}",
+        limits[0],
+        f"{check.error.angle_deg:.3f}",
+        "-" if check.sigma_deg is None else f"{check.sigma_deg:.3f}",
+        limits[1],
+    )

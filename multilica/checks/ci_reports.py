@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reports of checks in the formats of CI services: JUnit, Markdown, annotations."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
+
+from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, joint_verdict
+from multilica.checks.picture import check_png
+from multilica.sinks.files.atomic import atomic_file, write_text_atomically
+
+__all__ = ["code_quality_json", "github_annotations", "junit_xml", "summary_markdown", "write_reports"]
+
+_WORDS: dict[CheckVerdict, str] = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
+_MARKS: dict[CheckVerdict, str] = {"within": "✅", "outside": "❌", "undecided": "❔"}
+_BAR = 10
+# A bar ends at twice the tolerance.
+_FULL_SHARE = 2.0
+
+
+def write_reports(
+    rigs: Sequence[RigCheck],
+    reference: str,
+    timestamp: str,
+    *,
+    junit: Path | None = None,
+    summary: Path | None = None,
+    code_quality: Path | None = None,
+    step_summary: str | None = None,
+) -> list[Path]:
+    """Write the reports that are asked for, each whole or not at all, and return their paths.
+
+    Args:
+        timestamp: as `junit_xml` takes it.
+        summary: gets a picture beside it, with `.png` added to its name.
+        step_summary: file of GitHub Actions that the summary is added to.
+    """
+    written = []
+    if junit is not None:
+        write_text_atomically(junit, junit_xml(rigs, timestamp))
+        written.append(junit)
+    if summary is not None:
+        picture = summary.with_name(f"{summary.name}.png")
+        with atomic_file(picture) as stream:
+            stream.write(check_png(rigs))
+        write_text_atomically(summary, summary_markdown(rigs, reference, picture.name))
+        written += [summary, picture]
+    if code_quality is not None:
+        write_text_atomically(code_quality, code_quality_json(rigs, reference))
+        written.append(code_quality)
+    if step_summary is not None:
+        with Path(step_summary).open("a", encoding="utf-8") as stream_of_step:
+            stream_of_step.write(summary_markdown(rigs, reference))
+    return written
+
+
+def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
+    """Return a JUnit report: a suite per rig and a test case per LiDAR; what is undecided is an error.
+
+    Args:
+        timestamp: of the check, ISO 8601 without a time zone.
+    """
+    root = Element("testsuites")
+    for number, rig in enumerate(rigs):
+        count = {verdict: sum(each.verdict == verdict for each in rig.lidars) for verdict in _WORDS}
+        suite = SubElement(
+            root,
+            "testsuite",
+            name=rig.name,
+            package="multilica",
+            id=str(number),
+            timestamp=timestamp,
+            hostname="localhost",
+            tests=str(len(rig.lidars)),
+            failures=str(count["outside"]),
+            errors=str(count["undecided"]),
+            time="0",
+        )
+        SubElement(suite, "properties")
+        for each in rig.lidars:
+            case = SubElement(suite, "testcase", name=each.lidar, classname=f"multilica.{rig.name}", time="0")
+            if each.verdict != "within":
+                kind = "failure" if each.verdict == "outside" else "error"
+                SubElement(case, kind, type=each.verdict, message=each.reason).text = f"{each.lidar}: {each.reason}"
+        SubElement(suite, "system-out").text = "\n".join((rig.sentence, *rig.notes))
+        SubElement(suite, "system-err")
+    indent(root)
+    return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"
+
+
+def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = "") -> str:
+    """Return a summary in Markdown.
+
+    Args:
+        picture: address of a picture; empty leaves it out.
+    """
+    verdict = joint_verdict([rig.verdict for rig in rigs])
+    lines = [f"## {_MARKS[verdict]} LiDAR extrinsics: {_WORDS[verdict].lower()}", "", f"Reference: `{reference}`", ""]
+    if picture:
+        lines += [f"![differences as shares of the tolerances]({picture})", ""]
+    for rig in rigs:
+        lines += [f"### {_text(rig.name)}", "", _text(rig.sentence), ""]
+        lines += ["| LiDAR | verdict | translation | rotation | of the tolerance | why |", "|---|---|---|---|---|---|"]
+        lines += [_row(each) for each in rig.lidars]
+        lines += ["", f"Compared to {_text(rig.root)}.", *(f"Note: {_text(note)}." for note in rig.notes), ""]
+    return "\n".join(lines)
+
+
+def _row(check: LidarCheck) -> str:
+    cells = [_text(check.lidar), f"{_MARKS[check.verdict]} {_WORDS[check.verdict]}"]
+    if check.error is None or check.share is None:
+        cells += ["-", "-", "-"]
+    else:
+        cells += [
+            _with_sigma(1000.0 * check.error.distance_m, check.sigma_m and 1000.0 * check.sigma_m, "mm", 1),
+            _with_sigma(check.error.angle_deg, check.sigma_deg, "deg", 3),
+            f"`{_bar(check.share)}` {100.0 * check.share:.0f} %",
+        ]
+    return f"| {' | '.join([*cells, _text(check.reason)])} |"
+
+
+def _with_sigma(value: float, sigma: float | None, unit: str, digits: int) -> str:
+    shown = f"{value:.{digits}f}"
+    return f"{shown} {unit}" if sigma is None else f"{shown} ± {sigma:.{digits}f} {unit}"
+
+
+def _bar(share: float) -> str:
+    filled = min(_BAR, round(_BAR * share / _FULL_SHARE))
+    return "▮" * filled + "▯" * (_BAR - filled)
+
+
+def _text(value: str) -> str:
+    """Escape what Markdown would take for its own."""
+    escaped = value.replace("\\", "\\\\")
+    for character in "`*_{}[]<>|#!":
+        escaped = escaped.replace(character, f"\\{character}")
+    return " ".join(escaped.split())
+
+
+def github_annotations(rigs: Sequence[RigCheck]) -> Iterator[str]:
+    """Yield a workflow command of GitHub Actions for each LiDAR that is not within its tolerance."""
+    for rig, each in _findings(rigs):
+        level = "error" if each.verdict == "outside" else "warning"
+        title = _escaped(f"{each.lidar} is {each.verdict}", more=":,")
+        yield f"::{level} title={title}::{_escaped(f'{rig.name}: {each.lidar}: {each.reason}')}"
+
+
+def _escaped(value: str, more: str = "") -> str:
+    """Escape as the runner of GitHub Actions does."""
+    for character in f"%\r\n{more}":
+        value = value.replace(character, f"%{ord(character):02X}")
+    return value
+
+
+def code_quality_json(rigs: Sequence[RigCheck], reference: str) -> str:
+    """Return a code quality report of GitLab: a finding at the reference for each LiDAR not within its tolerance."""
+    findings = [
+        {
+            "description": f"{rig.name}: {each.lidar} is {each.verdict}: {each.reason}",
+            "check_name": "multilica-check",
+            "fingerprint": hashlib.sha256(f"{rig.name}\n{each.lidar}\n{each.verdict}".encode()).hexdigest(),
+            "severity": "major" if each.verdict == "outside" else "minor",
+            "location": {"path": reference, "lines": {"begin": 1}},
+        }
+        for rig, each in _findings(rigs)
+    ]
+    return json.dumps(findings, indent=2, ensure_ascii=False) + "\n"
+
+
+def _findings(rigs: Sequence[RigCheck]) -> Iterator[tuple[RigCheck, LidarCheck]]:
+    return ((rig, each) for rig in rigs for each in rig.lidars if each.verdict != "within")

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Check of known extrinsics against a snapshot."""
+
+from dataclasses import replace
+
+from multilica.checks.comparison import LidarCheck, RigCheck, check_rig
+from multilica.checks.tolerances import Tolerances
+from multilica.config import CalibrationConfig
+from multilica.extrinsics import Extrinsics
+from multilica.runs.run_documents import SavedPlacement, SavedRun
+from multilica.snapshot import Snapshot
+from multilica.verification import find_near
+
+__all__ = ["verify_snapshot"]
+
+
+def verify_snapshot(
+    snapshot: Snapshot, known: Extrinsics, tolerances: Tolerances, config: CalibrationConfig | None = None
+) -> RigCheck:
+    """Tell which LiDARs are still at their known poses.
+
+    Args:
+        known: poses of two or more of the LiDARs, by name.
+        config: the default preset if None.
+
+    Raises:
+        UnfitSnapshotError: fewer than two LiDARs have returns in range, or the vehicle moves.
+        UsageError: the poses lack two of the LiDARs, or a tolerance is for none of them.
+    """
+    rig = find_near(snapshot, known, config)
+    placements = tuple(
+        SavedPlacement(name, rig.poses.get(name), None, rig.reasons.get(name, ""), rig.covariances.get(name))
+        for name in snapshot.names
+    )
+    found = check_rig(SavedRun(snapshot.source or "snapshot", rig.root, placements), known, tolerances)
+    return replace(found, lidars=tuple(_far(each) if each.lidar in rig.contradicted else each for each in found.lidars))
+
+
+def _far(check: LidarCheck) -> LidarCheck:
+    """Return the check of a LiDAR whose beams contradict its known pose, and that no pose near it explains."""
+    reason = (
+        f"its beams contradict the known pose, and it is too far off to be followed ({check.reason}); calibrate anew"
+    )
+    return replace(check, verdict="outside", reason=reason)
