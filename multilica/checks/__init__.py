@@ -4,7 +4,7 @@
 from multilica.checks.check_document import CheckDocument, check_document
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, check_rig, joint_verdict
 from multilica.checks.reference import read_reference
-from multilica.checks.tolerances import Tolerance, Tolerances, read_tolerances
+from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 from multilica.checks.verify_snapshot import verify_snapshot
 
 __all__ = [
@@ -12,8 +12,8 @@ __all__ = [
     "CheckVerdict",
     "LidarCheck",
     "RigCheck",
+    "RigTolerances",
     "Tolerance",
-    "Tolerances",
     "check_document",
     "check_rig",
     "joint_verdict",

@@ -14,7 +14,6 @@ from multilica.sinks.files.atomic import atomic_file, write_text_atomically
 __all__ = ["code_quality_json", "github_annotations", "junit_xml", "summary_markdown", "write_reports"]
 
 _WORDS: dict[CheckVerdict, str] = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
-_MARKS: dict[CheckVerdict, str] = {"within": "✅", "outside": "❌", "undecided": "❔"}
 _BAR = 10
 # A bar ends at twice the tolerance.
 _FULL_SHARE = 2.0
@@ -97,7 +96,7 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
         picture: address of a picture; empty leaves it out.
     """
     verdict = joint_verdict([rig.verdict for rig in rigs])
-    lines = [f"## {_MARKS[verdict]} LiDAR extrinsics: {_WORDS[verdict].lower()}", "", f"Reference: `{reference}`", ""]
+    lines = [f"## LiDAR extrinsics: {_WORDS[verdict]}", "", f"Reference: `{reference}`", ""]
     if picture:
         lines += [f"![differences as shares of the tolerances]({picture})", ""]
     for rig in rigs:
@@ -109,7 +108,7 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
 
 
 def _row(check: LidarCheck) -> str:
-    cells = [_text(check.lidar), f"{_MARKS[check.verdict]} {_WORDS[check.verdict]}"]
+    cells = [_text(check.lidar), f"**{_WORDS[check.verdict]}**" if check.verdict != "within" else check.verdict]
     if check.error is None or check.share is None:
         cells += ["-", "-", "-"]
     else:
@@ -128,7 +127,7 @@ def _with_sigma(value: float, sigma: float | None, unit: str, digits: int) -> st
 
 def _bar(share: float) -> str:
     filled = min(_BAR, round(_BAR * share / _FULL_SHARE))
-    return "▮" * filled + "▯" * (_BAR - filled)
+    return "#" * filled + "." * (_BAR - filled)
 
 
 def _text(value: str) -> str:

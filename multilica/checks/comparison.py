@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from multilica.checks.tolerances import Tolerance, Tolerances
+from multilica.checks.tolerances import RigTolerances, Tolerance
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform, skew
@@ -96,7 +96,7 @@ def joint_verdict(verdicts: Sequence[CheckVerdict]) -> CheckVerdict:
     return next((verdict for verdict in ranked if verdict in verdicts), "within")
 
 
-def check_rig(found: SavedRun, reference: Extrinsics, tolerances: Tolerances) -> RigCheck:
+def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances) -> RigCheck:
     """Compare the poses of a run with a reference.
 
     The LiDARs are compared to that one with which most others agree, so that a single moved LiDAR is named even if it
@@ -128,7 +128,7 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: Tolerances) ->
     return RigCheck(found.name, root, checks, tuple(notes))
 
 
-def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str], tolerances: Tolerances) -> None:
+def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str], tolerances: RigTolerances) -> None:
     names = sorted(placement.lidar for placement in found.placements)
     if len(common) < 2:
         raise UsageError(
@@ -140,7 +140,7 @@ def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str]
 
 
 def _root(
-    target: str, placed: dict[str, SavedPlacement], reference: Extrinsics, tolerances: Tolerances
+    target: str, placed: dict[str, SavedPlacement], reference: Extrinsics, tolerances: RigTolerances
 ) -> tuple[str, list[str]]:
     """Choose the LiDAR with which most agree, the target of the run among equals."""
     if len(placed) < 2:

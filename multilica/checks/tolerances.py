@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 
-__all__ = ["Tolerance", "Tolerances", "read_tolerances"]
+__all__ = ["RigTolerances", "Tolerance", "read_tolerances"]
 
 _Metres = Annotated[float, Strict(), Field(gt=0.0, le=100.0)]
 _Degrees = Annotated[float, Strict(), Field(gt=0.0, le=180.0)]
@@ -32,7 +32,7 @@ class _OfLidar(BaseModel):
     rotation_deg: _Degrees | None = None
 
 
-class Tolerances(BaseModel):
+class RigTolerances(BaseModel):
     """The tolerance of all LiDARs, and what differs for some."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -46,7 +46,7 @@ class Tolerances(BaseModel):
         return self.default.model_copy(update=own)
 
 
-def read_tolerances(path: Path, default: Tolerance) -> Tolerances:
+def read_tolerances(path: Path, default: Tolerance) -> RigTolerances:
     """Read a TOML file with ``[default]`` and ``[lidars.NAME]``, each with `translation_m` and `rotation_deg`.
 
     Args:
@@ -58,7 +58,7 @@ def read_tolerances(path: Path, default: Tolerance) -> Tolerances:
     """
     try:
         values = parse_toml(read_limited(path, MAX_TOML_BYTES))
-        found = Tolerances.model_validate(values)
+        found = RigTolerances.model_validate(values)
     except FileNotFoundError as error:
         raise SourceNotFoundError(f"No file of tolerances at {path}.") from error
     except (OSError, DocumentError) as error:

@@ -4,7 +4,7 @@
 from dataclasses import replace
 
 from multilica.checks.comparison import LidarCheck, RigCheck, check_rig
-from multilica.checks.tolerances import Tolerances
+from multilica.checks.tolerances import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.runs.run_documents import SavedPlacement, SavedRun
@@ -15,7 +15,7 @@ __all__ = ["verify_snapshot"]
 
 
 def verify_snapshot(
-    snapshot: Snapshot, known: Extrinsics, tolerances: Tolerances, config: CalibrationConfig | None = None
+    snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances, config: CalibrationConfig | None = None
 ) -> RigCheck:
     """Tell which LiDARs are still at their known poses.
 

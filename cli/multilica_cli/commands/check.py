@@ -18,7 +18,7 @@ from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
-    from multilica.checks import RigCheck, Tolerances
+    from multilica.checks import RigCheck, RigTolerances
 
 __all__ = ["check", "verify"]
 
@@ -158,11 +158,11 @@ def _require_reference(path: Path) -> None:
         raise SourceNotFoundError(f"No reference at {path}; give a calibration.toml, a run, or another file of poses.")
 
 
-def _tolerances(path: Path | None, translation_m: float, rotation_deg: float) -> Tolerances:
-    from multilica.checks import Tolerance, Tolerances, read_tolerances
+def _tolerances(path: Path | None, translation_m: float, rotation_deg: float) -> RigTolerances:
+    from multilica.checks import RigTolerances, Tolerance, read_tolerances
 
     default = Tolerance(translation_m=translation_m, rotation_deg=rotation_deg)
-    return Tolerances(default=default) if path is None else read_tolerances(path, default)
+    return RigTolerances(default=default) if path is None else read_tolerances(path, default)
 
 
 def _finish(

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+
+import pytest
+from defusedxml import ElementTree
+from PIL import Image
+
+from multilica.checks import check_document
+from multilica.checks.ci_reports import (
+    code_quality_json,
+    github_annotations,
+    junit_xml,
+    summary_markdown,
+    write_reports,
+)
+from multilica.checks.picture import check_png
+from tests.checks.test_comparison import SHIFT, checked, run_with
+
+TIME = "2026-11-23T03:00:00"
+
+
+@pytest.fixture(scope="module")
+def rigs():
+    return [checked(run_with({"rear": SHIFT}, without=("left",))), checked(run_with())]
+
+
+def test_junit_counts_failures_and_errors(rigs):
+    suites = ElementTree.fromstring(junit_xml(rigs, TIME)).findall("testsuite")
+    assert [(each.get("tests"), each.get("failures"), each.get("errors")) for each in suites] == [
+        ("3", "1", "1"),
+        ("3", "0", "0"),
+    ]
+    cases = {case.get("name"): case for case in suites[0].findall("testcase")}
+    assert cases["rear"].find("failure").get("message") == "50 mm is above 30 mm"
+    assert cases["left"].find("error").get("type") == "undecided"
+    assert list(cases["front"]) == []
+    assert suites[0].get("timestamp") == TIME
+
+
+def test_the_summary_has_a_row_per_lidar_and_escapes_names(rigs):
+    text = summary_markdown(rigs, "calibration.toml", "summary.md.png")
+    rows = [line for line in text.splitlines() if line.startswith("| ") and not line.startswith("| LiDAR")]
+    assert [row.split(" | ")[0] for row in rows] == ["| front", "| left", "| rear"] * 2
+    assert all(row.count("|") == 7 for row in rows)
+    assert "50.0 ± 1.0 mm" in rows[2]
+    assert text.startswith("## LiDAR extrinsics: OUTSIDE")
+    assert "![differences as shares of the tolerances](summary.md.png)" in text
+
+
+def test_annotations_name_what_is_not_within(rigs):
+    error, warning = sorted(github_annotations(rigs))
+    assert error == "::error title=rear is outside::run: rear: 50 mm is above 30 mm"
+    assert warning.startswith("::warning title=left is undecided::run: left: not placed")
+    findings = json.loads(code_quality_json(rigs, "calibration.toml"))
+    assert [each["severity"] for each in findings] == ["minor", "major"]
+    assert {each["location"]["path"] for each in findings} == {"calibration.toml"}
+    assert len({each["fingerprint"] for each in findings}) == 2
+
+
+def test_a_name_cannot_end_an_annotation_or_a_table():
+    check = checked(run_with({"rear": SHIFT}))
+    hostile = replace(check, lidars=tuple(replace(each, lidar="a|b\n::error::x%<b>") for each in check.lidars))
+    (line, *_) = github_annotations([replace(hostile, lidars=hostile.lidars[-1:])])
+    assert "\n" not in line
+    assert "%0A%3A%3Aerror" in line
+    assert "a\\|b" in summary_markdown([hostile], "x")
+    assert "<b>" not in summary_markdown([hostile], "x")
+
+
+def test_the_document_has_every_number(rigs):
+    document = json.loads(check_document(rigs, "calibration.toml").model_dump_json())
+    rear = document["rigs"][0]["lidars"]["rear"]
+    assert (document["verdict"], rear["verdict"]) == ("outside", "outside")
+    assert (rear["distance_m"], rear["max_translation_m"]) == (pytest.approx(0.05), 0.03)
+    assert rear["sigma_m"] == pytest.approx(0.001)
+    assert document["rigs"][0]["lidars"]["left"]["distance_m"] is None
+
+
+def test_the_bar_ends_where_the_difference_does(rigs):
+    image = Image.open(io.BytesIO(check_png(rigs[:1]))).convert("RGB")
+    red = [x for x in range(image.width) for y in range(image.height) if image.getpixel((x, y)) == (0xC8, 0x32, 0x2B)]
+    start, end = 24 + 220, 960 - 2 * 24
+    assert max(red) == pytest.approx(start + (end - start) * (0.05 / 0.03) / 2.0, abs=2)
+
+
+def test_reports_are_written_and_a_step_summary_is_added_to(rigs, tmp_path):
+    step = tmp_path / "step.md"
+    step.write_text("before\n")
+    names = {"junit": "j.xml", "summary": "s.md", "code_quality": "q.json"}
+    written = write_reports(
+        rigs, "ref", TIME, **{key: tmp_path / name for key, name in names.items()}, step_summary=str(step)
+    )
+    assert [path.name for path in written] == ["j.xml", "s.md", "s.md.png", "q.json"]
+    assert all(path.stat().st_size > 100 for path in written)
+    assert step.read_text().startswith("before\n## LiDAR extrinsics: OUTSIDE")

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from multilica.checks import RigTolerances, Tolerance, check_rig
+from multilica.errors import UsageError
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
+from multilica.runs import SavedPlacement, SavedRun
+
+POSES = {
+    "front": RigidTransform.from_xyz_rpy("top", "front", (2.0, 0.1, -0.4), (0.0, 0.1, 0.0)),
+    "left": RigidTransform.from_xyz_rpy("top", "left", (0.2, 0.9, -0.4), (0.0, 0.0, 1.6)),
+    "rear": RigidTransform.from_xyz_rpy("top", "rear", (-2.1, -0.1, -0.5), (0.05, 0.0, 3.1)),
+}
+REFERENCE = Extrinsics("top", POSES)
+SHIFT = ((0.03, 0.04, 0.0), (0.0, 0.0, 0.0))
+TURN = ((0.0, 0.0, 0.0), (0.0, 0.0, np.deg2rad(0.5)))
+
+
+def run_with(changes=None, sigma_m=0.001, sigma_deg=0.005, without=()):
+    """A run in which some LiDARs are moved in their own frame."""
+    variances = [np.deg2rad(sigma_deg) ** 2] * 3 + [sigma_m**2] * 3
+    poses = POSES | {"top": RigidTransform.identity("top", "top")}
+    for name, (xyz_m, rpy_rad) in (changes or {}).items():
+        poses[name] = poses[name] @ RigidTransform.from_xyz_rpy(name, name, xyz_m, rpy_rad)
+    to_target = poses["top"].inverse()
+    placements = tuple(
+        SavedPlacement(
+            name,
+            None if name in without else RigidTransform("top", name, to_target.matrix @ pose.matrix),
+            0.8,
+            "nothing fits" if name in without else "placed",
+            None if name == "top" or name in without else np.diag(variances),
+        )
+        for name, pose in sorted(poses.items())
+    )
+    return SavedRun("run", "top", placements)
+
+
+def checked(run, tolerances=None, reference=REFERENCE):
+    return check_rig(run, reference, tolerances or RigTolerances())
+
+
+def test_an_unchanged_rig_is_within():
+    check = checked(run_with())
+    assert (check.verdict, check.moved, check.notes, check.root) == ("within", (), (), "top")
+    assert [each.lidar for each in check.lidars] == ["front", "left", "rear"]
+    assert check.sentence == "All 4 LiDARs are where the reference has them."
+
+
+@pytest.mark.parametrize("motion", [SHIFT, TURN])
+@pytest.mark.parametrize("lidar", ["front", "left", "rear", "top"])
+def test_the_lidar_that_moved_is_named(lidar, motion):
+    check = checked(run_with({lidar: motion}))
+    assert (check.verdict, check.moved) == ("outside", (lidar,))
+    (found,) = (each for each in check.lidars if each.lidar == lidar)
+    expected = (0.05, 0.0) if motion is SHIFT else (0.0, 0.5)
+    assert (found.error.distance_m, found.error.angle_deg) == pytest.approx(expected, abs=1e-9)
+    assert check.root != lidar
+
+
+def test_differences_are_along_the_axes_of_the_root():
+    (found,) = (each for each in checked(run_with({"left": SHIFT})).lidars if each.lidar == "left")
+    expected = POSES["left"].rotation @ SHIFT[0]
+    assert found.error.translation_m == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_frame_of_the_reference_does_not_matter():
+    base = RigidTransform.from_xyz_rpy("base", "top", (1.0, 0.2, 2.0), (0.1, 0.02, 1.0))
+    poses = {name: base @ pose for name, pose in POSES.items()} | {"top": base}
+    check = checked(run_with({"rear": TURN}), reference=Extrinsics("base", poses))
+    assert check.moved == ("rear",)
+    assert check.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("sigma_m", "moved_m", "verdict", "said"),
+    [
+        (0.001, 0.029, "within", "29 mm of 30 mm"),
+        (0.001, 0.031, "outside", "31 mm is above 30 mm"),
+        (0.02, 0.031, "undecided", "within three sigma"),
+        (0.04, 0.001, "undecided", "its sigma of 40 mm is above the tolerance of 30 mm"),
+        (0.04, 0.5, "outside", "500 mm is above 30 mm"),
+    ],
+)
+def test_sigma_and_tolerance_decide(sigma_m, moved_m, verdict, said):
+    run = run_with({"rear": ((moved_m, 0.0, 0.0), (0.0, 0.0, 0.0))}, sigma_m=sigma_m)
+    (rear,) = (each for each in checked(run).lidars if each.lidar == "rear")
+    assert rear.verdict == verdict
+    assert said in rear.reason
+
+
+def test_of_a_long_sigma_the_part_along_the_difference_counts():
+    loose = np.diag([1e-10] * 3 + [0.02**2, 1e-6, 1e-6])
+    for axis, verdict in ((0, "undecided"), (1, "outside")):
+        shift = POSES["rear"].rotation.T @ (0.04 * np.eye(3)[axis])
+        run = run_with({"rear": (tuple(shift), (0.0, 0.0, 0.0))})
+        placements = tuple(
+            SavedPlacement(
+                each.lidar, each.T_target_source, 0.8, "placed", loose if each.lidar == "rear" else each.covariance
+            )
+            for each in run.placements
+        )
+        (rear,) = (each for each in checked(SavedRun("run", "top", placements)).lidars if each.lidar == "rear")
+        assert rear.verdict == verdict
+
+
+def test_a_turned_root_adds_its_sigma_with_its_lever():
+    run = run_with({"top": TURN}, sigma_m=1e-6, sigma_deg=0.1)
+    (top,) = (each for each in checked(run).lidars if each.lidar == "top")
+    assert top.sigma_m == pytest.approx(np.deg2rad(0.1) * 2.0, rel=0.1)
+
+
+def test_what_is_not_placed_is_undecided():
+    check = checked(run_with(without=("rear",)))
+    assert check.verdict == "undecided"
+    assert check.lidars[-1].reason == "not placed: nothing fits"
+    assert check.sentence == "rear cannot be decided."
+
+
+def test_of_two_which_one_moved_cannot_be_told():
+    moved = dict.fromkeys(("rear",), ((0.5, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    poses = {name: POSES[name] for name in ("rear",)}
+    run = run_with(moved, without=("front", "left"))
+    check = checked(run, reference=Extrinsics("top", poses))
+    assert check.moved == ("rear",)
+    assert "which of them moved cannot be told" in check.notes[0]
+
+
+def test_own_tolerances_count():
+    tolerances = RigTolerances.model_validate({"lidars": {"rear": {"translation_m": 0.06}}})
+    assert checked(run_with({"rear": SHIFT}), tolerances).verdict == "within"
+    assert checked(run_with({"left": SHIFT}), tolerances).moved == ("left",)
+    assert tolerances.of("rear") == Tolerance(translation_m=0.06, rotation_deg=0.3)
+
+
+def test_names_that_do_not_fit_are_refused():
+    with pytest.raises(UsageError, match="have 0 LiDAR\\(s\\) in common"):
+        checked(run_with(), reference=Extrinsics("a", {"b": POSES["rear"]}))
+    with pytest.raises(UsageError, match="tolerance for 'reer'"):
+        checked(run_with(), RigTolerances.model_validate({"lidars": {"reer": {"rotation_deg": 1.0}}}))
+
+
+def test_what_only_one_side_has_is_noted():
+    fewer = Extrinsics("top", {name: POSES[name] for name in ("front", "left")})
+    assert checked(run_with(), reference=fewer).notes == ("the reference has no pose of rear",)
+    more = Extrinsics("top", POSES | {"roof": POSES["rear"]})
+    assert checked(run_with(), reference=more).notes == ("run has no LiDAR roof",)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+import tomli_w
+
+from multilica_cli.commands.demo import find_sample
+from multilica_cli.exit_codes import ExitCode
+from tests.cli.support import Invoke, assert_one_sentence
+from tests.sinks.made_documents import made_document
+
+
+@pytest.fixture
+def result(tmp_path: Path) -> Path:
+    path = tmp_path / "run" / "result.json"
+    path.parent.mkdir()
+    path.write_text(json.dumps(made_document("complete")))
+    return path
+
+
+def truth_with(path: Path, lidar: str = "", shift_m: float = 0.0) -> Path:
+    """The sample's truth, with one LiDAR shifted along x."""
+    values = tomllib.loads(find_sample().truth.read_text())
+    for name, entry in values["lidars"].items():
+        entry.pop("T_target_source", None)
+        entry.pop("quaternion_xyzw", None)
+        entry["xyz_m"][0] += shift_m if name == lidar else 0.0
+    path.write_text(tomli_w.dumps(values))
+    return path
+
+
+def test_a_run_agrees_with_itself(invoke: Invoke, result: Path) -> None:
+    for source in (result, result.parent):
+        outcome = invoke("check", source, "--against", result)
+        assert (outcome.code, outcome.err) == (ExitCode.DONE, "")
+        assert "All 3 LiDARs are where the reference has them." in outcome.out
+
+
+def test_a_reference_elsewhere_is_outside(invoke: Invoke, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    document = made_document("complete")
+    document["lidars"]["rear"]["T_target_source"][2][3] += 0.1
+    reference = result.with_name("reference.json")
+    reference.write_text(json.dumps(document))
+    monkeypatch.setenv("GITHUB_ACTIONS", "true")
+    monkeypatch.setenv("GITHUB_STEP_SUMMARY", str(result.with_name("step.md")))
+    reports = "--junit", "j.xml", "--summary", "s.md", "--code-quality", "q.json"
+    outcome = invoke("check", result, "--against", reference, *reports)
+    assert outcome.code == ExitCode.DIFFERENT
+    assert "rear is outside." in outcome.out
+    assert "::error title=rear is outside::" in outcome.out
+    assert all(Path(name).stat().st_size for name in ("j.xml", "s.md", "s.md.png", "q.json"))
+    assert "rear is outside" in result.with_name("step.md").read_text()
+    assert invoke("check", result, "--against", reference, "--max-translation", "0.2").code == ExitCode.DONE
+    document = json.loads(invoke("check", result, "--against", reference, "--json").out)
+    assert document["rigs"][0]["moved"] == ["rear"]
+    assert document["rigs"][0]["lidars"]["rear"]["distance_m"] == pytest.approx(0.1, abs=1e-9)
+
+
+def test_what_is_not_placed_is_undecided(invoke: Invoke, result: Path) -> None:
+    partial = result.with_name("partial.json")
+    partial.write_text(json.dumps(made_document("partial")))
+    outcome = invoke("check", partial, "--against", result)
+    assert outcome.code == ExitCode.NOT_PLACED
+    assert "rear: not placed" in outcome.out
+
+
+def test_bad_references_are_refused(invoke: Invoke, result: Path, tmp_path: Path) -> None:
+    assert_one_sentence(invoke("check", result, "--against", "nowhere.toml"), ExitCode.INPUT)
+    broken = tmp_path / "broken.toml"
+    broken.write_text("schema = 3")
+    assert_one_sentence(invoke("check", result, "--against", broken), ExitCode.INPUT)
+    others = truth_with(tmp_path / "others.toml")
+    others.write_text(others.read_text().replace("lidars.", "lidars.other_"))
+    assert_one_sentence(invoke("check", result, "--against", others), ExitCode.USAGE)
+    assert_one_sentence(invoke("check", result, "log.mcap", "--against", result), ExitCode.USAGE)
+    assert_one_sentence(invoke("check", result, "--against", result, "--tolerances", "none.toml"), ExitCode.INPUT)
+    assert_one_sentence(invoke("verify", "nowhere.mcap", "--calibration", result), ExitCode.INPUT)
+
+
+def test_verify_names_the_lidar_that_moved(invoke: Invoke, tmp_path: Path) -> None:
+    sample = find_sample().recording
+    right = invoke("verify", sample, "--calibration", truth_with(tmp_path / "truth.toml"))
+    assert (right.code, right.err) == (ExitCode.DONE, "")
+    moved = invoke("verify", sample, "--calibration", truth_with(tmp_path / "moved.toml", "right", 0.05), "--json")
+    assert moved.code == ExitCode.DIFFERENT
+    (rig,) = json.loads(moved.out)["rigs"]
+    assert rig["moved"] == ["right"]
+    assert rig["lidars"]["right"]["distance_m"] == pytest.approx(0.05, abs=0.003)
+
+
+def test_verify_tells_of_a_lidar_far_away(invoke: Invoke, tmp_path: Path) -> None:
+    moved = truth_with(tmp_path / "moved.toml", "front", 4.0)
+    outcome = invoke("verify", find_sample().recording, "--calibration", moved)
+    assert outcome.code == ExitCode.DIFFERENT
+    assert "front: its beams contradict the known pose" in outcome.out
+
+
+def test_a_recording_is_calibrated_before_it_is_checked(invoke: Invoke, two_lidars: Path, tmp_path: Path) -> None:
+    truth = truth_with(tmp_path / "truth.toml", "left", 0.5)
+    outcome = invoke("check", two_lidars, "--against", truth, "--out", "run", "--workers", "1", "--quiet")
+    assert outcome.code == ExitCode.DIFFERENT
+    assert "which of them moved cannot be told" in invoke("check", "run", "--against", truth).out
