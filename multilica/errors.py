@@ -117,6 +117,10 @@ class UnfitPriorError(InputError):
     """A readable prior without poses between LiDARs of the snapshot."""
 
 
+class UnfitRunError(InputError):
+    """A readable run whose poses cannot be accepted as a reference."""
+
+
 class ViewerError(MultilicaError):
     """A Rerun viewer that does not start or does not respond."""
 

@@ -10,7 +10,7 @@ import typer
 
 import multilica
 from multilica_cli.commands.calibrate import calibrate
-from multilica_cli.commands.check import check, verify
+from multilica_cli.commands.check import accept, check, verify
 from multilica_cli.commands.config import config
 from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
@@ -35,6 +35,7 @@ for command in (
     calibrate,
     check,
     verify,
+    accept,
     inspect,
     record,
     explain,

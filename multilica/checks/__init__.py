@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of a rig against reference extrinsics, for pipelines."""
 
+from multilica.checks.accept_run import accept_run
 from multilica.checks.check_document import CheckDocument, check_document
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, check_rig, joint_verdict
 from multilica.checks.reference import read_reference
@@ -14,6 +15,7 @@ __all__ = [
     "RigCheck",
     "RigTolerances",
     "Tolerance",
+    "accept_run",
     "check_document",
     "check_rig",
     "joint_verdict",

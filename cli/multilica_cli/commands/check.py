@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`multilica check` and `multilica verify`: extrinsics against a reference, as a gate of a pipeline."""
+"""`multilica check`, `verify` and `accept`: extrinsics against a reference, as a gate of a pipeline."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from multilica_cli.terminal import stdout_console
 if TYPE_CHECKING:
     from multilica.checks import RigCheck, RigTolerances
 
-__all__ = ["check", "verify"]
+__all__ = ["accept", "check", "verify"]
 
 _MaxTranslation = Annotated[
     float, typer.Option("--max-translation", metavar="M", min=1e-6, help="Largest distance that is no drift.")
@@ -148,6 +148,29 @@ def verify(
     for note in () if quiet or as_json else snapshot.notes:
         stdout_console().print(f"note: {note}")
     return _finish([found], calibration, junit, summary, code_quality, quiet=quiet, as_json=as_json)
+
+
+def accept(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run directory that was reviewed.", show_default=False)],
+    *,
+    into: Annotated[
+        Path,
+        typer.Option(metavar="FILE", help="Reference that pipelines check against, kept in git.", show_default=False),
+    ],
+    max_translation_m: _MaxTranslation = 0.03,
+    max_rotation_deg: _MaxRotation = 0.3,
+    quiet: options.Quiet = False,
+) -> None:
+    """Write the extrinsics of a reviewed run, with their provenance, into the file that pipelines check against.
+
+    Shows the difference to what the file had. Refuses a run that does not place every LiDAR, or is in another frame.
+    """
+    from multilica.checks import accept_run
+    from multilica_cli.tables.check import print_check
+
+    console = stdout_console(quiet=quiet)
+    before = accept_run(run, into, _tolerances(None, max_translation_m, max_rotation_deg))
+    print_check([] if before is None else [before], [into], console)
 
 
 def _require_reference(path: Path) -> None:

@@ -104,3 +104,29 @@ def test_a_recording_is_calibrated_before_it_is_checked(invoke: Invoke, two_lida
     outcome = invoke("check", two_lidars, "--against", truth, "--out", "run", "--workers", "1", "--quiet")
     assert outcome.code == ExitCode.DIFFERENT
     assert "which of them moved cannot be told" in invoke("check", "run", "--against", truth).out
+
+
+def test_a_reviewed_run_becomes_the_reference(invoke: Invoke, two_lidars: Path) -> None:
+    options = "--workers", "1", "--quiet", "--target", "left"
+    assert invoke("calibrate", two_lidars, "--out", "run", *options).code == ExitCode.DONE
+    first = invoke("accept", "run", "--into", "calibration.toml")
+    assert (first.code, first.out) == (ExitCode.DONE, "wrote calibration.toml\n")
+    accepted = Path("calibration.toml").read_text()
+    assert accepted == Path("run/calibration.toml").read_text()
+    assert tomllib.loads(accepted)["input"]["sha256"]
+    assert invoke("check", "run", "--against", "calibration.toml").code == ExitCode.DONE
+    assert "All 2 LiDARs are where" in invoke("accept", "run", "--into", "calibration.toml").out
+    assert invoke("calibrate", two_lidars, "--out", "other", *options[:-1], "right").code == ExitCode.DONE
+    refused = invoke("accept", "other", "--into", "calibration.toml")
+    assert_one_sentence(refused, ExitCode.INPUT)
+    assert "calibrate with --target left" in refused.err
+    assert Path("calibration.toml").read_text() == accepted
+
+
+def test_a_run_that_places_too_little_is_not_accepted(invoke: Invoke, result: Path) -> None:
+    result.write_text(json.dumps(made_document("partial")))
+    result.with_name("calibration.toml").write_text("")
+    outcome = invoke("accept", result.parent, "--into", "calibration.toml")
+    assert_one_sentence(outcome, ExitCode.INPUT)
+    assert "does not place rear" in outcome.err
+    assert not Path("calibration.toml").exists()
