@@ -18,13 +18,13 @@ BASE = pose_of((0.0, 0.0, made.GROUND_HEIGHT_M), turn_of_rpy_deg(made.GROUND_RPY
 
 
 @pytest.fixture(scope="module")
-def document(numbered_run):
-    return json.loads((numbered_run.directory / "result.json").read_text(encoding="utf-8"))
+def document(numbered_files):
+    return json.loads((numbered_files / "result.json").read_text(encoding="utf-8"))
 
 
 @pytest.fixture(scope="module")
-def toml(numbered_run):
-    return tomllib.loads((numbered_run.directory / "calibration.toml").read_text(encoding="utf-8"))
+def toml(numbered_files):
+    return tomllib.loads((numbered_files / "calibration.toml").read_text(encoding="utf-8"))
 
 
 def mm(values_mm):

@@ -31,19 +31,9 @@ from tests.sinks.numbers.readers import (
 SHOWN_FRAME = {made.FRONT: made.FRONT, made.REAR: f"uncertain/{made.REAR}"}
 
 
-@pytest.fixture(scope="module")
-def foxglove(numbered_run):
-    return mcap_messages(numbered_run.directory / "result.mcap")
-
-
-@pytest.fixture(scope="module")
-def ros2(ros2_mcap):
-    return mcap_messages(ros2_mcap)
-
-
-@pytest.fixture(params=["foxglove", "ros2"])
-def messages(request):
-    return request.getfixturevalue(request.param)
+@pytest.fixture(params=["foxglove", "ros2"], scope="module")
+def messages(request, numbered_mcap):
+    return mcap_messages(numbered_mcap(request.param))
 
 
 def transforms_of(messages):
