@@ -22,6 +22,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -33,6 +34,8 @@ from hypothesis import Phase, settings
 
 ROOT = Path(__file__).parents[1]
 LEAST_SHARE = 0.85
+MUTANTS = 6
+OUTPUT = "output.txt"
 SEED = 17
 SURVIVORS = ROOT / "tests" / "mutation_survivors.toml"
 STAGES, NUMBERS, SINKS = "tests/unit/stages", "tests/sinks/numbers", "tests/sinks"
@@ -180,8 +183,9 @@ def passes(copy: Path, tests: tuple[str, ...], limit_s: float) -> bool:
     if child == 0:
         os.setsid()
         os.chdir(copy)
+        output = os.open(copy.parent / OUTPUT, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         for stream in (1, 2):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), stream)
+            os.dup2(output, stream)
         sys.path[:0] = [str(copy), str(copy / "cli")]
         os.environ["PYTHONPATH"] = os.pathsep.join(sys.path[:2])
         os._exit(pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-W", LOADED_EARLY, *tests]))
@@ -196,6 +200,18 @@ def passes(copy: Path, tests: tuple[str, ...], limit_s: float) -> bool:
     return False
 
 
+def excused() -> dict[tuple[str, str, str], str]:
+    """Reasons why no test can notice a change, by module and line before and after."""
+    known = tomllib.loads(SURVIVORS.read_text(encoding="utf-8"))["survivors"]
+    return {(each["module"], each["before"], each["after"]): each["reason"] for each in known}
+
+
+def copy_sources(copy: Path) -> None:
+    """Copy what the tests read, without environments, caches and the runs of users."""
+    shutil.copytree(ROOT, copy, ignore=shutil.ignore_patterns(".*", "node_modules", "__pycache__", "recordings"))
+    shutil.copytree(ROOT / "recordings" / "samples", copy / "recordings" / "samples")
+
+
 def modules() -> list[str]:
     found = (path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "multilica").rglob("*.py")))
     return [name for name in found if not name.endswith("__init__.py") and any(fnmatch(name, one) for one in TARGETS)]
@@ -204,10 +220,8 @@ def modules() -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("patterns", nargs="*", default=["*"], help="modules, for example 'multilica/stages/*'")
-    parser.add_argument("--mutants", type=int, default=6, help="per module")
+    parser.add_argument("--mutants", type=int, default=MUTANTS, help="per module")
     given = parser.parse_args()
-    known = tomllib.loads(SURVIVORS.read_text(encoding="utf-8"))["survivors"] if SURVIVORS.exists() else []
-    excused = {(each["module"], each["before"], each["after"]) for each in known}
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     sys.dont_write_bytecode = True
     for library in LIBRARIES:
@@ -218,37 +232,37 @@ def main() -> int:
     killed = total = 0
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy"
-        ignored = shutil.ignore_patterns(".*", "node_modules", "__pycache__", "runs")
-        shutil.copytree(
-            ROOT,
-            copy,
-            ignore=lambda at, names: (
-                {*ignored(at, names)} - ({"runs"} if at.endswith(("multilica", "tests")) else set())
-            ),
-        )
-        limits_s: dict[tuple[str, ...], float] = {}
+        copy_sources(copy)
         for module in modules():
-            if not any(fnmatch(module, pattern) for pattern in given.patterns):
-                continue
-            tests = tests_of(module)
-            if tests not in limits_s:
-                start = time.monotonic()
-                if not passes(copy, tests, 600.0):
-                    sys.exit(f"the tests fail without a change: {' '.join(tests)}")
-                limits_s[tests] = 10.0 + 3.0 * (time.monotonic() - start)
-            mutants = [
-                each for each in mutants_of(module, given.mutants) if (module, each.before, each.after) not in excused
-            ]
-            survivors = [each for each in mutants if _survives(copy, each, tests, limits_s[tests])]
-            killed, total = killed + len(mutants) - len(survivors), total + len(mutants)
-            print(f"{module}: {len(mutants) - len(survivors)} of {len(mutants)} killed", flush=True)
-            for each in survivors:
-                print(f"  line {each.line}\n    - {each.before}\n    + {each.after}", flush=True)
+            if any(fnmatch(module, pattern) for pattern in given.patterns):
+                survivors, count = survivors_of(copy, module, given.mutants)
+                killed, total = killed + count - len(survivors), total + count
     print(f"killed {killed} of {total} ({killed / max(1, total):.0%}); at least {LEAST_SHARE:.0%} expected")
     return 0 if killed >= LEAST_SHARE * total else 1
 
 
-def _survives(copy: Path, mutant: Mutant, tests: tuple[str, ...], limit_s: float) -> bool:
+def survivors_of(copy: Path, module: str, count: int) -> tuple[list[Mutant], int]:
+    """Print the mutants of a module that its tests do not notice; return them, and how many there are in all."""
+    tests, known = tests_of(module), excused()
+    limit_s = time_limit_s(copy, tests)
+    mutants = [each for each in mutants_of(module, count) if (module, each.before, each.after) not in known]
+    survivors = [each for each in mutants if survives(copy, each, tests, limit_s)]
+    print(f"{module}: {len(mutants) - len(survivors)} of {len(mutants)} killed", flush=True)
+    for each in survivors:
+        print(f"  line {each.line}\n    - {each.before}\n    + {each.after}", flush=True)
+    return survivors, len(mutants)
+
+
+@cache
+def time_limit_s(copy: Path, tests: tuple[str, ...]) -> float:
+    """Run tests without a change, which they must pass."""
+    start = time.monotonic()
+    if not passes(copy, tests, 600.0):
+        sys.exit(f"{(copy.parent / OUTPUT).read_text()}\nthe tests fail without a change: {' '.join(tests)}")
+    return 10.0 + 3.0 * (time.monotonic() - start)
+
+
+def survives(copy: Path, mutant: Mutant, tests: tuple[str, ...], limit_s: float) -> bool:
     path = copy / mutant.module
     source = path.read_text(encoding="utf-8")
     path.write_text(mutant.text, encoding="utf-8")
