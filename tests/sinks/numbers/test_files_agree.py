@@ -100,6 +100,7 @@ def test_the_ground_is_the_same_in_both_files(document, toml):
     for entry in (document["ground"], toml["ground"]):
         np.testing.assert_allclose(entry["T_base_target"], BASE, atol=1e-12)
     assert_pose(toml["ground"], BASE, "T_base_target")
+    assert toml["ground"]["base"] == "base"
     assert toml["ground"]["rpy_deg"] == pytest.approx(made.GROUND_RPY_DEG)
 
 
