@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from tests.sinks.made_events import TRUTH
 from tests.sinks.numbers import made_numbers as made
@@ -68,6 +69,22 @@ def test_metrics_hold_poses_fitness_and_times(messages):
         assert lidars[lidar]["fitness"] == made.POSE_FITNESS[lidar]
         assert lidars[lidar]["rmse_m"] == pytest.approx(made.POSE_RMSE_MM[lidar] / 1000.0)
     assert {each["name"]: each["duration_s"] for each in metrics["stages"]} == made.SECONDS
+
+
+def test_the_schema_of_the_metrics_names_what_they_hold(numbered_mcap):
+    with numbered_mcap("foxglove").open("rb") as file:
+        ((schema, _, message),) = make_reader(file).iter_messages(topics=["/metrics"])
+    declared, metrics = json.loads(schema.data)["properties"], json.loads(message.data)
+    assert {*metrics} == {*declared}
+    for name in ("lidars", "stages"):
+        for entry in metrics[name]:
+            assert {*entry} == {*declared[name]["items"]["properties"]}
+
+
+def test_messages_are_numbered_in_order(numbered_mcap):
+    with numbered_mcap("foxglove").open("rb") as file:
+        sequences = [message.sequence for _, _, message in make_reader(file).iter_messages()]
+    assert sequences == [*range(len(sequences))]
 
 
 def ellipsoids_of(messages):
