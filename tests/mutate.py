@@ -53,10 +53,14 @@ TARGETS = {
     "multilica/sinks/files/atomic.py": (f"{SINKS}/files/test_atomic.py",),
     "multilica/sinks/files/run_files.py": (f"{SINKS}/files/test_run_directory.py",),
     "multilica/sinks/files/*.py": (f"{NUMBERS}/test_files_agree.py", f"{SINKS}/files/test_result_files.py"),
-    "multilica/sinks/mcap/snapshot_mcap.py": ("tests/ingest/test_snapshot_mcap.py",),
+    "multilica/sinks/mcap/snapshot_mcap.py": (
+        "tests/ingest/test_snapshot_mcap.py",
+        "tests/ingest/test_snapshot_metadata.py",
+    ),
     "multilica/sinks/mcap/reading.py": (f"{SINKS}/mcap/test_reading.py",),
     "multilica/sinks/mcap/*.py": (
         f"{NUMBERS}/test_messages_agree.py",
+        f"{NUMBERS}/test_encodings_agree.py",
         f"{SINKS}/mcap/test_result_mcap.py",
         f"{SINKS}/mcap/test_result_drawings.py",
         f"{SINKS}/mcap/test_partial_mcap.py",

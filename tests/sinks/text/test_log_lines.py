@@ -108,3 +108,14 @@ def test_a_wider_search_is_logged_with_its_voxel_size():
     (line,) = log_lines(events.SearchWidened((("left", "top"), ("rear", "top")), 0.25))
     assert line.level == "INFO"
     assert line.text.endswith("voxels of 0.25 m: left <- top, rear <- top")
+
+
+@pytest.mark.parametrize(
+    ("origin", "name"), [("cliques", "#0"), ("prior", "the prior"), ("teaserpp", "#0"), ("", "#0")]
+)
+def test_the_best_hypothesis_has_the_name_of_its_origin(origin, name):
+    event = next(event for event in made_events() if isinstance(event, events.HypothesesVerified))
+    best, *others = event.registrations
+    changed = replace(event, registrations=(replace(best, origin=origin), *others))
+    (line,) = log_lines(changed)
+    assert f"{len(others) + 1} distinct hypotheses, {name} has the most evidence: " in line.text
