@@ -9,6 +9,7 @@ import tomllib
 import numpy as np
 import pytest
 
+from multilica.results.document import parse_result
 from tests.sinks.made_events import TRUTH
 from tests.sinks.numbers import made_numbers as made
 from tests.sinks.numbers.readers import assert_pose, pose_of, turn_of_rpy_deg
@@ -117,6 +118,40 @@ def test_figures_of_the_stages_in_result_json(document):
         assert_pose(stages["refine"][lidar], TRUTH[lidar].matrix)
     assert stages["ground"]["plane"]["offset_m"] == made.GROUND_HEIGHT_M
     np.testing.assert_allclose(stages["ground"]["plane"]["normal"], BASE[2, :3], atol=1e-12)
+
+
+def test_figures_of_the_search_in_result_json(document):
+    stages = document["stages"]
+    for stage, name, count in (
+        ("ingest", "frames", 2),
+        ("ingest", "points", 1200),
+        ("preprocess", "returns", 1200),
+        ("preprocess", "points", 600),
+        ("features", "points", 400),
+    ):
+        assert {lidar: figures[name] for lidar, figures in stages[stage].items()} == dict.fromkeys(TRUTH, count)
+    assert {figures["matches"] for figures in stages["correspond"].values()} == {80}
+    assert {*stages["coarse"]} == {*stages["verify"]} == {*stages["correspond"]}
+    for label, coarse in stages["coarse"].items():
+        counts = (coarse["hypotheses"], coarse["graph_nodes"], coarse["graph_edges"], coarse["score"])
+        assert counts == (2, 80, 200, 20)
+        verify = stages["verify"][label]
+        assert (verify["distinct"], verify["agree"], verify["violate"]) == (2, 90, 1)
+        assert -3.0 < verify["evidence"] < 0.0  # that of the other pose is below -20
+        target, source = label.split(" <- ")
+        for figures in (coarse, verify):
+            assert_pose(figures, np.linalg.inv(TRUTH[target].matrix) @ TRUTH[source].matrix)
+
+
+def test_the_document_gives_pose_evidence_and_verdict_of_each_pair(document, numbered_files):
+    text = (numbered_files / "result.json").read_text(encoding="utf-8")
+    for pair, values in zip(parse_result("result.json", text).pairs, document["pairs"], strict=True):
+        assert (pair.pose.target, pair.pose.source) == (values["target"], values["source"]) == pair.key
+        assert pair.names == {values["target"], values["source"]}
+        np.testing.assert_allclose(pair.pose.matrix, values["T_target_source"], atol=1e-12)
+        assert pair.evidence == values["registrations"][0]["evidence"]
+        assert pair.model_copy(update={"registrations": ()}).evidence == made.PAIR_FITNESS[pair.key]
+        assert pair.verdict.accepted is (values["verdict"]["outcome"] == "accept")
 
 
 @pytest.mark.parametrize(("table", "lidar"), [("lidars", made.FRONT), ("uncertain", made.REAR)])

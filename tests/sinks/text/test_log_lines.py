@@ -119,3 +119,14 @@ def test_the_best_hypothesis_has_the_name_of_its_origin(origin, name):
     changed = replace(event, registrations=(replace(best, origin=origin), *others))
     (line,) = log_lines(changed)
     assert f"{len(others) + 1} distinct hypotheses, {name} has the most evidence: " in line.text
+
+
+def test_the_summary_says_what_was_next_best_and_how_ellipsoids_are_enlarged():
+    def summary(outcome):
+        state = state_of(outcome)
+        return summary_markdown(state, run_document(state))
+
+    assert "Next best: " in summary("partial")
+    assert "Next best: " not in summary("complete")
+    assert "Ellipsoids of the rig: 3 sigma" in summary("complete")
+    assert "Ellipsoids" not in summary("failed")
