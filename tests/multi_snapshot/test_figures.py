@@ -42,7 +42,7 @@ def _snapshot(name, pairs):
     return SnapshotRun(name, CalibrationResult("T", "", alone, trusted=tuple(pairs)), f"{name}.mcap", "")
 
 
-def test_fitness_and_rmse_are_those_of_the_pair_with_the_most_evidence():
+def test_fitness_and_rmse_are_those_of_the_best_pair():
     """Evidence without verification is the fitness."""
     runs = [
         _snapshot("one", [_pair("T", "A", 0.61, 0.041, _POSE), _pair("B", "T", 0.55, 0.067)]),
@@ -63,7 +63,7 @@ def test_the_spread_is_the_sample_deviation_by_axis():
     assert spread.rotation_deg == pytest.approx(np.degrees(np.std(_OFFSETS[:, :3], axis=0, ddof=1)), rel=5e-3)
 
 
-def test_the_scatter_is_that_of_chi_squared_about_the_weighted_mean():
+def test_the_scatter_is_chi_squared_about_the_weighted_mean():
     scales = np.array([1.0, 3.0, 0.5])
     estimates = [
         Estimate(_moved(offset), np.diag((scale * _SIGMAS) ** 2))

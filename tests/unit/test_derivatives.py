@@ -77,7 +77,7 @@ def test_residuals_of_the_refinement_by_motions_of_either_lidar(turn_rad, side):
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
-def test_the_gradient_of_the_refinement_is_that_of_its_robust_cost(turn_rad):
+def test_the_gradient_of_the_refinement_is_of_its_robust_cost(turn_rad):
     """Half the squared errors, each through the logarithm of Cauchy; at residuals without a rotation."""
     poses, pairs = _rig(turn_rad)
     rng = np.random.default_rng(1)
@@ -98,7 +98,7 @@ def test_the_gradient_of_the_refinement_is_that_of_its_robust_cost(turn_rad):
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
-def test_covariances_of_the_refinement_are_the_inverse_of_all_pairs(turn_rad):
+def test_covariances_are_the_inverse_of_all_information(turn_rad):
     poses, pairs = _rig(turn_rad)
     free = ["A", "B", "C"]
     normal_matrix = np.zeros((18, 18))
@@ -200,7 +200,7 @@ def test_a_turn_counts_as_the_arc_at_the_lever(turn_rad):
     assert LEVER_ARM_M == 10.0
 
 
-def test_the_slide_direction_is_the_least_certain_one_with_the_rotation_free():
+def test_the_slide_direction_is_the_least_certain_one():
     rng = np.random.default_rng(5)
     for _ in range(20):
         information = _symmetric(rng)
@@ -211,7 +211,7 @@ def test_the_slide_direction_is_the_least_certain_one_with_the_rotation_free():
 
 
 @pytest.mark.parametrize("turn_rad", [1e-3, 1e-2])
-def test_the_significance_of_a_motion_is_what_it_lifts_points_off_their_planes(turn_rad):
+def test_the_significance_of_a_motion_is_what_it_lifts_points(turn_rad):
     """The engine's Hessian is by motions along the source's axes, T exp(x), rotation first."""
     rng = np.random.default_rng(6)
     points_m, normals = rng.normal(scale=5.0, size=(200, 3)), rng.normal(size=(200, 3))

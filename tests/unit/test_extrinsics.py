@@ -44,7 +44,7 @@ def test_another_schema_is_refused(tmp_path, schema):
         read_extrinsics(path)
 
 
-def test_the_pose_between_two_lidars_goes_through_the_common_frame():
+def test_the_pose_between_two_lidars_is_that_of_both():
     left = RigidTransform.from_xyz_rpy("base", "left", [0.1, 0.6, 1.7], [0.2, 0.5, -1.5])
     rear = RigidTransform.from_xyz_rpy("base", "rear", [-2.0, 0.1, 1.1], [-0.1, 0.3, 3.0])
     rig = Extrinsics("base", {"left": left, "rear": rear})

@@ -143,7 +143,7 @@ def test_figures_of_the_search_in_result_json(document):
             assert_pose(figures, np.linalg.inv(TRUTH[target].matrix) @ TRUTH[source].matrix)
 
 
-def test_the_document_gives_pose_evidence_and_verdict_of_each_pair(document, numbered_files):
+def test_the_document_gives_pose_and_evidence_of_each_pair(document, numbered_files):
     text = (numbered_files / "result.json").read_text(encoding="utf-8")
     for pair, values in zip(parse_result("result.json", text).pairs, document["pairs"], strict=True):
         assert (pair.pose.target, pair.pose.source) == (values["target"], values["source"]) == pair.key

@@ -121,7 +121,7 @@ def test_the_best_hypothesis_has_the_name_of_its_origin(origin, name):
     assert f"{len(others) + 1} distinct hypotheses, {name} has the most evidence: " in line.text
 
 
-def test_the_summary_says_what_was_next_best_and_how_ellipsoids_are_enlarged():
+def test_the_summary_says_what_was_next_best():
     def summary(outcome):
         state = state_of(outcome)
         return summary_markdown(state, run_document(state))

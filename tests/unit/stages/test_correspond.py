@@ -78,7 +78,7 @@ def test_of_equal_descriptors_the_first_two_are_matched():
     assert np.array_equal(matches.source_points_m, source.points_m[:1])
 
 
-def test_matches_as_close_as_each_other_are_in_the_order_of_the_source():
+def test_matches_as_close_are_in_the_order_of_the_source():
     values = np.arange(6.0) * 100.0
     target, source = _features("t", _padded(values[::-1])), _features("s", _padded(values + 1.0))
     matches = match_features(target, source, CorrespondConfig())
