@@ -10,7 +10,7 @@ SAMPLE := recordings/samples/edgar-street.mcap
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo test test-kernels lint pytest node ros2 bench bench-tables sample docs docs-pictures format constraints clean
+.PHONY: help libraries pictures demo test test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -22,6 +22,9 @@ test: lint pytest ## Set everything up, then run all checks and tests.
 
 test-kernels: $(READY) ## Run the tests that could depend on the CPU with the kernels of three CPUs.
 	$(BIN)/python tests/kernels.py
+
+mutate: $(READY) ## Change one place of a module at a time, and count the changes that its tests notice; an hour or less.
+	$(BIN)/python tests/mutate.py
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -174,12 +174,16 @@ def _move(
     *,
     uncertain: bool,
 ) -> Move:
-    error = PoseError.between(rigs[1].between(target, lidar), rigs[0].between(target, lidar))
+    before, after = (rig.between(target, lidar) for rig in rigs)
+    error = PoseError.between(after, before)
     sigmas = None
     if variances is not None:
         off = np.abs(np.concatenate([error.rotation_rad, error.translation_m]))
         sigmas = float(np.max(off / np.sqrt(np.maximum(variances, np.finfo(float).tiny))))
-    return Move(lidar, error, sigmas, error.distance_m > limits[0] or error.angle_rad > limits[1], uncertain)
+    # Rounding gives equal poses an angle.
+    equal = np.array_equal(before.matrix, after.matrix)
+    moved = not equal and (error.distance_m > limits[0] or error.angle_rad > limits[1])
+    return Move(lidar, error, sigmas, moved, uncertain)
 
 
 def _variances(before: ResultDocument, after: ResultDocument, lidar: str) -> FloatArray | None:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from multilica.geometry import RigidTransform, fixed_sign, largest_index, skew
+from multilica.geometry import RigidTransform, fixed_sign, largest_index, read_only, skew
 
 _coordinate = st.floats(-100.0, 100.0)
 _angle = st.floats(-np.pi, np.pi)
@@ -103,3 +103,28 @@ def test_of_equal_components_the_first_counts(rounding):
     assert fixed_sign(direction) == pytest.approx([-0.1, 0.5, -0.5])
     assert fixed_sign(-direction) == pytest.approx([-0.1, 0.5, -0.5])
     assert largest_index(np.array([0.5, 0.6])) == 1
+
+
+@pytest.mark.parametrize("pitch_rad", [np.pi / 2, -np.pi / 2])
+def test_angles_are_known_where_roll_and_yaw_have_one_axis(pitch_rad):
+    pose = _pose([0, 0, 0], [0.4, pitch_rad, 0.7])
+    assert np.allclose(_pose([0, 0, 0], pose.rpy_rad).matrix, pose.matrix, atol=1e-7)
+
+
+def test_only_what_may_change_or_has_another_order_is_copied():
+    whole = np.arange(12.0).reshape(3, 4)
+    frozen = read_only(whole, np.float64)
+    assert frozen is not whole
+    assert read_only(frozen, np.float64) is frozen
+    with pytest.raises(ValueError, match="read-only"):
+        frozen[0, 0] = 1.0
+    across = whole.copy(order="F")
+    across.setflags(write=False)
+    view = whole[:2]
+    view.setflags(write=False)
+    for array in (across, view):
+        copy = read_only(array, np.float64)
+        assert copy is not array
+        assert copy.flags.c_contiguous
+        assert np.array_equal(copy, array)
+    assert read_only(frozen, np.float32).dtype == np.float32

@@ -15,11 +15,12 @@ from mcap.writer import Writer
 
 from multilica.config import CalibrationConfig, load_config, with_overrides
 from multilica.documents import DocumentError, parse_json, parse_toml
-from multilica.errors import MultilicaError, UsageError
+from multilica.errors import MultilicaError, UnreadableSourceError, UsageError
 from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics
 from multilica.ingest.transforms.urdf import read_urdf
 from multilica.results.document import parse_result
 from multilica.runs.run_documents import read_run, read_run_document
+from tests.sinks.made_documents import made_document
 
 DEEP = 100_000
 NUMBERS = ["1e300", "-1e300", "inf", "-inf", "nan", "9" * 5000, "-" + "9" * 5000, "9" * 40, "1" + "0" * 30, "1e999"]
@@ -179,3 +180,11 @@ def test_a_damaged_attachment_is_refused(tmp_path: Path) -> None:
         path.write_bytes(content[: start + 1] + struct.pack("<Q", length) + content[start + 9 :])
         with pytest.raises(MultilicaError, match=r"result\.mcap"):
             read_run_document(path)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_a_pose_metres_without_end_away_is_no_result(axis):
+    values = made_document()
+    values["lidars"]["rear"]["T_target_source"][axis][3] = 1e12
+    with pytest.raises(UnreadableSourceError, match="is not a whole result: lidars"):
+        parse_result("result.json", json.dumps(values))

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multilica.errors import UnreadableSourceError
-from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics
+from multilica.errors import UnknownNameError, UnreadableSourceError
+from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, read_extrinsics
 from multilica.geometry import RigidTransform
 
 HEAD = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\n'
@@ -23,7 +23,7 @@ def test_position_and_angles_are_enough(tmp_path):
 @pytest.mark.parametrize(
     ("pose", "complaint"),
     [
-        ("xyz_m = [0.1, 0.6, 1.7]", "it has no 'rpy_deg'"),
+        ("xyz_m = [0.1, 0.6, 1.7]", "it has no 'rpy_deg'; expected T_target_source, or xyz_m and rpy_deg"),
         ("rpy_deg = [0, 45, -90]", "it has no 'xyz_m'"),
         ("xyz_m = [0.1, 0.6]\nrpy_deg = [0, 45, -90]", "is not a table of extrinsics"),
         ('xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = "up"', "is not a table of extrinsics"),
@@ -34,3 +34,24 @@ def test_half_a_pose_is_refused_in_a_sentence(tmp_path, pose, complaint):
     path.write_text(f"{HEAD}{pose}\n")
     with pytest.raises(UnreadableSourceError, match=complaint):
         read_extrinsics(path)
+
+
+@pytest.mark.parametrize("schema", ["multilica/extrinsics/0", "multilica/extrinsics/2", "multilica/result/1"])
+def test_another_schema_is_refused(tmp_path, schema):
+    path = tmp_path / "drawing.toml"
+    path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = [0, 45, -90]\n".replace(EXTRINSICS_SCHEMA, schema))
+    with pytest.raises(UnreadableSourceError, match=f"has schema '{schema}'; expected '{EXTRINSICS_SCHEMA}'"):
+        read_extrinsics(path)
+
+
+def test_the_pose_between_two_lidars_is_that_of_both():
+    left = RigidTransform.from_xyz_rpy("base", "left", [0.1, 0.6, 1.7], [0.2, 0.5, -1.5])
+    rear = RigidTransform.from_xyz_rpy("base", "rear", [-2.0, 0.1, 1.1], [-0.1, 0.3, 3.0])
+    rig = Extrinsics("base", {"left": left, "rear": rear})
+    assert rig.members == {"base", "left", "rear"}
+    expected = np.linalg.inv(left.matrix) @ rear.matrix
+    np.testing.assert_allclose(rig.between("left", "rear").matrix, expected, atol=1e-12)
+    np.testing.assert_allclose(rig.between("base", "rear").matrix, rear.matrix, atol=1e-12)
+    np.testing.assert_allclose(rig.between("rear", "base").matrix, np.linalg.inv(rear.matrix), atol=1e-12)
+    with pytest.raises(UnknownNameError, match="front"):
+        rig.between("base", "front")

@@ -146,6 +146,7 @@ def test_rosbags_reads_the_ros2_file(files):
         for connection, _, raw in reader.messages():
             found[connection.topic].append(reader.deserialize(raw, connection.msgtype))
         durability = {one.topic: one.ext.offered_qos_profiles[0].durability for one in reader.connections}
+        depth = {one.topic: one.ext.offered_qos_profiles[0].depth for one in reader.connections}
     transforms = {one.child_frame_id: one for one in found["/tf_static"][0].transforms}
     assert {name: one.header.frame_id for name, one in transforms.items()} == {
         "front left/1": TARGET,
@@ -162,6 +163,7 @@ def test_rosbags_reads_the_ros2_file(files):
     assert [field.name for field in cloud.fields] == ["x", "y", "z"]
     assert durability["/tf_static"] is QosDurability.TRANSIENT_LOCAL
     assert durability["/log"] is QosDurability.VOLATILE
+    assert (depth["/tf_static"], depth["/log"]) == (1, 10)
     with AnyReader([files["ros2", "running"]]) as reader:
         lines = [reader.deserialize(raw, one.msgtype).msg for one, _, raw in reader.messages() if one.topic == "/log"]
     assert lines[-1] == "stage fine finished"

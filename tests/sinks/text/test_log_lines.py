@@ -108,3 +108,25 @@ def test_a_wider_search_is_logged_with_its_voxel_size():
     (line,) = log_lines(events.SearchWidened((("left", "top"), ("rear", "top")), 0.25))
     assert line.level == "INFO"
     assert line.text.endswith("voxels of 0.25 m: left <- top, rear <- top")
+
+
+@pytest.mark.parametrize(
+    ("origin", "name"), [("cliques", "#0"), ("prior", "the prior"), ("teaserpp", "#0"), ("", "#0")]
+)
+def test_the_best_hypothesis_has_the_name_of_its_origin(origin, name):
+    event = next(event for event in made_events() if isinstance(event, events.HypothesesVerified))
+    best, *others = event.registrations
+    changed = replace(event, registrations=(replace(best, origin=origin), *others))
+    (line,) = log_lines(changed)
+    assert f"{len(others) + 1} distinct hypotheses, {name} has the most evidence: " in line.text
+
+
+def test_the_summary_says_what_was_next_best():
+    def summary(outcome):
+        state = state_of(outcome)
+        return summary_markdown(state, run_document(state))
+
+    assert "Next best: " in summary("partial")
+    assert "Next best: " not in summary("complete")
+    assert "Ellipsoids of the rig: 3 sigma" in summary("complete")
+    assert "Ellipsoids" not in summary("failed")

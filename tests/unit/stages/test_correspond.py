@@ -78,6 +78,15 @@ def test_of_equal_descriptors_the_first_two_are_matched():
     assert np.array_equal(matches.source_points_m, source.points_m[:1])
 
 
+def test_matches_as_close_are_in_the_order_of_the_source():
+    values = np.arange(6.0) * 100.0
+    target, source = _features("t", _padded(values[::-1])), _features("s", _padded(values + 1.0))
+    matches = match_features(target, source, CorrespondConfig())
+    assert len({*matches.feature_distances}) == 1
+    assert np.array_equal(matches.source_points_m, source.points_m)
+    assert np.array_equal(matches.target_points_m, target.points_m[::-1])
+
+
 def test_only_the_best_so_many_matches_are_kept():
     target, source = _features("t", _random(300)), _features("s", _random(300, seed=5))
     every = match_features(target, source, CorrespondConfig(mutual=False))

@@ -103,6 +103,13 @@ def test_no_points_in_range_give_no_descriptors(engine):
     assert features.descriptors.shape == (0, 33)
 
 
+def test_the_engine_open3d_gives_a_descriptor_per_point():
+    features = compute_features(_cloud(_room(count=2000)), FeaturesConfig(engine="open3d"))
+    assert features.descriptors.shape == (len(features.points_m), 33)
+    sums = features.descriptors.reshape(-1, 3, 11).sum(axis=2)
+    assert np.median(np.abs(sums - sums[0]) / sums[0]) < 1e-6
+
+
 def test_normals_and_descriptors_equal_those_of_open3d():
     points = _room(count=4000)
     pcd = o3d.t.geometry.PointCloud(points)

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The result document in an MCAP file."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from mcap.writer import Writer
+
+from multilica.errors import UnreadableSourceError
+from multilica.sinks.mcap.reading import read_attached_document
+from tests.sinks.made_documents import made_document
+
+
+def write_mcap(path, attachments):
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        for name, data in attachments.items():
+            writer.add_attachment(1, 1, name, "application/json", data)
+        writer.finish()
+    return path
+
+
+def test_the_document_is_the_attached_result(tmp_path):
+    document = made_document()
+    files = {"config.toml": b"target = 1", "result.json": json.dumps(document).encode(), "zz.json": b"{}"}
+    found = read_attached_document(write_mcap(tmp_path / "result.mcap", files))
+    assert found.model_dump(mode="json") == document
+
+
+def test_a_file_without_a_result_is_refused(tmp_path):
+    path = write_mcap(tmp_path / "drive.mcap", {"other.json": b"{}"})
+    with pytest.raises(UnreadableSourceError, match=r"has no result\.json attached"):
+        read_attached_document(path)
+
+
+@pytest.mark.parametrize(("error", "told"), [(ValueError("bad chunk"), "bad chunk"), (EOFError(), "EOFError")])
+def test_damage_is_told_by_its_text_or_its_name(tmp_path, monkeypatch, error, told):
+    def fail(*arguments, **options):
+        del arguments, options
+        raise error
+
+    monkeypatch.setattr("mcap.reader.SeekingReader", fail)
+    path = write_mcap(tmp_path / "result.mcap", {})
+    with pytest.raises(UnreadableSourceError, match=rf"not a whole MCAP file that can be read: {told}\.$"):
+        read_attached_document(path)

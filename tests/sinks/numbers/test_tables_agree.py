@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables and sentences of the report and of the terminal show the numbers of the result in the units they name."""
+
+from __future__ import annotations
+
+import pytest
+
+from multilica_cli.tables.result import print_run
+from tests.sinks.numbers import made_numbers as made
+from tests.sinks.numbers.expected import (
+    LARGEST_AFTER_DEG,
+    LARGEST_AFTER_MM,
+    LARGEST_BEFORE_DEG,
+    LARGEST_BEFORE_MM,
+    POSED,
+    farthest,
+    placement_columns,
+    pose_columns,
+)
+from tests.sinks.numbers.readers import Page, assert_figures, terminal_row
+
+VERDICTS = ("merged", "merged uncertain", "uncertain")
+
+
+@pytest.fixture(scope="module")
+def page(numbered_run):
+    return Page((numbered_run.directory / "report.html").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def printed(numbered_run, capsys):
+    print_run(numbered_run, quiet=False)
+    return capsys.readouterr().out
+
+
+def test_poses_of_the_report(page):
+    (table,) = page.in_section("result")
+    rows = table.named()
+    assert f"relative to {made.TOP}" in table.caption
+    for lidar in POSED:
+        assert_figures(rows[lidar], {**placement_columns(lidar), "RMSE m": made.POSE_RMSE_MM[lidar] / 1000.0})
+    assert_figures(rows[made.TOP], pose_columns(made.TOP))
+
+
+def test_sentences_of_the_report(page):
+    assert (
+        f"Ground: {made.GROUND_HEIGHT_M:.3f} m below {made.TOP}; {100 * made.GROUND_SHARE:.0f} % of the points"
+    ) in page.text
+    assert (
+        f"Joint refinement over 2 pairs: the largest disagreement is {LARGEST_AFTER_MM:.1f} mm and "
+        f"{LARGEST_AFTER_DEG:.3f} deg; it was {LARGEST_BEFORE_MM:.1f} mm and {LARGEST_BEFORE_DEG:.3f} deg before."
+    ) in page.text
+    for (target, source), fitness in made.PAIR_FITNESS.items():
+        assert any(f"{source} on {target}: {word}, fitness {fitness:.2f}." in page.text for word in VERDICTS)
+
+
+def test_snapshots_of_the_report(page):
+    (table,) = page.in_section("snapshots")
+    for snapshot, cells in table.named().items():
+        _, off_mm, off_deg = farthest(snapshot)
+        assert_figures(cells, {"off by m": off_mm / 1000.0, "off by deg": off_deg})
+
+
+def test_pairs_of_the_report(page):
+    matrix, pairs = page.in_section("pairs")
+    assert "target in rows, source in columns" in matrix.caption
+    filled = {
+        (target, source): cell.split()[0]
+        for target, cells in matrix.named().items()
+        for source, cell in cells.items()
+        if cell
+    }
+    assert filled == {pair: f"{fitness:.2f}" for pair, fitness in made.PAIR_FITNESS.items()}
+    rows = pairs.named()
+    assert len(rows) == len(made.PAIR_FITNESS)
+    for (target, source), fitness in made.PAIR_FITNESS.items():
+        agree, violate, occluded, _ = made.PAIR_COUNTS[target, source]
+        expected = {"fitness": fitness, "RMSE m": made.PAIR_RMSE_MM[target, source] / 1000.0}
+        counts = {"agree": agree, "violate": violate, "occluded": occluded}
+        assert_figures(rows[f"{source} on {target}"], expected | counts)
+
+
+def test_input_and_times_of_the_report(page):
+    (table,) = page.in_section("input")
+    for cells in table.named().values():
+        assert_figures(cells, {"frames": 2, "points": 1200})
+    (table,) = page.in_section("timings")
+    assert {stage: float(cells["seconds"]) for stage, cells in table.named().items()} == made.SECONDS
+
+
+def test_poses_of_the_terminal(printed):
+    for lidar in POSED:
+        compared = {
+            "to prior m": made.PRIOR_SHIFT_MM[lidar] / 1000.0,
+            "to prior deg": made.PRIOR_TURN_DEG[lidar],
+            "spread m": max(made.SPREAD_MM[lidar]) / 1000.0,
+            "spread deg": max(made.SPREAD_DEG[lidar]),
+            "snap- shots": made.SNAPSHOTS[lidar],
+        }
+        assert_figures(terminal_row(printed, lidar), placement_columns(lidar) | compared)
+    assert_figures(terminal_row(printed, made.TOP), pose_columns(made.TOP))
+    assert f"T_target_source, target {made.TOP}" in printed
+
+
+def test_sentences_of_the_terminal(printed):
+    roll_deg, pitch_deg, _ = made.GROUND_RPY_DEG
+    height = f"{made.TOP} is {made.GROUND_HEIGHT_M:.3f} m above it"
+    assert f"ground: {height}, roll {roll_deg:.2f} deg, pitch {pitch_deg:.2f} deg" in printed
+    for snapshot in made.DEVIATIONS:
+        lidar, off_mm, off_deg = farthest(snapshot)
+        assert f"snapshot {snapshot}: agrees: {lidar} is off most, by {off_mm:.1f} mm, {off_deg:.3f} deg" in printed
+    assert "sigma 32.1 mm along z of top, limit 20 mm" in printed
