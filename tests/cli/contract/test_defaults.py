@@ -20,7 +20,26 @@ from tests.sinks.made_documents import made_document
 
 READING = dict.fromkeys(("--topic", "--frames", "--start", "--window", "--over")) | {"--strict": False}
 RESOLVING = dict.fromkeys(("--preset", "--config", "--set"))
+TOLERANCES = {"--max-translation": 0.03, "--max-rotation": 0.3}
+CHECKING = dict.fromkeys(
+    ("--tolerances", "--junit", "--summary", "--code-quality", "--topic", "--frames", "--config", "--set")
+)
 DEFAULTS = {
+    "check": {
+        **dict.fromkeys(("RUN|SOURCE", "--against", "--out", "--workers")),
+        **TOLERANCES,
+        **CHECKING,
+        "--quiet": False,
+        "--json": False,
+    },
+    "verify": {
+        **dict.fromkeys(("SOURCE", "--calibration")),
+        **TOLERANCES,
+        **CHECKING,
+        "--quiet": False,
+        "--json": False,
+    },
+    "accept": {**dict.fromkeys(("RUN", "--into")), **TOLERANCES, "--quiet": False},
     "calibrate": {
         **dict.fromkeys(("SOURCE", "--target", "--out", "--prior", "--max-sigma", "--until", "--workers", "--record")),
         **READING,
