@@ -13,6 +13,7 @@ from multilica_cli.commands.calibrate import calibrate
 from multilica_cli.commands.config import config
 from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
+from multilica_cli.commands.export import export
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
 from multilica_cli.commands.simulate import simulate
@@ -30,7 +31,21 @@ app = typer.Typer(
     "4 a LiDAR uncertain, not placed or silent, 5 runs differ (diff), 130 Ctrl-C, 143 SIGTERM, "
     "129 SIGHUP.",
 )
-for command in (calibrate, inspect, record, explain, diff, view, report, config, simulate, evaluate, datasets, demo):
+for command in (
+    calibrate,
+    inspect,
+    record,
+    explain,
+    diff,
+    view,
+    report,
+    config,
+    simulate,
+    evaluate,
+    export,
+    datasets,
+    demo,
+):
     app.command()(command)
 
 
