@@ -53,8 +53,11 @@ def updated_autoware(path: Path, extrinsics: Extrinsics) -> bytes:
         UnreadableSourceError: it is not such a file, or the frames would be no tree.
     """
     from ruamel.yaml import YAML
+    from ruamel.yaml.representer import RoundTripRepresenter
 
     yaml = YAML(pure=True)
+    yaml.Representer = type("Representer", (RoundTripRepresenter,), {})
+    yaml.Representer.add_representer(float, _represent_number)
     yaml.preserve_quotes = True
     yaml.width = _WIDTH
     content = BytesIO()
@@ -71,6 +74,10 @@ def updated_autoware(path: Path, extrinsics: Extrinsics) -> bytes:
     except ValueError as error:
         raise UnreadableSourceError(f"{path} cannot take the poses: {error}.") from error
     return content.getvalue()
+
+
+def _represent_number(representer: Any, value: float) -> Any:  # noqa: ANN401 - of ruamel.yaml
+    return representer.represent_scalar("tag:yaml.org,2002:float", number_text(value))
 
 
 def _values(pose: RigidTransform) -> dict[str, float]:

@@ -46,9 +46,9 @@ def updated_urdf(path: Path, extrinsics: Extrinsics) -> bytes:
         raise UnreadableSourceError(f"{path} is not a valid URDF file: {error}.") from error
     origins = _origins(path, joints, extrinsics)
     data = path.read_bytes()
+    if b"\0" in data:
+        raise UnreadableSourceError(f"{path} is in UTF-16; convert it to UTF-8 before its joints are updated.")
     edits = [_edit(data, place, origins[place.child]) for place in _places(data) if place.child in origins]
-    if len(edits) < len(origins):
-        raise UnreadableSourceError(f"{path} is not in UTF-8; convert it before its joints are updated.")
     for start, end, new in sorted(edits, reverse=True):
         data = data[:start] + new + data[end:]
     return data
@@ -129,7 +129,7 @@ def _edit(data: bytes, place: _JointPlace, pose: RigidTransform) -> tuple[int, i
     begin = place.start if place.origin is None else place.origin
     found = re.compile(_TAG).match(data, begin)
     if found is None:
-        raise UnreadableSourceError("The URDF file is not in UTF-8; convert it before its joints are updated.")
+        raise UnreadableSourceError("The URDF file has a start tag that cannot be found; convert it to UTF-8.")
     if place.origin is None:
         given = "".join(f' {key.decode()}="{text}"' for key, text in values.items())
         return found.end(), found.end(), f"<origin{given}/>".encode()
