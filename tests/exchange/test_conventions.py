@@ -36,7 +36,8 @@ FILES: Mapping[str, tuple[str, str]] = {
     "ROS 2 in Python": (
         "a.launch.py",
         (
-            "import launch_ros\nX = launch_ros.actions.Node(package='tf2_ros', executable='static_transform_publisher',\n"
+            "import launch_ros\n"
+            "X = launch_ros.actions.Node(package='tf2_ros', executable='static_transform_publisher',\n"
             "  arguments=['1', '2', '3', '1.3', '-0.2', '0.1', 'base', 'top'], output='screen')\n"
         ),
     ),
