@@ -118,9 +118,11 @@ def parse_yaml(data: bytes | str) -> Any:  # noqa: ANN401 - any YAML value
     except RecursionError as error:
         raise _too_deep() from error
     except YAMLError as error:
-        mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+        parts = (getattr(error, name, None) for name in ("context", "problem"))
+        mark = getattr(error, "problem_mark", None)
         where = f" in line {mark.line + 1}" if mark is not None else ""
-        raise DocumentError(_reason(ValueError(f"{problem or 'it is not YAML'}{where}"))) from error
+        what = ", ".join(part for part in parts if part) or "it is not YAML"
+        raise DocumentError(_reason(ValueError(f"{what}{where}"))) from error
     except (ValueError, OverflowError, TypeError, ArithmeticError, LookupError, AttributeError) as error:
         # The constructors of dates, keys and numbers have no errors of their own.
         raise DocumentError(_reason(error)) from error

@@ -10,6 +10,8 @@ from multilica.ingest.transforms.urdf import Joint
 __all__ = ["extrinsics_of_joints", "extrinsics_of_poses"]
 
 _MAX_LISTED = 3
+_MAX_FRAMES = 2000
+"""Vehicles have a tenth of it."""
 
 
 def extrinsics_of_poses(poses: Iterable[RigidTransform]) -> Extrinsics:
@@ -58,6 +60,8 @@ def _joint_above(joints: Iterable[Joint]) -> dict[str, Joint]:
             first = above[child].T_parent_child.target
             parents = f"two parents, '{first}' and '{parent}'" if first != parent else f"two poses in '{parent}'"
             raise ValueError(f"'{child}' has {parents}; expected one")
+        if len(above) == _MAX_FRAMES:
+            raise ValueError(f"it has more than {_MAX_FRAMES} frames")
         above[child] = joint
     return above
 

@@ -14,7 +14,7 @@ from multilica.geometry import RigidTransform
 
 __all__ = ["KITTI_LINE", "kitti_text", "matrix_text", "read_kitti", "read_matrices"]
 
-KITTI_LINE = re.compile(r"^Tr_(?P<source>\S+?)_to_(?P<target>\S+?): *(?P<numbers>.*)$", re.MULTILINE)
+KITTI_LINE = re.compile(r"^Tr_(?P<source>\S{1,255}?)_to_(?P<target>\S{1,255}?): *(?P<numbers>.*)$", re.MULTILINE)
 _FRAMES = "# T_target_source "
 
 

@@ -3,14 +3,20 @@
 
 import ast
 import json
-import shlex
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
 from multilica.documents import MAX_YAML_BYTES, parse_yaml, read_limited
 from multilica.exchange.frame_tree import extrinsics_of_poses
-from multilica.exchange.static_publisher import EXECUTABLE, PACKAGE, node_name, pose_of_arguments, ros2_arguments
+from multilica.exchange.static_publisher import (
+    EXECUTABLE,
+    PACKAGE,
+    node_name,
+    pose_of_arguments,
+    ros2_arguments,
+    split_arguments,
+)
 from multilica.exchange.values import child_poses, read_text
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
@@ -129,7 +135,7 @@ def _yaml_poses(value: object, *, conditional: bool) -> Iterator[RigidTransform]
         if value.get("exec") == EXECUTABLE:
             if depends:
                 raise ValueError(f"node '{value.get('name', '')}' has a condition; expected none")
-            yield pose_of_arguments(str(value.get("pkg", "")), shlex.split(str(value.get("args", ""))))
+            yield pose_of_arguments(str(value.get("pkg", "")), split_arguments(str(value.get("args", ""))))
             return
         for item in value.values():
             yield from _yaml_poses(item, conditional=depends)
@@ -146,6 +152,6 @@ def read_command_lines(path: Path) -> Extrinsics:
 
 
 def _pose_of_command(line: str) -> RigidTransform:
-    words = [word for word in shlex.split(line, comments=True) if word != "&"]
+    words = [word for word in split_arguments(line) if word != "&"]
     at = words.index(EXECUTABLE) if EXECUTABLE in words else len(words)
     return pose_of_arguments(words[at - 1] if at else "", words[at + 1 :])

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Launch files in XML, of ROS 1 and ROS 2."""
 
-import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -15,6 +14,7 @@ from multilica.exchange.static_publisher import (
     pose_of_arguments,
     ros1_arguments,
     ros2_arguments,
+    split_arguments,
 )
 from multilica.exchange.values import child_poses
 from multilica.extrinsics import Extrinsics
@@ -61,6 +61,6 @@ def _poses(element: Element, *, conditional: bool) -> Iterator[RigidTransform]:
         if child.tag == "node" and EXECUTABLE in (child.get("exec"), child.get("type")):
             if depends:
                 raise ValueError(f"node '{child.get('name', '')}' has a condition; expected none")
-            yield pose_of_arguments(child.get("pkg", ""), shlex.split(child.get("args", "")))
+            yield pose_of_arguments(child.get("pkg", ""), split_arguments(child.get("args", "")))
         else:
             yield from _poses(child, conditional=depends)

@@ -6,17 +6,28 @@ takes a period in milliseconds. ROS 2: named arguments; those of ROS 1 are depre
 """
 
 import re
+import shlex
 from collections.abc import Sequence
 
 from multilica.errors import UsageError
 from multilica.exchange.values import number_text, numbers, pose_of_quaternion, pose_of_rpy
 from multilica.geometry import RigidTransform
 
-__all__ = ["EXECUTABLE", "PACKAGE", "node_name", "pose_of_arguments", "ros1_arguments", "ros2_arguments"]
+__all__ = [
+    "EXECUTABLE",
+    "PACKAGE",
+    "node_name",
+    "pose_of_arguments",
+    "ros1_arguments",
+    "ros2_arguments",
+    "split_arguments",
+]
 
 EXECUTABLE = "static_transform_publisher"
 PACKAGE = "tf2_ros"
 _LEGACY_PACKAGE = "tf"
+_MAX_COMMAND = 4096
+"""The splitter needs a second per 100,000 characters."""
 _TRANSLATION, _ANGLES, _QUATERNION = ("x", "y", "z"), ("roll", "pitch", "yaw"), ("qx", "qy", "qz", "qw")
 _PARENT, _CHILD = "frame-id", "child-frame-id"
 _NAMES = (*_TRANSLATION, *_ANGLES, *_QUATERNION, _PARENT, _CHILD)
@@ -42,6 +53,13 @@ def ros2_arguments(pose: RigidTransform) -> tuple[str, ...]:
 def node_name(pose: RigidTransform) -> str:
     """Return a valid name of a ROS node that publishes the pose."""
     return "static_transform_" + re.sub(r"\W", "_", pose.source, flags=re.ASCII)
+
+
+def split_arguments(text: str) -> list[str]:
+    """Return the words of a command; raise ValueError, with a clause, if it is none."""
+    if len(text) > _MAX_COMMAND:
+        raise ValueError(f"it has a command of more than {_MAX_COMMAND} characters")
+    return shlex.split(text, comments=True)
 
 
 def pose_of_arguments(package: str, arguments: Sequence[str]) -> RigidTransform:

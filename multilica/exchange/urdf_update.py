@@ -138,7 +138,6 @@ def _edit(data: bytes, place: _JointPlace, pose: RigidTransform) -> tuple[int, i
         new = b'%s="%s"' % (key, text.encode())
         tag, count = re.subn(_ATTRIBUTE % key, new, tag)
         if not count:
-            end = re.search(rb"\s*/?>$", tag)
-            at = len(tag) if end is None else end.start()
+            at = len(tag[: -2 if tag.endswith(b"/>") else -1].rstrip())
             tag = tag[:at] + b" " + new + tag[at:]
     return found.start(), found.end(), tag

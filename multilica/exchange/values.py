@@ -30,7 +30,7 @@ __all__ = [
     "read_yaml",
 ]
 
-_MAX_BYTES = 1 << 20
+_MAX_BYTES = 256 << 10
 """The poses of a hundred LiDARs take a tenth of it."""
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
 _WORDS = ("true", "false", "yes", "no", "on", "off", "y", "n", "null")
@@ -38,6 +38,8 @@ _WORDS = ("true", "false", "yes", "no", "on", "off", "y", "n", "null")
 _NORM_TOLERANCE = 0.01
 _ROTATION_TOLERANCE = 1e-3
 """Matrices of four digits are rotations."""
+_MAX_ENTRY = 2.0
+"""Larger entries of a rotation are wrong, and their squares may overflow."""
 
 
 def child_poses(extrinsics: Extrinsics) -> list[RigidTransform]:
@@ -89,7 +91,8 @@ def pose_of_matrix(parent: str, child: str, rows: Sequence[Sequence[object]]) ->
         raise ValueError(f"'{child}' has a matrix that is not of 3 or 4 rows with 4 numbers")
     matrix = np.array([numbers(row, f"a row of the matrix of '{child}'") for row in rows])
     rotation = matrix[:3, :3]
-    residual = np.abs(rotation @ rotation.T - np.eye(3)).max()
+    largest = np.abs(rotation).max()
+    residual = largest if largest > _MAX_ENTRY else np.abs(rotation @ rotation.T - np.eye(3)).max()
     if not (residual <= _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0.0):
         raise ValueError(f"'{child}' has a matrix that is not a rotation: it is off by {residual:.2g}")
     if len(matrix) == 4 and matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:

@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multilica.errors import UnreadableSourceError
-from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics
+from multilica.errors import InputError, UnreadableSourceError
+from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, read_extrinsics
 from multilica.geometry import RigidTransform
 
 HEAD = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\n'
@@ -34,3 +34,13 @@ def test_half_a_pose_is_refused_in_a_sentence(tmp_path, pose, complaint):
     path.write_text(f"{HEAD}{pose}\n")
     with pytest.raises(UnreadableSourceError, match=complaint):
         read_extrinsics(path)
+
+
+def test_only_joints_between_two_frames_count():
+    poses = {name: RigidTransform.identity("base", name) for name in ("a", "b", "c")}
+    wheel = "'steering', a revolute joint"
+    found = Extrinsics("base", poses, {"a": frozenset({wheel}), "b": frozenset({wheel})})
+    assert found.between("a", "b").source == "b"
+    for target, source in (("base", "a"), ("c", "b"), ("a", "base")):
+        with pytest.raises(InputError, match="through 'steering', a revolute joint; expected fixed joints only"):
+            found.between(target, source)
