@@ -54,7 +54,7 @@ def rig_of_run(
     Args:
         base: the common frame: a LiDAR's frame, a frame of `rig`, or, without `rig`, another name of the target's
             frame; by default the common frame of `rig`, else the target's.
-        rig: a file of extrinsics with the pose of the target in `base`.
+        rig: a file of extrinsics with the pose of the target in `base`, under its name or its frame id.
         frames: whether a LiDAR's frame has its name, or is the frame id of its messages.
         with_uncertain: also take the uncertain LiDARs.
 
@@ -71,7 +71,7 @@ def rig_of_run(
     target = named[document.target]
     poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}
     found = Extrinsics(target, {frame: pose for frame, pose in poses.items() if frame != target})
-    found = _in_base(found, base, rig, document.target)
+    found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
     for frame in found.members:
         _require_name(frame)
     return RunRig(found, named, missing)
@@ -80,7 +80,7 @@ def rig_of_run(
 def _frames(document: ResultDocument, lidars: Mapping[str, object], frames: FrameNames) -> dict[str, str]:
     if frames == "names":
         return {name: name for name in lidars}
-    ids = {name: entry.frame_id.removeprefix("/") for name, entry in document.input.lidars.items()}
+    ids = _frame_ids(document)
     found = {name: ids.get(name, "") for name in lidars}
     without = sorted(name for name, frame in found.items() if not frame)
     if without:
@@ -91,11 +91,17 @@ def _frames(document: ResultDocument, lidars: Mapping[str, object], frames: Fram
     return found
 
 
-def _in_base(found: Extrinsics, base: str | None, rig: Path | None, target_lidar: str) -> Extrinsics:
-    """Return the same poses in another frame; the target gets a pose of its own."""
+def _frame_ids(document: ResultDocument) -> dict[str, str]:
+    """Return the frame id of each LiDAR as ROS 2 writes it; empty where it is not known."""
+    return {name: entry.frame_id.removeprefix("/") for name, entry in document.input.lidars.items()}
+
+
+def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple[str, str]) -> Extrinsics:
+    """Return the same poses in another frame, where the target gets a pose of its own; `rig` has one of its names."""
     if rig is not None:
         known = read_extrinsics(rig)
-        T_base_target = _base_pose(known, base or known.target, (target_lidar, found.target), rig)
+        pose = _base_pose(known, base or known.target, names, rig)
+        T_base_target = RigidTransform(pose.target, found.target, pose.matrix)
     elif base in (None, found.target):
         return found
     elif base in found.members:
@@ -109,17 +115,17 @@ def _in_base(found: Extrinsics, base: str | None, rig: Path | None, target_lidar
     return Extrinsics(base, dict(sorted(poses.items())))
 
 
-def _base_pose(known: Extrinsics, base: str, targets: tuple[str, str], rig: Path) -> RigidTransform:
-    target = next((name for name in targets if name in known.members), None)
+def _base_pose(known: Extrinsics, base: str, names: tuple[str, str], rig: Path) -> RigidTransform:
+    target = next((name for name in names if name in known.members), None)
     if target is None:
-        raise UnknownNameError("frame", targets[0], known.members, str(rig))
+        raise UnknownNameError("frame", names[0], known.members, str(rig))
     if base not in known.members:
         raise UnknownNameError("frame", base, known.members, str(rig))
     pose = known.between(base, target)
     if max(abs(pose.xyz_m)) > _MAX_RIG_M:
         lengths = ", ".join(map(number_text, pose.xyz_m.tolist()))
         raise InputError(f"{rig} has '{target}' at {lengths} in '{base}'; expected metres.")
-    return RigidTransform(base, targets[1], pose.matrix)
+    return pose
 
 
 def _require_name(frame: str) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,6 +38,15 @@ def made_run(folder: Path, *, uncertain: bool = False, absent: Sequence[str] = (
     if uncertain:
         return write_run(folder, offsets, sigmas=(1.0, 0.1), status="uncertain")
     return write_run(folder, offsets)
+
+
+def name_frames(run: Path, **frame_ids: str) -> None:
+    """Give the LiDARs of a run frame ids."""
+    document = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    document["input"]["lidars"] = {
+        name: {"topic": "", "frame_id": frame, "frames": 1, "points": 1} for name, frame in frame_ids.items()
+    }
+    (run / "result.json").write_text(json.dumps(document), encoding="utf-8")
 
 
 def assert_same(found: Extrinsics, expected: Extrinsics) -> None:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,7 @@ from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.geometry import FloatArray
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
-from tests.exchange.made_rigs import made_run
+from tests.exchange.made_rigs import made_run, name_frames
 from tests.runs.made_runs import made_truth
 
 MOUNT = RigidTransform.from_xyz_rpy("base_link", "front", [1.2, 0.1, 1.9], [0.01, 0.2, -0.3])
@@ -34,14 +33,6 @@ def write_rig(pose: RigidTransform = MOUNT) -> Path:
     table = extrinsics_table(Extrinsics(pose.target, {pose.source: pose}))
     Path("rig.toml").write_text(tomli_w.dumps(table), encoding="utf-8")
     return Path("rig.toml")
-
-
-def name_frames(run: Path, **frame_ids: str) -> None:
-    document = json.loads((run / "result.json").read_text(encoding="utf-8"))
-    document["input"]["lidars"] = {
-        name: {"topic": "", "frame_id": frame, "frames": 1, "points": 1} for name, frame in frame_ids.items()
-    }
-    (run / "result.json").write_text(json.dumps(document), encoding="utf-8")
 
 
 def test_a_run_is_exported(invoke: Invoke) -> None:
