@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig, load_config, preset
     from multilica.errors import InputError, MultilicaError, UsageError
-    from multilica.extrinsics import Extrinsics, read_extrinsics
+    from multilica.exports import read_extrinsics
+    from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
     from multilica.ingest import read_prior, read_snapshot
     from multilica.pipeline import calibrate
@@ -20,7 +21,8 @@ __version__ = "0.1.0"
 _NAMES = {
     "config": ("CalibrationConfig", "load_config", "preset"),
     "errors": ("InputError", "MultilicaError", "UsageError"),
-    "extrinsics": ("Extrinsics", "read_extrinsics"),
+    "exchange": ("read_extrinsics",),
+    "extrinsics": ("Extrinsics",),
     "geometry": ("RigidTransform",),
     "ingest": ("read_prior", "read_snapshot"),
     "pipeline": ("calibrate",),

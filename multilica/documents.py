@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guarded loader of TOML and JSON documents.
+"""The guarded loader of TOML, JSON and YAML documents.
 
 Every document that a user or a file hands over passes here before its pydantic model sees it: limits of size, depth,
-and numbers. `tomllib` and `json` have none of their own, recurse, and build integers of any length.
+and numbers. `tomllib`, `json` and `ruamel.yaml` have none of their own, recurse, and build integers of any length.
 """
 
 import json
 import re
 import tomllib
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -18,10 +19,12 @@ __all__ = [
     "MAX_JSON_BYTES",
     "MAX_LENGTH_M",
     "MAX_TOML_BYTES",
+    "MAX_YAML_BYTES",
     "DocumentError",
     "first_problem",
     "parse_json",
     "parse_toml",
+    "parse_yaml",
     "read_limited",
     "require_length",
     "shown",
@@ -33,6 +36,8 @@ MAX_JSON_BYTES = 64 << 20
 """The result of 20 LiDARs takes a few megabytes."""
 MAX_TOML_BYTES = 1 << 20
 """The poses of a hundred LiDARs take a tenth of it."""
+MAX_YAML_BYTES = 256 << 10
+"""The poses of a hundred LiDARs take a tenth of it; the parser needs seconds for more."""
 MAX_LENGTH_M = 1e8
 """Twice the way around the Earth: longer lengths are mistakes, and their squares overflow."""
 
@@ -95,6 +100,50 @@ def parse_json(data: bytes | str) -> Any:  # noqa: ANN401 - any JSON value
         raise DocumentError(_reason(error)) from error
     _require_plain(value)
     return value
+
+
+def parse_yaml(data: bytes | str) -> Any:  # noqa: ANN401 - any YAML value
+    """Parse a YAML 1.2 document without aliases and tags; raise DocumentError if it is not valid or exceeds a limit."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.error import YAMLError
+
+    data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
+    _require_size(data, MAX_YAML_BYTES)
+    try:
+        text = data.decode("utf-8")
+        _require_plain_events(YAML(typ="safe", pure=True).parse(text))
+        value = YAML(typ="safe", pure=True).load(text)
+    except DocumentError:
+        raise
+    except RecursionError as error:
+        raise _too_deep() from error
+    except YAMLError as error:
+        parts = (getattr(error, name, None) for name in ("context", "problem"))
+        mark = getattr(error, "problem_mark", None)
+        where = f" in line {mark.line + 1}" if mark is not None else ""
+        what = ", ".join(part for part in parts if part) or "it is not YAML"
+        raise DocumentError(_reason(ValueError(f"{what}{where}"))) from error
+    except (ValueError, OverflowError, TypeError, ArithmeticError, LookupError, AttributeError) as error:
+        # The constructors of dates, keys and numbers have no errors of their own.
+        raise DocumentError(_reason(error)) from error
+    _require_plain(value)
+    return value
+
+
+def _require_plain_events(events: Iterable[Any]) -> None:
+    """Check a YAML document before its values are built, which recurses and follows aliases."""
+    from ruamel.yaml.events import AliasEvent, CollectionEndEvent, CollectionStartEvent, ScalarEvent
+
+    depth = 0
+    for event in events:
+        if isinstance(event, AliasEvent):
+            raise DocumentError("it has an alias, which is not read; write the value out")
+        if isinstance(event, CollectionStartEvent | ScalarEvent) and event.tag is not None:
+            raise DocumentError(f"it has the tag {shown(str(event.tag))}, which is not read")
+        if isinstance(event, CollectionStartEvent | CollectionEndEvent):
+            depth += 1 if isinstance(event, CollectionStartEvent) else -1
+        if depth > _MAX_DEPTH:
+            raise _too_deep()
 
 
 def first_problem(error: ValidationError) -> tuple[str, str, object]:

@@ -2,7 +2,7 @@
 """Poses of the LiDARs of a rig, in memory and as a TOML table."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -18,7 +18,7 @@ from multilica.documents import (
     require_length,
     shown,
 )
-from multilica.errors import SourceNotFoundError, UnknownNameError, UnreadableSourceError
+from multilica.errors import InputError, SourceNotFoundError, UnknownNameError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 
 __all__ = [
@@ -39,10 +39,15 @@ Four = tuple[Number, Number, Number, Number]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extrinsics:
-    """Poses of LiDARs in one common frame, that of a LiDAR or a base frame."""
+    """Poses of LiDARs in one common frame, that of a LiDAR or a base frame.
+
+    Args:
+        moving: the joints between the common frame and a frame that are not fixed, by frame, for messages.
+    """
 
     target: str
     T_target_source: Mapping[str, RigidTransform]
+    moving: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
     @property
     def members(self) -> frozenset[str]:
@@ -54,7 +59,11 @@ class Extrinsics:
 
         Raises:
             UnknownNameError: one of the two is not in the table.
+            InputError: a joint between the two moves.
         """
+        joints = self.moving.get(target, frozenset()) ^ self.moving.get(source, frozenset())
+        if joints:
+            raise InputError(f"'{source}' is joined to '{target}' through {min(joints)}; expected fixed joints only.")
         return self._pose(target).inverse() @ self._pose(source)
 
     def _pose(self, name: str) -> RigidTransform:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self, TypeVar
@@ -36,6 +37,8 @@ _ORTHONORMAL_TOLERANCE = 1e-6
 # Differences below these are rounding errors, which differ between CPUs.
 _ROUNDING = 1e-9
 _TIE_SHARE = 1e-6
+_GIMBAL_LOCK = 1e-10
+"""Cosine of the pitch below which the yaw is only rounding errors, and taken as zero."""
 _IDENTITY = np.eye(3)
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
@@ -165,7 +168,13 @@ class RigidTransform:
     @property
     def rpy_rad(self) -> FloatArray:
         """(3,) roll, pitch, yaw about the fixed axes of the target frame; a half turn is positive."""
-        angles_rad = np.asarray(Rotation.from_matrix(self.rotation).as_euler("xyz", suppress_warnings=True))
+        (r00, r01, r02), (r10, r11, r12), (r20, _, _) = self.rotation.tolist()
+        # SciPy's angles are off by up to 2e-7 for a pitch near 90 degrees.
+        yaw = math.atan2(r10, r00) if math.hypot(r00, r10) > _GIMBAL_LOCK else 0.0
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        pitch = math.atan2(-r20, cos * r00 + sin * r10)
+        roll = math.atan2(sin * r02 - cos * r12, cos * r11 - sin * r01)
+        angles_rad = np.array([roll, pitch, yaw])
         return np.where(angles_rad <= _ROUNDING - np.pi, angles_rad + 2.0 * np.pi, angles_rad)
 
     @property

@@ -14,6 +14,7 @@ from multilica_cli.commands.check import accept, check, verify
 from multilica_cli.commands.config import config
 from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
+from multilica_cli.commands.export import export
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
 from multilica_cli.commands.simulate import simulate
@@ -45,6 +46,7 @@ for command in (
     config,
     simulate,
     evaluate,
+    export,
     datasets,
     demo,
 ):

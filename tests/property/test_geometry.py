@@ -9,7 +9,8 @@ from multilica.geometry import RigidTransform, fixed_sign, largest_index, read_o
 
 _coordinate = st.floats(-100.0, 100.0)
 _angle = st.floats(-np.pi, np.pi)
-_pitch = st.floats(-1.5, 1.5)
+_upright = st.floats(0.0, 1e-6).map(lambda angle: np.pi / 2 - angle)
+_pitch = st.floats(-np.pi / 2, np.pi / 2) | _upright | _upright.map(lambda angle: -angle)
 _xyz = st.tuples(_coordinate, _coordinate, _coordinate)
 _rpy = st.tuples(_angle, _pitch, _angle)
 

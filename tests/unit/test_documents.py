@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
+import multilica
 from multilica.config import CalibrationConfig, load_config, with_overrides
-from multilica.documents import DocumentError, parse_json, parse_toml
+from multilica.documents import DocumentError, parse_json, parse_toml, parse_yaml
 from multilica.errors import MultilicaError, UnreadableSourceError, UsageError
 from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics
 from multilica.ingest.transforms.urdf import read_urdf
@@ -63,6 +64,43 @@ def _urdf(text: str, folder: Path) -> None:
     read_urdf(path)
 
 
+def _exchanged(name: str, head: str, text: str, tail: str, folder: Path) -> None:
+    path = folder / name
+    path.write_text(f"{head}{text}{tail}", encoding="utf-8", errors="replace")
+    multilica.read_extrinsics(path)
+
+
+def _autoware(text: str, folder: Path) -> None:
+    _exchanged("a.yaml", "a: {b: {x: 0, y: 0, z: ", text, ", roll: 0, pitch: 0, yaw: 0}}", folder)
+
+
+def _kalibr(text: str, folder: Path) -> None:
+    head = "lidar0: {frame: b, T_base_lidar: [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, "
+    _exchanged("a.yaml", head, text, "], [0, 0, 0, 1]]}", folder)
+
+
+def _opencalib(text: str, folder: Path) -> None:
+    head = '{"a-to-b-extrinsic": {"param": {"sensor_calib": {"data": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, '
+    _exchanged("a.json", head, text, "], [0, 0, 0, 1]]}}}}", folder)
+
+
+def _csv(text: str, folder: Path) -> None:
+    _exchanged("a.csv", "target,source,x_m,y_m,z_m,qx,qy,qz,qw\na,b,0,0,", text, ",0,0,0,1", folder)
+
+
+def _kitti(text: str, folder: Path) -> None:
+    _exchanged("a.txt", "Tr_a_to_b: 1 0 0 0 0 1 0 0 0 0 1 ", text, "", folder)
+
+
+def _command(text: str, folder: Path) -> None:
+    _exchanged("a.sh", "static_transform_publisher --z ", text, " --frame-id a --child-frame-id b", folder)
+
+
+def _launch(text: str, folder: Path) -> None:
+    head = "Node(package='tf2_ros', executable='static_transform_publisher', arguments=[0, 0, "
+    _exchanged("a.py", head, text, ", 0, 0, 0, 'a', 'b'])", folder)
+
+
 def _result(text: str, folder: Path) -> None:
     path = folder / "result.json"
     path.write_text(f'{{"schema": {text}, "lidars": {text}}}', encoding="utf-8", errors="replace")
@@ -87,7 +125,8 @@ def _attached(text: str, folder: Path) -> None:
 
 
 READERS: list[Callable[[str, Path], None]] = [
-    _config, _setting, _table, _matrix, _urdf, _result, _timing, _attached
+    _config, _setting, _table, _matrix, _urdf, _result, _timing, _attached,
+    _autoware, _kalibr, _opencalib, _csv, _kitti, _command, _launch
 ]  # fmt: skip
 
 
@@ -161,9 +200,34 @@ def test_depth_is_limited_whoever_reads_next() -> None:
         parse_toml("a = " + "[" * 65 + "]" * 65)
 
 
+@pytest.mark.parametrize(
+    ("text", "clause"),
+    [
+        ("a: &x 1\nb: *x", "it has an alias"),
+        ("a: !!python/name:os.system", "it has the tag '.*python/name:os.system'"),
+        ("a: 1\na: 2", "duplicate key"),
+        ("[" * 65 + "]" * 65, "nested more than 64 levels deep"),
+        ("".join(f"{' ' * level}a:\n" for level in range(70)), "nested more than 64 levels deep"),
+        ("a: [1", "in line 1"),
+        ("a: .inf", "a is inf"),
+        ("a: " + "9" * 5000, "a number of thousands of digits"),
+        ("? {a: 1}\n: 2", "unhashable"),
+        ("a: 2024-13-45", "month must be"),
+        ("#" * ((256 << 10) + 1), "it has more than 262144 bytes"),
+        (b"\xff\xfe", "can't decode"),
+        ("a: 1\n---\nb: 2", "expected a single document in the stream, but found another document in line 2"),
+    ],
+)
+def test_yaml_that_is_refused(text: str | bytes, clause: str) -> None:
+    with pytest.raises(DocumentError, match=clause):
+        parse_yaml(text)
+
+
 def test_what_is_allowed_is_read() -> None:
     value = {"a": [1, -2.5, True, None, "x", 2**62], "b": {"c": [[[]]]}}
     assert parse_json(json.dumps(value)) == value
+    assert parse_yaml(json.dumps(value)) == value
+    assert parse_yaml("a: [1, 1.5e-7]\nb: yes") == {"a": [1, 1.5e-7], "b": "yes"}
     assert parse_toml("a.b = [1, 1.5]\nc = true") == {"a": {"b": [1, 1.5]}, "c": True}
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multilica.errors import UnknownNameError, UnreadableSourceError
+from multilica.errors import InputError, UnknownNameError, UnreadableSourceError
 from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, read_extrinsics
 from multilica.geometry import RigidTransform
 
@@ -55,3 +55,13 @@ def test_the_pose_between_two_lidars_is_that_of_both():
     np.testing.assert_allclose(rig.between("rear", "base").matrix, np.linalg.inv(rear.matrix), atol=1e-12)
     with pytest.raises(UnknownNameError, match="front"):
         rig.between("base", "front")
+
+
+def test_only_joints_between_two_frames_count():
+    poses = {name: RigidTransform.identity("base", name) for name in ("a", "b", "c")}
+    wheel = "'steering', a revolute joint"
+    found = Extrinsics("base", poses, {"a": frozenset({wheel}), "b": frozenset({wheel})})
+    assert found.between("a", "b").source == "b"
+    for target, source in (("base", "a"), ("c", "b"), ("a", "base")):
+        with pytest.raises(InputError, match="through 'steering', a revolute joint; expected fixed joints only"):
+            found.between(target, source)

@@ -13,11 +13,13 @@ from multilica.documents import read_limited, require_length
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 
-__all__ = ["Joint", "read_urdf"]
+__all__ = ["MAX_ANGLE_RAD", "Joint", "parse_xml", "read_urdf"]
 
 _MAX_BYTES = 16 << 20
 """A description without its meshes takes a few hundred kilobytes."""
 _NAMESPACE_OF_XACRO = "wiki/xacro}"
+MAX_ANGLE_RAD = 6.29
+"""A full turn, rounded up: larger angles are degrees."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +40,7 @@ def read_urdf(path: Path) -> tuple[Joint, ...]:
         SourceNotFoundError: there is no such file.
         UnreadableSourceError: it is not XML or URDF, has xacro macros, or its joints are not a tree.
     """
-    robot = _parse(path)
+    robot = parse_xml(path, "URDF")
     if path.suffix == ".xacro" or any(_NAMESPACE_OF_XACRO in str(element.tag) for element in robot.iter()):
         raise UnreadableSourceError(
             f"{path} has xacro macros; run xacro first (xacro {path.name} > robot.urdf) and give its output."
@@ -53,13 +55,19 @@ def read_urdf(path: Path) -> tuple[Joint, ...]:
     return joints
 
 
-def _parse(path: Path) -> Element:
+def parse_xml(path: Path, kind: str) -> Element:
+    """Parse a small XML file without entities; `kind` is what it should be, for messages.
+
+    Raises:
+        SourceNotFoundError: there is no such file.
+        UnreadableSourceError: it is not such a file.
+    """
     try:
         return ElementTree.fromstring(read_limited(path, _MAX_BYTES))
     except FileNotFoundError as error:
-        raise SourceNotFoundError(f"No URDF file at {path}.") from error
+        raise SourceNotFoundError(f"No {kind} file at {path}.") from error
     except DefusedXmlException as error:
-        raise UnreadableSourceError(f"{path} defines XML entities; remove them, a URDF file needs none.") from error
+        raise UnreadableSourceError(f"{path} defines XML entities; remove them, a {kind} file needs none.") from error
     except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:
         raise UnreadableSourceError(f"{path} is not a valid XML file: {error}.") from error
 
@@ -93,6 +101,8 @@ def _three(origin: Element | None, key: str, name: str) -> list[float]:
         numbers = []
     if len(numbers) != 3 or not np.isfinite(numbers).all():
         raise ValueError(f"joint '{name}' has {key} '{text}', expected three numbers")
+    if key == "rpy" and max(map(abs, numbers)) > MAX_ANGLE_RAD:
+        raise ValueError(f"joint '{name}' has {key} '{text}', expected radians")
     return numbers
 
 

@@ -12,7 +12,9 @@ import tomli_w
 from mcap.writer import Writer
 
 from multilica.config import CalibrationConfig, load_config, with_overrides
-from multilica.extrinsics import extrinsics_table, read_extrinsics
+from multilica.exports import FORMATS
+from multilica.exports import read_extrinsics as read_any
+from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
 from multilica.ingest import frames_recorded, read_snapshot
 from multilica.ingest.live import foxglove_socket
 from multilica.ingest.transforms.prior import read_prior
@@ -46,11 +48,31 @@ def documents() -> dict[str, Document]:
         "truth.toml": Document(truth, read_extrinsics),
         "prior.toml": Document(truth, lambda path: read_prior(str(path), names)),
         "rig.urdf": Document(_URDF, read_urdf),
+        **{
+            f"rig{suffix}": Document(_exchanged(name, suffix, simulation.truth), read_any)
+            for name, suffix in _EXCHANGED
+        },
         "result.json": Document(result, _saved),
         "attached.json": Document(result, _attached),
         "metadata.json": Document(b'["a note", "another note"]', _metadata),
         "bridge.json": Document(json.dumps({"op": "advertise", "channels": channels}).encode(), _advertised),
     }
+
+
+_EXCHANGED = (
+    ("ros2-launch", ".py"),
+    ("ros2-launch", ".xml"),
+    ("ros2-launch", ".launch.yaml"),
+    ("ros2-static", ".sh"),
+    ("autoware", ".yaml"),
+    ("kitti", ".txt"),
+    ("opencalib", ".json"),
+    ("csv", ".csv"),
+)
+
+
+def _exchanged(name: str, suffix: str, truth: Extrinsics) -> bytes:
+    return FORMATS[name].content(truth, Path(f"rig{suffix}"))
 
 
 _URDF = b"""<?xml version="1.0"?>

@@ -115,3 +115,11 @@ def _assert_refused(path: Path, told: str) -> None:
         read_urdf(path)
     assert path.name in str(refusal.value)
     assert len(str(refusal.value).splitlines()) == 1
+
+
+def test_degrees_are_refused(tmp_path: Path) -> None:
+    path = urdf(tmp_path / "car.urdf", JOINT.format('<origin rpy="0 0 90"/>'))
+    with pytest.raises(UnreadableSourceError, match="joint 'j' has rpy '0 0 90', expected radians"):
+        read_urdf(path)
+    full_turn = urdf(tmp_path / "turn.urdf", JOINT.format('<origin rpy="0 0 6.2832"/>'))
+    assert len(read_urdf(full_turn)) == 1

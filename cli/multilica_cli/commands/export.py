@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`multilica export`: a run's poses or clouds as a file for other programs."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from multilica_cli.exit_codes import ExitCode
+from multilica_cli.options import Quiet
+from multilica_cli.terminal import stderr_console, stdout_console
+
+__all__ = ["export"]
+
+
+def export(
+    run: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN", help="Run directory, its result.json or result.mcap, or a recording.", show_default=False
+        ),
+    ],
+    *,
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar="FORMAT",
+            help="toml, urdf, ros2-launch, ros2-static, ros1-launch, tf-static, autoware, kalibr, kitti, matrices, "
+            "opencalib or csv; of the stitched cloud pcd, ply or las.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE",
+            help="File to write; of an existing URDF or Autoware file, only the poses of the LiDARs change.",
+            show_default=False,
+        ),
+    ],
+    base: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FRAME",
+            help="Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, another name of the target.",
+            show_default="the target",
+        ),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Known pose of the target in FRAME: TOML, URDF or any format of --to.",
+            show_default=False,
+        ),
+    ] = None,
+    frames: Annotated[
+        Literal["names", "ids"],
+        typer.Option(metavar="names|ids", help="Call frames by the LiDARs' names, or by the frame ids of the input."),
+    ] = "names",
+    with_uncertain: Annotated[bool, typer.Option("--with-uncertain", help="Export uncertain LiDARs too.")] = False,
+    quiet: Quiet = False,
+) -> int:
+    """Write the poses of a run as a file for other programs, or its clouds in one frame.
+
+    Ends with 4 if a LiDAR of the run is not placed.
+    """
+    from multilica.exports import export_run
+
+    done = export_run(run, out, to, base=base, rig=rig, frames=frames, with_uncertain=with_uncertain)
+    stdout_console(quiet=quiet).print(f"wrote {done.path}: {', '.join(done.lidars)} in {done.base}")
+    told = stderr_console()
+    if done.missing:
+        listed = ", ".join(f"{name} ({status.replace('_', ' ')})" for name, status in done.missing.items())
+        told.print(f"multilica: Without {listed}.")
+    if done.uncertain:
+        told.print(f"multilica: With {', '.join(done.uncertain)}, which are uncertain.")
+    return ExitCode.DONE if done.complete else ExitCode.NOT_PLACED

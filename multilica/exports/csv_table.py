@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Extrinsics as a CSV table."""
+
+import csv
+from collections.abc import Mapping
+from io import StringIO
+from pathlib import Path
+
+from multilica.exports.frame_tree import extrinsics_of_poses
+from multilica.exports.values import child_poses, number_text, numbers, pose_of_quaternion, read_text
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
+
+__all__ = ["csv_text", "read_csv"]
+
+_XYZ, _QUATERNION, _ANGLES = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw"), ("roll_deg", "pitch_deg", "yaw_deg")
+_READ = ("target", "source", *_XYZ, *_QUATERNION)
+
+
+def csv_text(extrinsics: Extrinsics) -> str:
+    """Return a row per frame; the angles repeat the quaternion."""
+    text = StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow((*_READ, *_ANGLES))
+    for pose in child_poses(extrinsics):
+        values = (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist(), *pose.rpy_deg.tolist())
+        writer.writerow((pose.target, pose.source, *map(number_text, values)))
+    return text.getvalue()
+
+
+def read_csv(path: Path) -> Extrinsics:
+    """Read a table with these columns, in any order; others are ignored.
+
+    Raises:
+        ValueError: a column is missing, a row is wrong, or the transforms are no tree.
+    """
+    rows = csv.DictReader(StringIO(read_text(path)))
+    try:
+        missing = [name for name in _READ if name not in (rows.fieldnames or ())]
+        if missing:
+            raise ValueError(f"it has no column '{missing[0]}'; expected {', '.join(_READ)}")
+        return extrinsics_of_poses([_pose(row) for row in rows])
+    except csv.Error as error:
+        raise ValueError(f"it is not a CSV table: {error}") from error
+
+
+def _pose(row: Mapping[str, str]) -> RigidTransform:
+    target, source = row["target"], row["source"]
+    xyz_m = numbers([row[name] for name in _XYZ], f"the translation of '{source}'")
+    xyzw = numbers([row[name] for name in _QUATERNION], f"the quaternion of '{source}'")
+    return pose_of_quaternion(target, source, xyz_m, xyzw)

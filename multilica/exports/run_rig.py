@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The poses of a saved run, in the frame and under the names that are asked for."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from multilica.errors import InputError, UnknownNameError, UsageError
+from multilica.exports.reading import read_extrinsics
+from multilica.exports.values import number_text
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
+from multilica.results.document import ResultDocument
+
+__all__ = ["FrameNames", "RunRig", "rig_of_run"]
+
+FrameNames = Literal["names", "ids"]
+_MAX_RIG_M = 100.0
+"""No vehicle is longer: such lengths are millimetres."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunRig:
+    """Poses of a run.
+
+    Args:
+        extrinsics: by frame, in the base frame.
+        frames: the frame of each LiDAR that has a pose, the target among them.
+        missing: LiDARs that are left out, with their status.
+    """
+
+    extrinsics: Extrinsics
+    frames: Mapping[str, str]
+    missing: Mapping[str, str]
+
+    @property
+    def poses(self) -> dict[str, RigidTransform]:
+        """``T_base_lidar`` by LiDAR."""
+        return {lidar: self.extrinsics.between(self.extrinsics.target, frame) for lidar, frame in self.frames.items()}
+
+
+def rig_of_run(
+    document: ResultDocument,
+    *,
+    base: str | None = None,
+    rig: Path | None = None,
+    frames: FrameNames = "names",
+    with_uncertain: bool = False,
+) -> RunRig:
+    """Return the poses of the placed LiDARs of a run.
+
+    Args:
+        base: the common frame: a LiDAR's frame, a frame of `rig`, or, without `rig`, another name of the target's
+            frame; by default the common frame of `rig`, else the target's.
+        rig: a file of extrinsics with the pose of the target in `base`, under its name or its frame id.
+        frames: whether a LiDAR's frame has its name, or is the frame id of its messages.
+        with_uncertain: also take the uncertain LiDARs.
+
+    Raises:
+        InputError: only the target is placed, or frame ids are missing or not unique.
+        UnknownNameError: `rig` lacks the base frame or the target.
+        UsageError: a frame cannot be named.
+    """
+    wanted = {name: pose for name, pose in document.poses.items() if with_uncertain or document.lidars[name].placed}
+    missing = {name: entry.status for name, entry in document.lidars.items() if name not in wanted}
+    if not {*wanted} - {document.target}:
+        raise InputError("The run has no placed LiDAR besides the target, so that there is nothing to export.")
+    named = _frames(document, wanted, frames)
+    target = named[document.target]
+    poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}
+    found = Extrinsics(target, {frame: pose for frame, pose in poses.items() if frame != target})
+    found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
+    for frame in found.members:
+        _require_name(frame)
+    return RunRig(found, named, missing)
+
+
+def _frames(document: ResultDocument, lidars: Mapping[str, object], frames: FrameNames) -> dict[str, str]:
+    if frames == "names":
+        return {name: name for name in lidars}
+    ids = _frame_ids(document)
+    found = {name: ids.get(name, "") for name in lidars}
+    without = sorted(name for name, frame in found.items() if not frame)
+    if without:
+        raise InputError(f"The run knows no frame id of '{without[0]}'; export it with --frames names.")
+    frame, count = Counter(found.values()).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"{count} LiDARs of the run have the frame id '{frame}'; export it with --frames names.")
+    return found
+
+
+def _frame_ids(document: ResultDocument) -> dict[str, str]:
+    """Return the frame id of each LiDAR as ROS 2 writes it; empty where it is not known."""
+    return {name: entry.frame_id.removeprefix("/") for name, entry in document.input.lidars.items()}
+
+
+def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple[str, str]) -> Extrinsics:
+    """Return the same poses in another frame, where the target gets a pose of its own; `rig` has one of its names."""
+    if rig is not None:
+        known = read_extrinsics(rig)
+        pose = _base_pose(known, base or known.target, names, rig)
+        T_base_target = RigidTransform(pose.target, found.target, pose.matrix)
+    elif base in (None, found.target):
+        return found
+    elif base in found.members:
+        T_base_target = found.between(str(base), found.target)
+    else:
+        T_base_target = RigidTransform.identity(str(base), found.target)
+    base = T_base_target.target
+    if base in found.members and rig is not None and base != found.target:
+        raise UsageError(f"The base frame '{base}' has the name of a LiDAR of the run; give another one.")
+    poses = {frame: T_base_target @ found.between(found.target, frame) for frame in found.members if frame != base}
+    return Extrinsics(base, dict(sorted(poses.items())))
+
+
+def _base_pose(known: Extrinsics, base: str, names: tuple[str, str], rig: Path) -> RigidTransform:
+    target = next((name for name in names if name in known.members), None)
+    if target is None:
+        raise UnknownNameError("frame", names[0], known.members, str(rig))
+    if base not in known.members:
+        raise UnknownNameError("frame", base, known.members, str(rig))
+    pose = known.between(base, target)
+    if max(abs(pose.xyz_m)) > _MAX_RIG_M:
+        lengths = ", ".join(map(number_text, pose.xyz_m.tolist()))
+        raise InputError(f"{rig} has '{target}' at {lengths} in '{base}'; expected metres.")
+    return pose
+
+
+def _require_name(frame: str) -> None:
+    if not frame or not frame.isprintable() or frame != frame.strip():
+        raise UsageError(f"The frame '{frame}' has no name that files can hold; rename the LiDAR with --topic.")

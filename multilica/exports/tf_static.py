@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Static transforms in recordings."""
+
+from contextlib import closing
+from pathlib import Path
+
+from multilica.exports.frame_tree import extrinsics_of_poses
+from multilica.exports.values import child_poses
+from multilica.extrinsics import Extrinsics
+from multilica.ingest.locate import find_source
+from multilica.ingest.opening import open_source
+from multilica.ingest.transforms.static_transforms import read_static_transforms
+from multilica.sinks.mcap.static_transforms_mcap import static_transforms_mcap
+
+__all__ = ["read_tf_static", "tf_static_mcap"]
+
+
+def tf_static_mcap(extrinsics: Extrinsics) -> bytes:
+    """Return a ROS 2 recording with `/tf_static`."""
+    return static_transforms_mcap(child_poses(extrinsics))
+
+
+def read_tf_static(path: Path) -> Extrinsics:
+    """Read `/tf_static` of an MCAP file or ROS bag.
+
+    Raises:
+        ValueError: there is none, a transform is wrong, or they are no tree.
+    """
+    with closing(open_source(find_source(path))) as recording:
+        poses, notes = read_static_transforms(recording)
+    if notes:
+        raise ValueError(notes[0].rstrip("."))
+    return extrinsics_of_poses(poses)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers and poses in files of extrinsics."""
+
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_yaml, read_limited, require_length, shown
+from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
+from multilica.ingest.transforms.urdf import MAX_ANGLE_RAD
+
+__all__ = [
+    "child_poses",
+    "mapping_of",
+    "number_list",
+    "number_text",
+    "numbers",
+    "pose_of_matrix",
+    "pose_of_quaternion",
+    "pose_of_rpy",
+    "quoted",
+    "read_text",
+    "read_yaml",
+]
+
+_MAX_BYTES = 256 << 10
+"""The poses of a hundred LiDARs take a tenth of it."""
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")
+_WORDS = ("true", "false", "yes", "no", "on", "off", "y", "n", "null")
+"""Values of YAML 1.1 that are no texts."""
+_NORM_TOLERANCE = 0.01
+_ROTATION_TOLERANCE = 1e-3
+"""Matrices of four digits are rotations."""
+_MAX_ENTRY = 2.0
+"""Larger entries of a rotation are wrong, and their squares may overflow."""
+
+
+def child_poses(extrinsics: Extrinsics) -> list[RigidTransform]:
+    """Return the poses in the common frame by name, without the common frame itself."""
+    named = sorted(extrinsics.T_target_source.items())
+    return [RigidTransform(extrinsics.target, name, pose.matrix) for name, pose in named if name != extrinsics.target]
+
+
+def number_text(value: float) -> str:
+    """Return the shortest text that reads back as the same number; with a dot, which YAML 1.1 needs."""
+    mantissa, exponent, power = repr(float(value) + 0.0).partition("e")
+    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{exponent}{power}"
+
+
+def number_list(values: Sequence[float]) -> str:
+    """Return numbers with a space between them."""
+    return " ".join(map(number_text, values))
+
+
+def numbers(values: Sequence[object], what: str) -> list[float]:
+    """Return finite numbers of a file; raise ValueError, with a clause as its text, if one of them is not."""
+    try:
+        found = [float(value) for value in values if not isinstance(value, bool)]  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        found = []
+    if len(found) != len(values) or not all(map(math.isfinite, found)):
+        raise ValueError(f"{what} is {shown(' '.join(map(str, values)))}; expected {len(values)} numbers")
+    return found
+
+
+def pose_of_rpy(parent: str, child: str, xyz_m: Sequence[float], rpy_rad: Sequence[float]) -> RigidTransform:
+    """Make a pose from extrinsic xyz angles; raise ValueError if they can only be degrees."""
+    if max(map(abs, rpy_rad)) > MAX_ANGLE_RAD:
+        raise ValueError(f"'{child}' has the angles {number_list(rpy_rad)}; expected radians")
+    return RigidTransform.from_xyz_rpy(parent, child, [require_length(length) for length in xyz_m], rpy_rad)
+
+
+def pose_of_quaternion(parent: str, child: str, xyz_m: Sequence[float], xyzw: Sequence[float]) -> RigidTransform:
+    """Make a pose from a quaternion; raise ValueError if it is not one of length 1."""
+    norm = math.hypot(*xyzw)
+    if not abs(norm - 1.0) < _NORM_TOLERANCE:
+        raise ValueError(f"'{child}' has a quaternion of length {norm:.3g}; expected 1")
+    return RigidTransform.from_xyz_quaternion(parent, child, [require_length(length) for length in xyz_m], xyzw)
+
+
+def pose_of_matrix(parent: str, child: str, rows: Sequence[Sequence[object]]) -> RigidTransform:
+    """Make a pose from the first three rows of a matrix, or all four; raise ValueError if it is not a rotation."""
+    if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
+        raise ValueError(f"'{child}' has a matrix that is not of 3 or 4 rows with 4 numbers")
+    matrix = np.array([numbers(row, f"a row of the matrix of '{child}'") for row in rows])
+    rotation = matrix[:3, :3]
+    largest = np.abs(rotation).max()
+    residual = largest if largest > _MAX_ENTRY else np.abs(rotation @ rotation.T - np.eye(3)).max()
+    if not (residual <= _ROTATION_TOLERANCE and np.linalg.det(rotation) > 0.0):
+        raise ValueError(f"'{child}' has a matrix that is not a rotation: it is off by {residual:.2g}")
+    if len(matrix) == 4 and matrix[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+        raise ValueError(f"'{child}' has a matrix with the last row {number_list(matrix[3])}; expected 0 0 0 1")
+    xyz_m = [require_length(length) for length in matrix[:3, 3].tolist()]
+    return RigidTransform.from_rotation_translation(parent, child, rotation, xyz_m)
+
+
+def quoted(text: str) -> str:
+    """Return a text as a scalar of YAML, in quotes where it could be something else."""
+    return text if _PLAIN.fullmatch(text) and text.lower() not in _WORDS else json.dumps(text, ensure_ascii=False)
+
+
+def read_text(path: Path) -> str:
+    """Read a small UTF-8 text file.
+
+    Raises:
+        SourceNotFoundError: no such file.
+        UnreadableSourceError: not such a file.
+    """
+    try:
+        return read_limited(path, _MAX_BYTES).decode("utf-8-sig")
+    except FileNotFoundError as error:
+        raise SourceNotFoundError(f"No extrinsics at {path}.") from error
+    except UnicodeDecodeError as error:
+        raise UnreadableSourceError(f"{path} is not a UTF-8 text file.") from error
+    except (OSError, DocumentError) as error:
+        raise UnreadableSourceError(f"{path} cannot be read: {error}.") from error
+
+
+def mapping_of(value: object, what: str) -> Mapping[str, Any]:
+    """Return a value that is a table with texts as keys; raise ValueError if it is not."""
+    if not isinstance(value, dict) or not all(isinstance(key, str) for key in value):
+        raise ValueError(f"{what} is {shown(value)}; expected a table")
+    return value
+
+
+def read_yaml(path: Path) -> Mapping[str, Any]:
+    """Read a YAML file with a table; raise ValueError, with a clause as its text, if it is not one."""
+    return mapping_of(parse_yaml(read_limited(path, MAX_YAML_BYTES)), "the document")
