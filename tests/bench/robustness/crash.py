@@ -119,12 +119,15 @@ def _reports(run: Path) -> Claim:
 def _rewritings(of: Rewriting) -> Claim:
     """Kill the command at any moment, and every other time just after it has begun to write."""
     folder = of.file.parent
+    old = of.file.read_bytes() if of.file.exists() else b""
     start_s = time.monotonic()
     subprocess.run(_command(*of.arguments), env=_environment(), check=True)
     length_s = time.monotonic() - start_s
+    old = old or of.file.read_bytes()
     draw = random.Random(SEED)  # noqa: S311
     ended, replaced, begun, faults = 0, 0, 0, []
     for index in range(KILLS):
+        of.file.write_bytes(old)
         before = _contents(folder)
         with subprocess.Popen(_command(*of.arguments), env=_environment()) as process:
             _wait_for_moment(process, folder, draw, length_s, at_writing=index % 2 == 1)
