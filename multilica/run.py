@@ -135,14 +135,16 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
         for note in found.notes:
             request.observe(events.InputNoted(note))
     beside = pass_aside if request.workers.processes else nullcontext
-    with open_run(directory, request.config, request.mcap_encoding) as run, beside(run) as sinks:
+    with open_run(directory, request.config, request.mcap_encoding) as run:
 
-        def observe(event: Event) -> None:
-            sinks(event)
+        def pass_on(event: Event) -> None:
+            """Tell what is in the files only."""
+            run(event)
             if getattr(event, "stage", "") != "ingest":  # sent when the snapshot was read
                 request.observe(event)
 
-        result = calibrate(snapshot, request.config, observe, prior, request.workers)
+        with beside(pass_on) as observe:
+            result = calibrate(snapshot, request.config, observe, prior, request.workers)
     return CalibrationRun(result, request.config, directory, run.written)
 
 

@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.extrinsics import Extrinsics, read_extrinsics
+from multilica.exports import read_extrinsics
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.runs.run_documents import is_run, read_run_document
 

@@ -19,11 +19,13 @@ MEASUREMENTS = (
     "repeat",
     "harder",
     "causes",
+    "moved_lidars",
     "crash",
     "ingest",
     "recording",
 )
-ON_REQUEST = ("paper", "tables", "fuzz", "evidence")
+ON_REQUEST = ("paper", "tables", "fuzz", "soak", "evidence")
+ROBUSTNESS = ("crash", "fuzz", "soak")
 
 
 def main(names: list[str]) -> int:
@@ -36,8 +38,13 @@ def main(names: list[str]) -> int:
     holds = True
     for name in names or MEASUREMENTS:
         print(f"## {name}\n", flush=True)
-        holds &= import_module(f"tests.bench.{name}").main()
+        holds &= import_module(module_of(name)).main()
     return 0 if holds else 1
+
+
+def module_of(name: str) -> str:
+    """The module of a measurement."""
+    return f"tests.bench.robustness.{name}" if name in ROBUSTNESS else f"tests.bench.{name}"
 
 
 def one_thread_each() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast each format is read, and what a window of a large log costs."""
+"""How fast each format is read, what a window of a large log costs, and what a damaged end does."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from rosbags.rosbag2 import CompressionMode
 
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.bench.support.claims import Claim, print_claims, print_table
+from tests.bench.support.damaged_tails import claims_on_tails
 from tests.bench.support.point_files import POINT_FILES
 from tests.ingest.support.format_writers import livox_messages, write_foxglove_json, write_foxglove_sdk, write_raw_mcap
 from tests.ingest.support.recording_writers import (
@@ -124,6 +125,8 @@ def main() -> bool:
         claims = _throughput(Path(folder))
     with tempfile.TemporaryDirectory() as folder:
         claims += _window(Path(folder))
+    with tempfile.TemporaryDirectory() as folder:
+        claims += claims_on_tails(Path(folder))
     return print_claims(claims)
 
 

@@ -14,12 +14,13 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from multilica.config import IngestConfig
+from multilica.errors import MultilicaError
 from multilica.ingest import read_snapshot
 from multilica.ingest.memory import MemoryBudget, MemoryLimitError, limited_memory, memory_budget
 from tests.ingest.support.confined import read_confined
 from tests.ingest.support.format_writers import write_raw_mcap
 from tests.ingest.support.mutations import write_seed
-from tests.ingest.support.recording_writers import CLOUD, START_NS, make_snapshot, write_mcap
+from tests.ingest.support.recording_writers import CLOUD, START_NS, make_snapshot, write_mcap, write_ros1_bag
 
 TOPICS = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
 TOPIC = "INSERT INTO topics VALUES(1, '/a', 'sensor_msgs/msg/PointCloud2', 'cdr');"
@@ -195,6 +196,7 @@ def test_each_ingest_has_a_budget_of_its_own() -> None:
 
 
 HOLE_BYTES = 8 << 30
+BAG_LINE_BYTES = len(b"#ROSBAG V2.0\n")
 
 
 @pytest.mark.parametrize("name", ["unindexed.mcap", "unchunked.mcap", "zstd.mcap", "plain.bag", "plain.db3"])
@@ -237,3 +239,18 @@ def test_records_behind_a_region_of_zeros_are_read(tmp_path: Path) -> None:
         path = tmp_path / "b.mcap"
         path.write_bytes(content[:at] + bytes(10_000) + content[at:])
         assert len(read_snapshot(path).lidars[0].scans) >= 1
+
+
+def test_records_of_a_bag_behind_zeros_are_read(tmp_path: Path) -> None:
+    whole = make_snapshot(lidars=2, frames=4)
+    path = tmp_path / "a.bag"
+    write_ros1_bag(whole, path)
+    content = path.read_bytes()
+    first = BAG_LINE_BYTES
+    for _ in ("header", "data"):
+        first += 4 + int.from_bytes(content[first : first + 4], "little")
+    path.write_bytes(content[:first] + bytes(10_000) + content[first:])
+    assert [len(lidar.scans) for lidar in read_snapshot(path).lidars] == [4, 4]
+    path.write_bytes(content[:first] + bytes(10_000))
+    with pytest.raises(MultilicaError, match="the file ends in zeros, as after a power loss"):
+        read_snapshot(path)

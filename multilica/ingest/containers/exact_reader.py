@@ -16,6 +16,7 @@ __all__ = ["EndOfFileError", "ExactReader", "unpack_head"]
 
 _FIRST_BLOCK_BYTES = 4 << 10
 _BLOCK_BYTES = 4 << 20
+_ZEROS = bytes(_BLOCK_BYTES)
 _MAX_SKIPPED = 1000
 """Regions of zeros; a power loss leaves a few."""
 
@@ -47,19 +48,27 @@ class ExactReader(BufferedReader):
             raise EndOfFileError
         return super().read(size)
 
-    def skip_zeros(self) -> None:
-        """Move to the next byte that is not zero, or to the end; holes of a sparse file are not read.
+    def skip_zeros(self, start: int) -> None:
+        """Move from `start` to the next byte that is not zero, as a power loss leaves them where no block was written.
+
+        Holes of a sparse file are not read.
 
         Raises:
-            ValueError: it was called more often than any damage explains.
+            ValueError: nothing but zeros follows, or it was called more often than any damage explains.
         """
         self._skipped += 1
         if self._skipped > _MAX_SKIPPED:
             raise ValueError("its records make no sense")
+        self.seek(start)
+        self._pass_zeros()
+        if not self.remaining:
+            raise ValueError("the file ends in zeros, as after a power loss")
+
+    def _pass_zeros(self) -> None:
         size = _FIRST_BLOCK_BYTES
         while self.remaining:
             block = super().read(min(size, self.remaining))
-            if block.count(0) < len(block):
+            if block != _ZEROS[: len(block)]:
                 self.seek(self.tell() - len(block.lstrip(b"\0")))
                 return
             size = _BLOCK_BYTES

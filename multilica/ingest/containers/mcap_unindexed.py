@@ -70,7 +70,7 @@ def _records(stream: ExactReader, place: int) -> Iterator[tuple[int, memoryview]
         head = stream.read(RECORD_HEAD.size)
         opcode, length = RECORD_HEAD.unpack(head)
         if opcode == 0:
-            _skip_damage(stream)
+            stream.skip_zeros(stream.tell() - RECORD_HEAD.size)
             place = stream.tell()
             continue
         require_opcode(opcode, length)
@@ -136,23 +136,11 @@ def _add_next(stream: ExactReader, found: Survey, known: KnownChannels) -> bool:
     return opcode not in (Opcode.DATA_END, Opcode.FOOTER)
 
 
-def _skip_damage(stream: ExactReader) -> None:
-    """Go on behind zeros, as a power loss leaves them where blocks were not written any more.
-
-    Raises:
-        ValueError: nothing but zeros follows.
-    """
-    stream.seek(stream.tell() - RECORD_HEAD.size)
-    stream.skip_zeros()
-    if not stream.remaining:
-        raise ValueError("the file ends in zeros, as after a power loss")
-
-
 def _next_head(stream: ExactReader) -> tuple[int, int]:
     head = stream.read(RECORD_HEAD.size)
     opcode, length = RECORD_HEAD.unpack(head)
     if opcode == 0:
-        _skip_damage(stream)
+        stream.skip_zeros(stream.tell() - RECORD_HEAD.size)
         return _next_head(stream)
     require_opcode(opcode, length)
     return record_length(head) if opcode in _BOUNDED else (opcode, length)

@@ -100,7 +100,11 @@ def _parts(path: Path, where: str, topics: dict[bytes, Topic], place: int) -> It
     with closing(ExactReader(path)) as stream:
         stream.seek(max(place, MAGIC_BYTES))
         while stream.remaining:
+            begin = stream.tell()
             header = read_header(stream)
+            if not header:
+                stream.skip_zeros(begin)
+                continue
             size = read_length(stream)
             data = stream.view(min(size, stream.remaining))
             has_index = has_index or header[b"op"][0] == CHUNK_INFO

@@ -15,8 +15,9 @@ from multilica.geometry import RigidTransform
 
 __all__ = ["MAX_ANGLE_RAD", "Joint", "parse_xml", "read_urdf"]
 
-_MAX_BYTES = 16 << 20
-"""A description without its meshes takes a few hundred kilobytes."""
+_MAX_BYTES = 4 << 20
+"""A description without its meshes takes a few hundred kilobytes; as elements, each byte takes a hundred."""
+_MAX_DEPTH = 64
 _NAMESPACE_OF_XACRO = "wiki/xacro}"
 MAX_ANGLE_RAD = 6.29
 """A full turn, rounded up: larger angles are degrees."""
@@ -41,6 +42,7 @@ def read_urdf(path: Path) -> tuple[Joint, ...]:
         UnreadableSourceError: it is not XML or URDF, has xacro macros, or its joints are not a tree.
     """
     robot = parse_xml(path, "URDF")
+    _require_shallow(robot, path)
     if path.suffix == ".xacro" or any(_NAMESPACE_OF_XACRO in str(element.tag) for element in robot.iter()):
         raise UnreadableSourceError(
             f"{path} has xacro macros; run xacro first (xacro {path.name} > robot.urdf) and give its output."
@@ -70,6 +72,16 @@ def parse_xml(path: Path, kind: str) -> Element:
         raise UnreadableSourceError(f"{path} defines XML entities; remove them, a {kind} file needs none.") from error
     except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:
         raise UnreadableSourceError(f"{path} is not a valid XML file: {error}.") from error
+
+
+def _require_shallow(robot: Element, path: Path) -> None:
+    level = [robot]
+    for _ in range(_MAX_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise UnreadableSourceError(
+            f"{path} is not a valid URDF file: it is nested more than {_MAX_DEPTH} levels deep."
+        )
 
 
 def _joint(element: Element) -> Joint:

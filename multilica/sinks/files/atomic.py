@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Atomic writing of files."""
 
+import fcntl
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from glob import escape
 from pathlib import Path
 from typing import BinaryIO
@@ -15,11 +16,14 @@ __all__ = ["atomic_file", "begun_files", "partial_path", "write_text_atomically"
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the name `path` when the block ends.
 
-    Until then it has a hidden name in the same directory. It is removed if the block raises.
+    Until then it has a hidden name in the same directory. It is removed if the block raises; after a kill, by the next
+    `atomic_file` of this path.
     """
+    for begun in begun_files(path):
+        _remove_unlocked(begun)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        with temporary.open("wb") as file:
+        with _locked_file(temporary) as file:
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -27,6 +31,23 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def _locked_file(path: Path) -> BinaryIO:
+    """Open an empty file with a lock, which ends with the process."""
+    while True:
+        file = path.open("wb")
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        if path.exists():
+            return file
+        file.close()  # another process removed it before it was locked
+
+
+def _remove_unlocked(path: Path) -> None:
+    with suppress(OSError), path.open("r+b") as file:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        path.unlink()
 
 
 def begun_files(path: Path) -> list[Path]:

@@ -72,7 +72,10 @@ def read_batches(path: Path, entities: Sequence[str]) -> dict[str, list[Any]]:
 
 def main() -> None:
     """Read the request on stdin, and write the batches: per batch a line with its entity, then an Arrow stream."""
-    resource.setrlimit(resource.RLIMIT_AS, (_MAX_MEMORY_BYTES, resource.RLIM_INFINITY))
+    # A limit that this process was started with (ulimit -v) stays; only a privileged one could raise it.
+    most = resource.getrlimit(resource.RLIMIT_AS)[1]
+    limit = _MAX_MEMORY_BYTES if most == resource.RLIM_INFINITY else min(most, _MAX_MEMORY_BYTES)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, most))
     path, entities, out = json.loads(sys.stdin.read())
     import pyarrow as pa
 

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A vehicle that runs a Foxglove WebSocket server: ``bridge_server.py ENCODING PORT SILENT``.
+"""A vehicle that runs a Foxglove WebSocket server: ``bridge_server.py ENCODING PORT SILENT [PAUSE_S]``.
 
-ENCODING is ``cdr``, ``ros1``, ``protobuf`` or ``json``. SILENT names a LiDAR that is offered, yet sends nothing.
+ENCODING is ``cdr``, ``ros1``, ``protobuf`` or ``json``. SILENT names a LiDAR that is offered, yet sends nothing, or a
+scan every PAUSE_S seconds.
 """
 
 from __future__ import annotations
 
 import base64
 import json
+import math
 import sys
 import time
 from dataclasses import replace
@@ -100,7 +102,7 @@ class Latch(ServerListener):
             channel.log(kept)
 
 
-def main(encoding: str, port: int, silent: str) -> None:
+def main(encoding: str, port: int, silent: str, pause_s: float = math.inf) -> None:
     latch = Latch()
     server = foxglove.start_server(port=port, server_listener=latch)
     chatter = Channel("/chatter", message_encoding="json")
@@ -113,9 +115,11 @@ def main(encoding: str, port: int, silent: str) -> None:
         static = Channel(topic, message_encoding=encoding, schema=schema_of(encoding, TRANSFORMS))
         latch.messages[topic] = (static, data)
     print(server.port, flush=True)
+    sent_s = time.monotonic()
     for lidar, scan in cycle(list(in_order(vehicle()))):
         stamped = replace(scan, stamp_ns=time.time_ns())
-        if lidar.name != silent:
+        if lidar.name != silent or time.monotonic() - sent_s > pause_s:
+            sent_s = time.monotonic() if lidar.name == silent else sent_s
             channels[lidar.topic].log(encoded(encoding, lidar, stamped), log_time=stamped.stamp_ns)
         chatter.log({"text": "hello"})
         latch.send()
@@ -123,4 +127,4 @@ def main(encoding: str, port: int, silent: str) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), sys.argv[3])
+    main(sys.argv[1], int(sys.argv[2]), sys.argv[3], *map(float, sys.argv[4:]))

@@ -7,6 +7,7 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import tomli_w
 from mcap.writer import Writer
@@ -21,9 +22,12 @@ from multilica.ingest.transforms.prior import read_prior
 from multilica.ingest.transforms.urdf import read_urdf
 from multilica.runs.run_documents import explain_run, read_run, read_run_document
 from multilica.simulate import simulate_snapshot
+from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.rerun.recording import RerunRecording
 from tests.ingest.support.recording_writers import make_snapshot
 from tests.sinks.made_documents import made_document
+from tests.sinks.made_events import made_events
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,8 @@ def documents() -> dict[str, Document]:
         },
         "result.json": Document(result, _saved),
         "attached.json": Document(result, _attached),
+        "result.mcap": Document(_recorded("result.mcap"), explain_run),
+        "result.rrd": Document(_recorded("result.rrd"), explain_run),
         "metadata.json": Document(b'["a note", "another note"]', _metadata),
         "bridge.json": Document(json.dumps({"op": "advertise", "channels": channels}).encode(), _advertised),
     }
@@ -106,6 +112,16 @@ def _metadata(path: Path) -> object:
     write_snapshot_mcap(make_snapshot(), recording, metadata={"frames": text, "notes": text})
     frames_recorded([recording])
     return read_snapshot(recording)
+
+
+def _recorded(name: str) -> bytes:
+    """The content of a made-up run's recording or `result.mcap`."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        with RerunRecording(path) if path.suffix == ".rrd" else ResultMcap(path) as sink:
+            for event in made_events():
+                sink(event)
+        return path.read_bytes()
 
 
 def _advertised(path: Path) -> object:

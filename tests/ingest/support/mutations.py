@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import zstandard
 from mcap.writer import CompressionType
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
@@ -42,6 +43,14 @@ def _bag(storage: StoragePlugin, compression: CompressionMode) -> Callable[[Snap
         next(file for file in folder.iterdir() if file.suffix != ".yaml").rename(path)
 
     return write
+
+
+def _packed(write: Callable[[Snapshot, Path], None]) -> Callable[[Snapshot, Path], None]:
+    def pack(snapshot: Snapshot, path: Path) -> None:
+        write(snapshot, path)
+        path.write_bytes(zstandard.compress(path.read_bytes()))
+
+    return pack
 
 
 def _ascii_pcd(snapshot: Snapshot, path: Path) -> None:
@@ -110,6 +119,8 @@ SEEDS: dict[str, Callable[[Snapshot, Path], None]] = {
     "plain.db3": _bag(StoragePlugin.SQLITE3, CompressionMode.NONE),
     "messages.db3": _bag(StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
     "packed.db3.zstd": _bag(StoragePlugin.SQLITE3, CompressionMode.FILE),
+    "packed.mcap.zst": _packed(write_mcap),
+    "packed.bag.zst": _packed(write_ros1_bag),
     "ascii.pcd": _ascii_pcd,
     "binary.pcd": _binary_pcd,
     "binary.ply": _ply,

@@ -55,6 +55,10 @@ def test_only_the_robots_own_joints_count(tmp_path: Path) -> None:
     assert (joint.T_parent_child.target, joint.T_parent_child.source) == ("base", "roof")
 
 
+def test_a_file_may_be_nested_64_levels_deep(tmp_path: Path) -> None:
+    assert read_urdf(urdf(tmp_path / "car.urdf", "<a>" * 63 + "</a>" * 63)) == ()
+
+
 def test_a_namespace_of_xacro_without_macros_is_no_fault(tmp_path: Path) -> None:
     path = tmp_path / "car.urdf"
     path.write_text(XACRO.format("<!-- made from <xacro:lidar/> -->" + JOINT.format("")), encoding="utf-8")
@@ -73,6 +77,8 @@ def test_a_namespace_of_xacro_without_macros_is_no_fault(tmp_path: Path) -> None
         (JOINT.format('<origin xyz="0 0 nan"/>'), "expected three numbers"),
         (JOINT.format("") + JOINT.format("").replace("base", "bumper"), "link 'roof' is the child of 2 joints"),
         ("<joint", "is not a valid XML file"),
+        ("<a>" * 64 + "</a>" * 64, "nested more than 64 levels deep"),
+        ("<a/>" * (1 << 20), "more than 4194304 bytes"),
     ],
 )
 def test_a_broken_file_is_refused_in_one_sentence(tmp_path: Path, body: str, told: str) -> None:

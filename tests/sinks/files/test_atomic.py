@@ -3,6 +3,12 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from multilica.sinks.files.atomic import atomic_file, begun_files, partial_path, write_text_atomically
@@ -55,3 +61,31 @@ def test_names_of_begun_and_partial_files(tmp_path):
         file.write(b"")
     assert begun_files(path) == []
     assert partial_path(path) == tmp_path / "run[1].partial.rrd"
+
+
+@pytest.fixture
+def writing(tmp_path):
+    """A process that has begun to write out.txt."""
+    code = "import sys, time; from pathlib import Path; from multilica.sinks.files.atomic import atomic_file\n"
+    code += "with atomic_file(Path(sys.argv[1])): print('begun', flush=True); time.sleep(60)"
+    command = [sys.executable, "-c", code, str(tmp_path / "out.txt")]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[3])}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stdout.readline() == "begun\n"
+        yield process
+        process.kill()
+
+
+def test_what_a_killed_process_began_is_removed(tmp_path, writing):
+    writing.send_signal(signal.SIGKILL)
+    writing.wait()
+    (tmp_path / ".other.txt.1.tmp").touch()
+    write_text_atomically(tmp_path / "out.txt", "new")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == [".other.txt.1.tmp", "out.txt"]
+
+
+@pytest.mark.usefixtures("writing")
+def test_what_another_process_writes_is_left_alone(tmp_path):
+    (begun,) = tmp_path.iterdir()
+    write_text_atomically(tmp_path / "out.txt", "new")
+    assert sorted(tmp_path.iterdir()) == sorted([begun, tmp_path / "out.txt"])

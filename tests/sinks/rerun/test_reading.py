@@ -3,12 +3,22 @@
 
 from __future__ import annotations
 
+import ctypes
+import os
+import resource
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
 from multilica.errors import UnreadableSourceError
 from multilica.sinks.rerun.reading import read_recorded_clouds, read_recorded_document
 from tests.sinks.made_events import LIDARS
+
+LIMIT_BYTES = 8 << 30
+_DROP_CAPABILITY, _OF_RESOURCES = 24, 24
+"""Of prctl(2), and CAP_SYS_RESOURCE."""
 
 
 def test_clouds_and_document_are_read_back(recordings):
@@ -42,3 +52,23 @@ def test_damaged_recordings_are_read_or_refused(recordings, tmp_path):
         except UnreadableSourceError:
             refused += 1
     assert refused > 0
+
+
+def test_a_recording_is_read_under_a_limit_of_memory(recordings):
+    """As of `ulimit -v`, which only a privileged process could raise."""
+    code = "import sys; from pathlib import Path; from multilica.runs.run_documents import explain_run\n"
+    code += "print(explain_run(Path(sys.argv[1])).headline)"
+    ended = subprocess.run(
+        [sys.executable, "-c", code, str(recordings["partial"])],
+        preexec_fn=_limit_memory_for_good,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    assert ended.returncode == 0, ended.stderr
+
+
+def _limit_memory_for_good() -> None:
+    ctypes.CDLL(None).prctl(_DROP_CAPABILITY, _OF_RESOURCES, 0, 0, 0)
+    resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import dataclasses
 import importlib
 import json
 import os
@@ -18,6 +19,7 @@ from multilica.runs.run_documents import SavedPlacement
 from tests import opencalib
 from tests.bench import __main__ as bench
 from tests.bench import harder, real_scans, repeat, scaling, simulated, speed
+from tests.bench.robustness import soak
 from tests.bench.support import cases
 from tests.bench.support.cases import Case, LidarOutcome
 from tests.bench.support.claims import Claim, print_claims
@@ -43,7 +45,7 @@ _MISSED = _lidar("false_refuse", "not_observable", trial=Trial(accepted=True, co
 
 def test_every_measurement_can_be_run():
     for name in (*bench.MEASUREMENTS, *bench.ON_REQUEST):
-        assert callable(importlib.import_module(f"tests.bench.{name}").main)
+        assert callable(importlib.import_module(bench.module_of(name)).main)
 
 
 @pytest.mark.parametrize(("holds", "code"), [((True, True), 0), ((True, False), 1), ((False, True), 1)])
@@ -140,6 +142,15 @@ def test_each_claim_on_costs_can_fail(case, cost, failing):
     assert all(claim.holds for claim in scaling.claims(runs))
     [claim] = [claim for claim in scaling.claims(runs | {case: [cost] * 3}) if not claim.holds]
     assert claim.measure.startswith(failing)
+
+
+@pytest.mark.parametrize("grown", ["memory_mb", "threads", "files"])
+def test_what_grows_is_not_flat(grown):
+    loading, steady = soak.Use(50.0, 1.0, 3.0), soak.Use(100.0, 4.0, 10.0)
+    assert all(claim.holds for claim in soak.flat("made", [loading] * 10 + [steady] * 90))
+    more = dataclasses.replace(steady, **{grown: 1.06 * getattr(steady, grown)})
+    [claim] = [claim for claim in soak.flat("made", [loading] * 10 + [steady] * 80 + [more] * 10) if not claim.holds]
+    assert grown in claim.measure
 
 
 def test_the_cost_includes_processes_that_outlive_the_command(tmp_path, monkeypatch):
