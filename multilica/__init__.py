@@ -21,7 +21,7 @@ __version__ = "0.1.0"
 _NAMES = {
     "config": ("CalibrationConfig", "load_config", "preset"),
     "errors": ("InputError", "MultilicaError", "UsageError"),
-    "exchange": ("read_extrinsics",),
+    "exports": ("read_extrinsics",),
     "extrinsics": ("Extrinsics",),
     "geometry": ("RigidTransform",),
     "ingest": ("read_prior", "read_snapshot"),

@@ -78,6 +78,12 @@ DEFAULTS = {
         "--quiet": False,
         "--json": False,
     },
+    "export": {
+        **dict.fromkeys(("RUN", "--to", "--out", "--base", "--rig")),
+        "--frames": "names",
+        "--with-uncertain": False,
+        "--quiet": False,
+    },
     "datasets": {
         **dict.fromkeys(("NAME", "PATH", "--out", "--preset", "--target", "--topic", "--truth", "--set")),
         "--scenes": 10,
