@@ -12,7 +12,8 @@ import subprocess
 import sys
 
 FOLDERS = [f"tests/{name}" for name in ("unit", "property", "pipeline", "sinks")]
-PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *FOLDERS, "--ignore=tests/unit/project"]
+NEEDS_NO_CPU = "--ignore=tests/unit/project"
+PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *FOLDERS, NEEDS_NO_CPU]
 VARIABLES = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
 ALIASES = {"Katmai": "Prescott"}  # OpenBLAS has one kernel for both and reports the first name.
 
