@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command `multilica`."""
 
-import gc
-import os
 from collections.abc import Sequence
 from typing import Annotated
 
@@ -21,7 +19,7 @@ from multilica_cli.commands.simulate import simulate
 from multilica_cli.exit_codes import print_failure
 from multilica_cli.signals import Interrupted, received
 
-__all__ = ["app", "main", "run"]
+__all__ = ["app", "run"]
 
 app = typer.Typer(
     name="multilica",
@@ -51,19 +49,6 @@ for command in (
     demo,
 ):
     app.command()(command)
-
-
-_OBJECTS_BEFORE_COLLECTION = 500_000
-"""More than the modules of all libraries have: a run leaves a thousand objects to collect, so collections, by default
-after each 700 new objects, take time for nothing."""
-
-
-def main() -> int:
-    """Run the command line of this process and return its exit code."""
-    # Cores are used by worker processes. Libraries read this when they are loaded.
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
-    gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
-    return run()
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

@@ -20,4 +20,4 @@ Count = Annotated[int, Strict(), Field(ge=1)]
 class Section(BaseModel):
     """A table of the configuration: frozen, without unknown keys or numbers that are not finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)

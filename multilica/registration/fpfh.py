@@ -4,6 +4,7 @@
 They equal those of Open3D's tensor library up to rounding; the import of Open3D takes longer than to compute them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,7 +115,8 @@ def _bins(points_m: FloatArray, normals: FloatArray, pairs: IndexArray) -> npt.N
     """Return the bins (2, 3, K) of theta, alpha and phi of each pair, seen from its first and from its second point.
 
     With unit normals n1 and n2 and the unit vector d from the first to the second point, the angles follow from
-    n1 * d, n2 * d, n1 * n2 and (d x n1) * n2. The source of a pair is the point whose normal is nearer to d.
+    n1 * d, n2 * d, n1 * n2 and (d x n1) * n2. The source of a pair is the point whose normal is nearer to d: the same
+    from both, so that their bins are.
     """
     bins = np.empty((2, 3, pairs.shape[1]), dtype=np.uint8)
     columns = np.ascontiguousarray(normals.T)
@@ -126,14 +128,24 @@ def _bins(points_m: FloatArray, normals: FloatArray, pairs: IndexArray) -> npt.N
         of_first, of_second, turned = _dot(first, apart), _dot(second, apart), _dot(first, second)
         triple = _dot(_cross(apart, first), second)
         nearer = np.abs(of_second) - np.abs(of_first)
+        angles = of_first, of_second, turned, triple
+        bins[:, :, chunk] = _bins_of(angles, nearer > 0.0)
         # Where both are as near, each point is the source of its own pair.
-        for side, swap in enumerate((nearer > _ROUNDING, nearer >= -_ROUNDING)):
-            phi = np.where(swap, -of_second, of_first)
-            across = np.sqrt(np.maximum(1.0 - phi * phi, _ROUNDING**2))
-            theta = np.arctan2((np.where(swap, -of_first, of_second) - phi * turned) / across, turned)
-            for row, share in enumerate((theta / np.pi, triple / across, phi)):
-                bins[side, row, chunk] = row * _BINS + np.clip(0.5 * _BINS * (share + 1.0), 0, _BINS - 1)
+        if len(alike := np.flatnonzero(np.abs(nearer) <= _ROUNDING)):
+            for side, is_second in enumerate((False, True)):
+                bins[side][:, start + alike] = _bins_of([each[alike] for each in angles], is_second)
     return bins
+
+
+def _bins_of(angles: Sequence[FloatArray], second_is_source: npt.NDArray[np.bool_] | bool) -> npt.NDArray[np.uint8]:
+    """Return the bins (3, K) of theta, alpha and phi; `angles` are n1 * d, n2 * d, n1 * n2 and (d x n1) * n2."""
+    of_first, of_second, turned, triple = angles
+    phi = np.where(second_is_source, -of_second, of_first)
+    across = np.sqrt(np.maximum(1.0 - phi * phi, _ROUNDING**2))
+    theta = np.arctan2((np.where(second_is_source, -of_first, of_second) - phi * turned) / across, turned)
+    shares = np.stack([theta / np.pi, triple / across, phi])
+    of_angle = np.clip(0.5 * _BINS * (shares + 1.0), 0, _BINS - 1).astype(np.uint8)
+    return np.asarray(of_angle + _BINS * np.arange(3, dtype=np.uint8)[:, None])
 
 
 def _between(points_m: FloatArray, pairs: IndexArray) -> FloatArray:

@@ -92,7 +92,7 @@ def _nearest_pairs(target: FloatArray, source: FloatArray, *, mutual: bool) -> I
         rows = slice(start, start + _BLOCK)
         squared = left[rows] @ right
         nearest[rows] = squared.argmin(axis=1)
-        least[rows] = squared.min(axis=1)
+        least[rows] = squared[np.arange(len(squared)), nearest[rows]]
         np.minimum(least_of_target, squared.min(axis=0), out=least_of_target)
     if not mutual:
         return np.column_stack([np.arange(len(source)), nearest])

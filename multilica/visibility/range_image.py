@@ -60,6 +60,37 @@ _GAP_FACTOR = 2.5
 # At less than 3 deg of incidence, three returns rather span an edge between two surfaces.
 _MIN_INCIDENCE = 0.05
 _POLE_DIRECTIONS = 400
+# Triangles with a smaller height, in parts of their longest side, cannot be told from a line.
+_FLATTEST = 1e-12
+
+
+class _Triangulation(Delaunay):  # type: ignore[misc]  # SciPy has no types
+    """A Delaunay triangulation in the plane that computes the affine maps of all its triangles at once.
+
+    SciPy calls LAPACK for each, which takes as long as the triangulation.
+    """
+
+    _maps: FloatArray | None = None
+
+    @property
+    def transform(self) -> FloatArray:
+        """(T, 3, 2) as SciPy defines it: a matrix to barycentric coordinates, then the third corner; NaN if flat."""
+        if self._maps is None:
+            third = self.points[self.simplices[:, 2]]
+            (ax, ay), (bx, by) = ((self.points[self.simplices[:, corner]] - third).T for corner in (0, 1))
+            area = ax * by - bx * ay
+            longest = np.maximum(ax * ax + ay * ay, bx * bx + by * by)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                inverse = np.where(np.abs(area) > _FLATTEST * longest, 1.0 / area, np.nan)
+            self._maps = np.stack(
+                [
+                    np.stack([by * inverse, -bx * inverse], axis=1),
+                    np.stack([-ay * inverse, ax * inverse], axis=1),
+                    np.where(np.isnan(inverse)[:, None], np.nan, third),
+                ],
+                axis=1,
+            )
+        return self._maps
 
 
 def build_range_image(returns_m: Float32Array) -> RangeImage | None:
@@ -78,7 +109,7 @@ def build_range_image(returns_m: Float32Array) -> RangeImage | None:
     range_m = lengths(beams_m)
     directions = beams_m / range_m[:, None]
     to_pole = _rotation_to_pole(directions)
-    triangulation = Delaunay(_stereographic(beams_m @ to_pole.T, range_m))
+    triangulation = _Triangulation(_stereographic(beams_m @ to_pole.T, range_m))
     corners = triangulation.simplices
     longest_rad = _longest_edge_rad(directions[corners])
     spacing_rad = float(np.median(longest_rad))

@@ -41,7 +41,7 @@ def symmetric_poses(
     if min(len(walls_m), len(seen_m)) < _MIN_POINTS:
         return []
     across = np.linalg.svd(up[None])[2][1:]
-    plan: npt.NDArray[np.complex128] = scipy.fft.rfft2(
+    plan: npt.NDArray[np.complex128] = np.fft.rfft2(
         scipy.ndimage.maximum_filter(_plan((walls_m - pose.xyz_m) @ across.T), 3, mode="wrap")
     )
     needed = 0.5 * _overlap(plan, seen_m @ across.T)[0, 0]
@@ -75,7 +75,7 @@ def _plan(points_m: FloatArray) -> FloatArray:
 
 def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArray:
     """Count, per shift of the points in cells, the cells that coincide; (C, C)."""
-    overlap = scipy.fft.irfft2(plan * np.conj(scipy.fft.rfft2(_plan(points_m))), s=(_CELLS, _CELLS))
+    overlap = np.fft.irfft2(plan * np.conj(np.fft.rfft2(_plan(points_m))), s=(_CELLS, _CELLS))
     return np.asarray(np.rint(overlap), dtype=np.float64)
 
 

@@ -12,6 +12,7 @@ from contextlib import suppress
 from functools import partial
 from importlib import import_module
 
+from multilica.workers.allocator import keep_freed_memory
 from multilica.workers.failures import failure_of
 from multilica.workers.messages import UNREADABLE, Answer, Forgotten, Job
 from multilica.workers.parcels import pack, take, unpack
@@ -51,6 +52,7 @@ def serve(control_descriptor: int, modules: Sequence[str]) -> None:
     Until the modules are imported, SIGTERM ends this process; from then on, only the end of the control socket does.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_freed_memory()
     for module in modules:
         with suppress(Exception):  # raised again, to the caller, by the task that needs it
             import_module(module)

@@ -64,7 +64,8 @@ def _measure(command: list[str], cores: list[int]) -> tuple[int, Cost]:
     ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     os.sched_setaffinity(0, cores)
     start_s = time.perf_counter()
-    done = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True)
+    keeping_bytecode = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    done = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True, env=keeping_bytecode)
     wall_s = time.perf_counter() - start_s
     with suppress(ChildProcessError):
         while True:
