@@ -24,7 +24,7 @@ def main() -> None:
     gc.set_threshold(_OBJECTS_BEFORE_COLLECTION)
     os.environ |= _SETTINGS_OF_LIBRARIES | os.environ
     try:
-        from multilica.workers.allocator import keep_freed_memory
+        from multilica.allocator import keep_freed_memory
         from multilica_cli.main import run
 
         keep_freed_memory()

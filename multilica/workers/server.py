@@ -12,7 +12,7 @@ from contextlib import suppress
 from functools import partial
 from importlib import import_module
 
-from multilica.workers.allocator import keep_freed_memory
+from multilica.allocator import keep_freed_memory
 from multilica.workers.failures import failure_of
 from multilica.workers.messages import UNREADABLE, Answer, Forgotten, Job
 from multilica.workers.parcels import pack, take, unpack
