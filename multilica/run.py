@@ -29,6 +29,7 @@ from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
+from multilica.stages.base_frame import require_usable_rig
 from multilica.stages.prior import require_usable
 from multilica.steps.calibration_workers import open_calibration_workers
 from multilica.workers import Workers
@@ -56,6 +57,7 @@ class _Request:
 
     config: CalibrationConfig
     prior: str | None
+    rig: Extrinsics | None
     mcap_encoding: str
     observe: RunObserver
     workers: Workers
@@ -67,6 +69,7 @@ def run_calibration(
     config: CalibrationConfig | None = None,
     *,
     prior: str | None = None,
+    rig: Extrinsics | None = None,
     mcap_encoding: str = "foxglove",
     observe: RunObserver = events.ignore,
     workers: Workers | None = None,
@@ -82,6 +85,7 @@ def run_calibration(
         out: the run directory; None: `default_directory`.
         config: None: the default preset, with all frames of what `multilica record` took.
         prior: poses to try as well, as `read_prior` takes them.
+        rig: as for `calibrate`.
         mcap_encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
         observe: called with each event as it happens; not with those of the joint result.
         workers: an open pool, as `calibrate` takes it.
@@ -100,7 +104,7 @@ def run_calibration(
     found = find_snapshots(files, config=config.ingest)
     directory = default_directory(files, len(found)) if out is None else Path(out)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
-        request = _Request(config, prior, mcap_encoding, observe, pool)
+        request = _Request(config, prior, rig, mcap_encoding, observe, pool)
         if len(found) > 1:
             return _run_jointly(found, directory, request)
         return _run_one(_read(found[0], config, observe), directory, request)
@@ -134,6 +138,8 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
         prior = found.extrinsics
         for note in found.notes:
             request.observe(events.InputNoted(note))
+    if request.rig is not None:
+        require_usable_rig(request.rig, snapshot, request.config)
     beside = pass_aside if request.workers.processes else nullcontext
     with open_run(directory, request.config, request.mcap_encoding) as run:
 
@@ -144,7 +150,7 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
                 request.observe(event)
 
         with beside(pass_on) as observe:
-            result = calibrate(snapshot, request.config, observe, prior, request.workers)
+            result = calibrate(snapshot, request.config, observe, prior, request.workers, request.rig)
     return CalibrationRun(result, request.config, directory, run.written)
 
 
@@ -158,7 +164,7 @@ def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _R
         alone = [_run_alone(source, run.place / source.name, request) for source in sources]
         result = join(alone, config)
         shown = next(source for source in sources if source.name == shown_snapshot(result))
-        result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run)
+        result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run, request.rig)
     directories = tuple(path for source in sources if (path := directory / source.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 
@@ -170,7 +176,10 @@ def _run_alone(source: SnapshotSource, directory: Path, request: _Request) -> Sn
     try:
         snapshot = _read(source, config.model_copy(update={"target": ""}), request.observe)
         if config.target not in snapshot.names:
-            config = config.model_copy(update={"target": ""})
+            # The joint result has the ground under the target.
+            ground = config.ground.model_copy(update={"enabled": False})
+            config = config.model_copy(update={"target": "", "ground": ground})
+            request = replace(request, rig=None)
         result = _run_one(snapshot, directory, replace(request, config=config)).result
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(source.name, str(refusal)))

@@ -167,8 +167,16 @@ def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
     return "no_returns_in_range" if cleaned is not None and cleaned.points == 0 and not silent else None
 
 
+def _ground_warnings(document: ResultDocument) -> Iterator[str]:
+    if document.ground_refusal:
+        yield f"there is no base frame on the ground: {document.ground_refusal}."
+    if document.ground is not None and document.ground.doubt:
+        yield f"the base frame {document.ground.frame} on the ground is uncertain: {document.ground.doubt}."
+
+
 def _warnings(document: ResultDocument) -> Iterator[str]:
-    """Yield a sentence per doubt: unchecked placements, dirty sensors, priors far off, pairs that contradict others."""
+    """Yield a sentence per doubt: no ground, unchecked placements, dirty sensors, priors far off, odd pairs."""
+    yield from _ground_warnings(document)
     if document.accepted_by == "fitness" and len(document.placed) > 1:
         yield (
             "the placements were accepted by their fitness alone "

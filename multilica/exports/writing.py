@@ -85,9 +85,10 @@ def export_run(
     if format not in (*FORMATS, *CLOUD_FORMATS):
         raise UnknownNameError("format", format, (*FORMATS, *CLOUD_FORMATS))
     run, file = Path(run), _local(path)
-    if format == "urdf" and file.exists() and base is not None and rig is None:
-        raise UsageError(f"{file} exists and has its own frames; give --base together with --rig, or without a file.")
     document = read_run_document(run).document
+    known = () if document.ground is None else (document.ground.frame,)
+    if format == "urdf" and file.exists() and base not in (None, *known) and rig is None:
+        raise UsageError(f"{file} exists and has its own frames; give --base together with --rig, or without a file.")
     found = rig_of_run(
         document, base=base, rig=None if rig is None else Path(rig), frames=frames, with_uncertain=with_uncertain
     )

@@ -104,6 +104,7 @@ class CalibrationResult:
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
         snapshots: what each snapshot contributed; empty where there is only one.
         level: pose of the target in a frame with z up, for pictures; None without a ground plane.
+        ground_refusal: why there is no ground plane although one was asked for; else empty.
     """
 
     target: str
@@ -119,6 +120,7 @@ class CalibrationResult:
     trusted: tuple[PairRegistration, ...] = ()
     snapshots: tuple[SnapshotReport, ...] = ()
     level: RigidTransform | None = None
+    ground_refusal: str = ""
 
     @property
     def status(self) -> Status:

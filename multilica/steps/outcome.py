@@ -38,6 +38,7 @@ def result_of(state: CalibrationState) -> CalibrationResult:
         decisions=tuple(state.decisions),
         refinement=state.refinement,
         ground=state.ground,
+        ground_refusal=state.ground_refusal,
         trusted=tuple(trusted_pairs(state.registrations.values(), state.merges)),
         timing_s=dict(state.timing_s),
         health=tuple(state.health),

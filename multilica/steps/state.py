@@ -58,7 +58,9 @@ class CalibrationState:
     merges: list[PairRegistration] = field(default_factory=list)
     covariances: Mapping[str, FloatArray] = field(default_factory=dict)
     refinement: Refinement | None = None
+    rig: Extrinsics | None = None
     ground: GroundPlane | None = None
+    ground_refusal: str = ""
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @property

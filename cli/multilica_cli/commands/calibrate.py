@@ -45,6 +45,22 @@ def calibrate(
     ground: Annotated[
         bool, typer.Option("--ground", help="Also estimate roll, pitch and height above ground.")
     ] = False,
+    base: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FRAME",
+            help="Name of the base frame on the ground; implies --ground.",
+            show_default="the common frame of --rig, else base",
+        ),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="x, y and yaw of the target in FRAME: TOML, URDF or any format of export; implies --ground.",
+            show_default=False,
+        ),
+    ] = None,
     record: options.Record = None,
     mcap_encoding: options.McapEncoding = "foxglove",
     quiet: options.Quiet = False,
@@ -56,12 +72,19 @@ def calibrate(
     """
     from multilica.steps.calibration_workers import open_calibration_workers
 
+    known = None
+    if rig is not None:
+        from multilica import read_extrinsics
+
+        known = read_extrinsics(rig)
+        base = base or known.target
     given = {
         "target": target,
         "until": until,
         **ingest_options(topics, frames, start, window, window_s, strict=strict),
         **sigma_limits(max_sigma),
-        "ground.enabled": ground or None,
+        "ground.enabled": ground or base is not None or None,
+        "ground.frame": base,
         "runtime.workers": workers,
         "record.detail": record,
     }
@@ -78,7 +101,7 @@ def calibrate(
         config = resolve(frames_recorded(files))
         with show_progress(quiet=quiet) as observe:
             run = run_calibration(
-                files, out, config, prior=prior, mcap_encoding=mcap_encoding, observe=observe, workers=pool
+                files, out, config, prior=prior, rig=known, mcap_encoding=mcap_encoding, observe=observe, workers=pool
             )
     if as_json:
         typer.echo((run.directory / "result.json").read_text(encoding="utf-8"), nl=False)
