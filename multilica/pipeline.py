@@ -23,7 +23,7 @@ from multilica.steps.search import search_pairs
 from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate", "deadline_of"]
 
 _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (
     (("preprocess",), lambda state, _: clouds.preprocess_clouds(state)),
@@ -46,6 +46,7 @@ def calibrate(
     prior: Extrinsics | None = None,
     workers: Workers | None = None,
     rig: Extrinsics | None = None,
+    deadline_s: float | None = None,
 ) -> CalibrationResult:
     """Find where every LiDAR of the snapshot sits relative to the target LiDAR.
 
@@ -57,6 +58,7 @@ def calibrate(
             verified like the others. The result still has full poses, not corrections to the prior.
         rig: has the target in the base frame `config.ground.frame`, by name or frame id: x, y and yaw of the ground
             plane's base frame.
+        deadline_s: on `time.monotonic`, after which no pair is searched; by default `runtime.max_time_s` from now.
         workers: an open pool, to start it once for several calibrations; None: a pool of its own.
 
     Returns:
@@ -78,7 +80,8 @@ def calibrate(
         require_usable(prior, snapshot, config)
     if rig is not None:
         require_usable_rig(rig, snapshot, config)
-    state = CalibrationState(snapshot, config, observe, prior, rig=rig)
+    deadline_s = deadline_of(config) if deadline_s is None else deadline_s
+    state = CalibrationState(snapshot, config, observe, prior, rig=rig, deadline_s=deadline_s)
     observe(events.CalibrationStarted(snapshot, config, prior))
     try:
         with threadpool_limits(1), _opened(workers, config) as state.workers:
@@ -91,6 +94,11 @@ def calibrate(
     del state  # prepared LiDARs take most of the memory, and the sinks need some for the last files
     observe(events.CalibrationFinished(result))
     return result
+
+
+def deadline_of(config: CalibrationConfig) -> float:
+    """Return the end of `runtime.max_time_s` from now, on `time.monotonic`; infinite without a limit."""
+    return time.monotonic() + config.runtime.max_time_s if config.runtime.max_time_s else float("inf")
 
 
 def _opened(workers: Workers | None, config: CalibrationConfig) -> AbstractContextManager[Workers]:

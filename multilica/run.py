@@ -24,7 +24,7 @@ from multilica.ingest.locate import PathLike, locate
 from multilica.ingest.remote.address import stem_of
 from multilica.ingest.snapshot_metadata import config_for
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
-from multilica.pipeline import calibrate
+from multilica.pipeline import calibrate, deadline_of
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
@@ -61,6 +61,7 @@ class _Request:
     mcap_encoding: str
     observe: RunObserver
     workers: Workers
+    deadline_s: float
 
 
 def run_calibration(
@@ -101,10 +102,11 @@ def run_calibration(
     """
     files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
     config = config or CalibrationConfig(ingest=config_for(files))
+    deadline_s = deadline_of(config)
     found = find_snapshots(files, config=config.ingest)
     directory = default_directory(files, len(found)) if out is None else Path(out)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
-        request = _Request(config, prior, rig, mcap_encoding, observe, pool)
+        request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
             return _run_jointly(found, directory, request)
         return _run_one(_read(found[0], config, observe), directory, request)
@@ -150,7 +152,9 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
                 request.observe(event)
 
         with beside(pass_on) as observe:
-            result = calibrate(snapshot, request.config, observe, prior, request.workers, request.rig)
+            result = calibrate(
+                snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s
+            )
     return CalibrationRun(result, request.config, directory, run.written)
 
 

@@ -42,6 +42,12 @@ def calibrate(
     max_sigma: options.MaxSigma = None,
     until: Annotated[str | None, typer.Option(metavar="STAGE", help="Stop after this stage.")] = None,
     workers: options.Workers = None,
+    max_time_s: Annotated[
+        float | None,
+        typer.Option(
+            "--max-time", metavar="S", help="Search no pair later than this; ends with what it has, and says so."
+        ),
+    ] = None,
     ground: Annotated[
         bool, typer.Option("--ground", help="Also estimate roll, pitch and height above ground.")
     ] = False,
@@ -86,6 +92,7 @@ def calibrate(
         "ground.enabled": ground or base is not None or None,
         "ground.frame": base,
         "runtime.workers": workers,
+        "runtime.max_time_s": max_time_s,
         "record.detail": record,
     }
     resolve = partial(resolve_config, preset, config_file, given, settings or ())

@@ -109,6 +109,13 @@ class GroundEntry(Entry):
     text: str = Field(description="The same for people.")
 
 
+class TimeLimitEntry(Entry):
+    """What was left out because the time was over; equal runs may differ."""
+
+    max_time_s: float = Field(description="The limit, `runtime.max_time_s`.")
+    not_reached: tuple[tuple[str, str], ...] = Field(description="Pairs that could have placed a LiDAR.")
+
+
 class ResultDocument(Entry):
     """The outcome of a calibration run.
 
@@ -134,6 +141,7 @@ class ResultDocument(Entry):
     refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     ground_refusal: str = Field("", description="Why there is no ground plane although one was asked for; else empty.")
+    time_limit: TimeLimitEntry | None = Field(None, description="Set if the time was over before the search was.")
     timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
     input: InputEntry = Field(description="The snapshot that was calibrated.")
     config: Annotated[CalibrationConfig, WithJsonSchema({"type": "object"})] = Field(
