@@ -21,7 +21,7 @@ from multilica.ingest import (
     require_lidar,
 )
 from multilica.ingest.locate import PathLike, locate
-from multilica.ingest.remote.address import stem_of
+from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.snapshot_metadata import config_for
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.pipeline import calibrate, deadline_of
@@ -100,11 +100,12 @@ def run_calibration(
             `out` cannot be written to.
         WorkerDiedError: a worker process was killed or crashed.
     """
+    place = None if out is None else local_output(out, "out")
     files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
     config = config or CalibrationConfig(ingest=config_for(files))
     deadline_s = deadline_of(config)
     found = find_snapshots(files, config=config.ingest)
-    directory = default_directory(files, len(found)) if out is None else Path(out)
+    directory = default_directory(files, len(found)) if place is None else place
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:

@@ -12,7 +12,7 @@ from multilica.exports.run_rig import FrameNames, rig_of_run
 from multilica.exports.urdf_update import updated_urdf
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.ingest.remote.address import scheme_of, without_secrets
+from multilica.ingest.remote.address import local_output
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.files.atomic import atomic_file
 
@@ -109,10 +109,7 @@ def _export_cloud(run: Path, file: Path, kind: str, poses: Mapping[str, RigidTra
 
 
 def _local(path: str | Path) -> Path:
-    scheme = scheme_of(str(path))
-    if scheme:
-        raise UsageError(f"An export is a file on this machine; found --out {without_secrets(str(path))}.")
-    file = Path(path).expanduser()
+    file = local_output(path, "--out")
     if not file.parent.is_dir():
         raise UsageError(f"There is no directory {file.parent} for --out {file}; create it first.")
     return file

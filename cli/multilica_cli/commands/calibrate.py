@@ -27,7 +27,12 @@ def calibrate(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Directory for the results.", show_default="recordings/runs/<source>"),
+        typer.Option(
+            metavar="DIR",
+            help="Directory for the results.",
+            show_default="recordings/runs/<source>",
+            callback=options.local_path,
+        ),
     ] = None,
     prior: options.PriorSource = None,
     topics: options.Topics = None,

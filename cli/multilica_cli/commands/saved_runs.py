@@ -10,7 +10,7 @@ import typer
 
 from multilica.errors import UsageError
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Json, Quiet
+from multilica_cli.options import Json, Quiet, local_path
 from multilica_cli.terminal import print_json, stdout_console
 
 __all__ = ["diff", "evaluate", "explain", "report", "view"]
@@ -92,7 +92,10 @@ def evaluate(
         float, typer.Option(metavar="N", help="Sigmas above which an error is a false accept.")
     ] = 4.0,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write a .parquet or .csv table with a row per LiDAR.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Also write a .parquet or .csv table with a row per LiDAR.", callback=local_path
+        ),
     ] = None,
     table: Annotated[
         Literal["paper"] | None,
@@ -136,7 +139,10 @@ def view(
     run: Annotated[Path, _run("A run directory or a recording (.rrd), also one that was cut off.")],
     *,
     png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw a picture instead of opening a window; needs no screen.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw a picture instead of opening a window; needs no screen.", callback=local_path
+        ),
     ] = None,
     width_px: Annotated[int, typer.Option("--width", metavar="PX", help="Width of the picture.")] = 1600,
     height_px: Annotated[int, typer.Option("--height", metavar="PX", help="Height of the picture.")] = 900,
@@ -160,7 +166,8 @@ def report(
     run: Annotated[Path, _run("Run directory or recording (.rrd), complete or not.")],
     *,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="RUN/report.html")
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write.", show_default="RUN/report.html", callback=local_path),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
