@@ -56,7 +56,7 @@ class _Request:
     """What all snapshots of a run have in common."""
 
     config: CalibrationConfig
-    prior: str | None
+    prior: str | Extrinsics | None
     rig: Extrinsics | None
     mcap_encoding: str
     observe: RunObserver
@@ -69,7 +69,7 @@ def run_calibration(
     out: str | Path | None = None,
     config: CalibrationConfig | None = None,
     *,
-    prior: str | None = None,
+    prior: str | Extrinsics | None = None,
     rig: Extrinsics | None = None,
     mcap_encoding: str = "foxglove",
     observe: RunObserver = events.ignore,

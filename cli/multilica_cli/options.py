@@ -78,7 +78,7 @@ PriorSource = Annotated[
     typer.Option(
         "--prior",
         metavar="tf|FILE",
-        help="Known poses to try as well: tf (the recording's /tf_static), or a TOML or URDF file.",
+        help="Known poses to try as well: tf (the recording's /tf_static), or a TOML, URDF or other file of poses.",
         show_default=False,
     ),
 ]

@@ -1,15 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """`multilica calibrate`: calibration of a recording."""
 
+from __future__ import annotations
+
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from multilica_cli import options
 from multilica_cli.configuration import ingest_options, resolve_config, sigma_limits
 from multilica_cli.exit_codes import exit_code
+
+if TYPE_CHECKING:
+    from multilica.extrinsics import Extrinsics
 
 __all__ = ["calibrate"]
 
@@ -112,11 +117,21 @@ def calibrate(
         files = [locate(source) for source in sources]
         config = resolve(frames_recorded(files))
         with show_progress(quiet=quiet) as observe:
+            poses = _prior(prior)
             run = run_calibration(
-                files, out, config, prior=prior, rig=known, mcap_encoding=mcap_encoding, observe=observe, workers=pool
+                files, out, config, prior=poses, rig=known, mcap_encoding=mcap_encoding, observe=observe, workers=pool
             )
     if as_json:
         typer.echo((run.directory / "result.json").read_text(encoding="utf-8"), nl=False)
     else:
         print_run(run, quiet=quiet)
     return exit_code(run)
+
+
+def _prior(source: str | None) -> str | Extrinsics | None:
+    """Read a prior of a format that is not the library's own to read: it knows tf, TOML and URDF."""
+    if source is None or source == "tf" or Path(source).suffix in (".toml", ".urdf", ".xml", ".xacro"):
+        return source
+    from multilica import read_extrinsics
+
+    return read_extrinsics(source)
