@@ -29,9 +29,12 @@ __all__ = [
     "extrinsics_table",
     "pose_values",
     "read_extrinsics",
+    "require_metres",
 ]
 
 EXTRINSICS_SCHEMA: Literal["multilica/extrinsics/1"] = "multilica/extrinsics/1"
+_MAX_RIG_M = 100.0
+"""No vehicle is longer: such lengths are millimetres."""
 Number = Annotated[float, Strict(), AfterValidator(require_length)]
 Three = tuple[Number, Number, Number]
 Four = tuple[Number, Number, Number, Number]
@@ -115,6 +118,17 @@ class ExtrinsicsTable(BaseModel):
     rpy_convention: str = "degrees, extrinsic xyz: roll, then pitch, then yaw about the fixed axes of the target"
     lidars: Mapping[str, PoseTable]
     uncertain: Mapping[str, PoseTable] = Field(default_factory=dict, exclude=True)
+
+
+def require_metres(pose: RigidTransform, where: str) -> None:
+    """Refuse a pose that is farther off than any vehicle is long.
+
+    Raises:
+        InputError: so far off; `where` begins its sentence.
+    """
+    if max(abs(pose.xyz_m)) > _MAX_RIG_M:
+        found = ", ".join(str(value) for value in pose.xyz_m.tolist())
+        raise InputError(f"{where} has '{pose.source}' at {found} in '{pose.target}'; expected metres.")
 
 
 def extrinsics_table(extrinsics: Extrinsics) -> dict[str, Any]:

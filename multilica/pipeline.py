@@ -14,6 +14,7 @@ from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
+from multilica.stages.base_frame import require_usable_rig
 from multilica.stages.prior import require_usable
 from multilica.steps import clouds, outcome, rig
 from multilica.steps.calibration_workers import open_calibration_workers
@@ -22,7 +23,7 @@ from multilica.steps.search import search_pairs
 from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
 
-__all__ = ["calibrate"]
+__all__ = ["calibrate", "deadline_of"]
 
 _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (
     (("preprocess",), lambda state, _: clouds.preprocess_clouds(state)),
@@ -44,6 +45,8 @@ def calibrate(
     observe: Observer = events.ignore,
     prior: Extrinsics | None = None,
     workers: Workers | None = None,
+    rig: Extrinsics | None = None,
+    deadline_s: float | None = None,
 ) -> CalibrationResult:
     """Find where every LiDAR of the snapshot sits relative to the target LiDAR.
 
@@ -53,6 +56,9 @@ def calibrate(
         observe: called with each event of `multilica.events` as it happens.
         prior: poses that the user claims, by the LiDARs' names: one more hypothesis for each pair that it has,
             verified like the others. The result still has full poses, not corrections to the prior.
+        rig: has the target in the base frame `config.ground.frame`, by name or frame id: x, y and yaw of the ground
+            plane's base frame.
+        deadline_s: on `time.monotonic`, after which no pair is searched; by default `runtime.max_time_s` from now.
         workers: an open pool, to start it once for several calibrations; None: a pool of its own.
 
     Returns:
@@ -61,7 +67,8 @@ def calibrate(
     Raises:
         UnfitSnapshotError: fewer than two LiDARs have returns in range, the target has none, or the vehicle moves.
         UnknownNameError: the snapshot has no LiDAR of the target's name.
-        UsageError: the prior lacks two of the LiDARs, or verification is off, so that nothing could check it.
+        UsageError: the prior lacks two of the LiDARs, or verification is off, so that nothing could check it; the rig
+            lacks the base frame or a LiDAR that may become the target.
         MissingDependencyError: the configuration asks for an engine that is not installed.
         WorkerDiedError: a worker process was killed or crashed.
     """
@@ -71,7 +78,10 @@ def calibrate(
         snapshot[config.target]
     if prior is not None:
         require_usable(prior, snapshot, config)
-    state = CalibrationState(snapshot, config, observe, prior)
+    if rig is not None:
+        require_usable_rig(rig, snapshot, config)
+    deadline_s = deadline_of(config) if deadline_s is None else deadline_s
+    state = CalibrationState(snapshot, config, observe, prior, rig=rig, deadline_s=deadline_s)
     observe(events.CalibrationStarted(snapshot, config, prior))
     try:
         with threadpool_limits(1), _opened(workers, config) as state.workers:
@@ -84,6 +94,11 @@ def calibrate(
     del state  # prepared LiDARs take most of the memory, and the sinks need some for the last files
     observe(events.CalibrationFinished(result))
     return result
+
+
+def deadline_of(config: CalibrationConfig) -> float:
+    """Return the end of `runtime.max_time_s` from now, on `time.monotonic`; infinite without a limit."""
+    return time.monotonic() + config.runtime.max_time_s if config.runtime.max_time_s else float("inf")
 
 
 def _opened(workers: Workers | None, config: CalibrationConfig) -> AbstractContextManager[Workers]:

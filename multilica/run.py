@@ -21,14 +21,15 @@ from multilica.ingest import (
     require_lidar,
 )
 from multilica.ingest.locate import PathLike, locate
-from multilica.ingest.remote.address import stem_of
+from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.snapshot_metadata import config_for
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
-from multilica.pipeline import calibrate
+from multilica.pipeline import calibrate, deadline_of
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
+from multilica.stages.base_frame import require_usable_rig
 from multilica.stages.prior import require_usable
 from multilica.steps.calibration_workers import open_calibration_workers
 from multilica.workers import Workers
@@ -55,10 +56,12 @@ class _Request:
     """What all snapshots of a run have in common."""
 
     config: CalibrationConfig
-    prior: str | None
+    prior: str | Extrinsics | None
+    rig: Extrinsics | None
     mcap_encoding: str
     observe: RunObserver
     workers: Workers
+    deadline_s: float
 
 
 def run_calibration(
@@ -66,7 +69,8 @@ def run_calibration(
     out: str | Path | None = None,
     config: CalibrationConfig | None = None,
     *,
-    prior: str | None = None,
+    prior: str | Extrinsics | None = None,
+    rig: Extrinsics | None = None,
     mcap_encoding: str = "foxglove",
     observe: RunObserver = events.ignore,
     workers: Workers | None = None,
@@ -82,6 +86,7 @@ def run_calibration(
         out: the run directory; None: `default_directory`.
         config: None: the default preset, with all frames of what `multilica record` took.
         prior: poses to try as well, as `read_prior` takes them.
+        rig: as for `calibrate`.
         mcap_encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
         observe: called with each event as it happens; not with those of the joint result.
         workers: an open pool, as `calibrate` takes it.
@@ -95,12 +100,14 @@ def run_calibration(
             `out` cannot be written to.
         WorkerDiedError: a worker process was killed or crashed.
     """
+    place = None if out is None else local_output(out, "out")
     files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
     config = config or CalibrationConfig(ingest=config_for(files))
+    deadline_s = deadline_of(config)
     found = find_snapshots(files, config=config.ingest)
-    directory = default_directory(files, len(found)) if out is None else Path(out)
+    directory = default_directory(files, len(found)) if place is None else place
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
-        request = _Request(config, prior, mcap_encoding, observe, pool)
+        request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
             return _run_jointly(found, directory, request)
         return _run_one(_read(found[0], config, observe), directory, request)
@@ -134,6 +141,8 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
         prior = found.extrinsics
         for note in found.notes:
             request.observe(events.InputNoted(note))
+    if request.rig is not None:
+        require_usable_rig(request.rig, snapshot, request.config)
     beside = pass_aside if request.workers.processes else nullcontext
     with open_run(directory, request.config, request.mcap_encoding) as run:
 
@@ -144,7 +153,9 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
                 request.observe(event)
 
         with beside(pass_on) as observe:
-            result = calibrate(snapshot, request.config, observe, prior, request.workers)
+            result = calibrate(
+                snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s
+            )
     return CalibrationRun(result, request.config, directory, run.written)
 
 
@@ -158,7 +169,7 @@ def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _R
         alone = [_run_alone(source, run.place / source.name, request) for source in sources]
         result = join(alone, config)
         shown = next(source for source in sources if source.name == shown_snapshot(result))
-        result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run)
+        result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run, request.rig)
     directories = tuple(path for source in sources if (path := directory / source.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 
@@ -170,7 +181,10 @@ def _run_alone(source: SnapshotSource, directory: Path, request: _Request) -> Sn
     try:
         snapshot = _read(source, config.model_copy(update={"target": ""}), request.observe)
         if config.target not in snapshot.names:
-            config = config.model_copy(update={"target": ""})
+            # The joint result has the ground under the target.
+            ground = config.ground.model_copy(update={"enabled": False})
+            config = config.model_copy(update={"target": "", "ground": ground})
+            request = replace(request, rig=None)
         result = _run_one(snapshot, directory, replace(request, config=config)).result
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(source.name, str(refusal)))

@@ -42,11 +42,12 @@ class ExitCode(IntEnum):
 
 
 def exit_code(run: CalibrationRun) -> ExitCode:
-    """Return DONE if every LiDAR is placed, or if the run was to stop before it places any."""
+    """Return DONE if every LiDAR, and the ground if asked for, has a certain pose, or if the run was to stop before."""
     from multilica.config import STAGES
 
     stopped_early = STAGES.index(run.config.until) < STAGES.index("merge")
-    return ExitCode.DONE if stopped_early or run.result.status == "complete" else ExitCode.NOT_PLACED
+    doubt = run.result.ground_refusal or (run.result.ground is not None and run.result.ground.doubt)
+    return ExitCode.DONE if stopped_early or (run.result.status == "complete" and not doubt) else ExitCode.NOT_PLACED
 
 
 def print_failure(failure: BaseException) -> int:

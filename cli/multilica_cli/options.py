@@ -26,6 +26,7 @@ __all__ = [
     "Window",
     "WindowSeconds",
     "Workers",
+    "local_path",
     "mcap_name",
 ]
 
@@ -77,7 +78,7 @@ PriorSource = Annotated[
     typer.Option(
         "--prior",
         metavar="tf|FILE",
-        help="Known poses to try as well: tf (the recording's /tf_static), or a TOML or URDF file.",
+        help="Known poses to try as well: tf (the recording's /tf_static), or a TOML, URDF or other file of poses.",
         show_default=False,
     ),
 ]
@@ -123,12 +124,26 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else.")]
 
 
-def mcap_name(out: Path) -> Path:
-    """Return the path of an option unchanged.
+def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:
+    """Return the path of an option that names an output.
 
     Raises:
-        UsageError: it does not end in .mcap.
+        UsageError: it is an address.
     """
+    if path is None or ":" not in str(path):
+        return path
+    from multilica.ingest.remote.address import local_output
+
+    return local_output(path, option.opts[0])
+
+
+def mcap_name(option: typer.CallbackParam, out: Path) -> Path:
+    """Return the path of an option that names an MCAP file to write.
+
+    Raises:
+        UsageError: it is an address, or does not end in .mcap.
+    """
+    local_path(option, out)
     if out.suffix != ".mcap":
         raise UsageError(f"Found --out {out}; expected a name that ends in .mcap.")
     return out

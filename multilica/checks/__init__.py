@@ -4,7 +4,7 @@
 from multilica.checks.accept_run import accept_run
 from multilica.checks.check_document import CheckDocument, check_document
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, check_rig, joint_verdict
-from multilica.checks.reference import read_reference
+from multilica.checks.reference import poses_of, read_reference
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 from multilica.checks.verify_snapshot import verify_snapshot
 
@@ -19,6 +19,7 @@ __all__ = [
     "check_document",
     "check_rig",
     "joint_verdict",
+    "poses_of",
     "read_reference",
     "read_tolerances",
     "verify_snapshot",

@@ -10,7 +10,25 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.runs.run_documents import is_run, read_run_document
 
-__all__ = ["read_reference"]
+__all__ = ["poses_of", "read_reference"]
+
+
+def poses_of(path: Path) -> Extrinsics:
+    """Read the poses of the placed LiDARs of a run, or of any file that `read_extrinsics` takes.
+
+    Raises:
+        SourceNotFoundError: there is nothing.
+        UnreadableSourceError: it is damaged, or holds no poses.
+    """
+    if not path.exists():
+        raise SourceNotFoundError(f"No reference at {path}; give a calibration.toml, a run, or another file of poses.")
+    if not is_run(path):
+        return read_extrinsics(path)
+    document = read_run_document(path).document
+    placed = {name: pose for name, pose in document.poses.items() if name in document.placed}
+    if not placed:
+        raise UnreadableSourceError(f"{path} places no LiDAR; a reference needs a run that does.")
+    return Extrinsics(document.target, placed)
 
 
 def read_reference(path: Path, frame_ids: Mapping[str, str]) -> Extrinsics:
@@ -24,16 +42,7 @@ def read_reference(path: Path, frame_ids: Mapping[str, str]) -> Extrinsics:
         UnreadableSourceError: it is damaged, or holds no extrinsics.
         UsageError: it has fewer than two of the LiDARs.
     """
-    if not path.exists():
-        raise SourceNotFoundError(f"No reference at {path}; give a calibration.toml, a run, or another file of poses.")
-    if is_run(path):
-        document = read_run_document(path).document
-        placed = {name: pose for name, pose in document.poses.items() if name in document.placed}
-        if not placed:
-            raise UnreadableSourceError(f"{path} places no LiDAR; a reference needs a run that does.")
-        found = Extrinsics(document.target, placed)
-    else:
-        found = read_extrinsics(path)
+    found = poses_of(path)
     named = {
         name: next(known for known in (name, frame_id) if known in found.members)
         for name, frame_id in frame_ids.items()

@@ -5,7 +5,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from multilica.config.section import Positive, Section
+from multilica.config.section import NotNegative, Positive, Section
 
 __all__ = ["RecordConfig", "RuntimeConfig"]
 
@@ -18,6 +18,10 @@ class RuntimeConfig(Section):
         ge=0,
         description="worker processes; 0: one per core that this process may use; 1: none, this process does all work; "
         "any number gives the same bits",
+    )
+    max_time_s: NotNegative = Field(
+        0.0,
+        description="no pair is searched later than this after the start; 0: no limit; with one, equal runs may differ",
     )
     seed: int = Field(0, ge=0, description="seed of everything random")
 

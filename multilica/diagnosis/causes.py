@@ -42,6 +42,7 @@ WORDS: Mapping[Cause, str] = {
     "not_joined": "it is connected only to LiDARs that are not placed",
     "disputed": "the snapshots contradict each other, without a majority",
     "stopped_early": "the run was set to stop before LiDARs are placed",
+    "out_of_time": "the time was over (--max-time) before all of its pairs were searched",
     "unfinished": "the run ended before it was placed",
     "unknown": "no registration with another LiDAR was accepted",
 }
@@ -57,6 +58,7 @@ _STEPS_WITHOUT_PAIR: Mapping[Cause, str] = {
     "dead_sensor": "preprocess: no returns",
     "no_returns_in_range": "preprocess: no return was kept",
     "dirty_sensor": "preprocess: part of the field of view is covered",
+    "out_of_time": "correspond: its pairs were not searched",
     **dict.fromkeys(("disputed", "not_joined", "unknown"), "joint: comparison of the snapshots"),
 }
 
@@ -93,6 +95,7 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = {
         "check the result of each snapshot, in the subdirectory with its name",
     ),
     "stopped_early": ("run again without --until",),
+    "out_of_time": ("more time (--max-time), more --workers, or fewer --frames",),
     "unfinished": ("run again; every finished stage is in the recording",),
     "unknown": (_MORE_OVERLAP, _MORE_FRAMES),
 }

@@ -102,6 +102,8 @@ def _missing(document: ResultDocument, name: str) -> Missing:
     decisive = decisive_pair(pairs[0]) if pairs else None
     if document.snapshots:
         return _missing_jointly(document, name, pairs, decisive)
+    if any(name in pair for pair in (document.time_limit.not_reached if document.time_limit is not None else ())):
+        return _missing_by(document, name, "out_of_time", None, next_best_sentence(pairs))
     if decisive is not None and not decisive.codes:
         return _missing_from_rig(document, name, pairs, decisive)
     if decisive is not None and name not in (decisive.target, decisive.source):
@@ -167,8 +169,26 @@ def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
     return "no_returns_in_range" if cleaned is not None and cleaned.points == 0 and not silent else None
 
 
+def _time_warnings(document: ResultDocument) -> Iterator[str]:
+    if document.time_limit is not None:
+        not_reached = ", ".join(f"{one} - {other}" for one, other in document.time_limit.not_reached) or "none"
+        yield (
+            f"the time was over (--max-time {document.time_limit.max_time_s:g} s) before the search was; pairs that "
+            f"were not reached: {not_reached}; an equal run may come farther or less far."
+        )
+
+
+def _ground_warnings(document: ResultDocument) -> Iterator[str]:
+    if document.ground_refusal:
+        yield f"there is no base frame on the ground: {document.ground_refusal}."
+    if document.ground is not None and document.ground.doubt:
+        yield f"the base frame {document.ground.frame} on the ground is uncertain: {document.ground.doubt}."
+
+
 def _warnings(document: ResultDocument) -> Iterator[str]:
-    """Yield a sentence per doubt: unchecked placements, dirty sensors, priors far off, pairs that contradict others."""
+    """Yield a sentence per doubt: no ground, unchecked placements, dirty sensors, priors far off, odd pairs."""
+    yield from _time_warnings(document)
+    yield from _ground_warnings(document)
     if document.accepted_by == "fitness" and len(document.placed) > 1:
         yield (
             "the placements were accepted by their fitness alone "

@@ -26,6 +26,7 @@ Cause = Literal[
     "not_joined",
     "disputed",
     "stopped_early",
+    "out_of_time",
     "unfinished",
     "unknown",
 ]

@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from multilica.errors import InputError, UnknownNameError, UsageError
 from multilica.exports.reading import read_extrinsics
-from multilica.exports.values import number_text
-from multilica.extrinsics import Extrinsics
+from multilica.extrinsics import Extrinsics, require_metres
 from multilica.geometry import RigidTransform
 from multilica.results.document import ResultDocument
+from multilica.results.document.result import GroundEntry
 
 __all__ = ["FrameNames", "RunRig", "rig_of_run"]
 
 FrameNames = Literal["names", "ids"]
-_MAX_RIG_M = 100.0
-"""No vehicle is longer: such lengths are millimetres."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,14 +52,15 @@ def rig_of_run(
     """Return the poses of the placed LiDARs of a run.
 
     Args:
-        base: the common frame: a LiDAR's frame, a frame of `rig`, or, without `rig`, another name of the target's
-            frame; by default the common frame of `rig`, else the target's.
+        base: the common frame: a LiDAR's frame, a frame of `rig`, or, without `rig`, the base frame on the ground that
+            the run found, or another name of the target's frame; by default the common frame of `rig`, else the base
+            frame of the run if a rig file gave it x, y and yaw, else the target's.
         rig: a file of extrinsics with the pose of the target in `base`, under its name or its frame id.
         frames: whether a LiDAR's frame has its name, or is the frame id of its messages.
-        with_uncertain: also take the uncertain LiDARs.
+        with_uncertain: also take the uncertain LiDARs, and a base frame that is uncertain.
 
     Raises:
-        InputError: only the target is placed, or frame ids are missing or not unique.
+        InputError: only the target is placed, frame ids are missing or not unique, or the base frame is uncertain.
         UnknownNameError: `rig` lacks the base frame or the target.
         UsageError: a frame cannot be named.
     """
@@ -71,7 +72,12 @@ def rig_of_run(
     target = named[document.target]
     poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}
     found = Extrinsics(target, {frame: pose for frame, pose in poses.items() if frame != target})
-    found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
+    ground = None if rig is not None else _own_base(document, base, with_uncertain=with_uncertain)
+    if ground is not None:
+        T_base_target = RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))
+        found = _seen_from(found, T_base_target)
+    else:
+        found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
     for frame in found.members:
         _require_name(frame)
     return RunRig(found, named, missing)
@@ -111,8 +117,27 @@ def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple
     base = T_base_target.target
     if base in found.members and rig is not None and base != found.target:
         raise UsageError(f"The base frame '{base}' has the name of a LiDAR of the run; give another one.")
+    return _seen_from(found, T_base_target)
+
+
+def _seen_from(found: Extrinsics, T_base_target: RigidTransform) -> Extrinsics:
+    """Return the same poses in the base frame, where the target has a pose of its own."""
+    base = T_base_target.target
     poses = {frame: T_base_target @ found.between(found.target, frame) for frame in found.members if frame != base}
     return Extrinsics(base, dict(sorted(poses.items())))
+
+
+def _own_base(document: ResultDocument, base: str | None, *, with_uncertain: bool) -> GroundEntry | None:
+    """Return the base frame on the ground that the run found, if that is what is asked for."""
+    ground = document.ground
+    if ground is None or (ground.T_base_target_rig is None if base is None else base != ground.frame):
+        return None
+    if ground.doubt and not with_uncertain:
+        raise InputError(
+            f"The base frame '{ground.frame}' of the run is uncertain: {ground.doubt}; give --with-uncertain, or "
+            f"another frame as --base."
+        )
+    return ground
 
 
 def _base_pose(known: Extrinsics, base: str, names: tuple[str, str], rig: Path) -> RigidTransform:
@@ -122,9 +147,7 @@ def _base_pose(known: Extrinsics, base: str, names: tuple[str, str], rig: Path) 
     if base not in known.members:
         raise UnknownNameError("frame", base, known.members, str(rig))
     pose = known.between(base, target)
-    if max(abs(pose.xyz_m)) > _MAX_RIG_M:
-        lengths = ", ".join(map(number_text, pose.xyz_m.tolist()))
-        raise InputError(f"{rig} has '{target}' at {lengths} in '{base}'; expected metres.")
+    require_metres(pose, str(rig))
     return pose
 
 

@@ -12,7 +12,7 @@ from multilica.exports.run_rig import FrameNames, rig_of_run
 from multilica.exports.urdf_update import updated_urdf
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.ingest.remote.address import scheme_of, without_secrets
+from multilica.ingest.remote.address import local_output
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.files.atomic import atomic_file
 
@@ -85,9 +85,10 @@ def export_run(
     if format not in (*FORMATS, *CLOUD_FORMATS):
         raise UnknownNameError("format", format, (*FORMATS, *CLOUD_FORMATS))
     run, file = Path(run), _local(path)
-    if format == "urdf" and file.exists() and base is not None and rig is None:
-        raise UsageError(f"{file} exists and has its own frames; give --base together with --rig, or without a file.")
     document = read_run_document(run).document
+    known = () if document.ground is None else (document.ground.frame,)
+    if format == "urdf" and file.exists() and base not in (None, *known) and rig is None:
+        raise UsageError(f"{file} exists and has its own frames; give --base together with --rig, or without a file.")
     found = rig_of_run(
         document, base=base, rig=None if rig is None else Path(rig), frames=frames, with_uncertain=with_uncertain
     )
@@ -108,10 +109,7 @@ def _export_cloud(run: Path, file: Path, kind: str, poses: Mapping[str, RigidTra
 
 
 def _local(path: str | Path) -> Path:
-    scheme = scheme_of(str(path))
-    if scheme:
-        raise UsageError(f"An export is a file on this machine; found --out {without_secrets(str(path))}.")
-    file = Path(path).expanduser()
+    file = local_output(path, "--out")
     if not file.parent.is_dir():
         raise UsageError(f"There is no directory {file.parent} for --out {file}; create it first.")
     return file

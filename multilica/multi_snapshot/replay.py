@@ -13,10 +13,12 @@ from threadpoolctl import threadpool_limits
 from multilica import events
 from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.events import Observer
+from multilica.extrinsics import Extrinsics
 from multilica.results import CalibrationResult, GroundPlane, PreprocessedCloud, Refinement, SnapshotReport
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from multilica.stages.ground import estimate_ground, estimate_level
+from multilica.stages.ground import estimate_level
 from multilica.stages.preprocess import preprocess
+from multilica.steps.rig import ground_under
 
 __all__ = ["replay", "shown_snapshot"]
 
@@ -31,13 +33,18 @@ def shown_snapshot(result: CalibrationResult) -> str:
 
 
 def replay(
-    snapshot: Snapshot, result: CalibrationResult, config: CalibrationConfig, observe: Observer
+    snapshot: Snapshot,
+    result: CalibrationResult,
+    config: CalibrationConfig,
+    observe: Observer,
+    rig: Extrinsics | None = None,
 ) -> CalibrationResult:
     """Emit the events of a joint result with the clouds of one of its snapshots.
 
     Args:
         snapshot: the one that `shown_snapshot` names.
         observe: called with the events of the joint stages and of the pairs of that snapshot.
+        rig: as for `calibrate`.
 
     Returns:
         The result with the ground plane of that snapshot, if the configuration asks for it.
@@ -45,6 +52,7 @@ def replay(
     placed = {place.lidar: place.T_target_source for place in result.placements if place.T_target_source is not None}
     clouds: list[PreprocessedCloud] = []
     ground: GroundPlane | None = None
+    refusal = ""
     shown = _of_all(snapshot, result)
     observe(events.CalibrationStarted(shown, config))
     with threadpool_limits(1):
@@ -61,13 +69,12 @@ def replay(
             observe(events.RigRefined(result.refinement or Refinement(), poses))
         if config.ground.enabled and config.until == STAGES[-1]:
             with _stage("ground", observe):
-                merged_m = np.concatenate(
-                    [placed[cloud.lidar].apply(cloud.points_m) for cloud in clouds if cloud.lidar in placed]
-                )
-                ground, reason = estimate_ground(result.target, merged_m, config.ground, config.runtime.seed)
+                points_m = {cloud.lidar: cloud.points_m for cloud in clouds}
+                ground, reason = ground_under(shown, result.target, points_m, placed, config, rig)
+                refusal = "" if ground else reason
                 observe(events.GroundEstimated(ground, reason))
     level = estimate_level(result.target, {cloud.lidar: cloud.points_m for cloud in clouds}, placed, config)
-    result = replace(result, ground=ground, level=level)
+    result = replace(result, ground=ground, ground_refusal=refusal, level=level)
     observe(events.CalibrationFinished(result))
     return result
 

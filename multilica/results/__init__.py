@@ -8,6 +8,7 @@ from multilica.results.calibration import (
     SnapshotDeviation,
     SnapshotReport,
     Status,
+    TimeLimit,
 )
 from multilica.results.clouds import FeatureCloud, PreprocessedCloud, SensorHealth
 from multilica.results.hypotheses import (
@@ -74,6 +75,7 @@ __all__ = [
     "Spread",
     "Stability",
     "Status",
+    "TimeLimit",
     "Verdict",
     "VisibilityScore",
     "connected",

@@ -7,11 +7,12 @@ from typing import Literal
 
 from multilica.geometry import RigidTransform
 from multilica.results.clouds import SensorHealth
+from multilica.results.hypotheses import PairKey
 from multilica.results.merging import MergeDecision, Refinement
 from multilica.results.placements import GroundPlane, LidarPlacement
 from multilica.results.registrations import PairRegistration
 
-__all__ = ["LEVEL_FRAME", "CalibrationResult", "Refusal", "SnapshotDeviation", "SnapshotReport", "Status"]
+__all__ = ["LEVEL_FRAME", "CalibrationResult", "Refusal", "SnapshotDeviation", "SnapshotReport", "Status", "TimeLimit"]
 
 LEVEL_FRAME = "level"
 
@@ -89,6 +90,18 @@ class SnapshotReport:
         return f"agrees: {largest.lidar} is off most, by {largest.text}"
 
 
+@dataclass(frozen=True, slots=True)
+class TimeLimit:
+    """What a calibration left out because its time was over; an equal run may come farther, or less far.
+
+    Args:
+        not_reached: pairs that could have placed a LiDAR.
+    """
+
+    max_time_s: float
+    not_reached: tuple[PairKey, ...]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
     """The outcome.
@@ -104,6 +117,8 @@ class CalibrationResult:
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
         snapshots: what each snapshot contributed; empty where there is only one.
         level: pose of the target in a frame with z up, for pictures; None without a ground plane.
+        time_limit: None if the search was not cut short.
+        ground_refusal: why there is no ground plane although one was asked for; else empty.
     """
 
     target: str
@@ -119,6 +134,8 @@ class CalibrationResult:
     trusted: tuple[PairRegistration, ...] = ()
     snapshots: tuple[SnapshotReport, ...] = ()
     level: RigidTransform | None = None
+    ground_refusal: str = ""
+    time_limit: TimeLimit | None = None
 
     @property
     def status(self) -> Status:

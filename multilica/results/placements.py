@@ -26,15 +26,48 @@ class GroundPlane:
     Args:
         normal: (3,) unit, upwards, in the target frame.
         offset_m: ``normal @ p + offset_m == 0`` on the plane, so the target LiDAR's height above ground.
-        T_base_target: roll, pitch and z of the target LiDAR in an ISO 8855 base frame on the ground below it; x, y and
-            yaw are zero.
-        inlier_share: share of the merged cloud that lies on the plane.
+        T_base_target: the target LiDAR in an ISO 8855 base frame on the ground: roll, pitch and z from the plane; x, y
+            and yaw from a rig file, else zero.
+        inlier_share: share of the merged cloud near the vehicle, by the area that it covers, that is ground.
+        area_m2: of the ground that is seen.
+        residual_m: RMS distance of its points from a smooth surface.
+        sigma_z_m, sigma_roll_pitch_deg: standard deviation of z, and (2,) of the rotation about the base's x and y.
+        doubt: why the plane is uncertain; empty if it is not.
+        T_base_target_rig: the pose of the target as the rig file has it; None without one.
     """
 
     normal: FloatArray
     offset_m: float
     T_base_target: RigidTransform
     inlier_share: float
+    area_m2: float
+    residual_m: float
+    sigma_z_m: float
+    sigma_roll_pitch_deg: FloatArray
+    doubt: str = ""
+    T_base_target_rig: RigidTransform | None = None
+
+    @property
+    def frame(self) -> str:
+        """Name of the base frame."""
+        return self.T_base_target.target
+
+    @property
+    def text(self) -> str:
+        """The plane in one sentence, for people."""
+        roll_deg, pitch_deg, _ = self.T_base_target.rpy_deg
+        above = f"{self.T_base_target.source} is {self.offset_m:.3f} m above it"
+        parts = [
+            f"{above}, roll {roll_deg:z.2f} deg, pitch {pitch_deg:z.2f} deg",
+            f"sigma {1e3 * self.sigma_z_m:.1f} mm, {self.sigma_roll_pitch_deg.max():.3f} deg",
+            f"{self.area_m2:.0f} m2 are seen, {1e3 * self.residual_m:.1f} mm from smooth",
+        ]
+        if self.T_base_target_rig is not None:
+            off_m = self.T_base_target_rig.xyz_m[2] - self.offset_m
+            up = self.T_base_target_rig.rotation[2]
+            tilt_deg = np.rad2deg(2.0 * np.arcsin(min(1.0, float(np.linalg.norm(up - self.normal)) / 2.0)))
+            parts.append(f"the rig file is off by {1e3 * off_m:+.0f} mm, {tilt_deg:.2f} deg")
+        return f"{'; '.join(parts)}{f'; UNCERTAIN: {self.doubt}' if self.doubt else ''}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,7 +18,7 @@ from multilica.runs.first_difference import Change, Parting, partings_of
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import RunDocument
 
-__all__ = ["DifferenceDocument", "RunDifference", "compare_runs", "difference_document"]
+__all__ = ["DifferenceDocument", "RunDifference", "compare_poses", "compare_runs", "difference_document"]
 
 PlacementStatus = Literal["placed", "uncertain", "not placed", "missing"]
 
@@ -162,6 +162,41 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
         ),
         partings=partings_of(first, second),
         notes=_notes(before, after),
+    )
+
+
+def compare_poses(
+    names: tuple[str, str], before: Extrinsics, after: Extrinsics, *, within_m: float, within_rad: float
+) -> RunDifference:
+    """Compare two sets of poses, of which one at least is no run; a LiDAR that only one of them has counts.
+
+    Raises:
+        InputError: fewer than two LiDARs are in both.
+    """
+    common = sorted(before.members & after.members)
+    if len(common) < 2:
+        raise InputError(f"{names[0]} and {names[1]} have {len(common)} LiDARs in common; expected two or more.")
+    target = before.target if before.target in common else common[0]
+    rigs, limits = (before, after), (within_m, within_rad)
+    # The common frame of a file may be that of the vehicle.
+    compared = (before.members | after.members) - {before.target, after.target} | {*common}
+    return RunDifference(
+        names=names,
+        target=target,
+        targets=(target, target),
+        moves=tuple(_move(target, name, rigs, None, limits, uncertain=False) for name in common if name != target),
+        statuses=tuple(
+            StatusChange(
+                lidar=name,
+                before="placed" if name in before.members else "missing",
+                after="placed" if name in after.members else "missing",
+                why="only one of the two has it",
+            )
+            for name in sorted(compared - {*common})
+        ),
+        neither=(),
+        partings=(),
+        notes=(),
     )
 
 

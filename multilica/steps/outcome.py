@@ -2,7 +2,7 @@
 """Outcome of a calibration: a pose or a reason per LiDAR."""
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations
+from itertools import chain, combinations
 
 from multilica.acceptance.accept import imprecision
 from multilica.config import STAGES
@@ -17,6 +17,7 @@ from multilica.results import (
     MergeDecision,
     PairRegistration,
     Refusal,
+    TimeLimit,
 )
 from multilica.stages.ground import estimate_level
 from multilica.stages.prior import known_between
@@ -38,6 +39,8 @@ def result_of(state: CalibrationState) -> CalibrationResult:
         decisions=tuple(state.decisions),
         refinement=state.refinement,
         ground=state.ground,
+        ground_refusal=state.ground_refusal,
+        time_limit=TimeLimit(state.config.runtime.max_time_s, state.not_reached) if state.cut_short else None,
         trusted=tuple(trusted_pairs(state.registrations.values(), state.merges)),
         timing_s=dict(state.timing_s),
         health=tuple(state.health),
@@ -136,6 +139,9 @@ def _reason(name: str, target: str, state: CalibrationState) -> str:
         return "it has no returns in range"
     if state.config.until in STAGES[: STAGES.index("merge")]:
         return f"the run stopped after stage {state.config.until} (--until)"
+    missed = sorted({*chain.from_iterable(pair for pair in state.not_reached if name in pair)} - {name})
+    if missed:
+        return f"the time was over (--max-time) before its pairs with {', '.join(missed)} were searched"
     own = [pair for pair in state.registrations.values() if name in pair.lidars]
     if not own:
         return "no pose was found against any other LiDAR"

@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stages that work on the whole rig."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from multilica import events
 from multilica.acceptance.rig import is_contradicted
-from multilica.geometry import FloatArray
-from multilica.results import Group, Hypothesis, PairRegistration, PreprocessedCloud
+from multilica.config import CalibrationConfig
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import GroundPlane, Group, Hypothesis, PairRegistration, PreprocessedCloud
+from multilica.snapshot import Snapshot
+from multilica.stages.base_frame import known_in_base
 from multilica.stages.fine import Side, prepare_side, select_finalists
-from multilica.stages.ground import estimate_ground
+from multilica.stages.ground import estimate_ground, middle_of
 from multilica.stages.group_registration import poses_between, register_groups
 from multilica.stages.merge import merge_along_graph, merge_by_fitness, merge_target_first
 from multilica.stages.refine import refine, trusted_pairs
@@ -19,7 +23,7 @@ from multilica.steps.pairs import SearchRequest, register_sides, search_pair
 from multilica.steps.prepared_lidar import prepare_lidar
 from multilica.steps.state import CalibrationState
 
-__all__ = ["fit_ground", "merge_pairs", "refine_rig"]
+__all__ = ["fit_ground", "ground_under", "merge_pairs", "refine_rig"]
 
 
 def merge_pairs(state: CalibrationState) -> None:
@@ -131,6 +135,31 @@ def fit_ground(state: CalibrationState) -> None:
     """Fit the ground plane to the merged cloud, if the configuration asks for it."""
     if not state.config.ground.enabled or state.group is None:
         return
-    points_m = _merged_points(state, state.group)
-    state.ground, reason = estimate_ground(state.target, points_m, state.config.ground, state.config.runtime.seed)
+    clouds = {name: cloud.points_m for name, cloud in state.clouds.items()}
+    state.ground, reason = ground_under(state.snapshot, state.target, clouds, state.poses, state.config, state.rig)
+    state.ground_refusal = "" if state.ground else reason
     state.observe(events.GroundEstimated(state.ground, reason))
+
+
+def ground_under(
+    snapshot: Snapshot,
+    target: str,
+    clouds: Mapping[str, FloatArray],
+    poses: Mapping[str, RigidTransform],
+    config: CalibrationConfig,
+    rig: Extrinsics | None,
+) -> tuple[GroundPlane | None, str]:
+    """Estimate the ground from the clouds of the placed LiDARs, as `estimate_ground`.
+
+    Args:
+        clouds: per LiDAR (N, 3) in its own frame.
+        poses: ``T_target_lidar`` of the placed LiDARs.
+        rig: has the pose of the target in the base frame.
+    """
+    known = None
+    if rig is not None:
+        known = known_in_base(rig, config.ground.frame, snapshot[target])
+        if known is None:
+            return None, f"the rig file has no pose of the target {target}"
+    points_m = np.concatenate([pose.apply(clouds[name]) for name, pose in sorted(poses.items()) if name in clouds])
+    return estimate_ground(target, points_m, config, middle_of(poses), known)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Search for the poses of pairs until accepted pairs link all LiDARs."""
 
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 
@@ -12,7 +13,7 @@ from multilica.registration.poses import is_distinct
 from multilica.results import PairKey, PairRegistration
 from multilica.stages.loops import choose_loops, implied_poses, is_open
 from multilica.stages.prior import known_between
-from multilica.stages.search_order import next_round, pairs_by_role
+from multilica.stages.search_order import components, next_round, pairs_by_role
 from multilica.stages.target import choose_target
 from multilica.steps.pairs import (
     PAIR_STAGES,
@@ -37,6 +38,17 @@ def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
     Args:
         until: the last stage to run; before `fine`, all pairs are searched so far.
     """
+    try:
+        _search_all(state, until)
+    finally:
+        if state.cut_short:
+            group = components(list(state.clouds), [(pair.target, pair.source) for pair in state.accepted])
+            state.not_reached = tuple(
+                pair for pair in state.pairs if pair not in state.coarse and group[pair[0]] != group[pair[1]]
+            )
+
+
+def _search_all(state: CalibrationState, until: Stage) -> None:
     usual = state.config.features.voxel_size_m
     if not state.config.verify.enabled:
         target, _ = choose_target(state.config.target, state.clouds, ())
@@ -53,6 +65,8 @@ def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
         while True:
             accepted = [(pair.target, pair.source) for pair in state.accepted]
             pairs = next_round(list(state.clouds), accepted, tried, promise)
+            if pairs and state.out_of_time:
+                state.cut_short, pairs = True, []
             if not pairs and not _close_loops(state, tried):
                 break
             if pairs and voxel_size_m != usual:
@@ -67,6 +81,16 @@ def _not_to_widen(state: CalibrationState) -> set[PairKey]:
 
 
 def _search(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
+    """Search pairs as long as there is time."""
+    at_once = max(1, len(pairs) if math.isinf(state.deadline_s) else state.workers.processes)
+    for first in range(0, len(pairs), at_once):
+        if state.out_of_time:
+            state.cut_short = True
+            return
+        _search_now(state, pairs[first : first + at_once], voxel_size_m, until)
+
+
+def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
     """Search pairs; a pair that was searched before with other descriptors is replaced only if it is accepted now."""
     requests = [SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until) for pair in pairs]
     for pair, found in zip(pairs, state.workers.map(search_pair, requests), strict=True):
@@ -109,6 +133,8 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     chosen = choose_loops(
         {pair: score for pair, score in scores.items() if pair not in contradicted}, limits.min_evidence
     )
+    if chosen and state.out_of_time:
+        state.cut_short, chosen = True, []
     registered = state.workers.map(register_implied, [poses[pair] for pair in chosen])
     for pair, found in zip(chosen, registered, strict=True):
         if _moved_away(found, poses[pair]):
@@ -119,7 +145,8 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
             state.registrations[pair] = found
     pairs = sorted(contradicted - searched)
     searched.update(pairs)
-    _search(state, pairs, state.config.features.voxel_size_m)
+    # Whatever the time: without them, a wrong pair could pass.
+    _search_now(state, pairs, state.config.features.voxel_size_m)
     return _check_pairs(state)
 
 

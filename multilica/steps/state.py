@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Results of the stages so far."""
 
+import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import combinations
@@ -58,13 +59,23 @@ class CalibrationState:
     merges: list[PairRegistration] = field(default_factory=list)
     covariances: Mapping[str, FloatArray] = field(default_factory=dict)
     refinement: Refinement | None = None
+    rig: Extrinsics | None = None
     ground: GroundPlane | None = None
+    ground_refusal: str = ""
+    deadline_s: float = float("inf")
+    cut_short: bool = False
+    not_reached: tuple[PairKey, ...] = ()
     timing_s: dict[str, float] = field(default_factory=dict)
 
     @property
     def pairs(self) -> list[PairKey]:
         """All pairs of LiDARs with returns, in name order."""
         return list(combinations(self.clouds, 2))
+
+    @property
+    def out_of_time(self) -> bool:
+        """Whether the time of the whole calibration is over."""
+        return time.monotonic() > self.deadline_s
 
     @property
     def accepted(self) -> list[PairRegistration]:

@@ -57,7 +57,8 @@ def test_a_lidar_without_a_prior_is_noted(invoke: Invoke, two_lidars: Path, tmp_
         (["--prior", "nowhere.toml"], ExitCode.INPUT, "nowhere.toml"),
         (["--prior", "nowhere.urdf"], ExitCode.INPUT, "nowhere.urdf"),
         (["--prior", "car.xacro"], ExitCode.INPUT, "run xacro first"),
-        (["--prior", "notes.txt"], ExitCode.USAGE, "'tf', a .toml file of extrinsics or a .urdf file"),
+        (["--prior", "notes.txt"], ExitCode.INPUT, "notes.txt"),
+        (["--prior", "nowhere.csv"], ExitCode.INPUT, "nowhere.csv"),
         (["--prior", "drawing.toml", "--preset", "paper"], ExitCode.USAGE, "verify.enabled"),
     ],
 )

@@ -46,8 +46,8 @@ def test_the_ground_gives_roll_pitch_and_height_of_the_target(complete):
     truth = sides().truth.T_target_source[result.target]
     found = result.ground.T_base_target
     assert (found.target, found.source) == ("base", result.target)
-    assert np.all(np.abs(found.rpy_deg[:2] - truth.rpy_deg[:2]) < 1.0)
-    assert abs(found.xyz_m[2] - truth.xyz_m[2]) < 0.05
+    assert np.all(np.abs(found.rpy_deg[:2] - truth.rpy_deg[:2]) < 0.05)
+    assert abs(found.xyz_m[2] - truth.xyz_m[2]) < 0.005
     assert of(events.GroundEstimated, seen)[0].ground is result.ground
 
 

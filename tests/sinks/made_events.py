@@ -258,14 +258,14 @@ class _MadeRun:
         return events.MergeStepTaken(self.decisions[-1], poses)
 
     def refine(self):
-        residual = PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9)
         placed = tuple(pose for name, pose in TRUTH.items() if name not in self.refused)
-        yield events.RigRefined(Refinement((residual,)), placed)
+        yield events.RigRefined(Refinement((PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9),)), placed)
 
     def ground(self):
         base = RigidTransform.from_xyz_rpy("base", TARGET, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0))
-        self.ground_plane = GroundPlane(np.array([0.0, 0.0, 1.0]), 2.0, base, 0.4)
-        yield events.GroundEstimated(self.ground_plane, "40 of 100 points lie on a plane")
+        figures = (base, 0.4, 120.0, 0.006, 0.0015, np.array([0.04, 0.03]))
+        self.ground_plane = GroundPlane(np.array([0.0, 0.0, 1.0]), 2.0, *figures)
+        yield events.GroundEstimated(self.ground_plane, "120 m2 of ground are seen")
 
     def result(self, until: Stage) -> CalibrationResult:
         merged = STAGES.index(until) >= STAGES.index("merge")

@@ -32,13 +32,26 @@ _TolerancesFile = Annotated[
     Path | None,
     typer.Option("--tolerances", metavar="FILE", help="TOML with [default] and [lidars.NAME] that differ from these."),
 ]
-_Junit = Annotated[Path | None, typer.Option("--junit", metavar="FILE", help="Also write a JUnit report.")]
+_Junit = Annotated[
+    Path | None, typer.Option("--junit", metavar="FILE", help="Also write a JUnit report.", callback=options.local_path)
+]
 _Summary = Annotated[
     Path | None,
-    typer.Option("--summary", metavar="FILE", help="Also write a Markdown summary, with a picture FILE.png beside it."),
+    typer.Option(
+        "--summary",
+        metavar="FILE",
+        help="Also write a Markdown summary, with a picture FILE.png beside it.",
+        callback=options.local_path,
+    ),
 ]
 _CodeQuality = Annotated[
-    Path | None, typer.Option("--code-quality", metavar="FILE", help="Also write a code quality report for GitLab.")
+    Path | None,
+    typer.Option(
+        "--code-quality",
+        metavar="FILE",
+        help="Also write a code quality report for GitLab.",
+        callback=options.local_path,
+    ),
 ]
 
 
@@ -66,7 +79,12 @@ def check(
     code_quality: _CodeQuality = None,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Directory of the calibration.", show_default="recordings/runs/<source>"),
+        typer.Option(
+            metavar="DIR",
+            help="Directory of the calibration.",
+            show_default="recordings/runs/<source>",
+            callback=options.local_path,
+        ),
     ] = None,
     topics: options.Topics = None,
     frames: options.Frames = None,
@@ -155,7 +173,12 @@ def accept(
     *,
     into: Annotated[
         Path,
-        typer.Option(metavar="FILE", help="Reference that pipelines check against, kept in git.", show_default=False),
+        typer.Option(
+            metavar="FILE",
+            help="Reference that pipelines check against, kept in git.",
+            show_default=False,
+            callback=options.local_path,
+        ),
     ],
     max_translation_m: _MaxTranslation = 0.03,
     max_rotation_deg: _MaxRotation = 0.3,

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from multilica_cli.configuration import topic_names
-from multilica_cli.options import Json, Quiet, Settings
+from multilica_cli.options import Json, Quiet, Settings, local_path
 from multilica_cli.terminal import stdout_console
 
 __all__ = ["datasets"]
@@ -28,7 +28,12 @@ def datasets(
     *,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Directory for scenes and runs.", show_default="recordings/runs/<NAME>"),
+        typer.Option(
+            metavar="DIR",
+            help="Directory for scenes and runs.",
+            show_default="recordings/runs/<NAME>",
+            callback=local_path,
+        ),
     ] = None,
     presets: Annotated[
         list[str] | None,

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from multilica_cli.exit_codes import exit_code
-from multilica_cli.options import Quiet
+from multilica_cli.options import Quiet, local_path
 
 __all__ = ["SAMPLE_NAME", "Sample", "demo", "find_sample"]
 
@@ -17,7 +17,9 @@ SAMPLE_NAME = "edgar-street"
 
 def demo(
     *,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Directory for the results.")] = Path("recordings/runs/demo"),
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Directory for the results.", callback=local_path)] = Path(
+        "recordings/runs/demo"
+    ),
     quiet: Quiet = False,
 ) -> int:
     """Calibrate the embedded sample and compare the result with the ground truth."""

@@ -42,8 +42,9 @@ def export(
         str | None,
         typer.Option(
             metavar="FRAME",
-            help="Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, another name of the target.",
-            show_default="the target",
+            help="Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, the run's base frame or another "
+            "name of the target.",
+            show_default="that of calibrate --rig, else the target",
         ),
     ] = None,
     rig: Annotated[

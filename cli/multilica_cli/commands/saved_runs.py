@@ -10,7 +10,7 @@ import typer
 
 from multilica.errors import UsageError
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Json, Quiet
+from multilica_cli.options import Json, Quiet, local_path
 from multilica_cli.terminal import print_json, stdout_console
 
 __all__ = ["diff", "evaluate", "explain", "report", "view"]
@@ -40,8 +40,8 @@ def explain(
 
 
 def diff(
-    run_a: Annotated[Path, _run("A run directory, its result.json, or a recording (.rrd).", "RUN_A")],
-    run_b: Annotated[Path, _run("A run directory, its result.json, or a recording (.rrd).", "RUN_B")],
+    run_a: Annotated[Path, _run("A run directory, its result.json, a recording (.rrd), or a file of poses.", "RUN_A")],
+    run_b: Annotated[Path, _run("A run directory, its result.json, a recording (.rrd), or a file of poses.", "RUN_B")],
     *,
     within_m: Annotated[
         float, typer.Option(metavar="M", min=0.0, help="Largest distance that does not count as a move.")
@@ -53,14 +53,22 @@ def diff(
 ) -> int:
     """Compare two runs: which poses moved, which LiDARs changed status, which stage differs first.
 
+    Of a file of poses, in any format of export, only the poses are compared.
+
     Ends with 0 if both place the same LiDARs at the same places, with 5 if not.
     """
-    from multilica.runs.difference import compare_runs, difference_document
-    from multilica.runs.run_documents import read_run_document
+    from multilica.runs.difference import compare_poses, compare_runs, difference_document
+    from multilica.runs.run_documents import is_run, read_run_document
     from multilica_cli.tables.errors import print_difference
 
-    before, after = read_run_document(run_a), read_run_document(run_b)
-    difference = compare_runs(before, after, within_m=within_m, within_rad=radians(within_deg))
+    limits = {"within_m": within_m, "within_rad": radians(within_deg)}
+    files = [path for path in (run_a, run_b) if path.is_file() and not is_run(path)]
+    if files:
+        from multilica.checks import poses_of
+
+        difference = compare_poses((str(run_a), str(run_b)), poses_of(run_a), poses_of(run_b), **limits)
+    else:
+        difference = compare_runs(read_run_document(run_a), read_run_document(run_b), **limits)
     if as_json:
         typer.echo(difference_document(difference).model_dump_json(indent=2))
     else:
@@ -76,7 +84,8 @@ def evaluate(
         typer.Option(
             "--truth",
             metavar="FILE",
-            help="Ground truth as `simulate` writes it: one file for all runs, or repeated, one per run in order.",
+            help="Ground truth as `simulate` writes it, or in any format of export: one file for all runs, or "
+            "repeated, one per run in order.",
             show_default=False,
         ),
     ],
@@ -92,7 +101,10 @@ def evaluate(
         float, typer.Option(metavar="N", help="Sigmas above which an error is a false accept.")
     ] = 4.0,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Also write a .parquet or .csv table with a row per LiDAR.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Also write a .parquet or .csv table with a row per LiDAR.", callback=local_path
+        ),
     ] = None,
     table: Annotated[
         Literal["paper"] | None,
@@ -102,8 +114,8 @@ def evaluate(
     as_json: Json = False,
 ) -> None:
     """Compare runs with ground truth: RMSE per axis, success rate, false accepts and false refusals."""
+    from multilica import read_extrinsics
     from multilica import runs as saved
-    from multilica.extrinsics import read_extrinsics
     from multilica.runs.evaluation_document import evaluation_document, require_table_name, write_table
     from multilica.runs.paper_document import paper_document
     from multilica.runs.paper_table import paper_table
@@ -136,7 +148,10 @@ def view(
     run: Annotated[Path, _run("A run directory or a recording (.rrd), also one that was cut off.")],
     *,
     png: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw a picture instead of opening a window; needs no screen.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Draw a picture instead of opening a window; needs no screen.", callback=local_path
+        ),
     ] = None,
     width_px: Annotated[int, typer.Option("--width", metavar="PX", help="Width of the picture.")] = 1600,
     height_px: Annotated[int, typer.Option("--height", metavar="PX", help="Height of the picture.")] = 900,
@@ -160,7 +175,8 @@ def report(
     run: Annotated[Path, _run("Run directory or recording (.rrd), complete or not.")],
     *,
     out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File to write.", show_default="RUN/report.html")
+        Path | None,
+        typer.Option(metavar="FILE", help="File to write.", show_default="RUN/report.html", callback=local_path),
     ] = None,
     quiet: Quiet = False,
 ) -> None:

@@ -15,7 +15,7 @@ from multilica_cli.terminal import stdout_console
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
-    from multilica.results import CalibrationResult, GroundPlane, LidarPlacement
+    from multilica.results import CalibrationResult, LidarPlacement
     from multilica.run import CalibrationRun
 
 __all__ = ["POSE_COLUMNS", "plain_table", "pose_cells", "print_run"]
@@ -58,7 +58,7 @@ def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bo
     if any(place.T_target_source is not None and place.lidar != result.target for place in result.placements):
         console.print(f"target {result.target}: {result.target_reason}")
     if result.ground is not None:
-        console.print(_ground_line(result.target, result.ground))
+        console.print(f"ground, frame {result.ground.frame}: {result.ground.text}")
     if truth is not None:
         console.print(_truth_table(result, truth))
     for snapshot in result.snapshots:
@@ -67,12 +67,6 @@ def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bo
         console.print(f"wrote {path}")
     for line in explain_run(run.directory).findings:
         console.print(line)
-
-
-def _ground_line(target: str, ground: GroundPlane) -> str:
-    roll_deg, pitch_deg, _ = ground.T_base_target.rpy_deg
-    height_m = ground.T_base_target.xyz_m[2]
-    return f"ground: {target} is {height_m:.3f} m above it, roll {roll_deg:z.2f} deg, pitch {pitch_deg:z.2f} deg"
 
 
 def _placements_table(result: CalibrationResult) -> Table:

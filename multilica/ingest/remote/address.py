@@ -7,13 +7,14 @@ from urllib.parse import urlsplit
 
 from multilica.errors import UsageError
 
-__all__ = ["is_live", "require_readable", "require_valid", "scheme_of", "stem_of", "without_secrets"]
+__all__ = ["is_live", "local_output", "require_readable", "require_valid", "scheme_of", "stem_of", "without_secrets"]
 
 _FILES = ("s3", "gs", "https", "http")
 _BUCKETS = ("s3", "gs")
 _LIVE = ("ws", "wss")
 """Bridges with the Foxglove WebSocket protocol."""
 _FLATTENED = re.compile(rf"({'|'.join(_FILES + _LIVE)}):/")
+_DROPPED_SLASH = re.compile(r"^([A-Za-z][A-Za-z0-9+.-]+):/(?!/)")
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
 
 
@@ -21,6 +22,18 @@ def scheme_of(source: object) -> str:
     """Return what precedes ``://`` in lower case; empty for a path."""
     found = _SCHEME.match(source) if isinstance(source, str) else None
     return found[1].lower() if found else ""
+
+
+def local_output(path: str | Path, option: str) -> Path:
+    """Return the path that is written to.
+
+    Raises:
+        UsageError: it is an address, whole or with the slash that a Path drops; `option` names it.
+    """
+    address = _DROPPED_SLASH.sub(r"\1://", str(path))
+    if scheme_of(address):
+        raise UsageError(f"An output is a file on this machine; found {option} {without_secrets(address)}.")
+    return Path(path).expanduser()
 
 
 def is_live(source: object) -> bool:

@@ -42,12 +42,13 @@ class FramePose:
     moving: Joint | None = None
 
 
-def read_prior(source: str, snapshot: Snapshot) -> Prior:
+def read_prior(source: str | Extrinsics, snapshot: Snapshot) -> Prior:
     """Find the poses of the snapshot's LiDARs by name, else by frame id.
 
     Args:
-        source: ``tf`` for the recording's static transforms, a TOML file like `calibration.toml` or a truth file, or a
-            URDF file. Uncertain LiDARs of a `calibration.toml` are taken as well: each pose of a prior is tested.
+        source: ``tf`` for the recording's static transforms, a TOML file like `calibration.toml` or a truth file, a
+            URDF file, or poses that were read. Uncertain LiDARs of a `calibration.toml` are taken as well: each pose of
+            a prior is tested.
 
     Raises:
         SourceNotFoundError: there is no such file.
@@ -55,7 +56,9 @@ def read_prior(source: str, snapshot: Snapshot) -> Prior:
         UnfitPriorError: it connects fewer than two of the LiDARs, or a joint between two of them moves.
         UsageError: the file is of another kind.
     """
-    where = "The recording's /tf_static" if source == STATIC_TRANSFORMS else source
+    where = "The recording's /tf_static" if source == STATIC_TRANSFORMS else str(source)
+    if isinstance(source, Extrinsics):
+        where = "The prior"
     joints = _read_joints(source, snapshot)
     ends = ((joint.T_parent_child.target, joint.T_parent_child.source) for joint in joints)
     known = sorted(set(chain.from_iterable(ends)))
@@ -78,18 +81,23 @@ def read_prior(source: str, snapshot: Snapshot) -> Prior:
     return Prior(Extrinsics(root, transforms), tuple(_notes(where, snapshot, frames, poses)))
 
 
-def _read_joints(source: str, snapshot: Snapshot) -> tuple[Joint, ...]:
+def _read_joints(source: str | Extrinsics, snapshot: Snapshot) -> tuple[Joint, ...]:
+    if isinstance(source, Extrinsics):
+        return _fixed(source)
     if source == STATIC_TRANSFORMS:
         return tuple(Joint(pose) for pose in snapshot.static_transforms)
     path = Path(source)
     if path.suffix in _URDF_SUFFIXES:
         return read_urdf(path)
     if path.suffix == ".toml":
-        poses = read_extrinsics(path, with_uncertain=True).T_target_source.values()
-        return tuple(Joint(pose) for pose in poses if pose.target != pose.source)
+        return _fixed(read_extrinsics(path, with_uncertain=True))
     if not path.exists():
         raise SourceNotFoundError(f"No prior at {path}; {_EXPECTED}.")
     raise UsageError(f"The prior {path} is of an unknown kind; {_EXPECTED}.")
+
+
+def _fixed(known: Extrinsics) -> tuple[Joint, ...]:
+    return tuple(Joint(pose) for pose in known.T_target_source.values() if pose.target != pose.source)
 
 
 def _largest_rig(joints: Sequence[Joint], frames: Mapping[str, str]) -> dict[str, FramePose]:

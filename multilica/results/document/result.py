@@ -89,12 +89,31 @@ class SnapshotEntry(Entry):
 class GroundEntry(Entry):
     """The ground plane, seen from the target LiDAR."""
 
+    frame: str = Field(description="Name of the base frame, on the ground: x forward, y left, z up (ISO 8855).")
     normal: Vector3 = Field(description="Unit normal in the target frame, upwards.")
     offset_m: float = Field(description="Height of the target LiDAR above the ground.")
-    T_base_target: Matrix4 = Field(description="The target in a base frame on the ground below it; x, y, yaw are 0.")
+    T_base_target: Matrix4 = Field(
+        description="The target in the base frame; x, y, yaw are those of the rig file, or 0 without one."
+    )
     xyz_m: Vector3 = Field(description="Position of that pose.")
     rpy_deg: Vector3 = Field(description="Roll, pitch, yaw of that pose.")
-    inlier_share: Number = Field(description="Share of the merged cloud that lies on the plane.")
+    inlier_share: Number = Field(description="Share of the area that is seen near the vehicle that is ground.")
+    area_m2: Number = Field(description="Area of the ground that is seen.")
+    residual_m: Number = Field(description="RMS distance of its points from a smooth surface.")
+    sigma_z_m: Number = Field(description="Standard deviation of the height.")
+    sigma_roll_pitch_deg: tuple[float, float] = Field(
+        description="Standard deviations of the rotation about x and y of the base frame."
+    )
+    doubt: str = Field(description="Why the plane is uncertain; empty if it is not.")
+    T_base_target_rig: Matrix4 | None = Field(description="The target in the base frame by the rig file; null without.")
+    text: str = Field(description="The same for people.")
+
+
+class TimeLimitEntry(Entry):
+    """What was left out because the time was over; equal runs may differ."""
+
+    max_time_s: float = Field(description="The limit, `runtime.max_time_s`.")
+    not_reached: tuple[tuple[str, str], ...] = Field(description="Pairs that could have placed a LiDAR.")
 
 
 class ResultDocument(Entry):
@@ -121,6 +140,8 @@ class ResultDocument(Entry):
     snapshots: tuple[SnapshotEntry, ...] = Field(description="Snapshots of a joint result, else empty.")
     refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
+    ground_refusal: str = Field("", description="Why there is no ground plane although one was asked for; else empty.")
+    time_limit: TimeLimitEntry | None = Field(None, description="Set if the time was over before the search was.")
     timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
     input: InputEntry = Field(description="The snapshot that was calibrated.")
     config: Annotated[CalibrationConfig, WithJsonSchema({"type": "object"})] = Field(

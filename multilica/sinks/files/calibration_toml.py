@@ -47,6 +47,8 @@ def calibration_toml(result: CalibrationResult, provenance: Provenance) -> str:
     }
     if result.ground is not None:
         table["ground"] = _ground(result.ground)
+    elif result.ground_refusal:
+        table["no_ground"] = result.ground_refusal
     return f"{_HEADER.format(target=json.dumps(result.target))}\n{toml_text(table)}"
 
 
@@ -70,4 +72,9 @@ def _ground(ground: GroundPlane) -> dict[str, Any]:
         "T_base_target": pose.matrix.tolist(),
         "xyz_m": pose.xyz_m.tolist(),
         "rpy_deg": pose.rpy_deg.tolist(),
+        "area_m2": ground.area_m2,
+        "residual_m": ground.residual_m,
+        "sigma_z_m": ground.sigma_z_m,
+        "sigma_roll_pitch_deg": ground.sigma_roll_pitch_deg.tolist(),
+        "doubt": ground.doubt,
     }

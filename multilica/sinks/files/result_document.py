@@ -130,4 +130,10 @@ def _pair(pair: PairRegistration) -> PairEntry:
 
 
 def _ground(ground: GroundPlane) -> GroundEntry:
-    return GroundEntry.of(ground.T_base_target, ground, T_base_target=ground.T_base_target.matrix)
+    rig = ground.T_base_target_rig
+    return GroundEntry.of(
+        ground.T_base_target,
+        ground,
+        T_base_target=ground.T_base_target.matrix,
+        T_base_target_rig=None if rig is None else rig.matrix,
+    )

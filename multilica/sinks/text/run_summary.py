@@ -80,8 +80,7 @@ def _result_parts(result: CalibrationResult | None) -> Iterator[str]:
     if result.snapshots:
         yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in result.snapshots)
     if result.ground is not None:
-        share = f"{result.ground.inlier_share:.0%} of the points"
-        yield f"Ground: {result.ground.offset_m:.3f} m below the target, {share}."
+        yield f"Ground, frame {escaped(result.ground.frame)}: {escaped(result.ground.text)}."
 
 
 def _placement_row(place: LidarPlacement) -> Sequence[str]:

@@ -42,6 +42,7 @@ DEFAULTS = {
     "accept": {**dict.fromkeys(("RUN", "--into")), **TOLERANCES, "--quiet": False},
     "calibrate": {
         **dict.fromkeys(("SOURCE", "--target", "--out", "--prior", "--max-sigma", "--until", "--workers", "--record")),
+        **dict.fromkeys(("--base", "--rig", "--max-time")),
         **READING,
         **RESOLVING,
         "--ground": False,

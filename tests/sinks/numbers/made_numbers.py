@@ -43,6 +43,7 @@ PRIOR_TURN_DEG = {FRONT: 1.75, REAR: 3.25}
 GROUND_HEIGHT_M = 2.345
 GROUND_RPY_DEG = (1.75, -3.25, 0.0)
 GROUND_SHARE = 0.37
+GROUND_AREA_M2, GROUND_RESIDUAL_MM, GROUND_SIGMA_MM, GROUND_SIGMA_DEG = 187.0, 7.4, 2.9, (0.061, 0.033)
 
 # By target and source as they are registered.
 PAIR_FITNESS = {(REAR, FRONT): 0.523, (FRONT, TOP): 0.687, (REAR, TOP): 0.741}
@@ -102,9 +103,20 @@ def refinement() -> Refinement:
     )
 
 
+def ground_sentence() -> str:
+    roll_deg, pitch_deg, _ = GROUND_RPY_DEG
+    return (
+        f"round, frame base: {TOP} is {GROUND_HEIGHT_M:.3f} m above it, roll {roll_deg:.2f} deg, "
+        f"pitch {pitch_deg:.2f} deg; sigma {GROUND_SIGMA_MM:.1f} mm, {max(GROUND_SIGMA_DEG):.3f} deg; "
+        f"{GROUND_AREA_M2:.0f} m2 are seen, {GROUND_RESIDUAL_MM:.1f} mm from smooth"
+    )
+
+
 def ground() -> GroundPlane:
     base = RigidTransform.from_xyz_rpy("base", TOP, (0.0, 0.0, GROUND_HEIGHT_M), np.radians(GROUND_RPY_DEG))
-    return GroundPlane(base.matrix[2, :3], GROUND_HEIGHT_M, base, GROUND_SHARE)
+    sigma_deg = np.array(GROUND_SIGMA_DEG)
+    figures = (GROUND_SHARE, GROUND_AREA_M2, GROUND_RESIDUAL_MM / 1000.0, GROUND_SIGMA_MM / 1000.0, sigma_deg)
+    return GroundPlane(base.matrix[2, :3], GROUND_HEIGHT_M, base, *figures)
 
 
 def _result(result: CalibrationResult) -> CalibrationResult:

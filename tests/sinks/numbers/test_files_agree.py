@@ -99,6 +99,9 @@ def test_the_ground_is_the_same_in_both_files(document, toml):
     assert document["ground"]["offset_m"] == made.GROUND_HEIGHT_M
     assert document["ground"]["inlier_share"] == made.GROUND_SHARE
     for entry in (document["ground"], toml["ground"]):
+        assert entry["area_m2"] == made.GROUND_AREA_M2
+        assert (entry["residual_m"], entry["sigma_z_m"]) == (mm(made.GROUND_RESIDUAL_MM), mm(made.GROUND_SIGMA_MM))
+        assert entry["sigma_roll_pitch_deg"] == list(made.GROUND_SIGMA_DEG)
         np.testing.assert_allclose(entry["T_base_target"], BASE, atol=1e-12)
     assert_pose(toml["ground"], BASE, "T_base_target")
     assert toml["ground"]["base"] == "base"

@@ -64,7 +64,7 @@ def test_poses_of_the_summary(recording):
     for lidar in POSED:
         assert_figures(rows[lidar], {**placement_columns(lidar), "RMSE m": made.POSE_RMSE_MM[lidar] / 1000.0})
     assert_figures(rows[made.TOP], {**pose_columns(made.TOP), "fitness": 1.0, "RMSE m": 0.0})
-    assert f"Ground: {made.GROUND_HEIGHT_M:.3f} m below the target, {100 * made.GROUND_SHARE:.0f}% of" in text
+    assert made.ground_sentence() in text
 
 
 def of_pair(figures, label):

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a rig file has the LiDARs in the vehicle's base frame."""
+
+from multilica.config import CalibrationConfig
+from multilica.errors import UnknownNameError, UsageError
+from multilica.extrinsics import Extrinsics, require_metres
+from multilica.geometry import RigidTransform
+from multilica.snapshot import LidarScans, Snapshot
+
+__all__ = ["known_in_base", "require_usable_rig"]
+
+
+def known_in_base(rig: Extrinsics, base: str, lidar: LidarScans) -> RigidTransform | None:
+    """Return ``T_base_lidar`` by name, else by frame id; None if the rig lacks it."""
+    frame = next((name for name in (lidar.name, lidar.frame_id.removeprefix("/")) if name in rig.members), None)
+    return None if frame is None else RigidTransform(base, lidar.name, rig.between(base, frame).matrix)
+
+
+def require_usable_rig(rig: Extrinsics, snapshot: Snapshot, config: CalibrationConfig) -> None:
+    """Refuse a rig without the base frame, or without a LiDAR that may become the target.
+
+    Raises:
+        UnknownNameError: it lacks the base frame.
+        UsageError: it lacks a LiDAR, or a LiDAR has the name of the base frame.
+        InputError: a joint between them moves, or the lengths are no metres.
+    """
+    base = config.ground.frame
+    if base not in rig.members:
+        raise UnknownNameError("frame", base, rig.members, "the rig file")
+    if base in snapshot.names:
+        raise UsageError(f"The base frame '{base}' has the name of a LiDAR; expected another frame of the rig file.")
+    candidates = [snapshot[config.target]] if config.target else snapshot.lidars
+    for lidar in candidates:
+        if (pose := known_in_base(rig, base, lidar)) is None:
+            known = [each.name for each in snapshot.lidars if known_in_base(rig, base, each) is not None]
+            hint = f"give --target, one of {', '.join(known)}" if known else "it has none of the LiDARs"
+            raise UsageError(f"The rig file has no pose of '{lidar.name}', which may become the target; {hint}.")
+        require_metres(pose, "The rig file")

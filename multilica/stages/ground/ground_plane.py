@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ground that the vehicle stands on."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from multilica.acceptance.accept import imprecision
+from multilica.config import AcceptanceConfig, CalibrationConfig, GroundConfig
+from multilica.geometry import FloatArray, RigidTransform, lengths, read_only
+from multilica.registration.neighbours import thin
+from multilica.results import LEVEL_FRAME, GroundPlane
+from multilica.stages.ground.ground_surface import NEAR_M, GroundSurface, axes_of, fit_surface, nearness_of
+
+__all__ = ["estimate_ground", "estimate_level", "middle_of"]
+
+# One point per cell, so that points count by the area that they cover, not by the density of the beams.
+_CELL_M = 0.3
+_MIN_CELLS = 100
+_LEVEL_POINTS = 3_000
+# Enough to rank planes by their points.
+_SCORED_POINTS = 4_000
+_CANDIDATES = 10
+# Reflections and ramps put some points below the ground.
+_MAX_SHARE_BELOW = 0.15
+
+# From the middle of a car to its wheels, along and across; where the heading is not known, as far as on average.
+_WHEELS_M = (1.4, 0.8)
+_WHEELS_OF_ANY_HEADING_M = (1.1, 1.1)
+
+# Without doubt: at least this much ground, in cells at no distance, and not on one side of the vehicle only, from where
+# the plane under it would be extrapolated.
+_MIN_SCORE = 40.0
+_MAX_ONE_SIDEDNESS = 0.7
+
+
+def estimate_ground(
+    target: str,
+    points_m: FloatArray,
+    config: CalibrationConfig,
+    middle_m: FloatArray | None = None,
+    known: RigidTransform | None = None,
+) -> tuple[GroundPlane | None, str]:
+    """Find the plane on which the vehicle stands, and from it roll, pitch and z of the target LiDAR (LiDAR-to-ground).
+
+    RANSAC finds the ground, as in the paper. It is no plane, so a smooth surface is fitted to what lies on it, without
+    kerbs, pavements, ramps and cars; the plane through the places of the wheels on that surface is the base plane.
+
+    For ``a x + b y + c z + d = 0`` with the normal upwards, the base frame (ISO 8855: x forward, y left, z up) differs
+    from the target frame by pitch ``atan2(-a, sqrt(b^2 + c^2))`` and roll ``atan2(b, c)``; the paper's equation gives
+    the pitch up to its sign. A plane does not determine x, y and yaw: they are those of `known`.
+
+    Args:
+        target: name of the target LiDAR, whose frame `points_m` (N, 3) are in.
+        middle_m: (3,) of the vehicle; by default the target.
+        known: ``T_base_target`` as a rig file has it; without it x, y and yaw are zero.
+
+    Returns:
+        The plane, or None, and a sentence that describes it or says why there is none.
+    """
+    middle_m = np.zeros(3) if middle_m is None else middle_m
+    points_m = thin(points_m[lengths(points_m - middle_m) <= config.ground.max_range_m], _CELL_M)
+    if len(points_m) < _MIN_CELLS:
+        return None, f"{len(points_m)} points are too few for a plane; expected {_MIN_CELLS} and more"
+    forward = np.array([1.0, 0.0, 0.0]) if known is None else known.rotation[0]
+    wheels_m = _WHEELS_OF_ANY_HEADING_M if known is None else _WHEELS_M
+    fitted = (
+        fit_surface(
+            points_m - middle_m, -middle_m, axes_of(normal, forward), height_m, wheels_m, config.ground.distance_m
+        )
+        for normal, height_m in _planes(points_m - middle_m, config.ground, config.runtime.seed)
+    )
+    surfaces = [each for each in fitted if each.below <= _MAX_SHARE_BELOW]
+    if not surfaces:
+        return None, (
+            f"no plane lies under the rig: tilted by at most {config.ground.max_tilt_deg:g} deg against the z axis of "
+            f"{target}, with nothing below it"
+        )
+    found = max(surfaces, key=lambda each: each.score)
+    if found.cells < _MIN_CELLS:
+        return None, f"too little ground is seen: {found.cells} cells of {_CELL_M} m; expected {_MIN_CELLS} and more"
+    offset_m = found.offset_m - float(found.normal @ middle_m)
+    a, b, c = found.normal
+    x_m, y_m, yaw_rad = (0.0, 0.0, 0.0) if known is None else (*known.xyz_m[:2].tolist(), float(known.rpy_rad[2]))
+    roll_pitch_yaw = [np.arctan2(b, c), np.arctan2(-a, np.hypot(b, c)), yaw_rad]
+    frame = config.ground.frame if known is None else known.target
+    plane = GroundPlane(
+        normal=found.normal,
+        offset_m=offset_m,
+        T_base_target=RigidTransform.from_xyz_rpy(frame, target, [x_m, y_m, offset_m], roll_pitch_yaw),
+        inlier_share=found.cells / len(points_m),
+        area_m2=found.cells * _CELL_M**2,
+        residual_m=found.residual_m,
+        sigma_z_m=found.sigma_z_m,
+        sigma_roll_pitch_deg=read_only(np.rad2deg(found.sigma_roll_pitch_rad), np.float64),
+        doubt=_doubt(found, config.acceptance),
+        T_base_target_rig=known,
+    )
+    return plane, f"{plane.area_m2:.0f} m2 of ground are seen" + (f"; {plane.doubt}" if plane.doubt else "")
+
+
+def _doubt(found: GroundSurface, limits: AcceptanceConfig) -> str:
+    """Return why the plane is uncertain; empty if it is not."""
+    imprecise = imprecision(found.sigma_z_m, float(found.sigma_roll_pitch_rad.max()), limits)
+    if imprecise is not None:
+        return imprecise.text
+    if found.score < _MIN_SCORE:
+        return "next to no ground is seen near the vehicle"
+    if found.one_sidedness > _MAX_ONE_SIDEDNESS:
+        return "ground is seen on one side of the vehicle only"
+    return ""
+
+
+def middle_of(poses: Mapping[str, RigidTransform]) -> FloatArray:
+    """Return the middle (3,) of LiDARs in their common frame, which lies over that of the vehicle."""
+    return np.asarray(np.mean([pose.xyz_m for pose in poses.values()], axis=0))
+
+
+def _planes(points_m: FloatArray, config: GroundConfig, seed: int) -> Iterator[tuple[FloatArray, float]]:
+    """Find planes with the most points near the origin by RANSAC (Fischler and Bolles, 1981).
+
+    Open3D's differs between equal runs: its threads share the random numbers.
+
+    Yields:
+        Normal (3,), upwards, and height of the origin over the plane; distinct ones, the one with the most points
+        first.
+    """
+    rng = np.random.default_rng(seed)
+    nearness = nearness_of(points_m)
+    share = np.sqrt(nearness)
+    corners = points_m[rng.choice(len(points_m), (config.iterations, 3), p=share / share.sum())]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals[normals[:, 2] < 0.0] *= -1.0
+    length = lengths(normals)
+    flat = normals[:, 2] > np.cos(np.deg2rad(config.max_tilt_deg)) * length
+    normals, corners = normals[flat] / length[flat, None], corners[flat]
+    heights_m = -np.einsum("ij,ij->i", normals, corners[:, 0])
+    normals, heights_m = normals[heights_m > 0.0], heights_m[heights_m > 0.0]
+    rows = np.arange(len(points_m))
+    if len(points_m) > _SCORED_POINTS:
+        rows = np.sort(rng.choice(len(points_m), _SCORED_POINTS, replace=False))
+    above_m = points_m[rows] @ normals.T + heights_m
+    on_plane, below = np.abs(above_m) <= config.distance_m / 2.0, above_m < -2.0 * config.distance_m
+    scores = nearness[rows] @ on_plane - nearness[rows] @ below
+    around_m = NEAR_M * np.concatenate([np.eye(3), -np.eye(3)]) @ normals.T + heights_m
+    chosen: list[int] = []
+    for index in np.argsort(-scores, kind="stable").tolist():
+        if all(np.abs(around_m[:, index] - around_m[:, other]).max() > config.distance_m for other in chosen):
+            chosen.append(index)
+            yield normals[index], float(heights_m[index])
+        if len(chosen) == _CANDIDATES:
+            return
+
+
+def estimate_level(
+    target: str, clouds: Mapping[str, FloatArray], poses: Mapping[str, RigidTransform], config: CalibrationConfig
+) -> RigidTransform | None:
+    """Estimate the pose of the target LiDAR in a frame with z up; None without a ground plane.
+
+    Args:
+        clouds: per LiDAR (N, 3) in its own frame.
+        poses: of the placed LiDARs in the target's frame; empty to use the target alone.
+    """
+    known = poses or {target: RigidTransform.identity(target, target)}
+    samples = [pose.apply(_sample(clouds[name], len(known))) for name, pose in known.items() if name in clouds]
+    points_m = np.concatenate([np.empty((0, 3)), *samples])
+    ground, _ = estimate_ground(target, points_m, config, middle_of(known))
+    return None if ground is None else RigidTransform(LEVEL_FRAME, target, ground.T_base_target.matrix)
+
+
+def _sample(points_m: FloatArray, clouds: int) -> FloatArray:
+    limit = _LEVEL_POINTS // clouds
+    rows = np.random.default_rng(0).choice(len(points_m), min(limit, len(points_m)), replace=False)
+    return points_m[np.sort(rows)]

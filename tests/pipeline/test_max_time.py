@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration whose time is over ends with what it has."""
+
+import pytest
+
+from multilica.config import CalibrationConfig, with_overrides
+from multilica.diagnosis import explain
+from multilica.results import TimeLimit
+from multilica.sinks.files.provenance import provenance_of
+from multilica.sinks.files.result_document import result_document
+from multilica.steps.state import CalibrationState
+from tests.pipeline.watched import assert_true, only, sides, watched
+
+CONFIG = with_overrides(CalibrationConfig(), ["runtime.max_time_s=600.0", "runtime.workers=1", "target=top"])
+
+
+def _ends_after(monkeypatch: pytest.MonkeyPatch, questions: int) -> None:
+    """Let the time be over after so many looks at the clock."""
+    asked = iter(range(10_000))
+    monkeypatch.setattr(CalibrationState, "out_of_time", property(lambda _: next(asked) >= questions))
+
+
+def test_what_is_not_reached_is_told(monkeypatch):
+    _ends_after(monkeypatch, 0)
+    snapshot = only(sides().snapshot, "left", "right", "top", every=4)
+    result, _ = watched(snapshot, base=CONFIG)
+    assert result.time_limit == TimeLimit(600.0, (("left", "right"), ("left", "top"), ("right", "top")))
+    assert (result.status, result.pairs) == ("failed", ())
+    assert result["left"].reason == "the time was over (--max-time) before its pairs with right, top were searched"
+    document = result_document(result, CONFIG, provenance_of(snapshot))
+    explanation = explain(document)
+    assert [missing.cause for missing in explanation.missing] == ["out_of_time"] * 2
+    assert "left - right, left - top, right - top" in explanation.warnings[0]
+
+
+def test_what_was_reached_is_placed(monkeypatch):
+    _ends_after(monkeypatch, 2)
+    result, _ = watched(sides().snapshot, base=CONFIG)
+    placed = [place.lidar for place in result.placements if place.placed]
+    missing = {"left", "right", "top"} - {*placed}
+    assert result.status == "partial"
+    assert len(placed) == 2
+    assert {name for pair in result.time_limit.not_reached for name in pair} >= missing
+    assert all(result[name].T_target_source is None for name in missing)
+
+
+def test_a_limit_that_is_not_reached_changes_nothing():
+    result, _ = watched(sides().snapshot, base=CONFIG)
+    unlimited, _ = watched(sides().snapshot, base=with_overrides(CONFIG, ["runtime.max_time_s=0.0"]))
+    assert (result.time_limit, result.status) == (None, "complete")
+    assert_true(result, sides().truth)
+    for one, other in zip(result.placements, unlimited.placements, strict=True):
+        assert one.T_target_source.matrix.tobytes() == other.T_target_source.matrix.tobytes()
