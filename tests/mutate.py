@@ -40,6 +40,7 @@ OUTPUT = "output.txt"
 SEED = 17
 SURVIVORS = ROOT / "tests" / "mutation_survivors.toml"
 STAGES, NUMBERS, SINKS = "tests/unit/stages", "tests/sinks/numbers", "tests/sinks"
+CHECK = "tests/cli/saved_runs/test_check.py"
 # The first pattern that a module fits names its tests, the fastest first.
 TARGETS = {
     "multilica/geometry.py": ("tests/property/test_geometry.py", "tests/unit/test_derivatives.py"),
@@ -79,6 +80,11 @@ TARGETS = {
         f"{SINKS}/files/test_result_files.py",
         "tests/diagnosis",
     ),
+    "multilica/exports/*.py": ("tests/exports",),
+    "multilica/checks/[av]*.py": (CHECK,),
+    "multilica/checks/c*.py": ("tests/checks/test_comparison.py", "tests/checks/test_ci_reports.py", CHECK),
+    "multilica/checks/*.py": ("tests/checks/test_tolerances.py", CHECK),
+    "multilica/verification.py": (CHECK,),
 }
 OPERATORS = (
     "ReplaceBinary|ReplaceComparison|ReplaceUnary|AddNot|ReplaceTrue|ReplaceFalse|ReplaceAnd|ReplaceOr|Number|Zero"

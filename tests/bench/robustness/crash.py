@@ -119,9 +119,11 @@ def _reports(run: Path) -> Claim:
 def _rewritings(of: Rewriting) -> Claim:
     """Kill the command at any moment, and every other time just after it has begun to write."""
     folder = of.file.parent
+    temporary = Path(tempfile.mkdtemp(dir=folder.parent))
+    environment = {**_environment(), "TMPDIR": str(temporary)}
     old = of.file.read_bytes() if of.file.exists() else b""
     start_s = time.monotonic()
-    subprocess.run(_command(*of.arguments), env=_environment(), check=True)
+    subprocess.run(_command(*of.arguments), env=environment, check=True)
     length_s = time.monotonic() - start_s
     old = old or of.file.read_bytes()
     draw = random.Random(SEED)  # noqa: S311
@@ -129,7 +131,7 @@ def _rewritings(of: Rewriting) -> Claim:
     for index in range(KILLS):
         of.file.write_bytes(old)
         before = _contents(folder)
-        with subprocess.Popen(_command(*of.arguments), env=_environment()) as process:
+        with subprocess.Popen(_command(*of.arguments), env=environment) as process:
             _wait_for_moment(process, folder, draw, length_s, at_writing=index % 2 == 1)
             process.kill()
         ended += process.returncode == 0
@@ -146,7 +148,8 @@ def _rewritings(of: Rewriting) -> Claim:
             if not is_new or of.is_whole(of.file):
                 continue
         faults.append(f"{of.file.name} is neither the old one nor whole")
-    subprocess.run(_command(*of.arguments), env=_environment(), check=True)
+    subprocess.run(_command(*of.arguments), env=environment, check=True)
+    faults += [f"{path.name} is left in TMPDIR" for path in temporary.iterdir()]
     faults += [
         f"{name} is left after a run that was not killed" for name in _contents(folder) if name.endswith(_UNFINISHED)
     ]
