@@ -51,6 +51,13 @@ def test_the_summary_has_a_row_per_lidar_and_escapes_names(rigs):
     assert "![differences as shares of the tolerances](summary.md.png)" in text
 
 
+@pytest.mark.parametrize(("shift_m", "bar"), [(0.0, ".........."), (0.0299, "#####....."), (0.06, "##########")])
+def test_the_bar_of_the_summary_is_half_full_at_the_tolerance(shift_m, bar):
+    rig = checked(run_with({"rear": ((shift_m, 0.0, 0.0), (0.0, 0.0, 0.0))}))
+    (row,) = (line for line in summary_markdown([rig], "x").splitlines() if line.startswith("| rear |"))
+    assert f"| `{bar}` {100.0 * shift_m / 0.03:.0f} % |" in row
+
+
 def test_annotations_name_what_is_not_within(rigs):
     error, warning = sorted(github_annotations(rigs))
     assert error == "::error title=rear is outside::run: rear: 50 mm is above 30 mm"

@@ -12,13 +12,16 @@ import jsonschema
 import numpy as np
 import pytest
 
+from multilica import events
+from multilica.config import STAGES
 from multilica.extrinsics import read_extrinsics
 from multilica.results.document import parse_result
 from multilica.results.document.result import schema_text
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.provenance import collect_versions, provenance_of
-from multilica.sinks.files.result_document import result_document
+from multilica.sinks.files.result_document import result_document, run_document
 from multilica.sinks.files.result_files import ResultFiles
+from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -85,6 +88,32 @@ def test_what_is_not_known_is_null(written):
     assert refused["rmse_m"] is None
     assert "fitness 0.100" in refused["reason"]
     assert document["timing_s"]["broken"] is None
+
+
+def document_after(last):
+    """The document when the first event of a type has been told."""
+    state = RunState()
+    for event in made_events():
+        state(event)
+        if isinstance(event, last):
+            break
+    return run_document(state)
+
+
+@pytest.mark.parametrize(
+    ("last", "finished", "running"),
+    [
+        (events.CalibrationStarted, (), None),
+        (events.StageStarted, (), "ingest"),
+        (events.StageFinished, ("ingest",), None),
+        (events.CalibrationFinished, STAGES, None),
+    ],
+)
+def test_the_document_tells_how_far_the_run_is(last, finished, running):
+    document = document_after(last)
+    assert (document.progress.finished, document.progress.running) == (tuple(finished), running)
+    assert document.status == ("complete" if finished == STAGES else "unfinished")
+    assert document.target == TARGET
 
 
 def test_the_document_is_pure():
