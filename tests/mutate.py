@@ -78,7 +78,7 @@ TARGETS = {
     "multilica/results/document/*.py": (AGREE, FILES, "tests/unit/test_documents.py", "tests/diagnosis"),
     "multilica/exports/*.py": ("tests/exports",),
     "multilica/checks/[av]*.py": (CHECK,),
-    "multilica/checks/tolerances.py": ("tests/checks/test_tolerances.py", CHECK),
+    "multilica/checks/tolerances.py": ("tests/checks/test_tolerances.py", "tests/unit/project/test_models.py"),
     "multilica/checks/*.py": ("tests/checks/test_comparison.py", "tests/checks/test_ci_reports.py", CHECK),
     "multilica/verification.py": ("tests/unit/test_verification.py", CHECK),
 }
@@ -170,7 +170,7 @@ def _changed(source: str, change: Change) -> str:
 
 
 def _program(text: str) -> str:
-    """Return the syntax tree without what changes no result: annotations, `slots`, kinds of arguments; "" if broken."""
+    """Return the syntax tree without what changes no result: annotations, `slots`, `strict`; "" if broken."""
     try:
         tree = ast.parse(text)
     except SyntaxError:
@@ -182,9 +182,8 @@ def _program(text: str) -> str:
         if isinstance(node, ast.arguments):
             node.args = [*node.posonlyargs, *node.args, *node.kwonlyargs]
             node.posonlyargs, node.kwonlyargs = [], []
-        if isinstance(node, ast.ClassDef):
-            for call in (each for each in node.decorator_list if isinstance(each, ast.Call)):
-                call.keywords = [each for each in call.keywords if each.arg not in ("eq", "slots")]
+        if isinstance(node, ast.Call):
+            node.keywords = [each for each in node.keywords if each.arg not in ("eq", "slots", "strict")]
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Subscript | ast.BinOp):
             names = [target.id for target in node.targets if isinstance(target, ast.Name)]
             if any(re.fullmatch(r"[A-Z][a-z]\w*", name) for name in names):
