@@ -4,6 +4,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from queue import SimpleQueue
+from threading import Event as Signal
 from threading import Thread
 
 from multilica.events import Event, Observer
@@ -15,6 +16,7 @@ __all__ = ["pass_aside"]
 def pass_aside(observe: Observer) -> Iterator[Observer]:
     """Pass events to an observer in a thread, in their order; all are passed when the context ends.
 
+    Also when a signal interrupts the wait for the last ones: what follows closes the files that the observer writes.
     What the observer raises is raised by the next call or at the end, and no event follows.
     """
     aside = _Aside(observe)
@@ -23,8 +25,11 @@ def pass_aside(observe: Observer) -> Iterator[Observer]:
     try:
         yield aside
     finally:
-        aside.end()
-        thread.join()
+        try:
+            aside.end()
+        finally:
+            aside.end()
+    thread.join()
     aside.raise_failure()
 
 
@@ -33,6 +38,7 @@ class _Aside:
         self._observe = observe
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._failure: BaseException | None = None
+        self._ended = Signal()
 
     def __call__(self, event: Event) -> None:
         self.raise_failure()
@@ -45,9 +51,13 @@ class _Aside:
                 self._observe(event)
         except BaseException as failure:  # noqa: BLE001 - the caller's thread raises it
             self._failure = failure
+        finally:
+            self._ended.set()
 
     def end(self) -> None:
+        """Wait until all events are passed: an interrupted `Thread.join` takes the thread for ended."""
         self._events.put(None)
+        self._ended.wait()
 
     def raise_failure(self) -> None:
         if self._failure is not None:
