@@ -181,7 +181,8 @@ def _program(text: str) -> str:
                 setattr(node, name, ast.Constant(None))
         if isinstance(node, ast.arguments):
             node.args = [*node.posonlyargs, *node.args, *node.kwonlyargs]
-            node.posonlyargs, node.kwonlyargs = [], []
+            node.defaults += filter(None, node.kw_defaults)
+            node.posonlyargs, node.kwonlyargs, node.kw_defaults = [], [], []
         if isinstance(node, ast.Call):
             node.keywords = [each for each in node.keywords if each.arg not in ("eq", "slots", "strict")]
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Subscript | ast.BinOp):

@@ -200,6 +200,8 @@ def _run(out: Path, number: signal.Signals | None, moment_s: float) -> tuple[Rem
             process.send_signal(number)
         _, spoken = process.communicate()
         length_s = time.monotonic() - start_s
+    if number is None and process.returncode != 0:
+        raise RuntimeError(f"{command} ended with {process.returncode}: {spoken}")
     words = [line.split()[0] for line in spoken.splitlines() if line.strip()]
     told = [word for word in words if word in STAGES]
     return _remains(out, told[-1] if told else "", killed=number == signal.SIGKILL), length_s
