@@ -105,6 +105,7 @@ def test_the_picture_has_a_row_per_lidar(rigs):
         assert colours[check.verdict] in names
         assert colours[check.verdict] in bars
         assert not ({*colours.values()} - {colours[check.verdict]}) & (names | bars)
+        assert not {*image.crop((0, top - 4, 960, top + 4)).getdata()} & {*colours.values()}
     ink = (0x22, 0x22, 0x22)
     tolerance = image.crop((572, rows[0], 584, rows[2] + 44))
     assert all(any(tolerance.getpixel((x, y)) == ink for x in range(12)) for y in range(tolerance.height))
