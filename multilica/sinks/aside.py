@@ -2,8 +2,8 @@
 """Events passed on in a thread, so that sinks write while worker processes compute."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from queue import SimpleQueue
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
 from threading import Event as Signal
 from threading import Thread
 
@@ -16,8 +16,8 @@ __all__ = ["pass_aside"]
 def pass_aside(observe: Observer) -> Iterator[Observer]:
     """Pass events to an observer in a thread, in their order; all are passed when the context ends.
 
-    Also when a signal interrupts the wait for the last ones: what follows closes the files that the observer writes.
-    What the observer raises is raised by the next call or at the end, and no event follows.
+    What the observer raises is raised by the next call or at the end, and no event follows. A signal that interrupts
+    the wait for the last events drops those that are not begun; the one that is begun is passed completely.
     """
     aside = _Aside(observe)
     thread = Thread(target=aside.run, name="sinks", daemon=True)
@@ -27,8 +27,10 @@ def pass_aside(observe: Observer) -> Iterator[Observer]:
     finally:
         try:
             aside.end()
-        finally:
+        except BaseException:
+            aside.drop()
             aside.end()
+            raise
     thread.join()
     aside.raise_failure()
 
@@ -58,6 +60,11 @@ class _Aside:
         """Wait until all events are passed: an interrupted `Thread.join` takes the thread for ended."""
         self._events.put(None)
         self._ended.wait()
+
+    def drop(self) -> None:
+        with suppress(Empty):
+            while True:
+                self._events.get_nowait()
 
     def raise_failure(self) -> None:
         if self._failure is not None:

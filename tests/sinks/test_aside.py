@@ -76,7 +76,7 @@ def test_an_exception_of_the_caller_comes_after_the_events():
     assert seen == [1]
 
 
-def test_a_signal_during_the_wait_comes_after_the_events():
+def test_a_signal_during_the_wait_comes_after_the_event():
     waiting, seen = threading.Event(), []
 
     def work(event):
@@ -91,6 +91,7 @@ def test_a_signal_during_the_wait_comes_after_the_events():
     def run():
         with pass_aside(work) as observe:
             observe(1)
+            observe(2)
             waiting.set()
 
     before = signal.signal(signal.SIGUSR1, interrupt)
