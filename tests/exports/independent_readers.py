@@ -161,7 +161,8 @@ def read_opencalib(path: Path) -> Poses:
     found = {}
     for name, entry in json.loads(path.read_text(encoding="utf-8")).items():
         source, target = name.removesuffix("-extrinsic").split("-to-")
-        found[target, source] = np.array(entry["param"]["sensor_calib"]["data"])
+        matrix = entry["param"]["sensor_calib"]
+        found[target, source] = np.array(matrix["data"]).reshape(matrix["rows"], matrix["cols"])
     return found
 
 

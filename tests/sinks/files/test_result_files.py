@@ -14,6 +14,7 @@ import pytest
 
 from multilica import events
 from multilica.config import STAGES
+from multilica.errors import UnreadableSourceError
 from multilica.extrinsics import read_extrinsics
 from multilica.results.document import parse_result
 from multilica.results.document.result import schema_text
@@ -70,6 +71,12 @@ def test_result_json_is_read_back_as_it_was_written(written):
     text = (written / "result.json").read_text(encoding="utf-8")
     document = parse_result("result.json", text)
     assert f"{document.model_dump_json(indent=2)}\n" == text
+
+
+def test_a_document_of_another_schema_is_refused_by_name(written):
+    text = (written / "result.json").read_text(encoding="utf-8")
+    with pytest.raises(UnreadableSourceError, match="has schema 'other/1'; expected 'multilica/result/1'"):
+        parse_result("result.json", text.replace("multilica/result/1", "other/1"))
 
 
 def test_poses_in_result_json_are_exact(written):
