@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from multilica import events
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, Stage
 from multilica.errors import UnfitSnapshotError
-from multilica.events import Event, RunObserver
+from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import (
     SnapshotSource,
@@ -144,19 +144,32 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
     if request.rig is not None:
         require_usable_rig(request.rig, snapshot, request.config)
     beside = pass_aside if request.workers.processes else nullcontext
-    with open_run(directory, request.config, request.mcap_encoding) as run:
-
-        def pass_on(event: Event) -> None:
-            """Tell what is in the files only."""
-            run(event)
-            if getattr(event, "stage", "") != "ingest":  # sent when the snapshot was read
-                request.observe(event)
-
-        with beside(pass_on) as observe:
-            result = calibrate(
-                snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s
-            )
+    with (
+        open_run(directory, request.config, request.mcap_encoding) as run,
+        beside(_told_when_written(run, request.observe)) as observe,
+    ):
+        result = calibrate(snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s)
     return CalibrationRun(result, request.config, directory, run.written)
+
+
+def _told_when_written(write: Observer, tell: RunObserver) -> Observer:
+    """Tell what is in the files only: stages that run together are written with the last one."""
+    started: Stage = "ingest"
+    waiting: list[Event] = []
+
+    def pass_on(event: Event) -> None:
+        nonlocal started
+        write(event)
+        if getattr(event, "stage", "") == "ingest":  # told when the snapshot was read
+            return
+        if isinstance(event, events.StageStarted):
+            started = event.stage
+        waiting.append(event)
+        if not isinstance(event, events.StageFinished) or event.stage == started:
+            while waiting:
+                tell(waiting.pop(0))
+
+    return pass_on
 
 
 def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _Request) -> CalibrationRun:

@@ -40,10 +40,12 @@ OUTPUT = "output.txt"
 SEED = 17
 SURVIVORS = ROOT / "tests" / "mutation_survivors.toml"
 STAGES, NUMBERS, SINKS = "tests/unit/stages", "tests/sinks/numbers", "tests/sinks"
+AGREE, FILES = f"{NUMBERS}/test_files_agree.py", f"{SINKS}/files/test_result_files.py"
+CHECK = "tests/cli/saved_runs/test_check.py"
 # The first pattern that a module fits names its tests, the fastest first.
 TARGETS = {
     "multilica/geometry.py": ("tests/property/test_geometry.py", "tests/unit/test_derivatives.py"),
-    "multilica/extrinsics.py": ("tests/unit/test_extrinsics.py", f"{SINKS}/files/test_result_files.py"),
+    "multilica/extrinsics.py": ("tests/unit/test_extrinsics.py", FILES),
     "multilica/documents.py": ("tests/unit/test_documents.py",),
     "multilica/stages/merge.py": (f"{STAGES}/test_merge.py", f"{STAGES}/test_merge_along_graph.py"),
     "multilica/stages/refine.py": ("tests/unit/test_derivatives.py", f"{STAGES}/test_refine.py"),
@@ -52,11 +54,12 @@ TARGETS = {
     "multilica/stages/*.py": (f"{STAGES}/test_{{name}}.py",),
     "multilica/sinks/files/atomic.py": (f"{SINKS}/files/test_atomic.py",),
     "multilica/sinks/files/run_files.py": (f"{SINKS}/files/test_run_directory.py",),
-    "multilica/sinks/files/*.py": (f"{NUMBERS}/test_files_agree.py", f"{SINKS}/files/test_result_files.py"),
+    "multilica/sinks/files/*.py": (AGREE, FILES, f"{SINKS}/test_contested_place.py"),
     "multilica/sinks/mcap/snapshot_mcap.py": (
         "tests/ingest/test_snapshot_mcap.py",
         "tests/ingest/test_snapshot_metadata.py",
     ),
+    "multilica/sinks/mcap/static_transforms_mcap.py": ("tests/exports/test_formats.py",),
     "multilica/sinks/mcap/reading.py": (f"{SINKS}/mcap/test_reading.py",),
     "multilica/sinks/mcap/*.py": (
         f"{NUMBERS}/test_messages_agree.py",
@@ -73,12 +76,12 @@ TARGETS = {
         f"{SINKS}/test_unplaced.py",
         f"{SINKS}/rerun/test_pairs.py",
     ),
-    "multilica/results/document/*.py": (
-        f"{NUMBERS}/test_files_agree.py",
-        "tests/unit/test_documents.py",
-        f"{SINKS}/files/test_result_files.py",
-        "tests/diagnosis",
-    ),
+    "multilica/results/document/*.py": (AGREE, FILES, "tests/unit/test_documents.py", "tests/diagnosis"),
+    "multilica/exports/*.py": ("tests/exports/test_formats.py", "tests/exports/test_conventions.py", "tests/exports"),
+    "multilica/checks/[av]*.py": (CHECK,),
+    "multilica/checks/tolerances.py": ("tests/checks/test_tolerances.py", "tests/unit/project/test_models.py"),
+    "multilica/checks/*.py": ("tests/checks/test_comparison.py", "tests/checks/test_ci_reports.py", CHECK),
+    "multilica/verification.py": ("tests/unit/test_verification.py", CHECK),
 }
 OPERATORS = (
     "ReplaceBinary|ReplaceComparison|ReplaceUnary|AddNot|ReplaceTrue|ReplaceFalse|ReplaceAnd|ReplaceOr|Number|Zero"
@@ -168,7 +171,7 @@ def _changed(source: str, change: Change) -> str:
 
 
 def _program(text: str) -> str:
-    """Return the syntax tree without what changes no result, such as annotations and `slots`; "" if broken."""
+    """Return the syntax tree without what changes no result: annotations, `slots`, `strict`; "" if broken."""
     try:
         tree = ast.parse(text)
     except SyntaxError:
@@ -177,9 +180,12 @@ def _program(text: str) -> str:
         for name in ("annotation", "returns"):
             if isinstance(getattr(node, name, None), ast.expr):
                 setattr(node, name, ast.Constant(None))
-        if isinstance(node, ast.ClassDef):
-            for call in (each for each in node.decorator_list if isinstance(each, ast.Call)):
-                call.keywords = [each for each in call.keywords if each.arg not in ("eq", "slots")]
+        if isinstance(node, ast.arguments):
+            node.args = [*node.posonlyargs, *node.args, *node.kwonlyargs]
+            node.defaults += filter(None, node.kw_defaults)
+            node.posonlyargs, node.kwonlyargs, node.kw_defaults = [], [], []
+        if isinstance(node, ast.Call):
+            node.keywords = [each for each in node.keywords if each.arg not in ("eq", "slots", "strict")]
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Subscript | ast.BinOp):
             names = [target.id for target in node.targets if isinstance(target, ast.Name)]
             if any(re.fullmatch(r"[A-Z][a-z]\w*", name) for name in names):
@@ -235,7 +241,7 @@ def modules() -> list[str]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("patterns", nargs="*", default=["*"], help="modules, for example 'multilica/stages/*'")
-    parser.add_argument("--mutants", type=int, default=MUTANTS, help="per module")
+    parser.add_argument("--mutants", type=int, default=MUTANTS, help=f"per module; {MUTANTS} end within an hour")
     given = parser.parse_args()
     os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     sys.dont_write_bytecode = True

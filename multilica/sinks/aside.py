@@ -2,8 +2,9 @@
 """Events passed on in a thread, so that sinks write while worker processes compute."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
-from queue import SimpleQueue
+from contextlib import contextmanager, suppress
+from queue import Empty, SimpleQueue
+from threading import Event as Signal
 from threading import Thread
 
 from multilica.events import Event, Observer
@@ -15,7 +16,8 @@ __all__ = ["pass_aside"]
 def pass_aside(observe: Observer) -> Iterator[Observer]:
     """Pass events to an observer in a thread, in their order; all are passed when the context ends.
 
-    What the observer raises is raised by the next call or at the end, and no event follows.
+    What the observer raises is raised by the next call or at the end, and no event follows. A signal that interrupts
+    the wait for the last events drops those that are not begun; the one that is begun is passed completely.
     """
     aside = _Aside(observe)
     thread = Thread(target=aside.run, name="sinks", daemon=True)
@@ -23,8 +25,13 @@ def pass_aside(observe: Observer) -> Iterator[Observer]:
     try:
         yield aside
     finally:
-        aside.end()
-        thread.join()
+        try:
+            aside.end()
+        except BaseException:
+            aside.drop()
+            aside.end()
+            raise
+    thread.join()
     aside.raise_failure()
 
 
@@ -33,6 +40,7 @@ class _Aside:
         self._observe = observe
         self._events: SimpleQueue[Event | None] = SimpleQueue()
         self._failure: BaseException | None = None
+        self._ended = Signal()
 
     def __call__(self, event: Event) -> None:
         self.raise_failure()
@@ -45,9 +53,18 @@ class _Aside:
                 self._observe(event)
         except BaseException as failure:  # noqa: BLE001 - the caller's thread raises it
             self._failure = failure
+        finally:
+            self._ended.set()
 
     def end(self) -> None:
+        """Wait until all events are passed: an interrupted `Thread.join` takes the thread for ended."""
         self._events.put(None)
+        self._ended.wait()
+
+    def drop(self) -> None:
+        with suppress(Empty):
+            while True:
+                self._events.get_nowait()
 
     def raise_failure(self) -> None:
         if self._failure is not None:

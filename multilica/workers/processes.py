@@ -3,6 +3,7 @@
 
 import os
 import socket
+import subprocess
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
@@ -53,9 +54,16 @@ def open_workers(workers: int, modules: Sequence[str] = ()) -> Iterator[Workers]
             try:
                 yield pool
             finally:
-                pool.close()
-                control.close()
-                server.terminate()
+                try:
+                    _stop(pool, control, server)
+                finally:  # a signal may have interrupted it; the server waits for the end of the socket
+                    _stop(pool, control, server)
+
+
+def _stop(pool: "WorkerProcesses", control: socket.socket, server: subprocess.Popen[bytes]) -> None:
+    pool.close()
+    control.close()
+    server.terminate()
 
 
 class WorkerProcesses(Workers):
@@ -119,12 +127,12 @@ class WorkerProcesses(Workers):
             os.close(parcel)
 
     def close(self) -> None:
-        """Close the connections to the workers."""
+        """Close the connections to the workers, if that is not done yet."""
         self._selector.close()
         for worker in self._workers:
             worker.close()
-        for parcel in self._parcels.values():
-            os.close(parcel)
+        while self._parcels:
+            os.close(self._parcels.popitem()[1])
 
     def _fork(self, workers: int) -> None:
         """Have workers forked until there are as many."""

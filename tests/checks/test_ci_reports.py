@@ -51,6 +51,13 @@ def test_the_summary_has_a_row_per_lidar_and_escapes_names(rigs):
     assert "![differences as shares of the tolerances](summary.md.png)" in text
 
 
+@pytest.mark.parametrize(("shift_m", "bar"), [(0.0, ".........."), (0.0299, "#####....."), (0.06, "##########")])
+def test_the_bar_of_the_summary_is_half_full_at_the_tolerance(shift_m, bar):
+    rig = checked(run_with({"rear": ((shift_m, 0.0, 0.0), (0.0, 0.0, 0.0))}))
+    (row,) = (line for line in summary_markdown([rig], "x").splitlines() if line.startswith("| rear |"))
+    assert f"| `{bar}` {100.0 * shift_m / 0.03:.0f} % |" in row
+
+
 def test_annotations_name_what_is_not_within(rigs):
     error, warning = sorted(github_annotations(rigs))
     assert error == "::error title=rear is outside::run: rear: 50 mm is above 30 mm"
@@ -85,6 +92,37 @@ def test_the_bar_ends_where_the_difference_does(rigs):
     red = [x for x in range(image.width) for y in range(image.height) if image.getpixel((x, y)) == (0xC8, 0x32, 0x2B)]
     start, end = 24 + 220, 960 - 2 * 24
     assert max(red) == pytest.approx(start + (end - start) * (0.05 / 0.03) / 2.0, abs=2)
+
+
+def test_the_picture_has_a_row_per_lidar(rigs):
+    image = Image.open(io.BytesIO(check_png(rigs))).convert("RGB")
+    assert image.size == (960, 2 * 24 + 44 * (2 + 6 + 1))
+    rows = [24 + 44 * row for row in (1, 2, 3, 5, 6, 7)]
+    colours = {"outside": (0xC8, 0x32, 0x2B), "undecided": (0xB8, 0x86, 0x0B), "within": (0x2E, 0x8B, 0x57)}
+    for top, check in zip(rows, (each for rig in rigs for each in rig.lidars), strict=True):
+        row = image.crop((0, top, 960, top + 44))
+        names, bars = ({*each.getdata()} for each in (row.crop((0, 4, 240, 40)), row.crop((240, 4, 960, 40))))
+        assert colours[check.verdict] in names
+        assert colours[check.verdict] in bars
+        assert not ({*colours.values()} - {colours[check.verdict]}) & (names | bars)
+        assert not {*image.crop((0, top - 4, 960, top + 4)).getdata()} & {*colours.values()}
+    ink = (0x22, 0x22, 0x22)
+    tolerance = image.crop((572, rows[0], 584, rows[2] + 44))
+    assert all(any(tolerance.getpixel((x, y)) == ink for x in range(12)) for y in range(tolerance.height))
+
+
+def test_the_picture_has_sigmas_where_they_are_known():
+    ink, run = (0x22, 0x22, 0x22), run_with({"rear": SHIFT}, sigma_m=0.005)
+    bare = replace(run, placements=tuple(replace(each, covariance=None) for each in run.placements))
+    ends = []
+    for each in (run, bare):
+        check = replace(checked(each), lidars=checked(each).lidars[-1:])
+        image = Image.open(io.BytesIO(check_png([check]))).convert("RGB")
+        row = 24 + 44 + 4 + 6
+        ends.append([x for x in range(700, 960) if image.getpixel((x, row)) == ink])
+    scale = (960 - 48 - 244) / 2.0 / 0.03
+    assert (min(ends[0]), max(ends[0])) == pytest.approx((244 + 0.045 * scale, 244 + 0.055 * scale), abs=2)
+    assert ends[1] == []
 
 
 def test_reports_are_written_and_a_step_summary_is_added_to(rigs, tmp_path):

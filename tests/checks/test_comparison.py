@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,6 +114,23 @@ def test_a_turned_root_adds_its_sigma_with_its_lever():
     run = run_with({"top": TURN}, sigma_m=1e-6, sigma_deg=0.1)
     (top,) = (each for each in checked(run).lidars if each.lidar == "top")
     assert top.sigma_m == pytest.approx(np.deg2rad(0.1) * 2.0, rel=0.1)
+
+
+def test_the_largest_sigma_is_told_if_it_is_known():
+    run = run_with(sigma_m=0.002, sigma_deg=0.01)
+    assert [(each.sigma_m, each.sigma_deg) for each in checked(run).lidars] == [pytest.approx((0.002, 0.01))] * 3
+    bare = tuple(replace(each, covariance=None) for each in run.placements)
+    check = checked(SavedRun("run", "top", bare))
+    assert check.verdict == "within"
+    assert {(each.sigma_m, each.sigma_deg) for each in check.lidars} == {(None, None)}
+
+
+def test_with_nothing_placed_there_is_still_a_root():
+    without = (*POSES, "top")
+    assert checked(run_with(without=without)).root == "top"
+    fewer = Extrinsics("front", {name: POSES["front"].inverse() @ POSES[name] for name in POSES})
+    check = checked(run_with(without=without), reference=fewer)
+    assert (check.root, [each.lidar for each in check.lidars]) == ("front", ["left", "rear"])
 
 
 def test_what_is_not_placed_is_undecided():

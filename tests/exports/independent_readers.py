@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from transforms3d.euler import euler2mat
 from transforms3d.quaternions import quat2mat
@@ -113,6 +115,9 @@ def read_ros1(path: Path) -> Poses:
 def read_tf_static(path: Path) -> Poses:
     found: Poses = {}
     with path.open("rb") as file:
+        chunks = [each for each in StreamReader(file, emit_chunks=True).records if isinstance(each, Chunk)]
+        assert all(chunk.uncompressed_crc for chunk in chunks)
+        file.seek(0)
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages():
             assert channel.topic == "/tf_static"
@@ -161,7 +166,8 @@ def read_opencalib(path: Path) -> Poses:
     found = {}
     for name, entry in json.loads(path.read_text(encoding="utf-8")).items():
         source, target = name.removesuffix("-extrinsic").split("-to-")
-        found[target, source] = np.array(entry["param"]["sensor_calib"]["data"])
+        matrix = entry["param"]["sensor_calib"]
+        found[target, source] = np.array(matrix["data"]).reshape(matrix["rows"], matrix["cols"])
     return found
 
 

@@ -101,6 +101,14 @@ def test_opencalib_of_the_demo(tmp_path: Path) -> None:
     np.testing.assert_allclose(found.between("top", "left").apply([[1.0, 0.0, 0.0]]), [[1.0, 3.0, 3.0]])
 
 
+def test_a_matrix_may_be_rounded_up(tmp_path: Path) -> None:
+    rows = "[[0, -1.0002, 0, 1], [1.0001, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]"
+    text = f'{{"left-to-top-extrinsic": {{"param": {{"sensor_calib": {{"rows": 4, "cols": 4, "data": {rows}}}}}}}}}'
+    (tmp_path / "a.json").write_text(text, encoding="utf-8")
+    found = multilica.read_extrinsics(tmp_path / "a.json")
+    np.testing.assert_allclose(found.between("top", "left").rpy_deg, [0.0, 0.0, 90.0], atol=1e-9)
+
+
 def test_frames_are_chained_to_the_root(tmp_path: Path) -> None:
     level = "{x: 0, y: 0, z: 0, roll: 0, pitch: 0, yaw: 0}"
     text = (

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ import pytest
 import multilica
 from multilica.errors import MultilicaError, UnreadableSourceError
 from multilica.exports import FORMATS, export_extrinsics
+from multilica.exports.static_publisher import split_arguments
 from tests.exports.made_rigs import made_rig
 from tests.exports.test_conventions import ROS1_NODE, joint
 from tests.ingest.support.mutations import mutated
@@ -58,3 +59,18 @@ def test_hostile_files_are_refused_soon(tmp_path: Path) -> None:
         with pytest.raises(UnreadableSourceError):
             multilica.read_extrinsics(tmp_path / name)
         assert time.perf_counter() - start_s < 20.0, name
+
+
+def test_files_are_as_long_as_documented(tmp_path: Path) -> None:
+    path = export_extrinsics(made_rig(), tmp_path / "rig.yaml", "autoware")
+    content = path.read_bytes()
+    for size, refused in ((256 << 10, False), ((256 << 10) + 1, True)):
+        path.write_bytes(content + b"#" * (size - len(content)))
+        with pytest.raises(UnreadableSourceError) if refused else nullcontext():
+            multilica.read_extrinsics(path)
+
+
+def test_commands_are_as_long_as_documented() -> None:
+    assert split_arguments("a" * 4096) == ["a" * 4096]
+    with pytest.raises(ValueError, match="4096"):
+        split_arguments("a" * 4097)

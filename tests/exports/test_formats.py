@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,14 @@ def test_what_is_written_is_read_back(tmp_path: Path, kind: tuple[str, str]) -> 
     for found in (multilica.read_extrinsics(path), multilica.read_extrinsics(str(path), format=name)):
         assert found.target == "base_link"
         assert_same(found, made_rig())
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if "launch" in kind[0] or kind[0] == "urdf"], ids="".join)
+def test_joints_and_nodes_have_names_of_their_own(tmp_path: Path, kind: tuple[str, str]) -> None:
+    name, suffix = kind
+    text = export_extrinsics(made_rig(), tmp_path / f"rig{suffix}", name).read_text(encoding="utf-8")
+    found = re.findall(r'joint name="(\w+)_joint"|static_transform_(?!publisher)(\w+)', text)
+    assert sorted(map("".join, found)) == sorted(HARD_ANGLES)
 
 
 @pytest.mark.parametrize("kind", KINDS, ids="".join)

@@ -137,7 +137,7 @@ def test_other_encodings(car: Path) -> None:
 KIT = """\
 # measured in March
 sensor_kit_base_link: # on the roof
-  camera0/camera_link: {x: 0.10, y: 1e-3, z: 2, roll: 0, pitch: 0.0, yaw: -1.50}
+  "camera0/camera_link": {x: 0.10, y: 1e-3, z: 2, roll: 0, pitch: 0.0, yaw: -1.50}
   front:
     x: 0.1  # tape
     y: 0.0

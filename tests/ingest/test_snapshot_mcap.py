@@ -8,8 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
+from rosbags.interfaces import QosDurability
 
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
@@ -41,6 +44,19 @@ def test_it_is_indexed_compressed_and_checked(tmp_path: Path, snapshot: Snapshot
     with path.open("rb") as file:
         assert len(list(NonSeekingReader(file, validate_crcs=True).iter_messages())) == 7
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_chunks_have_checksums_and_late_subscribers_transforms(tmp_path: Path, snapshot: Snapshot) -> None:
+    write_snapshot_mcap(snapshot, tmp_path / "a.mcap")
+    with (tmp_path / "a.mcap").open("rb") as file:
+        chunks = [each for each in StreamReader(file, emit_chunks=True).records if isinstance(each, Chunk)]
+    assert chunks
+    assert all(chunk.uncompressed_crc for chunk in chunks)
+    with AnyReader([tmp_path / "a.mcap"]) as reader:
+        (durability,) = {
+            each.ext.offered_qos_profiles[0].durability for each in reader.topics["/tf_static"].connections
+        }
+    assert durability is QosDurability.TRANSIENT_LOCAL
 
 
 def test_mcap_ros2_decodes_it(tmp_path: Path, snapshot: Snapshot) -> None:

@@ -14,7 +14,9 @@ from multilica import events
 from multilica.config import with_overrides
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.run import default_directory
+from multilica.sinks.mcap.reading import read_attached_document
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.rerun.reading import read_recorded_document
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 SAMPLE = Path(__file__).parents[2] / "recordings" / "samples" / "edgar-street.mcap"
@@ -130,6 +132,20 @@ def test_an_interrupted_run_keeps_its_recording(recordings: Path, tmp_path: Path
         multilica.run_calibration(recordings / "first.mcap", tmp_path, FAST, observe=interrupt)
     assert str(tmp_path) in caught.value.__notes__[0]
     assert names(tmp_path) == {"config.toml", "recording.partial.rrd", "report.html", "result.partial.mcap"}
+
+
+def test_a_stage_is_told_when_it_is_in_the_files(recordings: Path, tmp_path: Path) -> None:
+    """Stages that search pairs end together, and are written with the last one."""
+    told: list[str] = []
+
+    def observe(event: events.RunEvent) -> None:
+        if isinstance(event, events.StageFinished) and event.stage == "correspond":
+            told.extend(read_recorded_document(tmp_path / "recording.partial.rrd").progress.finished)
+            told.extend(read_attached_document(tmp_path / "result.partial.mcap").progress.finished)
+
+    until_fine = with_overrides(FAST, ["until=fine"])
+    multilica.run_calibration(recordings / "first.mcap", tmp_path, until_fine, observe=observe)
+    assert told.count("correspond") == told.count("fine") == 2
 
 
 def test_without_a_configuration_all_frames_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

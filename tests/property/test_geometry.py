@@ -110,6 +110,16 @@ def test_of_equal_components_the_first_counts(rounding):
 def test_angles_are_known_where_roll_and_yaw_have_one_axis(pitch_rad):
     pose = _pose([0, 0, 0], [0.4, pitch_rad, 0.7])
     assert np.allclose(_pose([0, 0, 0], pose.rpy_rad).matrix, pose.matrix, atol=1e-7)
+    assert pose.rpy_rad[2] == 0.0
+
+
+def test_angles_are_told_in_degrees():
+    assert _pose([0, 0, 0], np.deg2rad([10.0, -20.0, 30.0])).rpy_deg == pytest.approx([10.0, -20.0, 30.0])
+
+
+def test_a_frame_of_neither_side_is_refused_by_name():
+    with pytest.raises(ValueError, match="T_a_b has no frame 'c'"):
+        RigidTransform.identity("a", "b").with_target("c")
 
 
 def test_only_what_may_change_or_has_another_order_is_copied():

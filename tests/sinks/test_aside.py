@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
+import os
+import signal
 import threading
+import time
 
 import pytest
 
@@ -70,4 +73,31 @@ def test_an_exception_of_the_caller_comes_after_the_events():
 
     with pytest.raises(KeyError):
         stop()
+    assert seen == [1]
+
+
+def test_a_signal_during_the_wait_comes_after_the_event():
+    waiting, seen = threading.Event(), []
+
+    def work(event):
+        waiting.wait(10.0)
+        os.kill(os.getpid(), signal.SIGUSR1)
+        time.sleep(0.2)
+        seen.append(event)
+
+    def interrupt(*_):
+        raise InterruptedError
+
+    def run():
+        with pass_aside(work) as observe:
+            observe(1)
+            observe(2)
+            waiting.set()
+
+    before = signal.signal(signal.SIGUSR1, interrupt)
+    try:
+        with pytest.raises(InterruptedError):
+            run()
+    finally:
+        signal.signal(signal.SIGUSR1, before)
     assert seen == [1]

@@ -11,6 +11,7 @@ import pytest
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Verdict
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.figures import pair_figures
 from multilica.sinks.report.outcome import outcome_of
@@ -86,6 +87,12 @@ def test_the_other_pose_is_where_the_other_pair_puts_it(state):
     assert pose.distance_to(expected) == pytest.approx((0.0, 0.0), abs=1e-6)
     assert len(competing_pose.probes_m) == len(competing_pose.visibility.labels)
     assert state.competing(failure.elsewhere) is None
+
+
+def test_result_json_tells_how_far_the_places_are_apart(state):
+    contested = run_document(state).lidars[UNPLACED].contested
+    assert {*contested.pair, *contested.other} == {"top", OTHER, UNPLACED}
+    assert (contested.distance_m, contested.angle_deg) == pytest.approx((2.0, 180.0))
 
 
 def test_the_recording_opens_on_both_places(tmp_path, state):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from multilica.errors import InputError, UnknownNameError, UnreadableSourceError
-from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, read_extrinsics
+from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, extrinsics_table, read_extrinsics
 from multilica.geometry import RigidTransform
 
 HEAD = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\n'
@@ -42,6 +42,13 @@ def test_another_schema_is_refused(tmp_path, schema):
     path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = [0, 45, -90]\n".replace(EXTRINSICS_SCHEMA, schema))
     with pytest.raises(UnreadableSourceError, match=f"has schema '{schema}'; expected '{EXTRINSICS_SCHEMA}'"):
         read_extrinsics(path)
+
+
+def test_a_table_has_the_poses_only():
+    pose = RigidTransform.from_xyz_rpy("top", "left", (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    table = extrinsics_table(Extrinsics("top", {"left": pose}))
+    assert {*table} == {"schema", "target", "convention", "length_unit", "rpy_convention", "lidars"}
+    assert table["lidars"]["left"]["xyz_m"] == pytest.approx([1.0, 2.0, 3.0])
 
 
 def test_the_pose_between_two_lidars_is_that_of_both():

@@ -2,14 +2,15 @@
 """The reader of recordings that are compressed as a whole."""
 
 import shutil
-import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import zstandard
 
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import Recording, WrappedRecording
+from multilica.scratch import scratch_folder
 
 __all__ = ["open_packed"]
 
@@ -21,20 +22,16 @@ _ALWAYS_BYTES = 64 << 20
 
 def open_packed(path: Path, where: str, open_file: Callable[[Path, str], Recording]) -> Recording:
     """Unpack a file that was compressed with zstd into a temporary folder and open it there."""
-    folder = Path(tempfile.mkdtemp(prefix="multilica-"))
-    try:
-        unpacked = folder / path.stem
+    with ExitStack() as stack:
+        unpacked = stack.enter_context(scratch_folder()) / path.stem
         _unpack(path, unpacked, where)
-        return PackedRecording(open_file(unpacked, where), folder)
-    except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
-        raise
+        return PackedRecording(open_file(unpacked, where), stack.pop_all())
 
 
 class PackedRecording(WrappedRecording):
     """A recording in a temporary folder, which is removed when it is closed."""
 
-    def __init__(self, recording: Recording, folder: Path) -> None:
+    def __init__(self, recording: Recording, folder: ExitStack) -> None:
         super().__init__(recording)
         self.format = f"{recording.format}, zstd"
         self._folder = folder
@@ -42,7 +39,7 @@ class PackedRecording(WrappedRecording):
     def close(self) -> None:
         """Close the recording and remove the unpacked file."""
         super().close()
-        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.close()
 
 
 def _unpack(path: Path, target: Path, where: str) -> None:

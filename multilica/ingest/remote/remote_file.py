@@ -11,18 +11,17 @@ import os
 import stat
 import time
 import weakref
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path, PurePosixPath
-from shutil import rmtree
-from tempfile import mkdtemp
 from typing import IO, TYPE_CHECKING, Any, TypeAlias, cast
 from urllib.parse import urlsplit
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.ingest.remote.address import scheme_of, without_secrets
 from multilica.ingest.remote.error_texts import ConnectionLostError, WithoutRangesError, remote_failures_named
+from multilica.scratch import scratch_folder
 
 if TYPE_CHECKING:
     from multilica.ingest.remote.file_cache import FileCache
@@ -187,8 +186,9 @@ class RemoteFile:
 
     def _path_on_disk(self) -> Path:
         """Return a path in a folder that is removed together with this object."""
-        folder = Path(mkdtemp(prefix="multilica-"))
-        weakref.finalize(self, rmtree, folder, ignore_errors=True)
+        stack = ExitStack()
+        folder = stack.enter_context(scratch_folder())
+        weakref.finalize(self, stack.close)
         return folder / (self.name or "download")
 
     def _fetch(self, start: int, end: int) -> bytes:

@@ -8,7 +8,6 @@ import shutil
 import struct
 import subprocess
 import sys
-import tempfile
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from multilica.errors import UnreadableSourceError
+from multilica.scratch import scratch_folder
 
 __all__ = ["main", "read_batches"]
 
@@ -39,8 +39,8 @@ def read_batches(path: Path, entities: Sequence[str]) -> dict[str, list[Any]]:
     """
     import pyarrow as pa
 
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "batches"
+    with scratch_folder() as folder:
+        out = folder / "batches"
         request = json.dumps([str(path.absolute()), list(entities), str(out)])
         try:
             done = subprocess.run(  # noqa: S603
@@ -113,8 +113,8 @@ def _whole_part(path: Path) -> Iterator[Path]:
         if end is None:
             yield path
             return
-        with tempfile.TemporaryDirectory() as folder:
-            copy = Path(folder) / path.name
+        with scratch_folder() as folder:
+            copy = folder / path.name
             file.seek(0)
             with copy.open("wb") as kept:
                 shutil.copyfileobj(file, kept)

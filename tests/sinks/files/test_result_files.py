@@ -12,13 +12,17 @@ import jsonschema
 import numpy as np
 import pytest
 
+from multilica import events
+from multilica.config import STAGES
+from multilica.errors import UnreadableSourceError
 from multilica.extrinsics import read_extrinsics
 from multilica.results.document import parse_result
 from multilica.results.document.result import schema_text
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.provenance import collect_versions, provenance_of
-from multilica.sinks.files.result_document import result_document
+from multilica.sinks.files.result_document import result_document, run_document
 from multilica.sinks.files.result_files import ResultFiles
+from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -69,6 +73,12 @@ def test_result_json_is_read_back_as_it_was_written(written):
     assert f"{document.model_dump_json(indent=2)}\n" == text
 
 
+def test_a_document_of_another_schema_is_refused_by_name(written):
+    text = (written / "result.json").read_text(encoding="utf-8")
+    with pytest.raises(UnreadableSourceError, match="has schema 'other/1'; expected 'multilica/result/1'"):
+        parse_result("result.json", text.replace("multilica/result/1", "other/1"))
+
+
 def test_poses_in_result_json_are_exact(written):
     document = json.loads((written / "result.json").read_text())
     for name, pose in TRUTH.items():
@@ -85,6 +95,32 @@ def test_what_is_not_known_is_null(written):
     assert refused["rmse_m"] is None
     assert "fitness 0.100" in refused["reason"]
     assert document["timing_s"]["broken"] is None
+
+
+def document_after(last):
+    """The document when the first event of a type has been told."""
+    state = RunState()
+    for event in made_events():
+        state(event)
+        if isinstance(event, last):
+            break
+    return run_document(state)
+
+
+@pytest.mark.parametrize(
+    ("last", "finished", "running"),
+    [
+        (events.CalibrationStarted, (), None),
+        (events.StageStarted, (), "ingest"),
+        (events.StageFinished, ("ingest",), None),
+        (events.CalibrationFinished, STAGES, None),
+    ],
+)
+def test_the_document_tells_how_far_the_run_is(last, finished, running):
+    document = document_after(last)
+    assert (document.progress.finished, document.progress.running) == (tuple(finished), running)
+    assert document.status == ("complete" if finished == STAGES else "unfinished")
+    assert document.target == TARGET
 
 
 def test_the_document_is_pure():

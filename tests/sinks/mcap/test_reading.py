@@ -30,6 +30,15 @@ def test_the_document_is_the_attached_result(tmp_path):
     assert found.model_dump(mode="json") == document
 
 
+def test_a_changed_digit_is_noticed(tmp_path):
+    path = write_mcap(tmp_path / "result.mcap", {"result.json": json.dumps(made_document()).encode()})
+    content = path.read_bytes()
+    assert b"0.8" in content
+    path.write_bytes(content.replace(b"0.8", b"0.9", 1))
+    with pytest.raises(UnreadableSourceError, match="not a whole MCAP file"):
+        read_attached_document(path)
+
+
 def test_a_file_without_a_result_is_refused(tmp_path):
     path = write_mcap(tmp_path / "drive.mcap", {"other.json": b"{}"})
     with pytest.raises(UnreadableSourceError, match=r"has no result\.json attached"):

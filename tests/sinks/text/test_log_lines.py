@@ -64,6 +64,38 @@ def test_a_pair_without_points_in_common_has_no_rmse():
     assert "| 0.000 | - |" in shown
 
 
+def test_each_candidate_of_a_merge_step_has_its_verdict():
+    weak, fair, good = (
+        MergeCandidate("top", name, 0.5, 0.02, passes=False, **more)
+        for name, more in (("rear", {"reason": "too few"}), ("left", {"uncertain": True}), ("front", {}))
+    )
+    good = replace(good, passes=True)
+    best = replace(good, source="right")
+    text = decisions_markdown([MergeDecision(0, (weak, fair, good, best), best, "it fits best", ())])
+    rows = dict(line.strip("| ").split(" | ")[::3] for line in text.splitlines() if line.startswith("| "))
+    expected = {"rear": "does not pass", "left": "uncertain", "front": "passes", "right": "merged"}
+    assert {name: rows[f"top <- {name}"] for name in expected} == expected
+    assert "- top <- rear: too few" in text
+
+
+def test_a_cloud_without_points_is_an_error():
+    event = next(event for event in made_events() if isinstance(event, events.CloudPreprocessed))
+    assert log_lines(event)[0].level == "INFO"
+    empty = replace(event.cloud, points_m=event.cloud.points_m[:0])
+    assert log_lines(events.CloudPreprocessed(empty))[0].level == "ERROR"
+
+
+def test_other_points_have_another_digest():
+    events_, state = list(made_events()), RunState()
+    index = next(at for at, event in enumerate(events_) if isinstance(event, events.CloudPreprocessed))
+    cloud = events_[index].cloud
+    events_[index] = events.CloudPreprocessed(replace(cloud, points_m=cloud.points_m[::-1].copy()))
+    for event in events_:
+        state(event)
+    found, before = (run_document(each).stages.preprocess for each in (state, state_of()))
+    assert {name for name in before if found[name] != before[name]} == {cloud.lidar}
+
+
 def test_notes_of_the_reader_are_warnings():
     first, *_ = made_events()
     assert [line.text for line in log_lines(first) if line.level == "WARN"] == list(first.snapshot.notes)

@@ -9,6 +9,7 @@ import pytest
 from multilica.config import StillnessConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.snapshot import Scan
+from multilica.stages import stillness
 from multilica.stages.stillness import Motion, detect_motion, explain_motion
 from multilica.visibility.moving_points import drop_moving
 
@@ -75,6 +76,15 @@ def test_a_lidar_that_jumps_out_of_sight_moves_at_least_a_bit() -> None:
     assert motion.moving
     assert motion.at_least
     assert "left by at least 0.20 m" in explain_motion({"left": motion})
+
+
+def test_frames_that_are_alike_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stillness, "_TRACKED_BELOW", 2.0)
+    monkeypatch.setattr(stillness, "track_frames", lambda _: None)
+    motion = detect_motion(_drive(_ROOM_M, 0.0), _CONFIG)
+    assert not motion.moving
+    assert motion.shift_m < 0.01
+    assert detect_motion(_drive(_ROOM_M, 3.0), _CONFIG).moving
 
 
 def test_turning_on_the_spot_is_measured() -> None:

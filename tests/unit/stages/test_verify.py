@@ -219,6 +219,15 @@ def test_of_two_starts_with_one_end_the_better_stays(hall):
     assert both.label == ("0" if solver.evidence >= prior.evidence else "prior")
 
 
+def test_only_a_hopeless_pose_of_the_prior_is_turned(hall):
+    """A LiDAR may be drawn the wrong way round; what a solver found is not right for being turned."""
+    settings = {"limits": AcceptanceConfig(min_evidence=60.0), "max_symmetric_poses": 6, "slide_steps": 0}
+    (found,) = _verified(hall, _near(_HALF_TURN), **settings)
+    assert found.T_target_source.distance_to(_HALF_TURN)[0] < 1.0
+    best, *_ = _verified(hall, prior=_near(_HALF_TURN), **settings)
+    assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
+
+
 def test_the_half_turn_of_a_hall_is_tested_as_well():
     """The bare box, without what stands in it, looks the same from its other end."""
     bare = box((-8.0, -5.0, 0.0), (8.0, 5.0, 4.0))
@@ -236,4 +245,6 @@ def test_without_hypotheses_there_is_no_registration(hall):
 def test_the_short_gicp_is_coarse_and_by_small_gicp():
     gicp = short_gicp(VerifyConfig(max_points=123, voxel_size_m=0.7), FineConfig(engine="open3d", neighbours=11))
     assert (gicp.engine, gicp.max_points, gicp.voxel_size_m, gicp.neighbours) == ("small_gicp", 123, 0.7, 11)
+    # It ends well within its grid, at 10 m too.
+    assert 10.0 * max(gicp.translation_epsilon_m, 10.0 * gicp.rotation_epsilon_rad) < gicp.voxel_size_m
     assert list(gicp.max_correspondence_distances_m) == sorted(gicp.max_correspondence_distances_m, reverse=True)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import os
 import shutil
+import signal
+import socket
 from pathlib import Path
 
 import numpy as np
@@ -201,3 +203,42 @@ def test_workers_that_do_not_start_end_the_map(monkeypatch):
     monkeypatch.setattr("sys.executable", shutil.which("false"))
     with open_workers(2) as workers, pytest.raises(WorkerDiedError):
         list(workers.map(tasks.square, range(3)))
+
+
+@pytest.fixture
+def given_up():
+    """End a wait that would last for ever."""
+
+    def give_up(*_):
+        raise TimeoutError
+
+    before = signal.signal(signal.SIGALRM, give_up)
+    signal.alarm(30)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.usefixtures("given_up")
+@pytest.mark.parametrize("closed", [0, 1, 2])
+def test_a_signal_while_it_closes_leaves_nothing_behind(monkeypatch, closed):
+    close, left = socket.socket.close, iter(range(closed))
+    found = []
+
+    def close_some(each):
+        if next(left, None) is None:
+            monkeypatch.setattr(socket.socket, "close", close)
+            raise KeyboardInterrupt
+        close(each)
+
+    def run():
+        with open_workers(2) as workers:
+            workers.share("cloud", CLOUD)
+            found.extend(workers.map(tasks.processes, range(10)))
+            monkeypatch.setattr(socket.socket, "close", close_some)
+
+    with pytest.raises(KeyboardInterrupt):
+        run()
+    assert found
+    assert not any(is_alive(process) for worker, server, _ in found for process in (worker, server))
+    assert memory_files() == []

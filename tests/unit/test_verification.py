@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A snapshot beside known poses, of which one is far off and one is missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from multilica import read_snapshot
+from multilica.errors import UsageError
+from multilica.extrinsics import Extrinsics, read_extrinsics
+from multilica.geometry import RigidTransform
+from multilica.verification import FoundRig, find_near
+from multilica_cli.commands.demo import find_sample
+
+MOVED, MISSING = "left", "rear"
+
+
+@pytest.fixture(scope="module")
+def truth() -> Extrinsics:
+    return read_extrinsics(find_sample().truth)
+
+
+@pytest.fixture(scope="module")
+def found(truth: Extrinsics) -> FoundRig:
+    poses = {name: pose for name, pose in truth.T_target_source.items() if name != MISSING}
+    moved = RigidTransform.from_xyz_rpy(truth.target, truth.target, (3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    known = Extrinsics(truth.target, {**poses, MOVED: moved @ poses[MOVED]})
+    return find_near(read_snapshot(find_sample().recording), known)
+
+
+def test_lidars_at_their_known_poses_are_found(found: FoundRig, truth: Extrinsics) -> None:
+    assert {*found.poses} == {"front", "right"}
+    for name, pose in found.poses.items():
+        metres, radians = pose.distance_to(truth.between(found.root, name))
+        assert metres < 0.01
+        assert radians < np.deg2rad(0.1)
+    assert {*found.covariances} == {*found.poses} - {found.root}
+    (covariance,) = found.covariances.values()
+    assert 0.0 < np.sqrt(np.linalg.eigvalsh(covariance)).max() < 0.02
+
+
+def test_lidars_without_a_pose_have_the_reason(found: FoundRig) -> None:
+    assert {*found.reasons} == {MOVED, MISSING}
+    assert found.reasons[MISSING] == "it has no returns in range, or no known pose"
+    said = found.reasons[MOVED]
+    assert said.startswith(("no pose near the known one fits front: ", "no pose near the known one fits right: "))
+    assert "that the other sensor's beams passed through" in said
+    assert found.contradicted == {MOVED}
+
+
+def test_poses_of_other_lidars_are_refused() -> None:
+    other = Extrinsics("a", {"a": RigidTransform.identity("a", "a"), "b": RigidTransform.identity("a", "b")})
+    with pytest.raises(UsageError):
+        find_near(read_snapshot(find_sample().recording), other)
