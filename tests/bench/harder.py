@@ -31,15 +31,17 @@ class Expectation:
     def is_met(self, lidar: LidarOutcome) -> bool:
         """Whether the LiDAR ended as one of these; a wrong pose never does, nor a refusal that the truth contradicts.
 
-        An uncertain pose is one that is not observable enough.
+        An uncertain pose, or a true one that would be, is one that is not observable enough.
         Where the beams speak against the pose that was found, what stands in the way of the true one is the reason.
         """
         if lidar.placed:
             return lidar.standing != "wrong" and _PLACED in self.allowed
         if lidar.uncertain:
             return "not_observable" in self.allowed
-        of_the_truth = () if lidar.trial is None else lidar.trial.codes
-        return lidar.standing != "missed" and not {*lidar.codes, *of_the_truth}.isdisjoint(self.allowed)
+        codes = {*lidar.codes, *(() if lidar.trial is None else lidar.trial.codes)}
+        if "imprecise" in codes:
+            codes.add("not_observable")
+        return lidar.standing != "missed" and not codes.isdisjoint(self.allowed)
 
 
 _LITTLE = ("too_little_evidence", "not_observable")
