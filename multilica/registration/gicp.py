@@ -11,7 +11,7 @@ import small_gicp
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.lazy_open3d import o3d
-from multilica.registration.registration_cloud import RegistrationCloud
+from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.results import GicpStep, PairRegistration
 
 __all__ = ["fitness_and_rmse", "register", "register_narrower"]
@@ -131,7 +131,7 @@ def _within_reach(
         near = np.union1d(near, np.arange(min(_MIN_POINTS, len(source.points_m))))
     if len(near) > _WORTH_CROPPING * len(source.points_m):
         return source
-    return source.cropped(near)
+    return prepare_registration_cloud(source.name, source.points_m[near], config)
 
 
 def _run_small_gicp(

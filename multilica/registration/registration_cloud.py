@@ -11,7 +11,6 @@ from multilica.config import FineConfig
 from multilica.geometry import FloatArray
 from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import PointTree, Surface, thin, thin_from_cloud
-from multilica.results import IndexArray
 
 __all__ = ["RegistrationCloud", "prepare_registration_cloud"]
 
@@ -42,10 +41,6 @@ class RegistrationCloud:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the points; the engine's types cannot be pickled, and are the same bits when computed again."""
         return _with_covariances, (self.name, self.points_m, self.engine, self.neighbours)
-
-    def cropped(self, kept: IndexArray) -> "RegistrationCloud":
-        """Return the cloud of the points at these indices."""
-        return _with_covariances(self.name, self.points_m[kept], self.engine, self.neighbours)
 
     @cached_property
     def surface(self) -> Surface:
