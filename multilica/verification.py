@@ -12,12 +12,12 @@ from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import PairKey, PairRegistration, Registration
+from multilica.results import Hypothesis, PairKey, PairRegistration, Registration
 from multilica.snapshot import Snapshot
 from multilica.stages.prior import require_usable
 from multilica.stages.refine import refine
 from multilica.steps import clouds
-from multilica.steps.pairs import register_implied, score_implied
+from multilica.steps.pairs import register_sides, score_implied
 from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
 
@@ -27,6 +27,8 @@ __all__ = ["FoundRig", "find_near"]
 _MIN_COMMON = 100
 # Verdicts on poses that stand alone.
 _USABLE = ("accept", "uncertain")
+# A pose near the known one is at least ten times as likely as one that a search comes upon.
+_KNOWN_LOG_ODDS = 2.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,12 +85,13 @@ def _register(state: CalibrationState, known: Extrinsics) -> FoundRig:
     poses = {pair: known.between(*pair) for pair in state.pairs if {*pair} <= {*names}}
     scores = dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
     found, accepted = list[PairRegistration](), list[PairRegistration]()
-    for pair in _by_common_points(scores):
-        if PairGraph.of(names, accepted).implied(*pair) is None:
-            found.extend(state.workers.map(register_implied, [poses[pair]]))
-            accepted += [
-                each for each in found[-1:] if each.verdict.outcome in _USABLE and each.information is not None
-            ]
+    for config in (state.config, _trusting(state.config)):
+        for pair in _by_common_points(scores):
+            if PairGraph.of(names, accepted).implied(*pair) is None:
+                target, source = (state.lidars[name].side for name in pair)
+                found.append(register_sides(target, source, [Hypothesis(poses[pair])], config))
+                if found[-1].verdict.outcome in _USABLE and found[-1].information is not None:
+                    accepted.append(found[-1])
     graph = PairGraph.of(names, accepted)
     root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
     rig = refine(root, graph.poses(root), accepted, state.config.refine)
@@ -101,6 +104,12 @@ def _register(state: CalibrationState, known: Extrinsics) -> FoundRig:
         if name in lost and {*pair} - {name} <= {*rig.poses} and score.visibility.contradiction > limit
     }
     return FoundRig(root, rig.poses, rig.covariances, lost, frozenset(contradicted))
+
+
+def _trusting(config: CalibrationConfig) -> CalibrationConfig:
+    """Ask for less evidence, where pairs that have more do not link all LiDARs."""
+    least = config.acceptance.min_evidence - _KNOWN_LOG_ODDS
+    return config.model_copy(update={"acceptance": config.acceptance.model_copy(update={"min_evidence": least})})
 
 
 def _by_common_points(scores: Mapping[PairKey, Registration]) -> list[PairKey]:
