@@ -54,7 +54,7 @@ def read_extrinsics(
     if format is not None:
         format_named(format)
     if not path.exists():
-        raise SourceNotFoundError(f"No extrinsics at {path}.")
+        raise SourceNotFoundError(f"No extrinsics file at {path}.")
     try:
         found = _told(path) if format is None else FORMATS[format]
         return read_table(path, with_uncertain=with_uncertain) if found.name == "toml" else found.read(path)

@@ -116,7 +116,7 @@ def read_text(path: Path) -> str:
     try:
         return read_limited(path, _MAX_BYTES).decode("utf-8-sig")
     except FileNotFoundError as error:
-        raise SourceNotFoundError(f"No extrinsics at {path}.") from error
+        raise SourceNotFoundError(f"No extrinsics file at {path}.") from error
     except UnicodeDecodeError as error:
         raise UnreadableSourceError(f"{path} is not a UTF-8 text file.") from error
     except (OSError, DocumentError) as error:

@@ -120,7 +120,7 @@ def test_an_existing_urdf_keeps_the_target(invoke: Invoke) -> None:
         (["--to", "csv", "--out", "s3://bucket/a.csv"], ExitCode.USAGE, "found --out s3://bucket/a.csv"),
         (["--to", "csv", "--out", "https://user:secret@host/a.csv"], ExitCode.USAGE, "found --out https://host/a.csv"),
         (["--to", "csv", "--out", "no/a.csv"], ExitCode.USAGE, "no directory no"),
-        (["--to", "csv", "--out", "a.csv", "--rig", "no.toml"], ExitCode.INPUT, "No extrinsics at no.toml"),
+        (["--to", "csv", "--out", "a.csv", "--rig", "no.toml"], ExitCode.INPUT, "No extrinsics file at no.toml"),
         (["--to", "csv", "--out", "a.csv", "--rig", "rig.toml", "--base", "top"], ExitCode.USAGE, "no frame 'top'"),
         (["--to", "csv", "--out", "a.csv", "--rig", "far.csv"], ExitCode.INPUT, "at 1200.0, 100.0, 1900.0"),
         (["--to", "csv", "--out", "a.csv", "--rig", "other.csv"], ExitCode.USAGE, "no frame 'front' in other.csv"),

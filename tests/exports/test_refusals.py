@@ -88,7 +88,7 @@ def test_bad_files_are_refused(tmp_path: Path, name: str) -> None:
 
 
 def test_missing_files_and_unknown_formats(tmp_path: Path) -> None:
-    with pytest.raises(SourceNotFoundError, match="No extrinsics at"):
+    with pytest.raises(SourceNotFoundError, match="No extrinsics file at"):
         multilica.read_extrinsics(tmp_path / "a.urdf")
     with pytest.raises(UnknownNameError, match="no format 'xacro'"):
         multilica.read_extrinsics(tmp_path / "a.urdf", format="xacro")
