@@ -49,12 +49,12 @@ class Entry(BaseModel):
     """A frozen part of a document, without unknown keys or numbers that are not finite."""
 
     model_config = ConfigDict(
-        defer_build=True,
         extra="forbid",
         frozen=True,
         allow_inf_nan=False,
         from_attributes=True,
         serialize_by_alias=True,
+        defer_build=True,
     )
 
     _to_plain = field_validator("*", mode="before")(_plain)
