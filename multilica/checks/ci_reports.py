@@ -4,11 +4,12 @@
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, joint_verdict
-from multilica.checks.picture import check_png
+from multilica.errors import escape_controls
 from multilica.sinks.files.atomic import atomic_file, write_text_atomically
 
 __all__ = ["code_quality_json", "github_annotations", "junit_xml", "summary_markdown", "write_reports"]
@@ -41,6 +42,8 @@ def write_reports(
         write_text_atomically(junit, junit_xml(rigs, timestamp))
         written.append(junit)
     if summary is not None:
+        from multilica.checks.picture import check_png  # takes as long to import as all else of a report
+
         picture = summary.with_name(f"{summary.name}.png")
         with atomic_file(picture) as stream:
             stream.write(check_png(rigs))
@@ -62,7 +65,7 @@ def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
         timestamp: of the check, ISO 8601 without a time zone.
     """
     root = Element("testsuites")
-    for number, rig in enumerate(rigs):
+    for number, rig in enumerate(map(_printable, rigs)):
         count = {verdict: sum(each.verdict == verdict for each in rig.lidars) for verdict in _WORDS}
         suite = SubElement(
             root,
@@ -99,7 +102,7 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
     lines = [f"## LiDAR extrinsics: {_WORDS[verdict]}", "", f"Reference: `{reference}`", ""]
     if picture:
         lines += [f"![differences as shares of the tolerances]({picture})", ""]
-    for rig in rigs:
+    for rig in map(_printable, rigs):
         lines += [f"### {_text(rig.name)}", "", _text(rig.sentence), ""]
         lines += ["| LiDAR | verdict | translation | rotation | of the tolerance | why |", "|---|---|---|---|---|---|"]
         lines += [_row(each) for each in rig.lidars]
@@ -169,4 +172,17 @@ def code_quality_json(rigs: Sequence[RigCheck], reference: str) -> str:
 
 
 def _findings(rigs: Sequence[RigCheck]) -> Iterator[tuple[RigCheck, LidarCheck]]:
-    return ((rig, each) for rig in rigs for each in rig.lidars if each.verdict != "within")
+    return ((rig, each) for rig in map(_printable, rigs) for each in rig.lidars if each.verdict != "within")
+
+
+def _printable(rig: RigCheck) -> RigCheck:
+    """Show controls, which names in logs may have and XML and UTF-8 may not, as escapes."""
+    return replace(
+        rig,
+        name=escape_controls(rig.name),
+        root=escape_controls(rig.root),
+        lidars=tuple(
+            replace(each, lidar=escape_controls(each.lidar), reason=escape_controls(each.reason)) for each in rig.lidars
+        ),
+        notes=tuple(map(escape_controls, rig.notes)),
+    )

@@ -4,9 +4,11 @@ from __future__ import annotations
 import io
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from defusedxml import ElementTree
+from lxml import etree
 from PIL import Image
 
 from multilica.checks import check_document
@@ -21,6 +23,7 @@ from multilica.checks.picture import check_png
 from tests.checks.test_comparison import SHIFT, checked, run_with
 
 TIME = "2026-11-23T03:00:00"
+SCHEMA = Path(__file__).parent / "junit.xsd"
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +42,39 @@ def test_junit_counts_failures_and_errors(rigs):
     assert cases["left"].find("error").get("type") == "undecided"
     assert list(cases["front"]) == []
     assert suites[0].get("timestamp") == TIME
+
+
+def junit_errors(report: str) -> list[str]:
+    schema = etree.XMLSchema(etree.parse(SCHEMA))
+    schema.validate(etree.fromstring(report.encode()))
+    return [error.message for error in schema.error_log]
+
+
+def test_junit_is_valid_against_its_schema(rigs):
+    name = "a<b>&\"'\x01\x1b[0m\ud800"
+    hostile = replace(rigs[0], name=name, lidars=tuple(replace(each, lidar=name) for each in rigs[0].lidars))
+    assert {each.verdict for each in rigs[0].lidars} == {"within", "outside", "undecided"}
+    for checks in ([], rigs, rigs[1:], [hostile]):
+        assert junit_errors(junit_xml(checks, TIME)) == []
+        summary_markdown(checks, "x").encode()
+        code_quality_json(checks, "x").encode()
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"),
+    [
+        ('tests="3"', 'tests="three"'),
+        ('hostname="localhost"', 'host="localhost"'),
+        (TIME, f"{TIME}+01:00"),
+        ("<system-err />", ""),
+        ("</testsuite>", "<properties /></testsuite>"),
+        ('type="outside"', ""),
+    ],
+)
+def test_the_schema_refuses_what_readers_may_refuse(rigs, right, wrong):
+    report = junit_xml(rigs, TIME)
+    assert right in report
+    assert junit_errors(report.replace(right, wrong)) != []
 
 
 def test_the_summary_has_a_row_per_lidar_and_escapes_names(rigs):
@@ -73,7 +109,7 @@ def test_a_name_cannot_end_an_annotation_or_a_table():
     hostile = replace(check, lidars=tuple(replace(each, lidar="a|b\n::error::x%<b>") for each in check.lidars))
     (line, *_) = github_annotations([replace(hostile, lidars=hostile.lidars[-1:])])
     assert "\n" not in line
-    assert "%0A%3A%3Aerror" in line
+    assert "\\x0a%3A%3Aerror" in line
     assert "a\\|b" in summary_markdown([hostile], "x")
     assert "<b>" not in summary_markdown([hostile], "x")
 

@@ -69,3 +69,10 @@ def test_open3d_comes_without_its_plots() -> None:
 def test_the_plots_of_open3d_still_work(before: str) -> None:
     plot = "for _ in range(2): print(len(o3d.visualization.get_plotly_fig([cloud]).data))"
     assert imported_by(f"{before}{SHOW_POINT}{plot}\nimport dash") >= PLOTS
+
+
+def test_verify_takes_no_viewer_and_draws_no_picture() -> None:
+    arguments = ["verify", str(SAMPLE), "--calibration", str(SAMPLE.with_suffix(".truth.toml"))]
+    loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")
+    assert "small_gicp" in loaded
+    assert loaded & (PLOTS | {"PIL", "jinja2", "rerun", "open3d", "foxglove", "kiss_matcher"}) == set()
