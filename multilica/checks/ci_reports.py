@@ -102,6 +102,7 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
     lines = [f"## LiDAR extrinsics: {_WORDS[verdict]}", "", f"Reference: `{reference}`", ""]
     if picture:
         lines += [f"![differences as shares of the tolerances]({picture})", ""]
+        lines += ["Upper bars: translation; lower bars: rotation; thin lines: one sigma.", ""]
     for rig in map(_printable, rigs):
         lines += [f"### {_text(rig.name)}", "", _text(rig.sentence), ""]
         lines += ["| LiDAR | verdict | translation | rotation | of the tolerance | why |", "|---|---|---|---|---|---|"]
