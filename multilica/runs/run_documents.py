@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readers of saved runs."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +27,7 @@ __all__ = [
 
 _RECORDINGS = ("recording.rrd", "recording.partial.rrd")
 _MCAPS = ("result.mcap", "result.partial.mcap")
+_OF_OPENCALIB = b'"sensor_calib"'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,9 +183,15 @@ def saved_run(run: RunDocument, name: str) -> SavedRun:
 
 
 def is_run(path: Path) -> bool:
-    """Tell whether `read_run_document` is meant to read it: a run directory or one of its files, not a recording."""
+    """Tell whether `read_run_document` is meant to read it: a run directory or one of its files, not a recording.
+
+    A JSON file is one of a run, whatever its name, unless it is OpenCalib's.
+    """
     if path.is_dir():
         return (path / RESULT_JSON).exists() or any(_first_in(path, names) for names in (_RECORDINGS, _MCAPS))
+    if path.suffix == ".json":
+        with suppress(OSError, DocumentError):
+            return _OF_OPENCALIB not in read_limited(path, MAX_JSON_BYTES)
     return path.suffix in (".json", ".rrd") or path.name in _MCAPS
 
 

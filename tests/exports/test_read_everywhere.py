@@ -23,6 +23,7 @@ NAMES = {
     "autoware": "rig.yaml",
     "kalibr": "rig.yaml",
     "csv": "rig.csv",
+    "opencalib": "rig.json",
 }
 
 
@@ -38,8 +39,26 @@ def test_a_run_is_the_same_as_its_export(invoke: Invoke, kind: str) -> None:
 
 
 def test_other_formats_are_known() -> None:
-    """The names of KITTI's and plain matrices are not those of LiDARs; a JSON file is taken for that of a run."""
-    assert {*FORMATS} - {*NAMES} == {"kitti", "matrices", "opencalib"}
+    """KITTI's and plain matrices have the names of frames, not those of LiDARs."""
+    assert {*FORMATS} - {*NAMES} == {"kitti", "matrices"}
+
+
+@pytest.mark.parametrize("kind", ["kitti", "matrices"])
+def test_the_same_matrices_do_not_differ(invoke: Invoke, kind: str) -> None:
+    run = made_run(Path("run"))
+    assert invoke("export", run, "--to", kind, "--out", "rig.txt", "--quiet").code == ExitCode.DONE
+    assert invoke("diff", "rig.txt", "rig.txt").code == ExitCode.DONE
+    Path("moved.txt").write_text(_moved(Path("rig.txt").read_text()))
+    assert invoke("diff", "rig.txt", "moved.txt").code == ExitCode.DIFFERENT
+
+
+def _moved(text: str) -> str:
+    """Add a metre to the last number that is a translation: that of the last row but 0 0 0 1."""
+    lines = text.rstrip().splitlines()
+    row = next(i for i in reversed(range(len(lines))) if float(lines[i].split()[-2]) != 0.0)
+    *values, shift = lines[row].split()
+    lines[row] = " ".join([*values, f"{float(shift) + 1.0}"])
+    return "\n".join(lines) + "\n"
 
 
 def test_a_moved_and_a_missing_lidar_are_told(invoke: Invoke) -> None:
