@@ -77,12 +77,17 @@ def test_an_exception_of_the_caller_comes_after_the_events():
 
 
 def test_a_signal_during_the_wait_comes_after_the_event():
-    waiting, seen = threading.Event(), []
+    queues, seen = [], []
+
+    def until(is_so):
+        end_s = time.monotonic() + 10.0
+        while not is_so() and time.monotonic() < end_s:
+            time.sleep(0.001)
 
     def work(event):
-        waiting.wait(10.0)
+        until(lambda: queues and queues[0].qsize() == 2)  # the other event, and the end: the caller waits
         os.kill(os.getpid(), signal.SIGUSR1)
-        time.sleep(0.2)
+        until(lambda: queues[0].qsize() < 2)
         seen.append(event)
 
     def interrupt(*_):
@@ -90,9 +95,9 @@ def test_a_signal_during_the_wait_comes_after_the_event():
 
     def run():
         with pass_aside(work) as observe:
+            queues.append(observe._events)
             observe(1)
             observe(2)
-            waiting.set()
 
     before = signal.signal(signal.SIGUSR1, interrupt)
     try:
