@@ -6,7 +6,7 @@ from multilica.checks.check_document import CheckDocument, check_document
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, check_rig, joint_verdict
 from multilica.checks.reference import poses_of, read_reference
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
-from multilica.checks.verify_snapshot import verify_snapshot
+from multilica.checks.verify_snapshot import decide_unplaced, verify_snapshot
 
 __all__ = [
     "CheckDocument",
@@ -18,6 +18,7 @@ __all__ = [
     "accept_run",
     "check_document",
     "check_rig",
+    "decide_unplaced",
     "joint_verdict",
     "poses_of",
     "read_reference",

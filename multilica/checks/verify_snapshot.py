@@ -11,7 +11,7 @@ from multilica.runs.run_documents import SavedPlacement, SavedRun
 from multilica.snapshot import Snapshot
 from multilica.verification import find_near
 
-__all__ = ["verify_snapshot"]
+__all__ = ["decide_unplaced", "verify_snapshot"]
 
 
 def verify_snapshot(
@@ -34,6 +34,38 @@ def verify_snapshot(
     )
     found = check_rig(SavedRun(snapshot.source or "snapshot", rig.root, placements), known, tolerances)
     return replace(found, lidars=tuple(_far(each) if each.lidar in rig.contradicted else each for each in found.lidars))
+
+
+def decide_unplaced(
+    check: RigCheck,
+    snapshot: Snapshot,
+    known: Extrinsics,
+    tolerances: RigTolerances,
+    config: CalibrationConfig | None = None,
+) -> RigCheck:
+    """Return the check of a calibration of the snapshot, with `verify_snapshot`'s word on LiDARs that it did not place.
+
+    A search asks for more evidence than a test of known poses.
+    """
+    unplaced = {each.lidar for each in check.lidars if each.verdict == "undecided" and each.error is None}
+    if not unplaced & known.members:
+        return check
+    near = verify_snapshot(snapshot, known, tolerances, config)
+    decided = {each.lidar: each for each in near.lidars if each.verdict != "undecided"}
+    if check.root in decided and decided[check.root].verdict == "outside":
+        return check
+    return replace(
+        check,
+        lidars=tuple(
+            _from_known(decided[each.lidar], near.root) if each.lidar in unplaced & decided.keys() else each
+            for each in check.lidars
+        ),
+    )
+
+
+def _from_known(check: LidarCheck, root: str) -> LidarCheck:
+    how = f"compared to {root}, registered from the reference, as the calibration did not place it"
+    return replace(check, reason=f"{check.reason}; {how}")
 
 
 def _far(check: LidarCheck) -> LidarCheck:

@@ -11,7 +11,7 @@ from math import radians
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multilica.checks import RigCheck, RigTolerances, check_rig, verify_snapshot
+from multilica.checks import RigCheck, RigTolerances, check_rig, decide_unplaced, verify_snapshot
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
@@ -95,15 +95,19 @@ def _try(case: _Case) -> _Outcome:
     )
     run = SavedRun(str(case), result.target, placements)
     tolerances = RigTolerances()
+
+    def checked(reference: Extrinsics) -> RigCheck:
+        return decide_unplaced(check_rig(run, reference, tolerances), made.snapshot, reference, tolerances, config)
+
     return _Outcome(
         case,
         moved,
         {
-            "check": check_rig(run, known, tolerances),
+            "check": checked(known),
             "verify": verify_snapshot(made.snapshot, known, tolerances, config),
         },
         {
-            "check": tuple(check_rig(run, each, tolerances) for each in references),
+            "check": tuple(checked(each) for each in references),
             "verify": tuple(verify_snapshot(made.snapshot, each, tolerances, config) for each in references[-1:]),
         },
     )

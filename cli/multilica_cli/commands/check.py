@@ -98,7 +98,7 @@ def check(
 
     Ends with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import check_rig, read_reference
+    from multilica.checks import check_rig, decide_unplaced, read_reference
     from multilica.runs.run_documents import is_run, read_run_document, saved_run
 
     limits = _tolerances(tolerances, max_translation_m, max_rotation_deg)
@@ -123,7 +123,12 @@ def check(
     for path in directories:
         read = read_run_document(path)
         frame_ids = {name: entry.frame_id for name, entry in read.document.input.lidars.items()}
-        checks.append(check_rig(saved_run(read, str(path)), read_reference(against, frame_ids), limits))
+        known = read_reference(against, frame_ids)
+        checks.append(check_rig(saved_run(read, str(path)), known, limits))
+        if not all(runs) and len(directories) == 1:
+            from multilica.ingest import read_snapshot
+
+            checks = [decide_unplaced(checks[0], read_snapshot(sources, config=config.ingest), known, limits, config)]
     return _finish(checks, against, junit, summary, code_quality, quiet=quiet, as_json=as_json)
 
 

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from multilica import read_extrinsics, read_snapshot
+from multilica.checks import RigTolerances, check_rig, decide_unplaced
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
+from multilica.runs import SavedPlacement, SavedRun
+from multilica_cli.commands.demo import find_sample
+
+LIMITS = RigTolerances()
+
+
+@pytest.fixture(scope="module")
+def snapshot():
+    return read_snapshot(find_sample().recording)
+
+
+def reference(lidar="", shift_m=0.0):
+    truth = read_extrinsics(find_sample().truth)
+    poses = {name: truth.between("left", name).matrix.copy() for name in sorted(truth.members)}
+    if lidar:
+        poses[lidar][0, 3] += shift_m
+    return Extrinsics("left", {name: RigidTransform("left", name, pose) for name, pose in poses.items()})
+
+
+def run_without(lidar):
+    """A calibration that places all others exactly."""
+    truth = reference()
+    placed = {name: truth.between("left", name) for name in sorted(truth.members - {lidar})}
+    covariance = np.eye(6) * 1e-8
+    placements = [SavedPlacement(name, pose, 0.5, "", covariance) for name, pose in placed.items()]
+    return SavedRun("run", "left", (*placements, SavedPlacement(lidar, None, None, "too little evidence", None)))
+
+
+@pytest.mark.parametrize(("shift_m", "verdict"), [(0.0, "within"), (0.05, "outside")])
+def test_an_unplaced_lidar_is_decided_from_its_known_pose(snapshot, shift_m, verdict):
+    known = reference("rear", shift_m)
+    check = check_rig(run_without("rear"), known, LIMITS)
+    assert {each.lidar: each.verdict for each in check.lidars}["rear"] == "undecided"
+    decided = {each.lidar: each for each in decide_unplaced(check, snapshot, known, LIMITS).lidars}
+    assert decided["rear"].verdict == verdict
+    assert "registered from the reference" in decided["rear"].reason
+    assert {name: each for name, each in decided.items() if name != "rear"} == {
+        each.lidar: each for each in check.lidars if each.lidar != "rear"
+    }
+
+
+def test_a_check_with_all_lidars_placed_is_left_alone(snapshot):
+    known = reference()
+    placed = tuple(SavedPlacement(name, known.between("left", name), 0.5, "", None) for name in sorted(known.members))
+    check = check_rig(SavedRun("run", "left", placed), known, LIMITS)
+    assert decide_unplaced(check, snapshot, known, LIMITS) is check
