@@ -11,6 +11,9 @@ from multilica.events import Event, Observer
 
 __all__ = ["pass_aside"]
 
+# A signal that comes just before a wait does not wake it: its handler runs when the wait ends.
+_SIGNAL_CHECK_S = 0.2
+
 
 @contextmanager
 def pass_aside(observe: Observer) -> Iterator[Observer]:
@@ -59,7 +62,8 @@ class _Aside:
     def end(self) -> None:
         """Wait until all events are passed: an interrupted `Thread.join` takes the thread for ended."""
         self._events.put(None)
-        self._ended.wait()
+        while not self._ended.wait(_SIGNAL_CHECK_S):
+            pass
 
     def drop(self) -> None:
         with suppress(Empty):
