@@ -13,6 +13,7 @@ from multilica_cli.commands.config import config
 from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
 from multilica_cli.commands.export import export
+from multilica_cli.commands.fleet import fleet
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
 from multilica_cli.commands.simulate import simulate
@@ -49,6 +50,7 @@ for command in (
     demo,
 ):
     app.command()(command)
+app.add_typer(fleet)
 
 
 def run(arguments: Sequence[str] | None = None) -> int:

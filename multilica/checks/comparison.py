@@ -14,7 +14,7 @@ from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import SavedPlacement, SavedRun
 
-__all__ = ["CheckVerdict", "LidarCheck", "RigCheck", "check_rig", "joint_verdict"]
+__all__ = ["CheckVerdict", "LidarCheck", "RigCheck", "check_rig", "joint_verdict", "relative_covariance"]
 
 CheckVerdict = Literal["within", "outside", "undecided"]
 
@@ -181,7 +181,7 @@ def _check(
     if placement.T_target_source is None or root is None or root.T_target_source is None:
         return LidarCheck(placement.lidar, "undecided", f"not placed: {placement.reason}", tolerance)
     error = PoseError.between(*_poses(root, placement, reference))
-    covariance = _relative_covariance(root, placement, target)
+    covariance = relative_covariance(root, placement, target)
     if covariance is None:
         of_translation = of_rotation = None
     else:
@@ -232,7 +232,7 @@ def _decide(off: float, limit: float, sigmas: _Sigmas | None, scale: float, unit
     return "within", f"{size} of {most}"
 
 
-def _relative_covariance(root: SavedPlacement, placement: SavedPlacement, target: str) -> FloatArray | None:
+def relative_covariance(root: SavedPlacement, placement: SavedPlacement, target: str) -> FloatArray | None:
     """Return the (6, 6) covariance of a pose in the frame of the root; an upper bound, as both may share errors."""
     assert root.T_target_source is not None and placement.T_target_source is not None  # noqa: S101, PT018
     moved_by_root = np.eye(6)

@@ -9,9 +9,9 @@ from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.runs.run_documents import SavedPlacement, SavedRun
 from multilica.snapshot import Snapshot
-from multilica.verification import find_near
+from multilica.verification import FoundRig, find_near
 
-__all__ = ["decide_unplaced", "verify_snapshot"]
+__all__ = ["check_found", "decide_unplaced", "saved_rig", "verify_snapshot"]
 
 
 def verify_snapshot(
@@ -27,13 +27,26 @@ def verify_snapshot(
         UnfitSnapshotError: fewer than two LiDARs have returns in range, or the vehicle moves.
         UsageError: the poses lack two of the LiDARs, or a tolerance is for none of them.
     """
-    rig = find_near(snapshot, known, config)
+    return check_found(find_near(snapshot, known, config), snapshot, known, tolerances)
+
+
+def check_found(rig: FoundRig, snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances) -> RigCheck:
+    """Compare the poses that `find_near` found in a snapshot with the known ones.
+
+    Raises:
+        UsageError: a tolerance is for none of the LiDARs.
+    """
+    found = check_rig(saved_rig(rig, snapshot), known, tolerances)
+    return replace(found, lidars=tuple(_far(each) if each.lidar in rig.contradicted else each for each in found.lidars))
+
+
+def saved_rig(rig: FoundRig, snapshot: Snapshot) -> SavedRun:
+    """Return the poses that `find_near` found in a snapshot as those of a run whose target is the root."""
     placements = tuple(
         SavedPlacement(name, rig.poses.get(name), None, rig.reasons.get(name, ""), rig.covariances.get(name))
         for name in snapshot.names
     )
-    found = check_rig(SavedRun(snapshot.source or "snapshot", rig.root, placements), known, tolerances)
-    return replace(found, lidars=tuple(_far(each) if each.lidar in rig.contradicted else each for each in found.lidars))
+    return SavedRun(snapshot.source or "snapshot", rig.root, placements)
 
 
 def decide_unplaced(

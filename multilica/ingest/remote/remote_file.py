@@ -26,7 +26,7 @@ from multilica.scratch import scratch_folder
 if TYPE_CHECKING:
     from multilica.ingest.remote.file_cache import FileCache
 
-__all__ = ["MAX_WHOLE_BYTES", "RemoteFile", "SourceFile", "path_on_disk"]
+__all__ = ["MAX_WHOLE_BYTES", "RemoteFile", "SourceFile", "open_file_system", "path_on_disk"]
 
 MAX_WHOLE_BYTES = 2 << 30
 """Limit of files that are downloaded as a whole."""
@@ -121,7 +121,7 @@ class RemoteFile:
         with remote_failures_named(str(self), self._scheme):
             from multilica.ingest.remote.file_cache import BLOCK_BYTES
 
-            system, path = _open_system(self._url)
+            system, path = open_file_system(self._url)
             handle = system.open(
                 path, "rb", block_size=BLOCK_BYTES, cache_type="none", **self._known_size(system, path)
             )
@@ -248,7 +248,7 @@ def path_on_disk(file: SourceFile, what: str) -> Path:
     return file.copy(what) if isinstance(file, RemoteFile) else file
 
 
-def _open_system(url: str) -> tuple[Any, str]:
+def open_file_system(url: str) -> tuple[Any, str]:
     """Return the file system of an address and the path in it."""
     if scheme_of(url) == "gs":
         # The default of fsspec asks for the kind of the bucket over gRPC, and waits forever if nobody answers.

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`multilica fleet`: many logs as one table of extrinsics over time."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from multilica_cli import options
+from multilica_cli.configuration import ingest_options, resolve_config
+from multilica_cli.exit_codes import ExitCode
+from multilica_cli.terminal import print_json, stdout_console
+
+if TYPE_CHECKING:
+    from multilica.fleet.store import Store
+
+__all__ = ["fleet"]
+
+fleet = typer.Typer(
+    name="fleet",
+    no_args_is_help=True,
+    help="Turn many logs into one table of extrinsics over time.",
+    short_help="Turn many logs into one table of extrinsics over time.",
+)
+
+_Store = Annotated[
+    str,
+    typer.Option("--store", metavar="STORE", help="Folder, or s3://BUCKET/PREFIX, of `fleet run`.", show_default=False),
+]
+_Format = Annotated[
+    Literal["table", "csv", "json"], typer.Option("--format", metavar="table|csv|json", help="Form of the answer.")
+]
+
+
+@fleet.command()
+def run(
+    logs: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="LOGS",
+            help="Folders, files, globs, s3:// or gs:// prefixes, or a manifest: CSV or Parquet with the columns "
+            "source, vehicle and time.",
+            show_default=False,
+        ),
+    ],
+    *,
+    out: Annotated[
+        str,
+        typer.Option(
+            "--out", metavar="STORE", help="Folder, or s3://BUCKET/PREFIX, for tables and files.", show_default=False
+        ),
+    ],
+    pattern: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PATTERN",
+            help="Vehicle and time in the paths of logs, such as {vehicle}/{time:%Y-%m-%d_%H%M%S}.",
+            show_default="from the log's metadata, else its folder's name",
+        ),
+    ] = None,
+    calibrate: Annotated[
+        Literal["when-needed", "always"],
+        typer.Option(
+            metavar="when-needed|always",
+            help="when-needed: only where the vehicle's last accepted poses do not hold any more.",
+        ),
+    ] = "when-needed",
+    target: Annotated[
+        str | None, typer.Option(metavar="NAME", help="LiDAR that all poses are relative to.", show_default="chosen")
+    ] = None,
+    max_translation_m: Annotated[
+        float, typer.Option("--max-translation", metavar="M", min=1e-6, help="Largest distance that is no motion.")
+    ] = 0.03,
+    max_rotation_deg: Annotated[
+        float, typer.Option("--max-rotation", metavar="DEG", min=1e-6, help="Largest rotation that is no motion.")
+    ] = 0.3,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N", min=1, help="Logs at once, each with one thread of a process.", show_default="one per core"
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Dask scheduler to run on instead: tcp://HOST:PORT or tls://HOST:PORT.",
+            show_default=False,
+        ),
+    ] = "",
+    max_log_time_s: Annotated[
+        float, typer.Option("--max-log-time", metavar="S", min=1.0, help="A log that takes longer is given up.")
+    ] = 600.0,
+    max_log_memory_mb: Annotated[
+        float, typer.Option("--max-log-memory", metavar="MB", min=100.0, help="A log that takes more is given up.")
+    ] = 4000.0,
+    retries: Annotated[int, typer.Option(metavar="N", min=0, help="Tries after a lost connection or a kill.")] = 3,
+    newest_first: Annotated[bool, typer.Option("--newest-first", help="Begin with the newest logs.")] = False,
+    topics: options.Topics = None,
+    frames: options.Frames = None,
+    window: Annotated[
+        Literal["start", "auto"],
+        typer.Option(metavar="start|auto", help="auto: use the longest standstill of a log; start: its first frames."),
+    ] = "auto",
+    config_file: options.ConfigFile = None,
+    settings: options.Settings = None,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
+) -> int:
+    """Verify or calibrate each log that the store does not have yet; an interrupted run goes on where it was.
+
+    Ends with 0 if every log has a result, 4 if a log of this run was refused or failed.
+    """
+    from multilica.checks import RigTolerances, Tolerance
+    from multilica.fleet.fleet_run import FleetOptions, run_fleet
+    from multilica.fleet.guard import UnitLimits
+    from multilica.fleet.listing import LogPattern
+    from multilica.fleet.store import open_store
+    from multilica_cli.fleet_progress import show_fleet
+
+    given = {**ingest_options(topics, frames, None, window, None, strict=False), "target": target}
+    config = resolve_config(None, config_file, {**given, "runtime.workers": 1}, settings or ())
+    chosen = FleetOptions(
+        config,
+        RigTolerances(default=Tolerance(translation_m=max_translation_m, rotation_deg=max_rotation_deg)),
+        calibrate,
+        LogPattern(pattern) if pattern else None,
+        newest_first,
+        workers or len(os.sched_getaffinity(0)),
+        scheduler,
+        UnitLimits(time_s=max_log_time_s, memory_mb=max_log_memory_mb, retries=retries),
+    )
+    store = open_store(out, create=True)
+    with show_fleet(quiet=quiet or as_json) as observe:
+        outcome = run_fleet(logs, store, chosen, observe)
+    if as_json:
+        print_json({"found": outcome.found, "skipped": outcome.skipped, **outcome.states})
+    else:
+        counts = ", ".join(f"{count} {state}" for state, count in sorted(outcome.states.items())) or "nothing to do"
+        console = stdout_console(quiet=quiet)
+        console.print(f"{outcome.found} logs, {outcome.skipped} of them finished before: {counts}.")
+        if outcome.without_result:
+            console.print(f"See why with: multilica fleet failures --store {store}")
+    return ExitCode.NOT_PLACED if outcome.without_result else ExitCode.DONE
+
+
+@fleet.command()
+def query(
+    sql: Annotated[
+        str,
+        typer.Argument(metavar="SQL", help="Question in the SQL of DuckDB; tables: lidars, logs.", show_default=False),
+    ],
+    *,
+    store: _Store,
+    form: _Format = "table",
+) -> None:
+    """Ask anything of the tables `lidars` (a row per LiDAR and log) and `logs`."""
+    from multilica.fleet.query import ask
+    from multilica_cli.tables.answer import print_answer
+
+    with ask(_opened(store), sql) as answer:
+        print_answer(answer, form, stdout_console())
+
+
+@fleet.command()
+def status(*, store: _Store, form: _Format = "table") -> None:
+    """List the vehicles: logs by outcome, and LiDARs without a certain pose in the last one."""
+    from multilica.fleet import query as questions
+    from multilica_cli.tables.answer import print_answer
+
+    with questions.status(_opened(store)) as answer:
+        print_answer(answer, form, stdout_console())
+
+
+@fleet.command()
+def failures(*, store: _Store, form: _Format = "table") -> None:
+    """List the logs without a result and the LiDARs without a certain pose, by cause, with their recordings."""
+    from multilica.fleet import query as questions
+    from multilica_cli.tables.answer import print_answer
+
+    with questions.failures(_opened(store)) as answer:
+        print_answer(answer, form, stdout_console())
+
+
+@fleet.command()
+def show(
+    vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="Name of the vehicle.", show_default=False)],
+    *,
+    store: _Store,
+    form: _Format = "table",
+) -> None:
+    """List where each LiDAR of a vehicle was, log by log."""
+    from multilica.fleet import query as questions
+    from multilica_cli.tables.answer import print_answer
+
+    opened = _opened(store)
+    questions.require_vehicle(opened, vehicle)
+    with questions.vehicle_history(opened, vehicle) as answer:
+        print_answer(answer, form, stdout_console())
+
+
+@fleet.command()
+def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
+    """Join the small parts of each vehicle and month into one; not while a run writes into the store."""
+    from multilica.fleet.compact import compact_store
+
+    before, after = compact_store(_opened(store))
+    stdout_console(quiet=quiet).print(f"{before} parts are now {after}.")
+
+
+def _opened(address: str) -> Store:
+    from multilica.fleet.store import open_store
+
+    return open_store(address, create=False)

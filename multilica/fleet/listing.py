@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The logs that a user names: files, folders, globs, prefixes in buckets, and manifests."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from glob import has_magic
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet.logs import FleetLog, fingerprint_of
+from multilica.fleet.store import vehicle_name
+from multilica.ingest.formats import Content, name_unpacked, named_format
+from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
+from multilica.ingest.remote.error_texts import remote_failures_named
+from multilica.ingest.remote.remote_file import open_file_system
+
+__all__ = ["LogPattern", "find_logs"]
+
+_MANIFESTS = (".csv", ".parquet")
+_BUCKETS = ("s3", "gs")
+_NEEDED, _OPTIONAL = "source", ("vehicle", "time")
+_FIELD = re.compile(r"\{(vehicle|time)(?::([^{}]+))?\}")
+_DIRECTIVES = {"Y": 4, "m": 2, "d": 2, "H": 2, "M": 2, "S": 2, "y": 2, "j": 3}
+_BATCH = 4096
+
+
+class LogPattern:
+    """Vehicle and time in the path of a log.
+
+    Args:
+        text: such as ``{vehicle}/{time:%Y-%m-%d_%H%M%S}``; it is searched for anywhere in the path. A ``*`` stands for
+            any characters within a folder's name. Times are UTC.
+
+    Raises:
+        UsageError: no field, one twice, or a part of a time that is not supported.
+    """
+
+    def __init__(self, text: str) -> None:
+        fields = [found[1] for found in _FIELD.finditer(text)]
+        if not fields or len({*fields}) < len(fields):
+            raise UsageError(
+                f"Found the pattern '{text}'; expected {{vehicle}}, {{time:%Y-%m-%d}} or both, for example "
+                "{vehicle}/{time:%Y-%m-%d_%H%M%S}."
+            )
+        pattern, position, self._time_format = "", 0, ""
+        for found in _FIELD.finditer(text):
+            pattern += _literal(text[position : found.start()])
+            pattern += self._time(found[2], text) if found[1] == "time" else r"(?P<vehicle>[^/]+?)"
+            position = found.end()
+        self._pattern = re.compile(pattern + _literal(text[position:]))
+
+    def of(self, source: str) -> tuple[str, int | None]:
+        """Return vehicle and time in nanoseconds; empty and None where the path does not have them."""
+        found = self._pattern.search(source)
+        if found is None:
+            return "", None
+        groups = found.groupdict()
+        time_ns = None
+        if groups.get("time"):
+            try:
+                begin = datetime.strptime(groups["time"], self._time_format).replace(tzinfo=UTC)
+            except ValueError:
+                return groups.get("vehicle") or "", None
+            time_ns = round(begin.timestamp()) * 10**9
+        return groups.get("vehicle") or "", time_ns
+
+    def _time(self, given: str | None, text: str) -> str:
+        self._time_format = given or "%Y-%m-%d"
+        parts = re.split(r"%(.)", self._time_format)
+        unknown = {each for each in parts[1::2] if each not in _DIRECTIVES}
+        if unknown:
+            raise UsageError(
+                f"Found %{min(unknown)} in the pattern '{text}'; expected %Y, %m, %d, %H, %M, %S, %y or %j."
+            )
+        digits = [rf"\d{{{_DIRECTIVES[part]}}}" if index % 2 else re.escape(part) for index, part in enumerate(parts)]
+        return f"(?P<time>{''.join(digits)})"
+
+
+def find_logs(given: Sequence[str], pattern: LogPattern | None = None) -> Iterator[FleetLog]:
+    """Yield the logs in what was given, each once it is found.
+
+    Args:
+        given: files, folders (searched to their ends), globs, ``s3://`` or ``gs://`` prefixes and globs, addresses of
+            files, or CSV or Parquet manifests with the columns `source` and, if known, `vehicle` and `time`.
+        pattern: vehicle and time in the paths of logs; what a manifest says comes first.
+
+    Raises:
+        UsageError: nothing was given, or an address of another kind.
+        SourceNotFoundError: nothing exists there.
+        UnreadableSourceError: a manifest or a bucket cannot be read.
+    """
+    if not given:
+        raise UsageError("No logs were given; expected folders, files, globs, s3:// prefixes or a manifest.")
+    for each in given:
+        for log in _found(each):
+            yield _described(log, pattern)
+
+
+def _described(log: FleetLog, pattern: LogPattern | None) -> FleetLog:
+    vehicle, time_ns = pattern.of(log.source) if pattern else ("", None)
+    vehicle = log.vehicle or vehicle
+    return replace(
+        log,
+        vehicle=vehicle_name(vehicle) if vehicle else "",
+        time_ns=time_ns if log.time_ns is None else log.time_ns,
+    )
+
+
+def _found(given: str) -> Iterator[FleetLog]:
+    scheme = scheme_of(given)
+    if scheme:
+        require_readable(given)
+        if Path(urlsplit(given).path).suffix in _MANIFESTS:
+            raise UsageError(f"The manifest {without_secrets(given)} is an address; expected a file on this machine.")
+        yield from _in_bucket(given) if scheme in _BUCKETS else _behind([given])
+        return
+    path = Path(given).expanduser()
+    if path.suffix in _MANIFESTS and path.is_file():
+        yield from _in_manifest(path)
+    elif path.is_dir():
+        yield from (_local(each, path) for each in _logs_below(path))
+    elif path.exists():
+        yield _local(path, path.parent)
+    elif has_magic(given):
+        yield from _globbed(path, given)
+    else:
+        raise SourceNotFoundError(f"Nothing exists at {given}.")
+
+
+def _globbed(path: Path, given: str) -> Iterator[FleetLog]:
+    parts = path.parts
+    fixed = next(index for index, part in enumerate(parts) if has_magic(part))
+    base = Path(*parts[:fixed])
+    found = sorted(base.glob(str(Path(*parts[fixed:]))))
+    if not found:
+        raise SourceNotFoundError(f"No file matches {given}.")
+    for each in found:
+        yield from (_local(log, base) for log in (_logs_below(each) if each.is_dir() else [each]))
+
+
+def _logs_below(folder: Path) -> Iterator[Path]:
+    """Yield recordings, folders that are one bag, and folders of point files."""
+    entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
+    if _is_one_log(folder, entries):
+        yield folder
+        return
+    for each in entries:
+        if each.is_dir():
+            yield from _logs_below(each)
+        elif _has_recording(each):
+            yield each
+
+
+def _is_one_log(folder: Path, entries: Sequence[Path]) -> bool:
+    clouds = (named_format(each) for each in entries if each.is_file())
+    return (folder / "metadata.yaml").is_file() or any(
+        found is not None and found.content is Content.CLOUD for found in clouds
+    )
+
+
+def _has_recording(path: Path) -> bool:
+    found = named_format(path)
+    return name_unpacked(path.name) != path.name or (found is not None and found.content is Content.RECORDING)
+
+
+def _local(path: Path, base: Path) -> FleetLog:
+    """Return a log below a folder; its source begins with the folder's name."""
+    return _with_source(path, path.resolve().relative_to(base.resolve().parent))
+
+
+def _with_source(path: Path, source: Path) -> FleetLog:
+    try:
+        size, fingerprint = fingerprint_of(path)
+    except OSError as error:
+        size, fingerprint = 0, f"unreadable: {error.strerror}"
+    return FleetLog(os.fspath(path.absolute()), source.as_posix(), size, fingerprint)
+
+
+def _in_bucket(given: str) -> Iterator[FleetLog]:
+    scheme = scheme_of(given)
+    with remote_failures_named(without_secrets(given), scheme):
+        system, path = open_file_system(given)
+        found: Mapping[str, Mapping[str, Any]] = (
+            system.glob(path, detail=True) if has_magic(path) else system.find(path, detail=True)
+        )
+    logs = [each for each in sorted(found) if _has_recording(Path(each))]
+    if not logs:
+        raise SourceNotFoundError(f"No recording lies at {without_secrets(given)}.")
+    for each in logs:
+        address = f"{scheme}://{each}"
+        yield FleetLog(address, address, int(found[each]["size"]), _etag(found[each]))
+
+
+def _etag(details: Mapping[str, Any]) -> str:
+    return str(details.get("ETag") or details.get("etag") or details.get("md5Hash") or "").strip('"')
+
+
+def _behind(addresses: Sequence[str]) -> Iterator[FleetLog]:
+    """Yield files at addresses; what tells a change of them is known only when they are read."""
+    for each in addresses:
+        source = without_secrets(each)
+        yield FleetLog(each, source, 0, hashlib.sha256(source.encode()).hexdigest()[:32])
+
+
+def _in_manifest(path: Path) -> Iterator[FleetLog]:
+    for row in _rows(path):
+        source = str(row.get(_NEEDED) or "")
+        if not source:
+            raise UnreadableSourceError(f"A row of the manifest {path} has no source.")
+        log = next(_behind([source])) if scheme_of(source) else _listed(Path(source), path.parent)
+        time = row.get("time")
+        yield replace(
+            log, vehicle=str(row.get("vehicle") or ""), time_ns=None if time is None else _time_ns(time, path)
+        )
+
+
+def _listed(source: Path, folder: Path) -> FleetLog:
+    """Return a log of a manifest; a missing file fails later, as one of many."""
+    if source.is_absolute() or ".." in source.parts:
+        return _with_source(folder / source, Path(*source.parts[-2:]))
+    return _with_source(folder / source, source)
+
+
+def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
+    import pyarrow as pa
+    import pyarrow.dataset as pads
+
+    try:
+        table = pads.dataset(path, format=path.suffix[1:])
+        if _NEEDED not in table.schema.names:
+            raise UnreadableSourceError(
+                f"The manifest {path} has the columns {', '.join(table.schema.names)[:200]}; expected source, and "
+                "vehicle and time if they are known."
+            )
+        columns = [_NEEDED, *(name for name in _OPTIONAL if name in table.schema.names)]
+        for batch in table.to_batches(columns=columns, batch_size=_BATCH):
+            yield from batch.to_pylist()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise UnreadableSourceError(f"The manifest {path} cannot be read as {path.suffix[1:].upper()}.") from error
+
+
+def _time_ns(value: object, path: Path) -> int:
+    """Return a time of a manifest: a timestamp, a text in ISO 8601, or seconds or nanoseconds since the epoch."""
+    try:
+        if isinstance(value, str) and not re.fullmatch(r"[0-9.]+", value):
+            value = datetime.fromisoformat(value)
+        if isinstance(value, datetime):
+            aware = value if value.tzinfo else value.replace(tzinfo=UTC)
+            return round(aware.timestamp() * 10**6) * 1000
+        number = float(value)  # type: ignore[arg-type]
+        return int(value) if number > 1e12 else round(number * 10**9)  # type: ignore[call-overload]
+    except (ValueError, TypeError, OverflowError) as error:
+        raise UnreadableSourceError(
+            f"The manifest {path} has the time {value!r:.60}; expected ISO 8601, or seconds since 1970."
+        ) from error
+
+
+def _literal(text: str) -> str:
+    return "[^/]*".join(re.escape(part) for part in text.split("*"))

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The order of the work: per vehicle its logs by time, with what the store has of them.
+
+The plan lies in a database on disk, so that its size in memory does not depend on the number of logs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+import multilica
+from multilica.fleet.logs import FleetLog, unit_key
+from multilica.fleet.records import PASSING
+from multilica.fleet.store import Store
+
+__all__ = ["Plan", "PlannedLog"]
+
+_BATCH = 2000
+_MEMORY = "256MB"
+_LOGS = pa.schema(
+    [
+        ("key", pa.string()),
+        ("address", pa.string()),
+        ("source", pa.string()),
+        ("size_bytes", pa.int64()),
+        ("fingerprint", pa.string()),
+        ("vehicle", pa.string()),
+        ("time_ns", pa.int64()),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedLog:
+    """A log in the order of its vehicle.
+
+    Args:
+        finished: whether the store has its row.
+        accepted: path in the store of poses that it gave; empty if it gave none.
+    """
+
+    key: str
+    address: str
+    source: str
+    size_bytes: int
+    fingerprint: str
+    vehicle: str
+    time_ns: int | None
+    finished: bool
+    accepted: str
+
+
+class Plan:
+    """The logs of a run.
+
+    Args:
+        folder: for the database.
+        config_sha256: only rows of this configuration and version count as finished.
+        newest_first: whether each vehicle's logs go from the newest to the oldest.
+    """
+
+    def __init__(self, folder: Path, store: Store, config_sha256: str, *, newest_first: bool = False) -> None:
+        self._base = duckdb.connect(str(folder / "plan.duckdb"))
+        self._base.execute(f"SET memory_limit='{_MEMORY}'; SET threads=1; SET temp_directory='{folder}'")
+        columns = ", ".join(f"{name} {_sql_type(name)}" for name in _LOGS.names)
+        self._base.execute(f"CREATE TABLE found ({columns})")
+        self._config_sha256, self._order = config_sha256, "DESC" if newest_first else "ASC"
+        self._read_store(store)
+
+    def _read_store(self, store: Store) -> None:
+        passing = ", ".join(f"'{reason}'" for reason in PASSING)
+        self._base.register("stored", store.dataset("logs"))
+        self._base.execute(
+            f"""CREATE TABLE done AS
+            SELECT key, source, fingerprint, vehicle, epoch_ns(time) AS time_ns,
+                   CASE WHEN state = 'calibrated' AND calibration LIKE '%' || key || '%' THEN calibration ELSE '' END
+                   AS accepted
+            FROM stored WHERE config_sha256 = ? AND version = ? AND NOT (state = 'failed' AND reason IN ({passing}))""",  # noqa: S608 - no text from outside
+            [self._config_sha256, multilica.__version__],
+        )
+        self._base.unregister("stored")
+
+    def add(self, logs: Iterable[FleetLog]) -> int:
+        """Add logs; return how many."""
+        count, waiting = 0, iter(logs)
+        while batch := list(islice(waiting, _BATCH)):
+            values = [{"key": unit_key(log, self._config_sha256)} | asdict(log) for log in batch]
+            self._base.register("batch", pa.Table.from_pylist(values, schema=_LOGS))
+            self._base.execute(f"INSERT INTO found SELECT {', '.join(_LOGS.names)} FROM batch")  # noqa: S608
+            self._base.unregister("batch")
+            count += len(batch)
+        return count
+
+    def settle(self, identify: Callable[[Sequence[str]], Iterable[tuple[str, int | None]]]) -> None:
+        """Find vehicle and time of the logs that lack one: from the store, else by reading them.
+
+        Args:
+            identify: returns vehicle, empty if unknown, and time for each of several addresses.
+        """
+        self._base.execute(
+            "DELETE FROM found WHERE rowid NOT IN (SELECT min(rowid) FROM found GROUP BY key);"
+            "UPDATE found SET vehicle = done.vehicle, time_ns = done.time_ns FROM done WHERE found.key = done.key"
+        )
+        lacking = """SELECT key, address, source, vehicle, time_ns FROM found
+            WHERE (vehicle = '' OR time_ns IS NULL) AND key NOT IN (SELECT key FROM done) ORDER BY source"""
+        with closing(self._base.cursor()) as cursor:
+            cursor.execute(lacking)
+            while rows := cursor.fetchmany(_BATCH):
+                found = identify([address for _, address, *_ in rows])
+                settled = [
+                    (vehicle or named or _folder(source), time_ns if begin_ns is None else begin_ns, key)
+                    for (key, _, source, vehicle, begin_ns), (named, time_ns) in zip(rows, found, strict=True)
+                ]
+                self._base.executemany("UPDATE found SET vehicle = ?, time_ns = ? WHERE key = ?", settled)
+
+    def counts(self) -> tuple[int, int]:
+        """Return the number of logs, and of those that are to be done."""
+        counted = self._base.execute(
+            "SELECT count(*), count(*) FILTER (key NOT IN (SELECT key FROM done)) FROM found"
+        ).fetchone()
+        assert counted is not None  # noqa: S101
+        return counted[0], counted[1]
+
+    def vehicles(self) -> Iterator[str]:
+        """Yield the vehicles with something to do, by name."""
+        todo = "SELECT DISTINCT vehicle FROM found WHERE key NOT IN (SELECT key FROM done) ORDER BY vehicle"
+        return (vehicle for (vehicle,) in self._stream(todo))
+
+    def logs_of(self, vehicle: str) -> Iterator[PlannedLog]:
+        """Yield the logs of a vehicle in the order of the work, finished ones of earlier runs among them."""
+        rows = self._stream(
+            f"""WITH own AS (SELECT * FROM found WHERE vehicle = $1),
+                     past AS (SELECT * FROM done WHERE vehicle = $1)
+            SELECT own.*, past.key IS NOT NULL, coalesce(past.accepted, '')
+            FROM own LEFT JOIN past ON own.key = past.key
+            UNION ALL
+            SELECT key, '', source, 0, fingerprint, vehicle, time_ns, true, accepted
+            FROM past WHERE key NOT IN (SELECT key FROM own)
+            ORDER BY time_ns {self._order} NULLS LAST, source, key""",  # noqa: S608 - no text from outside
+            [vehicle],
+        )
+        return (PlannedLog(*row) for row in rows)
+
+    def close(self) -> None:
+        """Close the database."""
+        self._base.close()
+
+    def _stream(self, query: str, values: Sequence[Any] = ()) -> Iterator[tuple[Any, ...]]:
+        with closing(self._base.cursor()) as cursor:
+            cursor.execute(query, list(values))
+            while rows := cursor.fetchmany(_BATCH):
+                yield from rows
+
+
+def _sql_type(name: str) -> str:
+    return "BIGINT" if name in ("size_bytes", "time_ns") else "VARCHAR"
+
+
+def _folder(source: str) -> str:
+    """Return the folder that a log lies in, as the name of its vehicle."""
+    parts = source.split("/")
+    return parts[-2] if len(parts) > 1 else "unknown"

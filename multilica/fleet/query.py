@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Questions about the tables of a store."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import duckdb
+
+from multilica.errors import SourceNotFoundError, UsageError
+from multilica.fleet.store import Store
+
+__all__ = ["Answer", "ask", "failures", "open_tables", "require_vehicle", "status", "vehicle_history"]
+
+_LONGEST = 300
+_BATCH = 1000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """A table: names of the columns, and rows that are read when they are asked for."""
+
+    columns: tuple[str, ...]
+    cursor: duckdb.DuckDBPyConnection
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows."""
+        while rows := self.cursor.fetchmany(_BATCH):
+            yield from rows
+
+
+@contextmanager
+def open_tables(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
+    """Open a database with the views `lidars` and `logs`.
+
+    A log that was treated again, by another version or configuration, stands there once, by its last row. A row of
+    `lidars` is there if the row of its log is.
+    """
+    base = duckdb.connect()
+    try:
+        base.execute("SET TimeZone='UTC'")
+        for table in ("lidars", "logs"):
+            base.register(f"{table}_parts", store.dataset(table))
+        base.execute(
+            """CREATE VIEW logs AS SELECT * EXCLUDE (turn) FROM (
+                 SELECT *, row_number() OVER (PARTITION BY source, fingerprint, vehicle
+                                              ORDER BY state = 'failed', finished_at DESC, key) AS turn
+                 FROM logs_parts) WHERE turn = 1;
+               CREATE VIEW lidars AS SELECT DISTINCT ON (key, lidar) * FROM lidars_parts
+               WHERE key IN (SELECT key FROM logs)"""
+        )
+        yield base
+    finally:
+        base.close()
+
+
+@contextmanager
+def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Answer]:
+    """Answer a question in the SQL of DuckDB, with the tables `lidars` and `logs`.
+
+    Raises:
+        UsageError: the database does not understand it.
+    """
+    with open_tables(store) as base:
+        try:
+            base.execute(sql, list(values))
+            yield Answer(tuple(name for name, *_ in base.description or ()), base)
+        except duckdb.Error as error:
+            text = " ".join(str(error).split())
+            raise UsageError(f"The question cannot be answered: {text[:_LONGEST]}") from error
+
+
+_STATUS = """
+SELECT logs.vehicle, count(*) AS logs, min(time) AS first, max(time) AS last,
+       count(*) FILTER (state = 'verified') AS verified, count(*) FILTER (state = 'calibrated') AS calibrated,
+       count(*) FILTER (state IN ('refused', 'failed')) AS without_result,
+       count(*) FILTER (state = 'duplicate') AS duplicates,
+       (SELECT string_agg(lidar || ': ' || reason, ', ' ORDER BY lidar) FROM lidars
+        WHERE lidars.vehicle = logs.vehicle AND lidars.status <> 'placed'
+          AND lidars.key = arg_max(logs.key, logs.time) FILTER (state IN ('verified', 'calibrated'))) AS not_placed_last
+FROM logs GROUP BY logs.vehicle ORDER BY logs.vehicle
+"""
+_FAILURES = """
+SELECT vehicle, time, source, '' AS lidar, state AS outcome, reason, reason_text, recording FROM logs
+WHERE state IN ('refused', 'failed')
+UNION ALL
+SELECT lidars.vehicle, lidars.time, lidars.source, lidar, status, lidars.reason, lidars.reason_text, recording
+FROM lidars JOIN logs USING (key) WHERE status <> 'placed'
+ORDER BY reason, vehicle, time, source, lidar
+"""
+_HISTORY = """
+SELECT time, lidar, how, status, round(x_m, 4) AS x_m, round(y_m, 4) AS y_m, round(z_m, 4) AS z_m,
+       round(degrees(atan2(2 * (qw * qx + qy * qz), 1 - 2 * (qx * qx + qy * qy))), 3) AS roll_deg,
+       round(degrees(asin(greatest(-1, least(1, 2 * (qw * qy - qz * qx))))), 3) AS pitch_deg,
+       round(degrees(atan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))), 3) AS yaw_deg,
+       round(sigma_mm, 2) AS sigma_mm, round(sigma_deg, 4) AS sigma_deg, target, reason, source
+FROM lidars WHERE vehicle = ? ORDER BY time, source, lidar
+"""
+
+
+def status(store: Store) -> Any:  # noqa: ANN401 - a context manager of an Answer
+    """Answer how many logs each vehicle has, with which outcome, and which LiDARs its last one does not place."""
+    return ask(store, _STATUS)
+
+
+def failures(store: Store) -> Any:  # noqa: ANN401 - as above
+    """Answer which logs have no result and which LiDARs have no certain pose, by cause, with their recordings."""
+    return ask(store, _FAILURES)
+
+
+def vehicle_history(store: Store, vehicle: str) -> Any:  # noqa: ANN401 - as above
+    """Answer where each LiDAR of a vehicle was, log by log."""
+    return ask(store, _HISTORY, [vehicle])
+
+
+def require_vehicle(store: Store, vehicle: str) -> None:
+    """Raise SourceNotFoundError if the store has no log of a vehicle."""
+    with ask(store, "SELECT DISTINCT vehicle FROM logs ORDER BY 1") as answer:
+        names = [name for (name,) in answer.rows()]
+    if vehicle not in names:
+        shown = ", ".join(names[:10]) + (", ..." if len(names) > 10 else "")
+        raise SourceNotFoundError(f"The store {store} has no vehicle '{vehicle}'; it has {shown or 'none yet'}.")

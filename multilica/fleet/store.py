@@ -1,0 +1,273 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The store: Parquet parts and run files in a folder or in a bucket.
+
+::
+
+    STORE/
+      fleet.json                                    name and version of this layout
+      lidars/vehicle=V/month=2026-03/KEY.parquet    a row per LiDAR of the log KEY
+      logs/vehicle=V/month=2026-03/KEY.parquet      a row for the log KEY, written last: with it the log is finished
+      runs/V/2026-03/KEY/                           files of a calibration
+
+A part is written under another name and renamed, or put in one request, so that it is whole or not there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import quote, unquote
+
+import pyarrow.dataset as pads
+import pyarrow.parquet as pq
+from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
+
+from multilica.errors import (
+    MissingDependencyError,
+    SourceNotFoundError,
+    UnreadableSourceError,
+    UsageError,
+    escape_controls,
+)
+from multilica.fleet.records import (
+    LIDARS_SCHEMA,
+    LOGS_SCHEMA,
+    SCHEMA_VERSION,
+    LidarRow,
+    LogRow,
+    month_of,
+    table_of,
+)
+from multilica.ingest.remote.address import scheme_of, without_secrets
+from multilica.ingest.remote.error_texts import remote_failures_named
+from multilica.ingest.remote.remote_file import open_file_system
+from multilica.sinks.files.atomic import atomic_file
+
+__all__ = ["Store", "folder_name", "open_store", "vehicle_name", "vehicle_of_part"]
+
+_LAYOUT = "fleet.json"
+_BUCKETS = ("s3", "gs")
+_LONGEST_NAME = 200
+"""Bytes; file systems take 255."""
+TABLES = {"lidars": LIDARS_SCHEMA, "logs": LOGS_SCHEMA}
+
+
+def folder_name(name: str) -> str:
+    """Return a name from a log as the name of a folder, without separators and dots; `unquote` gives it back."""
+    return quote(name, safe="").replace(".", "%2E") or "unknown"
+
+
+def vehicle_name(text: str) -> str:
+    """Return a text from a log as the name of a vehicle: printable, of bounded length, never empty."""
+    name = " ".join(escape_controls(text).split())
+    while len(folder_name(name)) > _LONGEST_NAME:
+        name = name[:-1]
+    return name or "unknown"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Store:
+    """A store on a disk or in a bucket.
+
+    Args:
+        address: as it was given.
+        system: the file system; None on a disk.
+        root: path of the store in the file system.
+    """
+
+    address: str
+    system: Any
+    root: str
+
+    def __str__(self) -> str:
+        return without_secrets(self.address) if scheme_of(self.address) else self.address
+
+    def finish(self, log: LogRow, lidars: Sequence[LidarRow]) -> None:
+        """Write the rows of a log, the row that makes it finished last."""
+        if lidars:
+            self._write_part("lidars", log, table_of(lidars, LIDARS_SCHEMA))
+        self._write_part("logs", log, table_of([log], LOGS_SCHEMA))
+
+    def is_finished(self, vehicle: str, time_ns: int | None, key: str) -> bool:
+        """Return whether the row of a log is there, whatever it says."""
+        return self.exists(_part("logs", vehicle, time_ns, key))
+
+    def run_folder(self, vehicle: str, time_ns: int | None, key: str) -> str:
+        """Return the path of a log's run files, relative to the store."""
+        return f"runs/{folder_name(vehicle)}/{month_of(time_ns)}/{key}"
+
+    def exists(self, path: str) -> bool:
+        """Return whether a file is there; `path` is relative to the store."""
+        if self.system is None:
+            return Path(self.root, path).exists()
+        with self._named(path):
+            self.system.invalidate_cache()  # other processes write as well
+            return bool(self.system.exists(f"{self.root}/{path}"))
+
+    def read(self, path: str) -> bytes:
+        """Return the content of a file; raise SourceNotFoundError if it is not there."""
+        try:
+            if self.system is None:
+                return Path(self.root, path).read_bytes()
+            with self._named(path):
+                return bytes(self.system.cat_file(f"{self.root}/{path}"))
+        except (FileNotFoundError, SourceNotFoundError) as error:
+            raise SourceNotFoundError(f"The store {self} has no {path}.") from error
+
+    def write(self, path: str, content: bytes) -> None:
+        """Write a file, whole or not at all."""
+        if self.system is None:
+            place = Path(self.root, path)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with atomic_file(place) as file:
+                file.write(content)
+            return
+        with self._named(path):
+            self.system.pipe_file(f"{self.root}/{path}", content)
+
+    def put(self, local: Path, path: str) -> int:
+        """Copy a file into the store; return its size in bytes."""
+        size = local.stat().st_size
+        if self.system is None:
+            self.write(path, local.read_bytes())
+        else:
+            with self._named(path):
+                self.system.put_file(os.fspath(local), f"{self.root}/{path}")
+        return size
+
+    def remove(self, path: str) -> None:
+        """Remove a file; one that is not there is no error."""
+        with suppress(FileNotFoundError, SourceNotFoundError):
+            if self.system is None:
+                Path(self.root, path).unlink()
+            else:
+                with self._named(path):
+                    self.system.rm_file(f"{self.root}/{path}")
+
+    def files(self, folder: str) -> Iterator[tuple[str, int]]:
+        """Yield path and size in bytes of all files below a folder, relative to the store."""
+        if self.system is None:
+            top = Path(self.root)
+            for place, folders, names in os.walk(top / folder):
+                folders.sort()
+                for name in sorted(names):
+                    if not name.startswith("."):
+                        path = Path(place, name)
+                        yield path.relative_to(top).as_posix(), path.stat().st_size
+            return
+        with self._named(folder):
+            self.system.invalidate_cache()
+            found = self.system.find(f"{self.root}/{folder}", detail=True) if self._has(folder) else {}
+        for path, details in sorted(found.items()):
+            yield path[len(self.root) + 1 :], int(details["size"])
+
+    def parts(self, table: str) -> list[str]:
+        """Return the paths of the parts of a table."""
+        return [path for path, _ in self.files(table) if path.endswith(".parquet")]
+
+    def dataset(self, table: str) -> pads.Dataset:
+        """Return a table as a dataset of Arrow, with `vehicle` and `month` as texts."""
+        import pyarrow as pa
+
+        texts = pa.schema([("vehicle", pa.string()), ("month", pa.string())])
+        folders = pads.HivePartitioning(texts, segment_encoding="uri")
+        schema = pa.schema([*TABLES[table], pa.field("vehicle", pa.string()), pa.field("month", pa.string())])
+        return pads.dataset(
+            self.parts(table), schema=schema, format="parquet", filesystem=self._arrow_system(), partitioning=folders
+        )
+
+    def _arrow_system(self) -> SubTreeFileSystem:
+        system = LocalFileSystem() if self.system is None else PyFileSystem(FSSpecHandler(self.system))
+        return SubTreeFileSystem(self.root, system)
+
+    def _has(self, folder: str) -> bool:
+        return bool(self.system.exists(f"{self.root}/{folder}"))
+
+    def _write_part(self, table: str, log: LogRow, rows: Any) -> None:  # noqa: ANN401 - pyarrow has no types
+        buffer = BytesIO()
+        pq.write_table(rows, buffer, compression="zstd")
+        self.write(_part(table, log.vehicle, log.time_ns, log.key), buffer.getvalue())
+
+    def _named(self, path: str) -> Any:  # noqa: ANN401 - a context manager
+        return remote_failures_named(f"{self}/{path}", scheme_of(self.address))
+
+
+def _part(table: str, vehicle: str, time_ns: int | None, key: str) -> str:
+    return f"{table}/vehicle={folder_name(vehicle)}/month={month_of(time_ns)}/{key}.parquet"
+
+
+def vehicle_of_part(path: str) -> str:
+    """Return the vehicle whose row a part holds."""
+    folder = PurePosixPath(path).parts[1]
+    return unquote(folder.removeprefix("vehicle="))
+
+
+def open_store(address: str | Path, *, create: bool) -> Store:
+    """Open a store, or lay out a new one.
+
+    Args:
+        address: a folder, or ``s3://BUCKET/PREFIX`` or ``gs://BUCKET/PREFIX``.
+        create: make it if it is not there.
+
+    Raises:
+        UsageError: another kind of address, or a folder with other things in it.
+        SourceNotFoundError: there is no store, and it is not to be created.
+        UnreadableSourceError: the store is of a newer version, or the bucket does not answer.
+    """
+    store = _located(str(address))
+    try:
+        found = json.loads(store.read(_LAYOUT))
+        version = found["schema_version"]
+    except SourceNotFoundError:
+        if not create:
+            raise SourceNotFoundError(
+                f"There is no fleet store at {store}; `multilica fleet run LOGS --out {store}` makes one."
+            ) from None
+        _lay_out(store)
+        return store
+    except (ValueError, KeyError, TypeError) as error:
+        raise UnreadableSourceError(
+            f"{store}/{_LAYOUT} cannot be read; expected its format and version."
+        ) from error
+    if version != SCHEMA_VERSION:
+        raise UnreadableSourceError(
+            f"The store {store} has version {version!r:.20} of the tables; this multilica reads and writes "
+            f"{SCHEMA_VERSION}; use the version that wrote it, or another store."
+        )
+    return store
+
+
+def _located(address: str) -> Store:
+    scheme = scheme_of(address)
+    if not scheme:
+        return Store(address, None, os.fspath(Path(address).expanduser().absolute()))
+    if scheme not in _BUCKETS:
+        raise UsageError(
+            "A store is a folder, or lies at s3://BUCKET/PREFIX or gs://BUCKET/PREFIX; found "
+            f"{without_secrets(address)}."
+        )
+    try:
+        system, path = open_file_system(address)
+    except ImportError as error:
+        extra = {"gs": "gcs"}.get(scheme, scheme)
+        raise MissingDependencyError(
+            f"The store {without_secrets(address)} needs a package that is not installed; "
+            f"`pip install 'multilica[{extra}]'` installs it."
+        ) from error
+    return Store(address, system, path.rstrip("/"))
+
+
+def _lay_out(store: Store) -> None:
+    if store.system is None:
+        folder = Path(store.root)
+        others = folder.exists() and (not folder.is_dir() or any(each.name[0] != "." for each in folder.iterdir()))
+        if others and not store.exists(_LAYOUT):  # another driver may be laying it out
+            raise UsageError(f"{store} is not a fleet store, and not empty; give a new or an empty folder.")
+    values = {"format": "multilica fleet store", "schema_version": SCHEMA_VERSION}
+    store.write(_LAYOUT, (json.dumps(values, indent=2) + "\n").encode())

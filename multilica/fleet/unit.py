@@ -1,0 +1,314 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One log: from its address to its rows and files in the store."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import BaseModel, ConfigDict
+
+import multilica
+from multilica.checks import RigTolerances, check_found, relative_covariance, saved_rig
+from multilica.config import CalibrationConfig
+from multilica.diagnosis import explain
+from multilica.diagnosis.explanation import Missing, Uncertain
+from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
+from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
+from multilica.fleet.records import LidarRow, LogRow
+from multilica.fleet.store import Store, folder_name, open_store
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.ingest import read_snapshot, require_calibratable
+from multilica.ingest.memory import MemoryLimitError
+from multilica.ingest.remote.error_texts import ConnectionLostError
+from multilica.results.document import ResultDocument
+from multilica.run import run_calibration
+from multilica.runs.run_documents import read_run_document
+from multilica.scratch import scratch_folder
+from multilica.snapshot import Snapshot
+from multilica.verification import find_near
+
+__all__ = ["Calibrate", "UnitRequest", "UnitSummary", "failed_row", "run_unit"]
+
+Calibrate = Literal["when-needed", "always"]
+_REFERENCE = "reference.toml"
+_FILES = ("recording.rrd", "report.html", "result.mcap")
+_ALSO = ("result.json", "calibration.toml")
+
+
+class UnitRequest(BaseModel):
+    """What a worker needs to know of a log.
+
+    Attributes:
+        reference: path in the store of the vehicle's last accepted poses; empty if there are none.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: str
+    address: str
+    source: str
+    fingerprint: str
+    size_bytes: int
+    vehicle: str
+    time_ns: int | None
+    store: str
+    config: CalibrationConfig
+    config_sha256: str
+    tolerances: RigTolerances
+    calibrate: Calibrate
+    reference: str
+    attempt: int = 1
+
+    def row(self) -> LogRow:
+        """Return the part of the row that is known beforehand."""
+        return LogRow(
+            key=self.key,
+            vehicle=self.vehicle,
+            time_ns=self.time_ns,
+            source=self.source,
+            fingerprint=self.fingerprint,
+            size_bytes=self.size_bytes,
+            state="failed",
+            version=multilica.__version__,
+            config_sha256=self.config_sha256,
+            reference=self.reference,
+            calibration=self.reference,
+            attempts=self.attempt,
+        )
+
+
+class UnitSummary(BaseModel):
+    """What the driver needs to know of a finished log."""
+
+    model_config = ConfigDict(frozen=True)
+
+    state: str
+    reason: str
+    reason_text: str
+    calibration: str
+    source_sha256: str
+    lidars: int
+    placed: int
+
+    @classmethod
+    def of(cls, row: LogRow) -> UnitSummary:
+        """Return the summary of a row."""
+        return cls.model_validate({name: getattr(row, name) for name in cls.model_fields})
+
+
+def run_unit(request: UnitRequest) -> UnitSummary:
+    """Verify or calibrate a log, and write its files and rows into the store.
+
+    A log that another driver has finished meanwhile is written again, with the same content.
+    """
+    start_s, start_cpu_s = time.monotonic(), _cpu_s()
+    store = open_store(request.store, create=False)
+    try:
+        row, lidars = _outcome(request, store)
+    except ConnectionLostError:
+        raise
+    except UnfitSnapshotError as refusal:
+        row, lidars = failed_row(request, refusal.code, str(refusal), state="refused"), []
+    except MultilicaError as failure:
+        row, lidars = failed_row(request, _code(failure), str(failure)), []
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    row = replace(
+        row,
+        elapsed_s=time.monotonic() - start_s,
+        cpu_s=_cpu_s() - start_cpu_s,
+        memory_mb=usage.ru_maxrss / 1024.0,
+        finished_at=datetime.now(UTC),
+    )
+    store.finish(row, lidars)
+    return UnitSummary.of(row)
+
+
+def failed_row(
+    request: UnitRequest, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed"
+) -> LogRow:
+    """Return the row of a log without a result; the poses that held before it still hold."""
+    told = text.replace(request.address, request.source)
+    return replace(request.row(), state=state, reason=reason, reason_text=told, finished_at=datetime.now(UTC))
+
+
+def _code(failure: MultilicaError) -> str:
+    if isinstance(failure, MemoryLimitError):
+        return "memory"
+    return "unreadable" if isinstance(failure, InputError) else "unusable"
+
+
+def _outcome(request: UnitRequest, store: Store) -> tuple[LogRow, Sequence[LidarRow]]:
+    config, row = request.config, request.row()
+    snapshot = read_snapshot(request.address, config=config.ingest)
+    row = replace(row, source_sha256=snapshot.source_sha256, lidars=len(snapshot.names))
+    first = _first_with(snapshot.source_sha256, request, store)
+    if first != request.source:
+        return replace(row, state="duplicate", reason="duplicate", reason_text=f"the same bytes as {first}"), []
+    require_calibratable(snapshot)
+    known = _reference(request, store)
+    if known is not None and request.calibrate == "when-needed" and {*snapshot.names} <= known.members:
+        rows = _verified(request, snapshot, known)
+        if rows:
+            return replace(row, state="verified", placed=len(rows)), rows
+    return _calibrated(request, store, row, known, snapshot)
+
+
+def _first_with(sha256: str, request: UnitRequest, store: Store) -> str:
+    """Return the first log of the vehicle that had these bytes, which is this one if none had them before."""
+    path = f"digests/{folder_name(request.vehicle)}/{request.config_sha256}-{multilica.__version__}/{sha256}"
+    try:
+        return store.read(path).decode()
+    except SourceNotFoundError:
+        store.write(path, request.source.encode())
+        return request.source
+
+
+def _reference(request: UnitRequest, store: Store) -> Extrinsics | None:
+    if not request.reference:
+        return None
+    with scratch_folder() as folder:
+        path = folder / _REFERENCE
+        path.write_bytes(store.read(request.reference))
+        return read_extrinsics(path)
+
+
+def _verified(request: UnitRequest, snapshot: Snapshot, known: Extrinsics) -> list[LidarRow]:
+    """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were."""
+    found = find_near(snapshot, known, request.config)
+    if known.target not in found.poses or check_found(found, snapshot, known, request.tolerances).verdict != "within":
+        return []
+    placements = {each.lidar: each for each in saved_rig(found, snapshot).placements}
+    target, T_target_root = placements[known.target], found.poses[known.target].inverse()
+    rows = []
+    for name in sorted(placements):
+        covariance = None if name == known.target else relative_covariance(target, placements[name], found.root)
+        pose = T_target_root @ found.poses[name]
+        rows.append(_row(request, name, known.target, "verified", "placed", pose, covariance))
+    return rows
+
+
+def _row(
+    request: UnitRequest,
+    lidar: str,
+    target: str,
+    how: Literal["verified", "calibrated"],
+    status: Literal["placed", "uncertain", "not_placed"],
+    pose: RigidTransform | None,
+    covariance: FloatArray | None,
+    **more: Any,  # noqa: ANN401 - fields of the row
+) -> LidarRow:
+    row = LidarRow(request.key, request.time_ns, request.source, lidar, target, how, status, **more)
+    if pose is not None:
+        x_m, y_m, z_m = pose.xyz_m.tolist()
+        qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
+        row = replace(row, x_m=x_m, y_m=y_m, z_m=z_m, qx=qx, qy=qy, qz=qz, qw=qw)
+    if covariance is not None:
+        sigma_rad, sigma_m = (
+            float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0)))
+            for block in (covariance[:3, :3], covariance[3:, 3:])
+        )
+        row = replace(
+            row,
+            covariance=tuple(covariance.ravel().tolist()),
+            sigma_mm=1000.0 * sigma_m,
+            sigma_deg=float(np.rad2deg(sigma_rad)),
+        )
+    return row
+
+
+def _calibrated(
+    request: UnitRequest, store: Store, row: LogRow, known: Extrinsics | None, snapshot: Snapshot
+) -> tuple[LogRow, Sequence[LidarRow]]:
+    config = request.config
+    if known is not None and not config.target and known.target in snapshot.names:
+        config = config.model_copy(update={"target": known.target})
+    prior = known if request.calibrate == "when-needed" else None
+    with scratch_folder() as folder:
+        out = folder / "run"
+        run_calibration(request.address, out, _recorded(config, "slim"), prior=prior)
+        if read_run_document(out).document.status != "complete":
+            run_calibration(request.address, out, _recorded(config, "full"), prior=prior)
+        document = read_run_document(out).document
+        row = _stored(request, store, replace(row, state="calibrated"), out, document, known)
+    return row, _calibrated_rows(request, document)
+
+
+def _recorded(config: CalibrationConfig, detail: str) -> CalibrationConfig:
+    """A recording says why LiDARs are not placed, in full; of a success, slim."""
+    return config.model_copy(update={"record": config.record.model_copy(update={"detail": detail})})
+
+
+def _stored(
+    request: UnitRequest, store: Store, row: LogRow, out: Path, document: ResultDocument, known: Extrinsics | None
+) -> LogRow:
+    """Copy the files of a run into the store, with the poses that hold from now on."""
+    place, target = store.run_folder(request.vehicle, request.time_ns, request.key), document.target
+    poses = {
+        name: RigidTransform(target, name, np.asarray(entry.T_target_source))
+        for name, entry in document.lidars.items()
+        if entry.placed and entry.T_target_source is not None
+    }
+    if len(poses) > 1:
+        reference = _joined(Extrinsics(target, poses), known)
+        store.write(f"{place}/{_REFERENCE}", tomli_w.dumps(extrinsics_table(reference)).encode())
+        row = replace(row, calibration=f"{place}/{_REFERENCE}")
+    size = sum(store.put(out / name, f"{place}/{name}") for name in (*_FILES, *_ALSO) if (out / name).exists())
+    written = {name: f"{place}/{name}" if (out / name).exists() else "" for name in _FILES}
+    return replace(
+        row,
+        placed=len(poses),
+        artifacts_mb=size / 1e6,
+        recording=written["recording.rrd"],
+        report=written["report.html"],
+        mcap=written["result.mcap"],
+    )
+
+
+def _joined(found: Extrinsics, known: Extrinsics | None) -> Extrinsics:
+    """Keep the last poses of LiDARs that were not placed now."""
+    if known is None or found.target not in known.members:
+        return found
+    kept = {name: known.between(found.target, name) for name in known.members if name != found.target}
+    return Extrinsics(found.target, {**kept, **found.T_target_source})
+
+
+def _calibrated_rows(request: UnitRequest, document: ResultDocument) -> list[LidarRow]:
+    outcome = explain(document)
+    causes: dict[str, Missing | Uncertain] = {each.lidar: each for each in outcome.missing}
+    causes |= {each.lidar: each for each in outcome.uncertain}
+    evidence: dict[str, float] = {}
+    for pair in document.pairs:
+        for name in (pair.target, pair.source) if pair.verdict.accepted else ():
+            evidence[name] = max(evidence.get(name, 0.0), pair.evidence)
+    rows = []
+    for name, entry in document.lidars.items():
+        pose = entry.T_target_source
+        cause = causes.get(name)
+        rows.append(
+            _row(
+                request,
+                name,
+                document.target,
+                "calibrated",
+                entry.status,
+                None if pose is None else RigidTransform(document.target, name, np.asarray(pose)),
+                None if entry.covariance is None or name == document.target else np.asarray(entry.covariance),
+                reason="" if cause is None else cause.cause,
+                reason_text="" if cause is None else cause.headline,
+                evidence=evidence.get(name),
+            )
+        )
+    return rows
+
+
+def _cpu_s() -> float:
+    own, below = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
+    return own.ru_utime + own.ru_stime + below.ru_utime + below.ru_stime

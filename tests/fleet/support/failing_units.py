@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A unit server whose logs crash, hang or take memory, as the first word of their name says."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+from multilica.errors import UnreadableSourceError
+from multilica.fleet import unit, unit_server
+from multilica.fleet.store import open_store
+from multilica.ingest.remote.error_texts import ConnectionLostError
+
+
+def run_unit(request):
+    what, tried = request.source.split("-")[0], Path(f"{request.address}.tried")
+    match what:
+        case "crash":
+            os.abort()
+        case "hang":
+            time.sleep(1000.0)
+        case "memory":
+            np.ones(10**11)
+        case "bug":
+            raise ZeroDivisionError("nothing to divide by")
+        case "broken":
+            raise UnreadableSourceError("never reached by the server of the library")
+        case "killed" if not tried.exists():
+            tried.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "offline" if not tried.exists():
+            tried.touch()
+            raise ConnectionLostError("The connection was lost.")
+        case "unreachable":
+            raise ConnectionLostError("The connection was lost.")
+    print("what a library prints is no answer")
+    row = unit.failed_row(request, "stub", f"process {os.getpid()}", state="refused")
+    open_store(request.store, create=False).finish(row, [])
+    return unit.UnitSummary.of(row)
+
+
+if __name__ == "__main__":
+    unit.run_unit = run_unit
+    unit_server.main()

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+import json
+import os
+from contextlib import contextmanager
+from dataclasses import replace
+
+import duckdb
+import fsspec
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet.records import LIDARS_SCHEMA, LidarRow, LogRow
+from multilica.fleet.store import folder_name, open_store, vehicle_name, vehicle_of_part
+from tests.fleet.support.requests import DAY_NS, START_NS
+from tests.ingest.support.processes import served
+
+KEY = "0123456789abcdef0123456789abcdef"
+LOG = LogRow(KEY, "v1", START_NS, "a/b.mcap", "f", 3, "calibrated", reason_text="", artifacts_mb=0.5)
+LIDAR = LidarRow(KEY, START_NS, "a/b.mcap", "left", "top", "calibrated", "placed", x_m=1.25, covariance=(0.5,) * 36)
+
+
+@contextmanager
+def bucket(monkeypatch):
+    with served("s3_server.py") as port:
+        for name, value in {
+            "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}",
+            "AWS_ACCESS_KEY_ID": "key",
+            "AWS_SECRET_ACCESS_KEY": "secret",
+            "AWS_DEFAULT_REGION": "us-east-1",
+        }.items():
+            monkeypatch.setenv(name, value)
+        fsspec.filesystem("s3", skip_instance_cache=True).mkdir("bucket")
+        yield "s3://bucket/fleet"
+
+
+@pytest.mark.parametrize("place", ["disk", "bucket"])
+def test_rows_come_back_with_the_vehicle_of_their_folder(tmp_path, monkeypatch, place):
+    with bucket(monkeypatch) if place == "bucket" else _folder(tmp_path / "store") as address:
+        store = open_store(address, create=True)
+        assert not store.is_finished("v1", START_NS, KEY)
+        store.finish(LOG, [LIDAR])
+        store.finish(replace(LOG, key=KEY[::-1], vehicle="../7 ä", time_ns=None), [])
+        store = open_store(address, create=False)
+        assert store.is_finished("v1", START_NS, KEY)
+        assert store.is_finished("../7 ä", None, KEY[::-1])
+        (lidar,) = store.dataset("lidars").to_table().to_pylist()
+        assert (lidar["vehicle"], lidar["month"], lidar["x_m"], lidar["covariance"]) == ("v1", "2026-01", 1.25, [0.5] * 36)
+        assert lidar["time"].isoformat() == "2026-01-01T00:00:00+00:00"
+        logs = {row["vehicle"]: row for row in store.dataset("logs").to_table().to_pylist()}
+        assert {*logs} == {"v1", "../7 ä"}
+        assert logs["../7 ä"]["month"] == "unknown"
+        assert logs["v1"]["artifacts_mb"] == 0.5
+        path = tmp_path / "file"
+        path.write_bytes(b"content")
+        assert store.put(path, "runs/v1/x/file") == 7
+        assert store.read("runs/v1/x/file") == b"content"
+        assert ("runs/v1/x/file", 7) in store.files("runs")
+        store.remove("runs/v1/x/file")
+        store.remove("runs/v1/x/file")
+        with pytest.raises(SourceNotFoundError, match=r"has no runs/v1/x/file"):
+            store.read("runs/v1/x/file")
+
+
+@contextmanager
+def _folder(path):
+    yield str(path)
+
+
+def test_other_readers_read_the_parts(tmp_path):
+    store = open_store(tmp_path, create=True)
+    store.finish(replace(LOG, vehicle="v 1"), [LIDAR])
+    found = duckdb.sql(f"SELECT vehicle, lidar FROM read_parquet('{tmp_path}/lidars/**/*.parquet', hive_partitioning=true)")
+    assert found.fetchall() == [("v 1", "left")]
+    (part,) = store.parts("lidars")
+    schema = pq.read_schema(tmp_path / part)
+    assert schema.equals(LIDARS_SCHEMA)
+    assert schema.metadata[b"multilica.schema_version"] == b"1"
+
+
+@given(st.text())
+def test_any_text_of_a_log_is_one_folder_below_the_store(text):
+    name = vehicle_name(text)
+    folder = folder_name(name)
+    assert folder == os.path.basename(folder)
+    assert "." not in folder
+    assert 0 < len(folder.encode()) <= 200
+    assert vehicle_of_part(f"logs/vehicle={folder}/month=2026-01/x.parquet") == name
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [("{", "expected its format"), ("{}", "expected its format"), ('{"schema_version": 99}', "version 99")],
+)
+def test_a_store_of_another_version_is_refused(tmp_path, content, words):
+    (tmp_path / "fleet.json").write_text(content)
+    with pytest.raises(UnreadableSourceError, match=words):
+        open_store(tmp_path, create=True)
+
+
+def test_a_folder_with_other_things_is_no_store(tmp_path):
+    (tmp_path / "notes.txt").touch()
+    with pytest.raises(UsageError, match="not empty"):
+        open_store(tmp_path, create=True)
+    with pytest.raises(SourceNotFoundError, match="fleet run LOGS --out"):
+        open_store(tmp_path / "none", create=False)
+    with pytest.raises(UsageError, match="s3://BUCKET/PREFIX"):
+        open_store("https://example.com/store", create=True)
+
+
+def test_the_layout_is_written(tmp_path):
+    open_store(tmp_path / "new", create=True)
+    assert json.loads((tmp_path / "new" / "fleet.json").read_text()) == {
+        "format": "multilica fleet store",
+        "schema_version": 1,
+    }
+    time_ns = START_NS + 40 * DAY_NS
+    assert open_store(tmp_path / "new", create=False).run_folder("a/b", time_ns, KEY) == f"runs/a%2Fb/2026-02/{KEY}"
