@@ -137,13 +137,13 @@ def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:
     return local_output(path, option.opts[0])
 
 
-def mcap_name(option: typer.CallbackParam, out: Path) -> Path:
+def mcap_name(option: typer.CallbackParam, out: Path | None) -> Path | None:
     """Return the path of an option that names an MCAP file to write.
 
     Raises:
         UsageError: it is an address, or does not end in .mcap.
     """
     local_path(option, out)
-    if out.suffix != ".mcap":
+    if out is not None and out.suffix != ".mcap":
         raise UsageError(f"Found --out {out}; expected a name that ends in .mcap.")
     return out

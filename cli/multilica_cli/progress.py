@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a run or of a live recording on the terminal."""
+"""Progress of a run, of a live recording or of many files on the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from multilica_cli.terminal import printable, stderr_console
 if TYPE_CHECKING:
     from multilica.ingest.recording import MessageObserver
 
-__all__ = ["show_listening", "show_progress"]
+__all__ = ["show_count", "show_listening", "show_progress"]
 
 
 @contextmanager
@@ -114,3 +114,24 @@ def show_listening(wanted: int, *, quiet: bool) -> Iterator[MessageObserver]:
             progress.update(tasks[topic], completed=min(count, wanted))
 
         yield observe
+
+
+@contextmanager
+def show_count(name: str, total: int) -> Iterator[Callable[[], None]]:
+    """Show on stderr how many of a known number are done: as a bar on a terminal, else as a line per tenth."""
+    console = stderr_console()
+    if console.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, console=console) as progress:
+            task = progress.add_task(name, total=total)
+            yield lambda: progress.advance(task)
+        return
+    done = 0
+
+    def advance() -> None:
+        nonlocal done
+        done += 1
+        if done * 10 // total > (done - 1) * 10 // total:
+            console.print(f"{done} of {total} {name}")
+
+    yield advance

@@ -2,8 +2,21 @@
 """Simulated snapshots with exact ground truth."""
 
 from multilica.simulate.disturbances import DISTURBANCES
+from multilica.simulate.fleet import FleetPlan, PlannedLog, plan_fleet
 from multilica.simulate.rigs import RIGS
 from multilica.simulate.scenes import SCENES
-from multilica.simulate.simulation import Simulation, simulate_snapshot
+from multilica.simulate.simulation import Simulation, simulate_snapshot, true_extrinsics
+from multilica.simulate.thinning import thinned
 
-__all__ = ["DISTURBANCES", "RIGS", "SCENES", "Simulation", "simulate_snapshot"]
+__all__ = [
+    "DISTURBANCES",
+    "RIGS",
+    "SCENES",
+    "FleetPlan",
+    "PlannedLog",
+    "Simulation",
+    "plan_fleet",
+    "simulate_snapshot",
+    "thinned",
+    "true_extrinsics",
+]

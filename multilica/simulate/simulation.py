@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation of a snapshot of a rig in a scene."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -17,18 +19,20 @@ from multilica.simulate.disturbances import (
     require_known,
     truck_beside,
 )
+from multilica.simulate.random_streams import random_stream
 from multilica.simulate.raycast import Surroundings, measure, nearer, returned_points
 from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, fan, misjudged
 from multilica.simulate.scenes import SCENES
 from multilica.simulate.shapes.mesh import merged
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
-__all__ = ["Simulation", "simulate_snapshot"]
+__all__ = ["Simulation", "simulate_snapshot", "true_extrinsics"]
 
 _FIRST_STAMP_NS = 1_767_225_600_000_000_000
 _FRAME_S = 0.1
 _SPEED_M_S = 3.0
 _LOW_OVERLAP_DEG = 9.0
+_UNMOVED: Mapping[str, RigidTransform] = MappingProxyType({})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +56,8 @@ def simulate_snapshot(
     frames: int = 5,
     disturbances: tuple[str, ...] = (),
     build_seed: int | None = None,
+    moved: Mapping[str, RigidTransform] = _UNMOVED,
+    start_ns: int = _FIRST_STAMP_NS,
 ) -> Simulation:
     """Simulate what a rig sees in a scene; the same arguments give the same bits.
 
@@ -63,9 +69,12 @@ def simulate_snapshot(
         disturbances: any of `DISTURBANCES`, for instance ``("rain", "dead:left")``.
         build_seed: chooses the vehicle; None: `seed`. A vehicle has the same truth and the same static transforms
             in every scene.
+        moved: LiDARs that are no longer as built, each with its pose in its own frame as built. The truth is where
+            they are; the static transforms stay those of the vehicle as built.
+        start_ns: stamp of the first frames.
 
     Raises:
-        UnknownNameError: no such rig, scene, disturbance, or LiDAR of a disturbance.
+        UnknownNameError: no such rig, scene, disturbance, or LiDAR of a disturbance or motion.
         UsageError: a negative seed, no frame, a disturbance that the rig cannot have, or a scene without room for it.
     """
     built = seed if build_seed is None else build_seed
@@ -79,56 +88,78 @@ def simulate_snapshot(
         )
     require_known(disturbances, rig, [mount.name for mount in RIGS[rig].mounts])
     chosen = fan(_LOW_OVERLAP_DEG) if "low_overlap" in disturbances else RIGS[rig]
-    poses = as_built(chosen, _stream(rig, "mounting", built))
-    world = _World(chosen, scene, seed, poses, disturbances)
+    original = as_built(chosen, random_stream(rig, "mounting", built))
+    poses = _moved(original, moved, rig)
+    world = _World(chosen, scene, seed, poses, disturbances, start_ns)
     scans = tuple(world.scans(mount, frames) for mount in chosen.mounts)
-    priors = _stream(rig, "prior", built)
-    static = tuple(misjudged(pose, priors) for pose in poses.values())
+    priors = random_stream(rig, "prior", built)
+    static = tuple(misjudged(pose, priors) for pose in original.values())
     vehicle = "" if build_seed is None else f", vehicle {build_seed}"
     description = f"simulation {world.label}{vehicle}" + (f" with {', '.join(disturbances)}" if disturbances else "")
     return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses))
 
 
-def _stream(*keys: object) -> np.random.Generator:
-    """Return random numbers for one purpose: another draw for one purpose does not change the others."""
-    return np.random.default_rng(list("/".join(map(str, keys)).encode()))
+def true_extrinsics(rig: str, build_seed: int, moved: Mapping[str, RigidTransform] = _UNMOVED) -> Extrinsics:
+    """Return the truth of `simulate_snapshot` for a vehicle, without a simulation.
+
+    Raises:
+        UnknownNameError: no such rig, or no such LiDAR of a motion.
+    """
+    if rig not in RIGS:
+        raise UnknownNameError("rig", rig, RIGS)
+    return Extrinsics(BASE, _moved(as_built(RIGS[rig], random_stream(rig, "mounting", build_seed)), moved, rig))
+
+
+def _moved(
+    poses: dict[str, RigidTransform], moved: Mapping[str, RigidTransform], rig: str
+) -> dict[str, RigidTransform]:
+    for name in moved:
+        if name not in poses:
+            raise UnknownNameError("LiDAR", name, poses, f"rig '{rig}'")
+    return {name: pose @ moved[name] if name in moved else pose for name, pose in poses.items()}
 
 
 class _World:
     """Surfaces that beams can hit, fixed and moving."""
 
     def __init__(
-        self, rig: Rig, scene: str, seed: int, poses: dict[str, RigidTransform], disturbances: tuple[str, ...]
+        self,
+        rig: Rig,
+        scene: str,
+        seed: int,
+        poses: dict[str, RigidTransform],
+        disturbances: tuple[str, ...],
+        start_ns: int,
     ) -> None:
         self.label = f"{rig.name}/{scene}/seed {seed}"
-        self._poses, self._disturbances = poses, disturbances
-        self._scene = SCENES[scene](_stream(scene, seed)).with_room_for(*rig.room_m)
+        self._poses, self._disturbances, self._start_ns = poses, disturbances, start_ns
+        self._scene = SCENES[scene](random_stream(scene, seed)).with_room_for(*rig.room_m)
         meshes = [*self._scene.parts]
         if "truck" in disturbances:
-            lorries = _stream("truck", rig.name, scene, seed)
+            lorries = random_stream("truck", rig.name, scene, seed)
             mount = rig.mounts[int(lorries.integers(len(rig.mounts)))]
             meshes.append(truck_beside(self._scene, rig, mount, poses[mount.name], lorries))
         self._fixed = Surroundings(merged(meshes))
         self._vehicle = Surroundings(rig.body)
-        walkers = _stream("pedestrians", scene, seed)
+        walkers = random_stream("pedestrians", scene, seed)
         self._walkers = random_walkers(self._scene, rig, self._fixed, walkers) if "pedestrians" in disturbances else ()
 
     def scans(self, mount: Mount, frames: int) -> LidarScans:
         """Take the scans of one LiDAR."""
-        dirt_axis = _stream(self.label, mount.name, "dirt").normal(size=3)
+        dirt_axis = random_stream(self.label, mount.name, "dirt").normal(size=3)
         scans = []
         for frame in range(frames):
-            rng = _stream(self.label, mount.name, frame)
+            rng = random_stream(self.label, mount.name, frame)
             directions = mount.sensor.pattern.directions(frame, rng)
             ranges = self._ranges(mount, directions, frame * _FRAME_S, rng)
-            weather = _stream(self.label, mount.name, frame, "weather")
+            weather = random_stream(self.label, mount.name, frame, "weather")
             if "rain" in self._disturbances:
                 ranges = add_rain(mount.sensor, ranges, weather)
             if f"dirty:{mount.name}" in self._disturbances:
                 ranges = add_dirt(directions, ranges, dirt_axis, weather)
             if f"dead:{mount.name}" in self._disturbances:
                 ranges = np.full_like(ranges, np.nan)
-            stamp_ns = _FIRST_STAMP_NS + round(frame * _FRAME_S * 1e9)
+            stamp_ns = self._start_ns + round(frame * _FRAME_S * 1e9)
             scans.append(Scan(returned_points(directions, ranges), stamp_ns))
         return LidarScans(mount.name, tuple(scans), topic=f"/lidar/{mount.name}/points")
 

@@ -1,75 +1,175 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`multilica simulate`: simulated snapshot with ground truth."""
+"""`multilica simulate`: simulated recordings with ground truth, one or those of a fleet."""
 
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from multilica_cli.options import mcap_name
+from multilica.errors import UsageError
+from multilica_cli.options import local_path, mcap_name
 from multilica_cli.terminal import stdout_console
 
 __all__ = ["simulate"]
+
+_ONE, _FLEET = "A recording", "A fleet"
+_FRAMES, _VEHICLES, _LOGS = 5, 20, 200
 
 
 def simulate(
     *,
     rig: Annotated[
-        str,
+        str | None,
         typer.Option(
             metavar="NAME",
-            help="Vehicle: edgar, helipr, sides, chain, blind, ring6, sectors8, sectors20, truck.",
+            help="Vehicle: edgar, helipr, sides, chain, blind, ring6, sectors8, sectors20, truck. Required.",
+            rich_help_panel=_ONE,
         ),
-    ],
+    ] = None,
     scene: Annotated[
-        str,
+        str | None,
         typer.Option(
-            metavar="NAME", help="Scene: street, parking, garage, symmetric_garage, tunnel, open_field, fence_field."
+            metavar="NAME",
+            help="Scene: street, parking, garage, symmetric_garage, tunnel, open_field, fence_field. Required.",
+            rich_help_panel=_ONE,
         ),
-    ],
+    ] = None,
     out: Annotated[
-        Path, typer.Option(metavar="FILE.mcap", help="Recording to write, with FILE.truth.toml.", callback=mcap_name)
-    ],
-    seed: Annotated[int, typer.Option(help="Seed of scene, mounting and noise.")] = 0,
+        Path | None,
+        typer.Option(
+            metavar="FILE.mcap",
+            help="Recording to write, with FILE.truth.toml. Required.",
+            callback=mcap_name,
+            rich_help_panel=_ONE,
+        ),
+    ] = None,
     build_seed: Annotated[
         int | None,
         typer.Option(
-            metavar="N", help="Seed of the mounting only: the same vehicle in another scene.", show_default="as --seed"
+            metavar="N",
+            help="Seed of the mounting only: the same vehicle in another scene.",
+            show_default="as --seed",
+            rich_help_panel=_ONE,
         ),
     ] = None,
-    frames: Annotated[int, typer.Option(help="Frames per LiDAR.")] = 5,
     disturb: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME",
             help="Disturbance: rain, truck (beside the vehicle), pedestrians, moving, ego_masked, low_overlap, "
             "dead:LIDAR, dirty:LIDAR. Repeatable.",
+            rich_help_panel=_ONE,
         ),
     ] = None,
-    keep_every: Annotated[int, typer.Option(metavar="N", min=1, help="Keep only every Nth return.")] = 1,
+    fleet: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="New folder for logs of many vehicles over a year, in several formats, with LiDARs that jump, creep "
+            "or die, broken files and duplicates; fleet.truth.json says which.",
+            callback=local_path,
+            rich_help_panel=_FLEET,
+        ),
+    ] = None,
+    vehicles: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Vehicles.", show_default=str(_VEHICLES), rich_help_panel=_FLEET),
+    ] = None,
+    logs: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Logs of all vehicles.", show_default=str(_LOGS), rich_help_panel=_FLEET),
+    ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Worker processes; 1: none. The files are the same with any number.",
+            show_default="one per core",
+            rich_help_panel=_FLEET,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of scenes, mounting, noise and events.")] = 0,
+    frames: Annotated[
+        int | None, typer.Option(help="Frames per LiDAR.", show_default=f"{_FRAMES}; 2 for a fleet")
+    ] = None,
+    keep_every: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Keep only every Nth return.", show_default="1; 12 for a fleet"),
+    ] = None,
 ) -> None:
-    """Simulate a recording by ray casting and write its exact ground truth beside it."""
+    """Simulate a recording, or with --fleet the logs of many vehicles, by ray casting, with exact ground truth."""
+    one = {"--rig": rig, "--scene": scene, "--out": out, "--build-seed": build_seed, "--disturb": disturb or None}
+    many = {"--vehicles": vehicles, "--logs": logs, "--workers": workers}
+    if fleet is None:
+        _refuse(many, "is for a fleet; give --fleet DIR, too, or leave it out")
+        if rig is None or scene is None or out is None:
+            missing = ", ".join(name for name in ("--rig", "--scene", "--out") if one[name] is None)
+            raise UsageError(f"Missing {missing}; give --rig, --scene and --out for a recording, or --fleet for many.")
+        _simulate_recording(
+            rig, scene, out, seed, build_seed, disturb or [], _FRAMES if frames is None else frames, keep_every or 1
+        )
+        return
+    _refuse(one, "is for a single recording; leave it out with --fleet")
+    _simulate_fleet(
+        fleet,
+        _VEHICLES if vehicles is None else vehicles,
+        _LOGS if logs is None else logs,
+        seed,
+        workers,
+        {"frames": frames, "keep_every": keep_every},
+    )
+
+
+def _refuse(options: Mapping[str, object], reason: str) -> None:
+    given = next((name for name, value in options.items() if value is not None), None)
+    if given is not None:
+        raise UsageError(f"{given} {reason}.")
+
+
+def _simulate_recording(
+    rig: str,
+    scene: str,
+    out: Path,
+    seed: int,
+    build_seed: int | None,
+    disturb: list[str],
+    frames: int,
+    keep_every: int,
+) -> None:
     import tomli_w
 
     from multilica.extrinsics import extrinsics_table
-    from multilica.simulate import simulate_snapshot
+    from multilica.simulate import simulate_snapshot, thinned
     from multilica.sinks.files.atomic import write_text_atomically
     from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 
-    simulation = simulate_snapshot(
-        rig, scene, seed, frames=frames, disturbances=tuple(disturb or ()), build_seed=build_seed
-    )
-    lidars = []
-    for lidar in simulation.snapshot.lidars:
-        # The first return that is kept differs from frame to frame, so that together they cover all beams.
-        kept = [scan.points_m[index % keep_every :: keep_every] for index, scan in enumerate(lidar.scans)]
-        scans = (replace(scan, points_m=points_m) for scan, points_m in zip(lidar.scans, kept, strict=True))
-        lidars.append(replace(lidar, scans=tuple(scans)))
+    simulation = simulate_snapshot(rig, scene, seed, frames=frames, disturbances=tuple(disturb), build_seed=build_seed)
     truth = out.with_suffix(".truth.toml")
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_snapshot_mcap(replace(simulation.snapshot, lidars=tuple(lidars)), out)
+    write_snapshot_mcap(thinned(simulation.snapshot, keep_every), out)
     write_text_atomically(truth, tomli_w.dumps(extrinsics_table(simulation.truth)))
     console = stdout_console()
     for path in (out, truth):
         console.print(f"wrote {path}")
+
+
+def _simulate_fleet(
+    out: Path, vehicles: int, logs: int, seed: int, workers: int | None, reading: dict[str, int | None]
+) -> None:
+    from multilica.fleet.simulated_logs import write_fleet
+    from multilica.simulate import plan_fleet
+    from multilica_cli.progress import show_count
+
+    chosen = {name: value for name, value in reading.items() if value is not None}
+    plan = plan_fleet(vehicles, logs, seed, **chosen)
+    with show_count("logs", len(plan.logs)) as advance:
+        truth = write_fleet(plan, out, workers=workers or 0, observe=lambda _: advance())
+    broken = sum(bool(log.fault) for log in plan.logs)
+    copies = sum(bool(log.duplicate_of) for log in plan.logs)
+    console = stdout_console()
+    console.print(
+        f"wrote {out} (vehicles: {len(plan.build_seeds)}, logs: {len(plan.logs)}, of these broken: {broken}, "
+        f"duplicates: {copies}; events: {len(plan.events)})"
+    )
+    console.print(f"wrote {truth}")

@@ -18,6 +18,7 @@ __all__ = [
     "POINT_CLOUD",
     "ROS_END_NS",
     "TRANSFORMS",
+    "hash_of",
     "header",
     "made",
     "offered_qos",
@@ -77,6 +78,12 @@ def schema_of(message_type: str) -> MessageSchema:
     """Return the schema of a type as rosbag2 writes it."""
     definition, _ = _store().generate_msgdef(message_type, ros_version=2)
     return MessageSchema(message_type, SchemaEncoding.ROS2, definition.encode(), MessageEncoding.CDR)
+
+
+@cache
+def hash_of(message_type: str) -> str:
+    """Return the hash of a type's description (REP 2016) as rosbag2 writes it."""
+    return str(_store().hash_rihs01(message_type))
 
 
 def serialised(message: Any) -> bytes:  # noqa: ANN401 - see made

@@ -64,10 +64,9 @@ DEFAULTS = {
     "report": {"RUN": None, "--out": None, "--quiet": False},
     "config": {**RESOLVING, "--json": False, "--toml": False, "--markdown": False},
     "simulate": {
-        **dict.fromkeys(("--rig", "--scene", "--out", "--build-seed", "--disturb")),
+        **dict.fromkeys(("--rig", "--scene", "--out", "--build-seed", "--disturb", "--frames", "--keep-every")),
+        **dict.fromkeys(("--fleet", "--vehicles", "--logs", "--workers")),
         "--seed": 0,
-        "--frames": 5,
-        "--keep-every": 1,
     },
     "evaluate": {
         **dict.fromkeys(("RUN", "--truth", "--out", "--table")),

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writer of the logs of a simulated fleet."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from multilica.documents import LFS_POINTER
+from multilica.errors import UsageError
+from multilica.fleet.simulated_truth import TRUTH_NAME, fleet_truth_text
+from multilica.simulate import FleetPlan, PlannedLog, simulate_snapshot, thinned
+from multilica.sinks.bags.ros1_bag import write_ros1_bag
+from multilica.sinks.bags.ros2_bag import write_ros2_bag
+from multilica.sinks.bags.ros2_mcap import write_ros2_mcap
+from multilica.sinks.files.atomic import atomic_file, write_text_atomically
+from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.snapshot import Snapshot
+from multilica.workers import Shared, open_workers
+
+__all__ = ["write_fleet"]
+
+_MODULES = ("multilica.fleet.simulated_logs", "multilica.registration.lazy_open3d")
+_ZEROS = 200_000
+_LARGEST_CUT = 1 << 20
+"""Within the first chunk of 4 MiB, even if that is packed to a third of its size."""
+_TEXT = b"The logger was restarted before the upload; see the ticket.\n"
+_LFS = LFS_POINTER + b"v1\noid sha256:" + b"0" * 64 + b"\nsize 734003\n"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _LogTask:
+    plan: FleetPlan
+    log: PlannedLog
+    out: Path
+
+
+def write_fleet(
+    plan: FleetPlan, out: Path, *, workers: int = 0, observe: Callable[[PlannedLog], None] = lambda _: None
+) -> Path:
+    """Write all logs of a fleet, then ``fleet.truth.json``; the same plan gives the same bytes.
+
+    Args:
+        out: a folder that is empty or does not exist.
+        workers: processes; 0: one per core.
+        observe: called with each log once it is written.
+
+    Returns:
+        The path of the truth.
+
+    Raises:
+        UsageError: the folder is not empty, or is a file.
+        WorkerDiedError: a worker was killed or crashed.
+        OSError: a file cannot be written.
+    """
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise UsageError(f"{out} exists already and is not an empty folder; give a new one for the fleet.")
+    for vehicle in plan.build_seeds:
+        (out / vehicle).mkdir(parents=True, exist_ok=True)
+    originals = [log for log in plan.logs if not log.duplicate_of]
+    with open_workers(workers, _MODULES) as pool:
+        done = pool.map(_write_log, [_LogTask(plan, log, out) for log in originals])
+        for log, _ in zip(originals, done, strict=True):
+            observe(log)
+    for log in plan.logs:
+        if log.duplicate_of:
+            with (out / log.duplicate_of).open("rb") as original, atomic_file(out / log.path) as copy:
+                shutil.copyfileobj(original, copy)
+            observe(log)
+    truth = out / TRUTH_NAME
+    write_text_atomically(truth, fleet_truth_text(plan))
+    return truth
+
+
+def _write_log(_: Shared, task: _LogTask) -> None:
+    plan, log, path = task.plan, task.log, task.out / task.log.path
+    if log.fault in ("", "truncated"):
+        _write_recording(_snapshot(plan, log), plan, log, path)
+    if log.fault:
+        data = _broken(path, log)
+        with atomic_file(path) as file:
+            file.write(data)
+
+
+def _snapshot(plan: FleetPlan, log: PlannedLog) -> Snapshot:
+    simulation = simulate_snapshot(
+        plan.rig,
+        log.scene,
+        log.seed,
+        frames=plan.frames,
+        disturbances=tuple(f"dead:{name}" for name in log.dead),
+        build_seed=plan.build_seeds[log.vehicle],
+        moved=log.moved,
+        start_ns=log.time_ns,
+    )
+    return thinned(simulation.snapshot, plan.keep_every)
+
+
+def _write_recording(snapshot: Snapshot, plan: FleetPlan, log: PlannedLog, path: Path) -> None:
+    vehicle = {"vehicle": log.vehicle}
+    match log.format:
+        case "snapshot":
+            write_snapshot_mcap(snapshot, path, metadata={"frames": str(plan.frames), **vehicle})
+        case "ros2_mcap":
+            write_ros2_mcap(snapshot, path, metadata=vehicle)
+        case "ros2_bag":
+            write_ros2_bag(snapshot, path, custom_data=vehicle)
+        case "ros1_bag":
+            write_ros1_bag(snapshot, path)
+
+
+def _broken(path: Path, log: PlannedLog) -> bytes:
+    match log.fault:
+        case "truncated":
+            whole = path.read_bytes()
+            return whole[: min(len(whole) // 2, _LARGEST_CUT)]
+        case "zeros":
+            return bytes(_ZEROS)
+        case "text":
+            return _TEXT
+        case "lfs_pointer":
+            return _LFS
+        case _:
+            return b""
