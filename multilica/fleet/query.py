@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import duckdb
+import pyarrow as pa
 
 from multilica.errors import SourceNotFoundError, UsageError
 from multilica.fleet.store import Store
@@ -24,12 +25,12 @@ class Answer:
     """A table: names of the columns, and rows that are read when they are asked for."""
 
     columns: tuple[str, ...]
-    cursor: duckdb.DuckDBPyConnection
+    batches: pa.RecordBatchReader
 
     def rows(self) -> Iterator[tuple[Any, ...]]:
         """Yield the rows."""
-        while rows := self.cursor.fetchmany(_BATCH):
-            yield from rows
+        for batch in self.batches:
+            yield from zip(*(column.to_pylist() for column in batch.columns), strict=True)
 
 
 @contextmanager
@@ -66,8 +67,8 @@ def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Answe
     """
     with open_tables(store) as base:
         try:
-            base.execute(sql, list(values))
-            yield Answer(tuple(name for name, *_ in base.description or ()), base)
+            batches = base.execute(sql, list(values)).fetch_record_batch(_BATCH)
+            yield Answer(tuple(batches.schema.names), batches)
         except duckdb.Error as error:
             text = " ".join(str(error).split())
             raise UsageError(f"The question cannot be answered: {text[:_LONGEST]}") from error
