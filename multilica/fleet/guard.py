@@ -51,7 +51,7 @@ class UnitLimits(BaseModel):
 
     time_s: float = 600.0
     memory_mb: float = 4000.0
-    retries: int = 3
+    retries: int = 5
 
 
 def run_guarded(request: UnitRequest, limits: UnitLimits) -> UnitSummary:

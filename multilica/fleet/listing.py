@@ -139,7 +139,7 @@ def _globbed(path: Path, given: str) -> Iterator[FleetLog]:
     parts = path.parts
     fixed = next(index for index, part in enumerate(parts) if has_magic(part))
     base = Path(*parts[:fixed])
-    found = sorted(base.glob(str(Path(*parts[fixed:]))))
+    found = sorted(each for each in base.glob(str(Path(*parts[fixed:]))) if not each.name.startswith("."))
     if not found:
         raise SourceNotFoundError(f"No file matches {given}.")
     for each in found:

@@ -140,6 +140,8 @@ def failed_row(
 
 
 def _code(failure: MultilicaError) -> str:
+    if isinstance(failure, SourceNotFoundError):
+        return "not_found"
     if isinstance(failure, MemoryLimitError):
         return "memory"
     return "unreadable" if isinstance(failure, InputError) else "unusable"

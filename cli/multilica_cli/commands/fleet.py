@@ -96,7 +96,7 @@ def run(
     max_log_memory_mb: Annotated[
         float, typer.Option("--max-log-memory", metavar="MB", min=100.0, help="A log that takes more is given up.")
     ] = 4000.0,
-    retries: Annotated[int, typer.Option(metavar="N", min=0, help="Tries after a lost connection or a kill.")] = 3,
+    retries: Annotated[int, typer.Option(metavar="N", min=0, help="Tries after a lost connection or a kill.")] = 5,
     newest_first: Annotated[bool, typer.Option("--newest-first", help="Begin with the newest logs.")] = False,
     topics: options.Topics = None,
     frames: options.Frames = None,
