@@ -22,8 +22,8 @@ __all__ = ["write_fleet"]
 
 _MODULES = ("multilica.fleet.simulated_logs", "multilica.registration.lazy_open3d")
 _ZEROS = 200_000
-_LARGEST_CUT = 1 << 20
-"""Within the first chunk of 4 MiB, even if that is packed to a third of its size."""
+_LARGEST_CUT = 1 << 16
+"""Within the first block of zstd, which has 128 KiB unpacked: the reader takes what whole blocks hold."""
 _TEXT = b"The logger was restarted before the upload; see the ticket.\n"
 _LFS = LFS_POINTER + b"v1\noid sha256:" + b"0" * 64 + b"\nsize 734003\n"
 
