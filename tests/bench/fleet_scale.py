@@ -14,10 +14,10 @@ from pathlib import Path
 
 from multilica.config import CalibrationConfig
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
-from multilica.fleet.guard import UnitLimits
-from multilica.fleet.records import LogRow
-from multilica.fleet.store import open_store
-from multilica.fleet.unit import UnitRequest, UnitSummary, failed_row
+from multilica.fleet.store.records import LogRow
+from multilica.fleet.store.store import open_store
+from multilica.fleet.units.guard import UnitLimits
+from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
 from tests.bench.support.claims import at_most, print_claims, print_table
 
 __all__ = ["main"]

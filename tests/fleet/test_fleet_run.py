@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import pytest
 
-from multilica.fleet.compact import compact_store
 from multilica.fleet.fleet_run import FleetOptions, LogsPlanned, run_fleet
-from multilica.fleet.query import ask, failures, status
-from multilica.fleet.records import MEASURED, LidarRow
-from multilica.fleet.store import open_store
-from multilica.fleet.unit import UnitSummary, failed_row
+from multilica.fleet.store.compact import compact_store
+from multilica.fleet.store.query import ask, failures, status
+from multilica.fleet.store.records import MEASURED, LidarRow
+from multilica.fleet.store.store import open_store
+from multilica.fleet.units.unit_request import UnitSummary, failed_row
 
 FLEET = {"v1": 5, "v2": 3, "v3": 4}
 
@@ -70,7 +70,7 @@ def run(manifest, store, units, **options):
 
 
 @pytest.mark.parametrize("workers", [1, 4])
-def test_the_logs_of_a_vehicle_run_by_time_from_the_last_accepted_poses(tmp_path, manifest, workers):
+def test_logs_run_by_time_from_the_last_accepted_poses(tmp_path, manifest, workers):
     store, units = open_store(tmp_path / "store", create=True), Units()
     outcome, events = run(manifest, store, units, workers=workers)
     assert (outcome.found, outcome.skipped, outcome.states) == (12, 0, {"calibrated": 6, "verified": 6})
@@ -151,7 +151,7 @@ def test_new_logs_go_on_from_what_the_store_has(tmp_path, manifest):
     assert state == "verified"
 
 
-def test_another_configuration_does_everything_again_and_stands_once(tmp_path, manifest):
+def test_another_configuration_does_all_again_and_stands_once(tmp_path, manifest):
     store = open_store(tmp_path / "store", create=True)
     run(manifest, store, Units())
     outcome, _ = run(manifest, store, Units(), calibrate="always")

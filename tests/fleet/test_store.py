@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.fleet.records import LIDARS_SCHEMA, LidarRow, LogRow
-from multilica.fleet.store import folder_name, open_store, vehicle_name, vehicle_of_part
+from multilica.fleet.store.records import LIDARS_SCHEMA, LidarRow, LogRow
+from multilica.fleet.store.store import folder_name, open_store, vehicle_name, vehicle_of_part
 from tests.fleet.support.requests import DAY_NS, START_NS
 from tests.ingest.support.processes import served
 

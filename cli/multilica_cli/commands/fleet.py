@@ -14,7 +14,7 @@ from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import print_json, stdout_console
 
 if TYPE_CHECKING:
-    from multilica.fleet.store import Store
+    from multilica.fleet.store.store import Store
 
 __all__ = ["fleet"]
 
@@ -115,9 +115,9 @@ def run(
     """
     from multilica.checks import RigTolerances, Tolerance
     from multilica.fleet.fleet_run import FleetOptions, run_fleet
-    from multilica.fleet.guard import UnitLimits
-    from multilica.fleet.listing import LogPattern
-    from multilica.fleet.store import open_store
+    from multilica.fleet.logs.listing import LogPattern
+    from multilica.fleet.store.store import open_store
+    from multilica.fleet.units.guard import UnitLimits
     from multilica_cli.fleet_progress import show_fleet
 
     given = {**ingest_options(topics, frames, None, window, None, strict=False), "target": target}
@@ -157,7 +157,7 @@ def query(
     form: _Format = "table",
 ) -> None:
     """Ask anything of the tables `lidars` (a row per LiDAR and log) and `logs`."""
-    from multilica.fleet.query import ask
+    from multilica.fleet.store.query import ask
     from multilica_cli.tables.answer import print_answer
 
     with ask(_opened(store), sql) as answer:
@@ -167,7 +167,7 @@ def query(
 @fleet.command()
 def status(*, store: _Store, form: _Format = "table") -> None:
     """List the vehicles: logs by outcome, and LiDARs without a certain pose in the last one."""
-    from multilica.fleet import query as questions
+    from multilica.fleet.store import query as questions
     from multilica_cli.tables.answer import print_answer
 
     with questions.status(_opened(store)) as answer:
@@ -177,7 +177,7 @@ def status(*, store: _Store, form: _Format = "table") -> None:
 @fleet.command()
 def failures(*, store: _Store, form: _Format = "table") -> None:
     """List the logs without a result and the LiDARs without a certain pose, by cause, with their recordings."""
-    from multilica.fleet import query as questions
+    from multilica.fleet.store import query as questions
     from multilica_cli.tables.answer import print_answer
 
     with questions.failures(_opened(store)) as answer:
@@ -192,7 +192,7 @@ def show(
     form: _Format = "table",
 ) -> None:
     """List where each LiDAR of a vehicle was, log by log."""
-    from multilica.fleet import query as questions
+    from multilica.fleet.store import query as questions
     from multilica_cli.tables.answer import print_answer
 
     opened = _opened(store)
@@ -204,13 +204,13 @@ def show(
 @fleet.command()
 def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
     """Join the small parts of each vehicle and month into one; not while a run writes into the store."""
-    from multilica.fleet.compact import compact_store
+    from multilica.fleet.store.compact import compact_store
 
     before, after = compact_store(_opened(store))
     stdout_console(quiet=quiet).print(f"{before} parts are now {after}.")
 
 
 def _opened(address: str) -> Store:
-    from multilica.fleet.store import open_store
+    from multilica.fleet.store.store import open_store
 
     return open_store(address, create=False)

@@ -36,7 +36,7 @@ from multilica.errors import (
     UsageError,
     escape_controls,
 )
-from multilica.fleet.records import (
+from multilica.fleet.store.records import (
     LIDARS_SCHEMA,
     LOGS_SCHEMA,
     SCHEMA_VERSION,

@@ -17,11 +17,11 @@ import duckdb
 import pyarrow as pa
 
 import multilica
-from multilica.fleet.logs import FleetLog, unit_key
-from multilica.fleet.records import PASSING
-from multilica.fleet.store import Store
+from multilica.fleet.logs.log import FleetLog, unit_key
+from multilica.fleet.store.records import PASSING
+from multilica.fleet.store.store import Store
 
-__all__ = ["Plan", "PlannedLog"]
+__all__ = ["Plan", "QueuedLog"]
 
 _BATCH = 2000
 _PARTS = 500
@@ -40,7 +40,7 @@ _LOGS = pa.schema(
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedLog:
+class QueuedLog:
     """A log in the order of its vehicle.
 
     Args:
@@ -146,7 +146,7 @@ class Plan:
         todo = "SELECT DISTINCT vehicle FROM found WHERE key NOT IN (SELECT key FROM done) ORDER BY vehicle"
         return (vehicle for (vehicle,) in self._stream(todo))
 
-    def logs_of(self, vehicle: str) -> Iterator[PlannedLog]:
+    def logs_of(self, vehicle: str) -> Iterator[QueuedLog]:
         """Yield the logs of a vehicle in the order of the work, finished ones of earlier runs among them."""
         rows = self._stream(
             f"""WITH own AS (SELECT * FROM found WHERE vehicle = $1),
@@ -159,7 +159,7 @@ class Plan:
             ORDER BY time_ns {self._order} NULLS LAST, source, key""",  # noqa: S608 - no text from outside
             [vehicle],
         )
-        return (PlannedLog(*row) for row in rows)
+        return (QueuedLog(*row) for row in rows)
 
     def close(self) -> None:
         """Close the database."""
