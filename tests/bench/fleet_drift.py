@@ -10,7 +10,7 @@ from math import radians
 import numpy as np
 from scipy.stats import binom
 
-from multilica.fleet.drift import DriftEvent, find_drift
+from multilica.fleet.drift.drift import DriftEvent, find_drift
 from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 from tests.fleet.made_series import Motion, Noise, made_fleet, made_vehicle, random_times, with_wrong_logs

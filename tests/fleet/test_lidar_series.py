@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from multilica.fleet.lidar_series import LidarSeries
+from multilica.fleet.drift.lidar_series import LidarSeries
 from multilica.geometry import RigidTransform
 
 _POSE = RigidTransform.from_xyz_rpy("top", "left", [1.0, 2.0, 3.0], [0.0, 0.0, 0.1])

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -199,6 +200,49 @@ def show(
     questions.require_vehicle(opened, vehicle)
     with questions.vehicle_history(opened, vehicle) as answer:
         print_answer(answer, form, stdout_console())
+
+
+@fleet.command()
+def drift(
+    *,
+    store: _Store,
+    nominal: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Poses as designed, to find wrong ones: TOML, URDF or another file of poses.",
+            show_default=False,
+        ),
+    ] = None,
+    false_alarm_rate: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of LiDARs that never moved and are reported all the same.")
+    ] = 0.001,
+    as_json: options.Json = False,
+) -> int:
+    """List the LiDARs that jumped, creep, are lost or sit elsewhere than designed, with dates and figures.
+
+    Ends with 0 if there are none, else with 5.
+    """
+    from multilica.exports.reading import read_extrinsics
+    from multilica.fleet.drift.drift import find_drift
+    from multilica.fleet.drift.drift_document import drift_document
+    from multilica.fleet.drift.fleet_offsets import find_offsets
+    from multilica.fleet.drift.stored_series import find_outages, read_series
+
+    opened = _opened(store)
+    series = list(read_series(opened))
+    events = find_drift(series, false_alarm_rate)
+    offsets = find_offsets(series, read_extrinsics(nominal) if nominal else None, false_alarm_rate)
+    outages = find_outages(opened)
+    if as_json:
+        print_json(drift_document(events, offsets, outages))
+    else:
+        sentences = [each.sentence for found in (events, offsets, outages) for each in found]
+        for sentence in sentences:
+            stdout_console().print(sentence)
+        if not sentences:
+            stdout_console().print(f"No LiDAR of {len({each.vehicle for each in series})} vehicles has moved.")
+    return ExitCode.DIFFERENT if events or offsets or outages else ExitCode.DONE
 
 
 @fleet.command()

@@ -95,7 +95,9 @@ DEFAULTS = {
     },
     "demo": {"--out": Path("recordings/runs/demo"), "--quiet": False},
     "fleet run": {
-        **dict.fromkeys(("LOGS", "--out", "--pattern", "--target", "--workers", "--topic", "--frames", "--config", "--set")),
+        **dict.fromkeys(
+            ("LOGS", "--out", "--pattern", "--target", "--workers", "--topic", "--frames", "--config", "--set")
+        ),
         "--calibrate": "when-needed",
         "--max-translation": 0.03,
         "--max-rotation": 0.3,

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from multilica.fleet.dispersion import SHARED_COVARIANCE, ScatteredPoses
-from multilica.fleet.lidar_series import TO_LENGTHS
-from multilica.fleet.segments import Period, PeriodFits, Thresholds, partition, place
+from multilica.fleet.drift.dispersion import SHARED_COVARIANCE, ScatteredPoses
+from multilica.fleet.drift.lidar_series import TO_LENGTHS
+from multilica.fleet.drift.segments import Period, PeriodFits, Thresholds, partition, place
 from multilica.geometry import FloatArray
 
 __all__ = ["ChangeKind", "PoseChange", "SeriesChanges", "find_changes"]

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import f as f_distribution
 
-from multilica.fleet.dispersion import ScatteredPoses
+from multilica.fleet.drift.dispersion import ScatteredPoses
 from multilica.geometry import FloatArray
 
 __all__ = ["MIN_LOGS", "Period", "PeriodFits", "Thresholds", "partition", "place"]

@@ -12,10 +12,10 @@ import numpy as np
 from scipy.stats import f as f_distribution
 
 from multilica.extrinsics import Extrinsics
-from multilica.fleet.changes import find_changes
-from multilica.fleet.dispersion import PRIOR_LOGS, SHARED_COVARIANCE, calibrate_scatter, power_of, robust_scatter
-from multilica.fleet.drift import FALSE_ALARM_RATE, describe_motion
-from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
+from multilica.fleet.drift.changes import find_changes
+from multilica.fleet.drift.dispersion import PRIOR_LOGS, SHARED_COVARIANCE, calibrate_scatter, power_of, robust_scatter
+from multilica.fleet.drift.drift import FALSE_ALARM_RATE, describe_motion
+from multilica.fleet.drift.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray, RigidTransform
 
 __all__ = ["FleetOffset", "OffsetScope", "find_offsets"]

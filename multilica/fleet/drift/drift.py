@@ -11,10 +11,10 @@ from datetime import UTC, datetime
 import numpy as np
 
 from multilica.errors import UsageError
-from multilica.fleet.changes import ChangeKind, PoseChange, SeriesChanges, find_changes
-from multilica.fleet.dispersion import calibrate_scatter
-from multilica.fleet.lidar_series import LidarSeries
-from multilica.fleet.moved_part import MovedPart, Seen, find_moved_part
+from multilica.fleet.drift.changes import ChangeKind, PoseChange, SeriesChanges, find_changes
+from multilica.fleet.drift.dispersion import calibrate_scatter
+from multilica.fleet.drift.lidar_series import LidarSeries
+from multilica.fleet.drift.moved_part import MovedPart, Seen, find_moved_part
 from multilica.geometry import FloatArray, read_only
 
 __all__ = ["FALSE_ALARM_RATE", "DriftEvent", "describe_motion", "find_drift"]

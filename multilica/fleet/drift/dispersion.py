@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from multilica.fleet.lidar_series import TO_LENGTHS, IndexArray, LidarSeries
+from multilica.fleet.drift.lidar_series import TO_LENGTHS, IndexArray, LidarSeries
 from multilica.geometry import FloatArray
 
 __all__ = ["PRIOR_LOGS", "SHARED_COVARIANCE", "ScatteredPoses", "calibrate_scatter", "power_of", "robust_scatter"]
