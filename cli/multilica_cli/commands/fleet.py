@@ -254,6 +254,44 @@ def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
     stdout_console(quiet=quiet).print(f"{before} parts are now {after}.")
 
 
+@fleet.command()
+def prune(
+    *,
+    store: _Store,
+    success_days: Annotated[
+        float, typer.Option("--successes", metavar="DAYS", min=0.0, help="Keep those of runs that placed every LiDAR.")
+    ] = 30.0,
+    failure_days: Annotated[
+        float, typer.Option("--failures", metavar="DAYS", min=0.0, help="Keep those of all other runs.")
+    ] = 365.0,
+    quiet: options.Quiet = False,
+) -> None:
+    """Remove recordings, reports and MCAP files that are older; tables and poses are kept."""
+    from multilica.fleet.store.recordings import prune_recordings
+
+    pruned = prune_recordings(_opened(store), success_days=success_days, failure_days=failure_days)
+    stdout_console(quiet=quiet).print(f"{pruned.files} files removed, {pruned.size_bytes / 1e6:.1f} MB.")
+
+
+@fleet.command()
+def browse(
+    *,
+    store: _Store,
+    vehicle: Annotated[str | None, typer.Option(metavar="NAME", help="Only this one.", show_default="all")] = None,
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", help="Port to listen on.")] = 51234,
+) -> None:
+    """Serve the recordings as a catalog of Rerun's viewer, a dataset per vehicle, until Ctrl-C."""
+    from multilica.fleet.store.recordings import lay_out_catalog
+    from multilica.scratch import scratch_folder
+    from multilica.sinks.rerun.viewer import serve_catalog
+
+    with scratch_folder() as folder:
+        datasets = lay_out_catalog(_opened(store), folder, vehicle)
+        stdout_console().print(f"{len(datasets)} datasets; open them with: rerun rerun+http://{host}:{port}")
+        serve_catalog(datasets, host, port)
+
+
 def _opened(address: str) -> Store:
     from multilica.fleet.store.store import open_store
 
