@@ -102,7 +102,7 @@ def _false_alarms() -> list[Claim]:
 
 
 def _alarms(case: _Quiet) -> int:
-    rng = np.random.default_rng([1, case.logs, case.seed])
+    rng = np.random.default_rng([31, case.logs, case.seed])
     fleet = made_fleet(rng, _VEHICLES, case.logs, noise=_NOISES.get(case.noise, Noise()))
     if case.noise == _WRONG:
         fleet = [with_wrong_logs(rng, each, 0.02) for each in fleet]
@@ -166,7 +166,7 @@ def _changed() -> Iterator[_Changed]:
 
 def _found(case: _Changed) -> list[tuple[bool, bool, bool]]:
     """Return per vehicle whether its change is found, dated to within one log, and told as what it is."""
-    rng = np.random.default_rng([2, case.logs, case.seed])
+    rng = np.random.default_rng([32, case.logs, case.seed])
     noise = _NOISES[case.noise]
     lidars = _RIG if case.kind in ("target", "lidar") else ("left",)
     fleet = made_fleet(rng, _VEHICLES - _PER_FLEET, case.logs, noise=noise, lidars=lidars)
