@@ -149,7 +149,8 @@ def smallest_principal(
             np.stack([y * z - yz * yz, yz * xz - xy * z, xy * yz - y * xz]),
         ]
     )
-    squared = np.einsum("ijk,ijk->ik", crossed, crossed)
+    # Not by einsum: it adds in another order for a single matrix, and results must not depend on what is in one call.
+    squared = crossed[:, 0] ** 2 + crossed[:, 1] ** 2 + crossed[:, 2] ** 2
     longest, one_each = np.argmax(squared, axis=0), np.arange(len(xx))
     length = np.maximum(np.sqrt(squared[longest, one_each]), 1e-100)
     return np.stack([smallest, middle, largest], axis=1), np.asarray(crossed[longest, :, one_each] / length[:, None])

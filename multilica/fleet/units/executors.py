@@ -66,7 +66,7 @@ def _dask_client(scheduler: str) -> Iterator[Any]:
     security = Security(require_encryption=True) if scheduler.startswith(("tls", "wss")) else None
     try:
         client = Client(scheduler, timeout=_CONNECT_S, security=security, set_as_default=False)
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, KeyError) as error:
         raise SourceNotFoundError(
             f"No Dask scheduler answers at {scheduler} ({type(error).__name__}); check the address, and the "
             "certificates in the configuration of Dask."

@@ -42,6 +42,17 @@ def test_spread_and_normal_are_those_of_the_covariance(flatness):
         assert abs(normal @ directions[:, 0]) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("size", [1, 2, 7])
+def test_normals_do_not_depend_on_the_points_of_the_same_call(size):
+    points_m = np.random.default_rng(0).normal(size=(2000, 3)) * [5.0, 3.0, 0.1]
+    neighbours = PointTree(points_m).neighbours(points_m, 20)
+    variances, normals = spread_and_normals(points_m, neighbours)
+    for start in range(0, 700, size):
+        some = slice(start, start + size)
+        for found, whole in zip(spread_and_normals(points_m, neighbours[some]), (variances, normals), strict=True):
+            np.testing.assert_array_equal(found, whole[some])
+
+
 def test_points_in_one_place_have_no_spread_and_no_normal():
     variances, normals = spread_and_normals(np.ones((5, 3)), np.zeros((2, 4), dtype=np.int64))
     assert np.allclose(variances, 0.0, atol=1e-90)

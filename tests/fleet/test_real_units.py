@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real logs through every executor, with the same tables."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from multilica.config import CalibrationConfig, IngestConfig
+from multilica.errors import SourceNotFoundError, UsageError
+from multilica.extrinsics import read_extrinsics
+from multilica.fleet.drift.stored_series import find_outages, read_series
+from multilica.fleet.fleet_run import FleetOptions, run_fleet
+from multilica.fleet.store.query import ask
+from multilica.fleet.store.store import open_store
+from multilica.geometry import RigidTransform
+from multilica.simulate import true_extrinsics
+from tests.fleet.support.small_fleet import PLAN, tables, write_small_fleet
+
+pytestmark = pytest.mark.xdist_group("fleet")
+OPTIONS = FleetOptions(CalibrationConfig(target="left", ingest=IngestConfig(window="auto")), workers=2)
+BROKEN = {log.path for log in PLAN.logs if log.fault}
+COPIES = {log.path for log in PLAN.logs if log.duplicate_of}
+
+
+@pytest.fixture(scope="module")
+def fleet(tmp_path_factory):
+    return write_small_fleet(tmp_path_factory.mktemp("simulated") / "fleet")
+
+
+@pytest.fixture(scope="module")
+def whole(fleet, tmp_path_factory):
+    store = open_store(tmp_path_factory.mktemp("store"), create=True)
+    outcome = run_fleet([str(fleet)], store, OPTIONS)
+    assert outcome.found == len(PLAN.logs)
+    return store
+
+
+def test_each_log_has_its_outcome(whole):
+    with ask(whole, "SELECT source, state, reason_text FROM logs") as answer:
+        states = {source.removeprefix("fleet/"): (state, text) for source, state, text in answer.rows()}
+    assert {*states} == {log.path for log in PLAN.logs}
+    assert {path for path, (state, _) in states.items() if state == "failed"} == BROKEN
+    assert {path for path, (state, _) in states.items() if state == "duplicate"} == COPIES
+    assert all(path in states[path][1] for path in BROKEN)
+    counts = [state for state, _ in states.values()]
+    assert counts.count("verified") > 0 < counts.count("calibrated")
+
+
+def test_poses_are_those_of_the_truth(whole):
+    logs = {f"fleet/{log.path}": log for log in PLAN.logs}
+    count = 0
+    with ask(
+        whole,
+        "SELECT source, lidar, target, x_m, y_m, z_m, qx, qy, qz, qw, sigma_mm FROM lidars "
+        "WHERE status = 'placed' AND lidar <> target",
+    ) as answer:
+        for source, lidar, target, *pose, sigma_mm in answer.rows():
+            found = RigidTransform.from_xyz_quaternion(target, lidar, pose[:3], pose[3:])
+            true = true_extrinsics(PLAN.rig, PLAN.build_seeds[logs[source].vehicle]).between(target, lidar)
+            assert np.linalg.norm(found.xyz_m - true.xyz_m) < 0.02
+            assert 0.0 < sigma_mm < 20.0
+            count += 1
+    assert count >= 8
+
+
+def test_the_dead_sensor_is_told_with_its_date(whole):
+    (event,) = PLAN.events
+    first = next(log for log in PLAN.logs if event.lidar in log.dead)
+    (outage,) = find_outages(whole)
+    assert (outage.vehicle, outage.lidar, outage.reason) == (event.vehicle, event.lidar, "dead_sensor")
+    assert outage.lasts
+    assert abs(outage.time_ns - first.time_ns) < 10**9
+    assert f"{event.lidar} returns nothing since" in outage.sentence
+    assert {each.target for each in read_series(whole)} == {"left"}
+
+
+def test_no_file_holds_a_path_of_the_machine(whole, fleet):
+    below = [path for path, _ in whole.files("")]
+    assert any(path.endswith("report.html") for path in below)
+    for path in below:
+        content = whole.read(path)
+        assert os.fsencode(fleet.parent) not in content, path
+        assert whole.root.encode() not in content, path
+
+
+def test_the_poses_that_hold_can_be_read(whole):
+    with ask(whole, "SELECT DISTINCT calibration FROM logs WHERE state = 'verified'") as answer:
+        (path,), *_ = answer.rows()
+    assert read_extrinsics(Path(whole.root, path)).members == {"front", "left", "rear", "right"}
+
+
+def test_killed_workers_change_nothing(whole, fleet, tmp_path):
+    store = open_store(tmp_path / "store", create=True)
+    killed, ended = [], threading.Event()
+
+    def kill():
+        while not ended.wait(1.5):
+            children = psutil.Process().children()
+            if children and len(killed) < 3:
+                children[0].kill()
+                killed.append(children[0].pid)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        run_fleet([str(fleet)], store, OPTIONS)
+    finally:
+        ended.set()
+        killer.join()
+    assert killed
+    assert tables(store) == tables(whole)
+
+
+def test_a_killed_driver_loses_nothing(whole, fleet, tmp_path):
+    store = open_store(tmp_path / "store", create=True)
+    command = [
+        sys.executable,
+        "-m",
+        "multilica_cli",
+        "fleet",
+        "run",
+        str(fleet),
+        "--out",
+        store.root,
+        "--target",
+        "left",
+    ]
+    with subprocess.Popen([*command, "--workers", "2", "-q"]) as driver:
+        end_s = time.monotonic() + 60.0
+        while not list(store.parts("logs")) and time.monotonic() < end_s:
+            time.sleep(0.05)
+        children = psutil.Process(driver.pid).children(recursive=True)
+        driver.kill()
+    _, alive = psutil.wait_procs(children, timeout=30.0)
+    assert not alive
+    done = len(list(store.parts("logs")))
+    assert 0 < done < len(PLAN.logs)
+    outcome = run_fleet([str(fleet)], store, OPTIONS)
+    assert outcome.skipped >= done
+    assert tables(store) == tables(whole)
+    assert not [path for path, _ in store.files("") if ".tmp" in path]
+
+
+@contextmanager
+def cluster(**security):
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50, **security
+    ) as made:
+        yield made.scheduler_address
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_dask_cluster_gives_the_same_tables(whole, fleet, tmp_path):
+    store = open_store(tmp_path / "store", create=True)
+    with cluster() as address:
+        run_fleet([str(fleet)], store, replace(OPTIONS, scheduler=address))
+    assert tables(store) == tables(whole)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, fleet, tmp_path):
+    import dask
+    from distributed.security import Security
+
+    security, store = Security.temporary(), open_store(tmp_path / "store", create=True)
+    files = {}
+    for name in ("tls_ca_file", "tls_client_cert", "tls_client_key"):
+        files[name] = str(tmp_path / name)
+        (tmp_path / name).write_text(getattr(security, name))
+    keys = {"ca-file": files["tls_ca_file"]}
+    keys["client"] = {"cert": files["tls_client_cert"], "key": files["tls_client_key"]}
+    with cluster(security=security, protocol="tls://") as address:
+        with pytest.raises(SourceNotFoundError, match="certificates in the configuration of Dask"):
+            run_fleet([str(fleet)], store, replace(OPTIONS, scheduler=address))
+        with dask.config.set({"distributed.comm.tls": keys}):
+            run_fleet([str(fleet)], store, replace(OPTIONS, scheduler=address))
+    assert tables(store) == tables(whole)
+
+
+def test_an_address_that_is_no_scheduler_is_refused(fleet, tmp_path):
+    store = open_store(tmp_path / "store", create=True)
+    with pytest.raises(UsageError, match="tcp://HOST:PORT"):
+        run_fleet([str(fleet)], store, replace(OPTIONS, scheduler="host:8786"))
+
+
+def test_ctrl_c_ends_the_workers(fleet, tmp_path):
+    out = tmp_path / "store"
+    command = [sys.executable, "-m", "multilica_cli", "fleet", "run", str(fleet), "--out", str(out)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as driver:
+        end_s = time.monotonic() + 60.0
+        while not (children := psutil.Process(driver.pid).children()) and time.monotonic() < end_s:
+            time.sleep(0.05)
+        driver.send_signal(signal.SIGINT)
+        assert driver.wait(30.0) == 130
+        assert driver.stderr.read().splitlines()[-1].startswith("multilica: Stopped by SIGINT")
+    _, alive = psutil.wait_procs(children, timeout=10.0)
+    assert not alive
