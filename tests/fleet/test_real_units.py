@@ -175,16 +175,18 @@ def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, fleet, tmp_path):
     from distributed.security import Security
 
     security, store = Security.temporary(), open_store(tmp_path / "store", create=True)
-    files = {}
-    for name in ("tls_ca_file", "tls_client_cert", "tls_client_key"):
-        files[name] = str(tmp_path / name)
+    keys = {}
+    for name, key in {
+        "tls_ca_file": "ca-file",
+        "tls_client_cert": "client.cert",
+        "tls_client_key": "client.key",
+    }.items():
         (tmp_path / name).write_text(getattr(security, name))
-    keys = {"ca-file": files["tls_ca_file"]}
-    keys["client"] = {"cert": files["tls_client_cert"], "key": files["tls_client_key"]}
+        keys[f"distributed.comm.tls.{key}"] = str(tmp_path / name)
     with cluster(security=security, protocol="tls://") as address:
         with pytest.raises(SourceNotFoundError, match="certificates in the configuration of Dask"):
             run_fleet([str(fleet)], store, replace(OPTIONS, scheduler=address))
-        with dask.config.set({"distributed.comm.tls": keys}):
+        with dask.config.set(keys):
             run_fleet([str(fleet)], store, replace(OPTIONS, scheduler=address))
     assert tables(store) == tables(whole)
 
