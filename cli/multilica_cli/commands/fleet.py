@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -199,6 +200,23 @@ def show(
     questions.require_vehicle(opened, vehicle)
     with questions.vehicle_history(opened, vehicle) as answer:
         print_answer(answer, form, stdout_console())
+
+
+@fleet.command()
+def report(
+    *,
+    store: _Store,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="File to write.", callback=options.local_path)
+    ] = Path("fleet-report.html"),
+    quiet: options.Quiet = False,
+) -> None:
+    """Write one HTML page: vehicles, failures by cause, and the pose of each LiDAR over time."""
+    from multilica.fleet.report.store_report import store_report
+    from multilica.sinks.files.atomic import write_text_atomically
+
+    write_text_atomically(out, store_report(_opened(store), out))
+    stdout_console(quiet=quiet).print(f"wrote {out}")
 
 
 @fleet.command()
