@@ -24,13 +24,11 @@ class FleetOverview:
         version: of multilica.
         files: relative path of the store as seen from the page, "" if the page lies in its top folder; None if no file
             of the store can be linked.
-        failures: number of all failures; the page may list fewer.
     """
 
     store: str
     version: str
     files: str | None = None
-    failures: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

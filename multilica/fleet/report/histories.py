@@ -33,9 +33,7 @@ def read_histories(store: Store, vehicles: Sequence[str]) -> dict[str, tuple[Lid
         return {}
     with ask(store, _ROWS, [list(vehicles)]) as answer:
         rows = (dict(zip(answer.columns, row, strict=True)) for row in answer.rows())
-        return {
-            vehicle: tuple(_histories(own)) for vehicle, own in groupby(rows, key=lambda row: str(row["vehicle"]))
-        }
+        return {vehicle: tuple(_histories(own)) for vehicle, own in groupby(rows, key=lambda row: str(row["vehicle"]))}
 
 
 def _histories(rows: Iterable[dict[str, Any]]) -> Iterator[LidarHistory]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,7 +13,9 @@ from typing import Any
 from urllib.parse import quote
 
 from jinja2 import Template
+from markupsafe import Markup
 
+from multilica.errors import escape_controls
 from multilica.fleet.report.contents import FleetOverview, PageEvent, PageFailure, PageVehicle
 from multilica.fleet.report.plots import DriftPlot, drift_plots
 from multilica.fleet.report.sparklines import HEIGHT_PX, WIDTH_PX, sparklines
@@ -29,6 +32,7 @@ MAX_EVENTS = MAX_FAILURES = 1000
 """Rows of a table; more are not read by people, and the commands list all."""
 
 _PACKAGE = "multilica.fleet.report"
+_DATE = re.compile(r"(\b\d{4}-\d\d-\d\d(?: \d\d:\d\d)?\b)", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +50,12 @@ class CauseCount:
 
 
 def drawn_vehicles(names: Sequence[str], events: Sequence[PageEvent], failures: Sequence[PageFailure]) -> list[str]:
-    """Return the vehicles to draw: of a large fleet, first those with events, then those with failures."""
-    if len(names) <= MAX_DRAWN:
-        return list(names)
+    """Return the vehicles to draw, first those with events, then those with failures; of a large fleet, only these."""
     first = dict.fromkeys([*(event.vehicle for event in events), *(failure.vehicle for failure in failures)])
-    return list(first)[:MAX_DRAWN]
+    known = set(names)
+    urgent = [name for name in first if name in known]
+    others = [name for name in names if name not in first] if len(names) <= MAX_DRAWN else []
+    return [*urgent, *others][:MAX_DRAWN]
 
 
 def fleet_page(
@@ -89,6 +94,8 @@ def _context(
     own_events: dict[str, list[PageEvent]] = defaultdict(list)
     for event in events or ():
         own_events[event.vehicle].append(event)
+    causes = _causes(failures)
+    rank = {cause.reason: index for index, cause in enumerate(causes)}
     times = [time for vehicle in vehicles for time in (vehicle.first, vehicle.last) if time is not None]
     lines = {
         "mm": sparklines(vehicles, lambda history: history.distances_mm),
@@ -101,9 +108,9 @@ def _context(
         "shown_events": list(events or ())[:MAX_EVENTS],
         "own_events": own_events,
         "moved": len({(event.vehicle, event.moved) for event in events or ()}),
-        "failures": list(failures)[:MAX_FAILURES],
-        "failure_count": max(overview.failures, len(failures)),
-        "causes": _causes(failures),
+        "failures": sorted(failures, key=lambda failure: rank[failure.reason])[:MAX_FAILURES],
+        "failure_count": len(failures),
+        "causes": causes,
         "not_placed": sum(len(vehicle.not_placed_last) for vehicle in vehicles),
         "counts": {
             name: sum(getattr(vehicle, name) for vehicle in vehicles)
@@ -114,6 +121,7 @@ def _context(
         "anchors": {vehicle.name: f"vehicle-{index}" for index, vehicle in enumerate(vehicles, 1)},
         "lines": lines,
         "line_size": (WIDTH_PX, HEIGHT_PX),
+        "max_drawn": MAX_DRAWN,
     }
 
 
@@ -122,7 +130,10 @@ def _sections(
 ) -> dict[str, Any]:
     """Return the vehicles that have a section, and the plots per LiDAR."""
     shown = [vehicle for vehicle in vehicles if vehicle.name in drawn]
-    return {"shown": shown, "plots": {each.name: _plots(each, events.get(each.name, ()), texts=texts) for each in shown}}
+    return {
+        "shown": shown,
+        "plots": {each.name: _plots(each, events.get(each.name, ()), texts=texts) for each in shown},
+    }
 
 
 def _plots(vehicle: PageVehicle, events: Sequence[PageEvent], *, texts: bool) -> list[tuple[Any, list[DriftPlot]]]:
@@ -145,7 +156,7 @@ def _causes(failures: Sequence[PageFailure]) -> list[CauseCount]:
 @cache
 def _template() -> Template:
     style = own_text("multilica.sinks.report", "page.css") + own_text(_PACKAGE, "page.css")
-    filters = {"day": _day, "day_of": day_of, "counted": _counted, "address": _address}
+    filters = {"day": _day, "day_of": day_of, "counted": _counted, "address": _address, "with_dates": _with_dates}
     return page_template(_PACKAGE, style, own_text(_PACKAGE, "page.js"), filters, one_line=True)
 
 
@@ -155,6 +166,13 @@ def _day(time: datetime | None) -> str:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def _with_dates(text: str) -> Markup:
+    """Keep each date of a text in one line."""
+    parts = _DATE.split(escape_controls(text))
+    date = Markup('<span class="when">{}</span>')
+    return Markup("").join(date.format(part) if index % 2 else part for index, part in enumerate(parts))
 
 
 def _address(path: str, files: str) -> str:

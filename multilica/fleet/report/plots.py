@@ -16,18 +16,18 @@ from multilica.geometry import FloatArray
 
 __all__ = ["DriftPlot", "drift_plots", "number"]
 
-_WIDTH_PX, _LEFT_PX, _RIGHT_PX = 440.0, 46.0, 8.0
+_WIDTH_PX, _LEFT_PX, _RIGHT_PX = 470.0, 82.0, 8.0
 _STRIP_PX, _GAP_PX, _BOTTOM_PX = 64.0, 8.0, 24.0
-_LABEL_ROW_PX = 15.0
-_LETTER_PX = 7.5
+_LABEL_ROW_PX = 17.0
+_LETTER_PX = 9.5
 _RING_PX, _DIAMOND_PX = 3.4, 4.6
 _NEARLY_ALL = 0.9
 _QUANTITIES = (
-    ("translation", "mm", ("x", "y", "z"), 10.0, 1),
-    ("rotation", "deg", ("roll", "pitch", "yaw"), 0.1, 3),
+    ("translation", "mm", ("x", "y", "z"), 12.0, 1),
+    ("rotation", "deg", ("roll", "pitch", "yaw"), 0.12, 3),
 )
-"""Name, unit, components, least half range of an axis (a third of the default tolerance, so that noise stays small), and
-decimals."""
+"""Name, unit, components, least half range of an axis, and decimals. The least range is 40 percent of what `fleet run` takes
+for no motion by default, so that noise stays small."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,9 +103,7 @@ def drift_plots(history: LidarHistory, events: Sequence[PageEvent], *, texts: bo
     return [_plot(history, events, axis, index, texts=texts) for index in range(len(_QUANTITIES))]
 
 
-def _plot(
-    history: LidarHistory, events: Sequence[PageEvent], axis: TimeAxis, index: int, *, texts: bool
-) -> DriftPlot:
+def _plot(history: LidarHistory, events: Sequence[PageEvent], axis: TimeAxis, index: int, *, texts: bool) -> DriftPlot:
     title, unit, names, least, digits = _QUANTITIES[index]
     offsets, sigmas = (each[:, 3 * index : 3 * index + 3] for each in (history.offsets, history.sigmas))
     spans, rows = _spans(events, axis)
@@ -242,9 +240,11 @@ def _areas(
 
 
 def _nice_below(value: float) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above a positive value."""
+    """Return the largest round number, of one digit or 15, that is not above a positive value."""
     power = 10.0 ** math.floor(math.log10(value))
-    return power * next(step for step in (5.0, 2.0, 1.0) if step <= value / power * (1.0 + 1e-9))
+    return power * next(
+        step for step in (8.0, 6.0, 5.0, 4.0, 3.0, 2.0, 1.5, 1.0) if step <= value / power * (1.0 + 1e-9)
+    )
 
 
 def _signed(value: float) -> str:

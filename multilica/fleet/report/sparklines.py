@@ -15,7 +15,7 @@ from multilica.geometry import FloatArray
 
 __all__ = ["Sparklines", "VehicleSparkline", "sparklines"]
 
-WIDTH_PX, HEIGHT_PX = 110, 26
+WIDTH_PX, HEIGHT_PX = 76, 26
 _MARGIN_PX = 2.5
 _TALLEST = 8.0
 """Times the median vehicle: taller ones are cut off, so that one wrong pose does not flatten the others."""

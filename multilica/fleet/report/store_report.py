@@ -29,7 +29,7 @@ def store_report(store: Store, page: Path, events: Sequence[PageEvent] | None = 
     vehicles, failures = _vehicles(store), _failures(store)
     drawn = drawn_vehicles([vehicle.name for vehicle in vehicles], events or (), failures)
     histories = read_histories(store, drawn)
-    overview = FleetOverview(str(store), __version__, _files_seen_from(page, store), len(failures))
+    overview = FleetOverview(str(store), __version__, _files_seen_from(page, store))
     shown = [replace(vehicle, histories=histories.get(vehicle.name, ())) for vehicle in vehicles]
     return fleet_page(overview, shown, events, failures)
 

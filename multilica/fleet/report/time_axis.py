@@ -55,7 +55,10 @@ class TimeAxis:
         step = next((step for step in _STEPS_DAYS if days / step <= _MOST_TICKS), None)
         moments = list(self._months(days) if step is None else self._days(step))
         return [
-            (float(self.place(int(moment.timestamp()) * 10**9)), _label(moment, named=step is not None, first=not index))
+            (
+                float(self.place(int(moment.timestamp()) * 10**9)),
+                _label(moment, named=step is not None, first=not index),
+            )
             for index, moment in enumerate(moments)
         ]
 

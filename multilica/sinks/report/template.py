@@ -3,7 +3,7 @@
 
 import base64
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
@@ -21,7 +21,7 @@ def own_text(package: str, name: str) -> str:
 
 
 def page_template(
-    package: str, style: str, script: str, filters: Mapping[str, Callable[..., Any]], *, one_line: bool = False
+    package: str, style: str, script: str, filters: Mapping[str, Any], *, one_line: bool = False
 ) -> Template:
     """Load `page.html` of a package with style, script, and their hashes for the content security policy.
 
