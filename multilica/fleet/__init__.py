@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many logs as one table of extrinsics over time."""
+"""Many logs of a fleet as one table of extrinsics over time."""

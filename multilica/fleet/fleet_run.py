@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
-from multilica.fleet.executors import open_executor
-from multilica.fleet.guard import UnitLimits, identify_guarded, run_guarded
-from multilica.fleet.listing import LogPattern, find_logs
-from multilica.fleet.logs import config_digest
-from multilica.fleet.plan import Plan, PlannedLog
-from multilica.fleet.store import Store, vehicle_name
-from multilica.fleet.unit import Calibrate, UnitRequest, UnitSummary
+from multilica.fleet.logs.listing import LogPattern, find_logs
+from multilica.fleet.logs.log import config_digest
+from multilica.fleet.logs.plan import Plan, QueuedLog
+from multilica.fleet.store.store import Store, vehicle_name
+from multilica.fleet.units.executors import open_executor
+from multilica.fleet.units.guard import UnitLimits, identify_guarded, run_guarded
+from multilica.fleet.units.unit_request import Calibrate, UnitRequest, UnitSummary
 from multilica.scratch import scratch_folder
 
 __all__ = ["FleetOptions", "FleetOutcome", "LogFinished", "LogsPlanned", "run_fleet"]
@@ -150,7 +150,7 @@ def _identify(address: str, limits: UnitLimits) -> tuple[str, int | None]:
 class _Chain:
     """The logs of a vehicle, each with the poses that hold before it."""
 
-    def __init__(self, logs: Iterator[PlannedLog], store: Store, options: FleetOptions, config_sha256: str) -> None:
+    def __init__(self, logs: Iterator[QueuedLog], store: Store, options: FleetOptions, config_sha256: str) -> None:
         self._logs, self._store, self._options, self._config_sha256 = logs, store, options, config_sha256
         self._reference = ""
 
@@ -165,7 +165,7 @@ class _Chain:
     def take(self, summary: UnitSummary) -> None:
         self._reference = summary.calibration or self._reference
 
-    def _request(self, log: PlannedLog) -> UnitRequest:
+    def _request(self, log: QueuedLog) -> UnitRequest:
         options = self._options
         return UnitRequest(
             key=log.key,

@@ -28,7 +28,7 @@ _IN_FAULT: Mapping[LogFault, tuple[LogFormat, ...]] = {
     "text": _MCAP,
     "lfs_pointer": (*_MCAP, "ros1_bag"),
 }
-"""Formats of broken files: one file each, of which half of a chunk is of no use."""
+"""Formats of broken logs. They are single files; a cut one is packed, or its beginning could be read."""
 
 _RIG, _TARGET = "edgar", "left"
 _MOVABLE = ("front", "rear")
@@ -38,7 +38,7 @@ _START_NS = 1_759_276_800_000_000_000
 """2025-10-01 in UTC."""
 _DAY_NS, _DAYS = 86_400 * 10**9, 365
 _BROKEN_SHARE = 0.05
-_LOGS_PER_DUPLICATE = 100
+_LOGS_PER_DUPLICATE, _LEAST_FOR_DUPLICATES = 100, 10
 _USUAL_VEHICLES = 20
 _USUAL_EVENTS: Mapping[EventKind, int] = {"jump": 3, "creep": 2, "dead": 1}
 
@@ -120,12 +120,13 @@ def plan_fleet(
         creeps: vehicles with a LiDAR that creeps; None: 2 of 20.
         dead: vehicles with a LiDAR that dies; None: 1 of 20.
         broken: logs that cannot be read, not beside a jump; None: 5 %.
-        duplicates: logs with the bytes of another one of the vehicle; None: 1 of 100.
+        duplicates: logs with the bytes of another one of the vehicle; None: 1 of 100, none in small fleets.
 
     Raises:
         UsageError: a negative number, or too few vehicles or logs for what is asked for.
     """
-    copies = -(-logs // _LOGS_PER_DUPLICATE) if duplicates is None else duplicates
+    usual = -(-logs // _LOGS_PER_DUPLICATE) if logs >= max(_LEAST_FOR_DUPLICATES, 2 * vehicles) else 0
+    copies = usual if duplicates is None else duplicates
     faults = round(_BROKEN_SHARE * logs) if broken is None else broken
     kept = logs - copies
     asked: dict[EventKind, int | None] = {"jump": jumps, "creep": creeps, "dead": dead}
@@ -142,8 +143,10 @@ def plan_fleet(
     events = _events(asked, times_ns, seed)
     planned = [log for name in names for log in _logs(name, times_ns[name], events.get(name), seed)]
     decisive = {log.path for log in planned if _is_decisive(log, planned, events.get(log.vehicle))}
+    if broken is None:
+        faults = min(faults, len(planned) - len(decisive))
     planned = _with_faults(planned, decisive, faults, seed)
-    planned += _duplicates(planned, decisive, copies, seed)
+    planned += _duplicates(planned, copies, seed)
     planned.sort(key=lambda log: (log.vehicle, bool(log.duplicate_of), log.time_ns))
     seeds = {name: int(random_stream("fleet mounting", seed, name).integers(10**6)) for name in names}
     found = tuple(events[name] for name in names if name in events)
@@ -223,10 +226,10 @@ def _with_faults(logs: Sequence[PlannedLog], spared: set[str], number: int, seed
     return broken
 
 
-def _duplicates(logs: Sequence[PlannedLog], spared: set[str], number: int, seed: int) -> list[PlannedLog]:
+def _duplicates(logs: Sequence[PlannedLog], number: int, seed: int) -> list[PlannedLog]:
     """Copy so many logs that are files, each under the next number of its vehicle."""
     rng = random_stream("fleet duplicates", seed)
-    originals = {log.path: log for log in logs if log.path not in spared and not log.fault and _SUFFIXES[log.format]}
+    originals = {log.path: log for log in logs if not log.fault and _SUFFIXES[log.format]}
     copies: list[PlannedLog] = []
     for path in _chosen(list(originals), number, "duplicates", rng):
         log = originals[path]
@@ -237,5 +240,5 @@ def _duplicates(logs: Sequence[PlannedLog], spared: set[str], number: int, seed:
 
 def _chosen(paths: Sequence[str], number: int, what: str, rng: np.random.Generator) -> list[str]:
     if number > len(paths):
-        raise UsageError(f"Found {len(paths)} logs that no event needs; expected {number} for the {what}.")
+        raise UsageError(f"Found {len(paths)} logs that may become {what}; expected {number}.")
     return [paths[index] for index in rng.permutation(len(paths))[:number]]

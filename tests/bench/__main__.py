@@ -20,6 +20,7 @@ MEASUREMENTS = (
     "harder",
     "causes",
     "moved_lidars",
+    "fleet_drift",
     "crash",
     "ingest",
     "recording",

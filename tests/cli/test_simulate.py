@@ -7,7 +7,7 @@ import pytest
 
 from multilica import read_extrinsics, read_snapshot
 from multilica.simulate import RIGS, SCENES
-from tests.cli.support import Invoke
+from tests.cli.support import Invoke, assert_one_sentence
 
 REQUEST = ("simulate", "--rig", "chain", "--scene", "garage", "--seed", "3", "--frames", "1")
 
@@ -42,4 +42,38 @@ def test_nothing_is_left_of_a_failed_write(invoke: Invoke, monkeypatch: pytest.M
     outcome = invoke(*REQUEST, "--out", "chain.mcap")
     assert outcome.code == 1
     assert outcome.err == "multilica: System error: No space left on device (chain.mcap).\n"
+    assert list(Path().iterdir()) == []
+
+
+def test_a_fleet_lies_in_its_folder(invoke: Invoke) -> None:
+    small = ("--vehicles", "2", "--logs", "3", "--frames", "1", "--keep-every", "90", "--workers", "1")
+    outcome = invoke("simulate", "--fleet", "logs", *small)
+    assert outcome.code == 0
+    assert outcome.out.splitlines() == [
+        "wrote logs (vehicles: 2, logs: 3, of these broken: 0, duplicates: 0; events: 1)",
+        "wrote logs/fleet.truth.json",
+    ]
+    assert outcome.err.splitlines()[-1] == "3 of 3 logs"
+    assert sorted(path.name for path in Path("logs").iterdir()) == ["fleet.truth.json", "v01", "v02"]
+    again = invoke("simulate", "--fleet", "logs", *small)
+    assert_one_sentence(again, 2)
+    assert "logs exists already" in again.err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        ((), "Missing --rig, --scene, --out"),
+        (("--rig", "edgar", "--out", "a.mcap"), "Missing --scene"),
+        (("--rig", "edgar", "--scene", "street", "--out", "a.mcap", "--logs", "3"), "--logs is for a fleet"),
+        (("--fleet", "logs", "--rig", "edgar"), "--rig is for a single recording"),
+        (("--fleet", "logs", "--disturb", "rain"), "--disturb is for a single recording"),
+        (("--fleet", "logs", "--vehicles", "0"), "0 vehicles"),
+        (("--fleet", "s3://bucket/logs"), "--fleet s3://"),
+    ],
+)
+def test_one_recording_or_a_fleet(arguments: tuple[str, ...], named: str, invoke: Invoke) -> None:
+    outcome = invoke("simulate", *arguments)
+    assert_one_sentence(outcome, 2)
+    assert named in outcome.err
     assert list(Path().iterdir()) == []

@@ -3,9 +3,9 @@ import threading
 
 import pytest
 
-from multilica.fleet import guard
-from multilica.fleet.guard import UnitLimits, identify_guarded, run_guarded
-from multilica.fleet.store import open_store
+from multilica.fleet.store.store import open_store
+from multilica.fleet.units import guard
+from multilica.fleet.units.guard import UnitLimits, identify_guarded, run_guarded
 from tests.fleet.support.requests import request
 
 LIMITS = UnitLimits(time_s=60.0, memory_mb=500.0, retries=2)

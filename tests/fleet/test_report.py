@@ -12,20 +12,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from multilica.fleet import query
+from multilica.fleet.drift.drift import find_drift
+from multilica.fleet.drift.stored_series import find_outages, read_series
 from multilica.fleet.report import page as page_module
 from multilica.fleet.report.contents import FleetOverview, PageEvent, PageFailure, PageVehicle
+from multilica.fleet.report.events import read_events
 from multilica.fleet.report.histories import read_histories
 from multilica.fleet.report.page import drawn_vehicles, fleet_page
 from multilica.fleet.report.store_report import store_report
-from multilica.fleet.store import open_store
+from multilica.fleet.store import query
+from multilica.fleet.store.store import open_store
 from tests.fleet.support.made_store import SIGMA_DEG, SIGMA_MM, add_log, key_of, lidar_row, made_store
 from tests.fleet.support.requests import DAY_NS, START_NS
 
 SENTENCE = "v01: front moved by 40 mm and 0.00 deg between 2026-05-02 and 2026-06-01."
-JUMP = PageEvent(
-    "v01", "front", ("front",), "jump", SENTENCE, START_NS + 121 * DAY_NS, START_NS + 151 * DAY_NS, 40.1, 0.004
-)
+TIMES = (START_NS + 121 * DAY_NS, START_NS + 151 * DAY_NS)
+JUMP = PageEvent("v01", "front", ("front",), "jump", SENTENCE, "2026-06-01", *TIMES, 40.1, 0.004)
 HOSTILE = "</title><script>window.harmed = 1</script>\"'><img src=x onerror='window.harmed = 2'>\u202etxt\x1b"
 SHOWN = "&lt;/title&gt;&lt;script&gt;window.harmed = 1&lt;/script&gt;"
 
@@ -73,7 +75,7 @@ def store(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def text(store, tmp_path_factory):
-    return store_report(store, tmp_path_factory.mktemp("elsewhere") / "page.html", [JUMP])
+    return store_report(store, tmp_path_factory.mktemp("elsewhere") / "page.html")
 
 
 def test_the_overview_has_the_numbers_of_the_tables(store, text):
@@ -84,7 +86,7 @@ def test_the_overview_has_the_numbers_of_the_tables(store, text):
         ]
     rows = Tables(text).body("overview")
     assert [row[:8] for row in rows] == expected
-    assert [row[8] for row in rows] == ["front: jump", "rear: dead_sensor", "-"]
+    assert [row[8] for row in rows] == ["front: jump", "rear: lost rear: dead_sensor", "-"]
     with query.ask(store, "SELECT count(*), count(*) FILTER (state = 'verified') FROM logs") as answer:
         ((logs, verified),) = answer.rows()
     assert f"{logs} logs from 2026-01-02 to 2026-10-01: {verified} verified, 6 calibrated, 1 without a result." in text
@@ -106,8 +108,8 @@ def test_the_failures_are_those_of_the_command(store, text):
         expected = sorted(row[6] for row in answer.rows())
     tables = Tables(text)
     assert sorted(row[3] for row in tables.body("failures")) == expected
-    assert tables.body("causes") == [["dead_sensor", "", "-", "1"], ["unreadable", "", "1", "-"]]
-    lost, broken = tables.body("failures")
+    assert tables.body("causes") == [["dead_sensor", "", "-", "2"], ["unreadable", "", "1", "-"]]
+    _, lost, broken = tables.body("failures")
     assert lost[:3] == ["v02", "2026-09-30", "rear: dead_sensor"]
     assert broken[1:] == ["no time", "unreadable", "v03/broken.bag is empty.", "v03/broken.bag"]
     with query.ask(store, "SELECT recording FROM logs WHERE source = 'v02/272.mcap'") as answer:
@@ -116,23 +118,50 @@ def test_the_failures_are_those_of_the_command(store, text):
     assert [link for link in tables.links if not link.startswith("#")] == []
 
 
+def test_events_are_those_of_the_drift_command(store, text):
+    (event,) = find_drift(list(read_series(store)))
+    (outage,) = find_outages(store)
+    size = f"{1e3 * np.linalg.norm(event.translation_m):.1f} mm, {np.rad2deg(np.linalg.norm(event.rotation_rad)):.2f}°"
+    assert Tables(text).body("events") == [
+        ["v01", "front", "jump", "2026-06-01", size, event.sentence],
+        ["v02", "rear", "lost", "since 2026-08-31", "-", outage.sentence],
+    ]
+    assert 38.0 < float(size.split(maxsplit=1)[0]) < 42.0
+
+
 def test_an_event_leads_to_its_vehicle(text):
     tables = Tables(text)
-    assert tables.body("events") == [["v01", "front", "jump", "2026-06-01", "40.1 mm, 0.00°", SENTENCE]]
     opened = [values for tag, values in tables.opened if tag == "details"]
-    assert ["open" in values for values in opened] == [True, False, False]
+    assert ["open" in values for values in opened] == [True, True, False]
     anchors = {values["id"] for _, values in tables.opened if "id" in values}
     assert {link[1:] for link in tables.links} <= anchors
-    assert text.count('class="event" d=') == 1 + 2  # in the legend, and in both plots of the LiDAR
-    assert text.count("jump 2026-06-01</text>") == 2
+    for label in ("jump 2026-06-01", "lost since 2026-08-31"):
+        assert text.count(f"{label}</text>") == 2  # in both plots of the LiDAR
+    assert text.count('<path class="event jump"') == text.count('<rect class="span jump"') == 2
+
+
+def test_a_vehicle_unlike_the_others_is_told(tmp_path):
+    store = open_store(tmp_path, create=True)
+    for number in range(6):
+        for day in range(4):
+            shift_mm = (0.1 * number - 0.1 * day, 0.1 * day, 120.0 * (number == 5))
+            add_log(store, f"v{number}", day, lambda *log, s=shift_mm: [lidar_row(*log, "rear", shift_mm=s)])
+    (event,) = read_events(store)
+    assert (event.vehicle, event.kind, event.when, event.begin_ns) == ("v5", "offset", "", None)
+    text = store_report(store, tmp_path / "page.html")
+    assert Tables(text).body("events") == [
+        ["v5", "rear", "offset", "all logs", f"{event.translation_mm:.1f} mm, 0.00°", event.sentence]
+    ]
+    assert "1 LiDAR sits elsewhere than on the other vehicles." in text
+    assert "<h1>No LiDAR moved on 6 vehicles.</h1>" in text
 
 
 def test_marks_tell_verified_from_calibrated_and_lost(text):
     section = text[text.index('id="vehicle-2"') : text.index('id="vehicle-3"')]
-    rear = section[section.index("<h4>rear") :]
-    assert [each.count("M") for each in re.findall(r'class="ring" d="([^"]*)"', rear)] == [8] * 6
+    rear = section[section.index("<h4>rear") : section.index("<h4>front")]  # with its event, it comes first
+    assert [each.count("M") for each in re.findall(r'class="ring" d="([^"]*)"', rear)] == [7] * 6
     assert [each.count("M") for each in re.findall(r'class="diamond" d="([^"]*)"', rear)] == [1] * 6
-    assert [each.count("M") for each in re.findall(r'class="missing" d="([^"]*)"', rear)] == [1, 1]
+    assert [each.count("M") for each in re.findall(r'class="missing" d="([^"]*)"', rear)] == [2, 2]
     assert "2026-01-03, calibrated: x " in rear
 
 
@@ -162,7 +191,7 @@ def test_recordings_are_linked_from_within_the_store(store):
 
 def test_a_link_finds_a_folder_with_percent_signs():
     failure = PageFailure("a/b", None, "s", "", "failed", "unreadable", "t", "runs/a%2Fb/recording.rrd")
-    text = fleet_page(FleetOverview("store", "1", ""), [PageVehicle("a/b", 1, None, None, 0, 0, 1, 0)], None, [failure])
+    text = fleet_page(FleetOverview("store", "1", ""), [PageVehicle("a/b", 1, None, None, 0, 0, 1, 0)], [], [failure])
     assert './runs/a%252Fb/recording.rrd"' in text
 
 
@@ -170,7 +199,7 @@ def test_names_cannot_leave_the_text(store):
     (history, _) = read_histories(store, ["v01"])["v01"]
     history = replace(history, lidar=HOSTILE, target=HOSTILE, sources=(HOSTILE,) * len(history.sources))
     vehicle = PageVehicle(HOSTILE, 1, None, None, 1, 0, 1, 0, (HOSTILE,), (history,))
-    event = replace(JUMP, vehicle=HOSTILE, moved=HOSTILE, lidars=(HOSTILE,), sentence=HOSTILE)
+    event = replace(JUMP, vehicle=HOSTILE, part=HOSTILE, lidars=(HOSTILE,), sentence=HOSTILE)
     failure = PageFailure(HOSTILE, None, HOSTILE, HOSTILE, "failed", HOSTILE, HOSTILE, HOSTILE)
     for files in (None, "", ".."):
         text = fleet_page(FleetOverview(HOSTILE, HOSTILE, files), [vehicle], [event], [failure])
@@ -193,16 +222,9 @@ def test_a_page_asks_for_nothing(text):
     assert re.findall(r"url\(|@import| style=", text) == []
 
 
-def test_nobody_looked_for_motions(store, tmp_path):
-    text = store_report(store, tmp_path / "page.html")
-    assert "<h1>3 vehicles, 31 logs.</h1>" in text
-    assert "moved on" not in text
-    assert "<h1>No LiDAR moved on 3 vehicles.</h1>" in store_report(store, tmp_path / "page.html", [])
-
-
 def test_an_empty_store_has_a_page(tmp_path):
-    text = store_report(open_store(tmp_path / "store", create=True), tmp_path / "page.html", [])
-    assert "<h1>0 vehicles, 0 logs.</h1>" in text
+    text = store_report(open_store(tmp_path / "store", create=True), tmp_path / "page.html")
+    assert "<h1>No logs yet.</h1>" in text
     assert "The store has no logs yet." in text
 
 

@@ -16,6 +16,7 @@ from multilica.fleet.report.histories import read_histories
 from multilica.fleet.report.page import fleet_page
 from multilica.fleet.report.store_report import store_report
 from tests.fleet.support.made_store import made_store
+from tests.fleet.support.requests import DAY_NS
 from tests.fleet.test_report import HOSTILE, JUMP
 from tests.sinks.browser import NoBrowserError, headless_browser
 
@@ -36,16 +37,17 @@ def browser():
 def pages(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     store = made_store(folder / "store")
+    creep = replace(JUMP, kind="creep", when="since 2026-01-31", begin_ns=JUMP.begin_ns - 90 * DAY_NS)
+    vehicle = PageVehicle("v01", 10, None, None, 8, 2, 0, 0, (), read_histories(store, ["v01"])["v01"])
     texts = {
-        "fleet": store_report(
-            store, folder / "fleet.html", [JUMP, replace(JUMP, kind="creep", begin_ns=JUMP.begin_ns - 10**16)]
-        )
+        "fleet": store_report(store, folder / "fleet.html"),
+        "two events": fleet_page(FleetOverview("store", "1"), [vehicle], [JUMP, creep], []),
     }
     (history, _) = read_histories(store, ["v01"])["v01"]
     for kind, name in (("hostile", HOSTILE), ("long", LONG)):
         own = replace(history, lidar=name, target=name, sources=(name,) * len(history.sources))
         vehicle = PageVehicle(name, 1, None, None, 1, 0, 1, 0, (name,), (own,))
-        event = replace(JUMP, vehicle=name, moved=name, lidars=(name,), sentence=name)
+        event = replace(JUMP, vehicle=name, part=name, lidars=(name,), sentence=name)
         failure = PageFailure(name, None, name, name, "failed", name, name, name)
         texts[kind] = fleet_page(FleetOverview(name, name), [vehicle], [event], [failure])
     for name, text in texts.items():
@@ -95,10 +97,10 @@ def test_no_width_needs_sideways_scrolling(name, width, scheme, show):
 
 def test_only_vehicles_with_events_are_open_and_links_open_others(show):
     page = show("fleet")
-    assert page.locator("details").evaluate_all("all => all.map(one => one.open)") == [True, False, False]
+    assert page.locator("details").evaluate_all("all => all.map(one => one.open)") == [True, True, False]
     page.locator(".overview").get_by_role("link", name="v03").click()
     expect(page.locator("#vehicle-3")).to_be_in_viewport()
-    assert page.locator("details").evaluate_all("all => all.map(one => one.open)") == [True, False, True]
+    assert page.locator("details").evaluate_all("all => all.map(one => one.open)") == [True, True, True]
     page.locator("#vehicle-3").click()
     page.evaluate("scrollTo(0, 0)")
     page.locator(".overview").get_by_role("link", name="v03").click()  # the same link a second time
@@ -110,8 +112,9 @@ def test_only_vehicles_with_events_are_open_and_links_open_others(show):
 
 
 @pytest.mark.parametrize("width", [390, 1400])
-def test_plots_are_readable(width, show):
-    page = show("fleet", width=width)
+@pytest.mark.parametrize("name", ["fleet", "two events"])
+def test_plots_are_readable(name, width, show):
+    page = show(name, width=width)
     plot = page.locator(".plot svg").first
     texts = plot.locator("text").evaluate_all(
         "all => all.map(one => { const b = one.getBoundingClientRect(); return [b.left, b.right, b.top, b.bottom]; })"

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import json
-import os
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 
 import duckdb
 import fsspec
@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.fleet.records import LIDARS_SCHEMA, LidarRow, LogRow
-from multilica.fleet.store import folder_name, open_store, vehicle_name, vehicle_of_part
+from multilica.fleet.store.records import LIDARS_SCHEMA, LidarRow, LogRow
+from multilica.fleet.store.store import folder_name, open_store, vehicle_name, vehicle_of_part
 from tests.fleet.support.requests import DAY_NS, START_NS
 from tests.ingest.support.processes import served
 
@@ -47,7 +47,12 @@ def test_rows_come_back_with_the_vehicle_of_their_folder(tmp_path, monkeypatch, 
         assert store.is_finished("v1", START_NS, KEY)
         assert store.is_finished("../7 ä", None, KEY[::-1])
         (lidar,) = store.dataset("lidars").to_table().to_pylist()
-        assert (lidar["vehicle"], lidar["month"], lidar["x_m"], lidar["covariance"]) == ("v1", "2026-01", 1.25, [0.5] * 36)
+        assert (lidar["vehicle"], lidar["month"], lidar["x_m"], lidar["covariance"]) == (
+            "v1",
+            "2026-01",
+            1.25,
+            [0.5] * 36,
+        )
         assert lidar["time"].isoformat() == "2026-01-01T00:00:00+00:00"
         logs = {row["vehicle"]: row for row in store.dataset("logs").to_table().to_pylist()}
         assert {*logs} == {"v1", "../7 ä"}
@@ -72,8 +77,8 @@ def _folder(path):
 def test_other_readers_read_the_parts(tmp_path):
     store = open_store(tmp_path, create=True)
     store.finish(replace(LOG, vehicle="v 1"), [LIDAR])
-    found = duckdb.sql(f"SELECT vehicle, lidar FROM read_parquet('{tmp_path}/lidars/**/*.parquet', hive_partitioning=true)")
-    assert found.fetchall() == [("v 1", "left")]
+    found = duckdb.read_parquet(f"{tmp_path}/lidars/**/*.parquet", hive_partitioning=True)
+    assert found.select("vehicle", "lidar").fetchall() == [("v 1", "left")]
     (part,) = store.parts("lidars")
     schema = pq.read_schema(tmp_path / part)
     assert schema.equals(LIDARS_SCHEMA)
@@ -84,7 +89,7 @@ def test_other_readers_read_the_parts(tmp_path):
 def test_any_text_of_a_log_is_one_folder_below_the_store(text):
     name = vehicle_name(text)
     folder = folder_name(name)
-    assert folder == os.path.basename(folder)
+    assert folder == Path(folder).name
     assert "." not in folder
     assert 0 < len(folder.encode()) <= 200
     assert vehicle_of_part(f"logs/vehicle={folder}/month=2026-01/x.parquet") == name

@@ -15,7 +15,7 @@ from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import print_json, stdout_console
 
 if TYPE_CHECKING:
-    from multilica.fleet.store import Store
+    from multilica.fleet.store.store import Store
 
 __all__ = ["fleet"]
 
@@ -97,7 +97,7 @@ def run(
     max_log_memory_mb: Annotated[
         float, typer.Option("--max-log-memory", metavar="MB", min=100.0, help="A log that takes more is given up.")
     ] = 4000.0,
-    retries: Annotated[int, typer.Option(metavar="N", min=0, help="Tries after a lost connection or a kill.")] = 3,
+    retries: Annotated[int, typer.Option(metavar="N", min=0, help="Tries after a lost connection or a kill.")] = 5,
     newest_first: Annotated[bool, typer.Option("--newest-first", help="Begin with the newest logs.")] = False,
     topics: options.Topics = None,
     frames: options.Frames = None,
@@ -116,9 +116,9 @@ def run(
     """
     from multilica.checks import RigTolerances, Tolerance
     from multilica.fleet.fleet_run import FleetOptions, run_fleet
-    from multilica.fleet.guard import UnitLimits
-    from multilica.fleet.listing import LogPattern
-    from multilica.fleet.store import open_store
+    from multilica.fleet.logs.listing import LogPattern
+    from multilica.fleet.store.store import open_store
+    from multilica.fleet.units.guard import UnitLimits
     from multilica_cli.fleet_progress import show_fleet
 
     given = {**ingest_options(topics, frames, None, window, None, strict=False), "target": target}
@@ -158,7 +158,7 @@ def query(
     form: _Format = "table",
 ) -> None:
     """Ask anything of the tables `lidars` (a row per LiDAR and log) and `logs`."""
-    from multilica.fleet.query import ask
+    from multilica.fleet.store.query import ask
     from multilica_cli.tables.answer import print_answer
 
     with ask(_opened(store), sql) as answer:
@@ -168,7 +168,7 @@ def query(
 @fleet.command()
 def status(*, store: _Store, form: _Format = "table") -> None:
     """List the vehicles: logs by outcome, and LiDARs without a certain pose in the last one."""
-    from multilica.fleet import query as questions
+    from multilica.fleet.store import query as questions
     from multilica_cli.tables.answer import print_answer
 
     with questions.status(_opened(store)) as answer:
@@ -178,7 +178,7 @@ def status(*, store: _Store, form: _Format = "table") -> None:
 @fleet.command()
 def failures(*, store: _Store, form: _Format = "table") -> None:
     """List the logs without a result and the LiDARs without a certain pose, by cause, with their recordings."""
-    from multilica.fleet import query as questions
+    from multilica.fleet.store import query as questions
     from multilica_cli.tables.answer import print_answer
 
     with questions.failures(_opened(store)) as answer:
@@ -193,13 +193,56 @@ def show(
     form: _Format = "table",
 ) -> None:
     """List where each LiDAR of a vehicle was, log by log."""
-    from multilica.fleet import query as questions
+    from multilica.fleet.store import query as questions
     from multilica_cli.tables.answer import print_answer
 
     opened = _opened(store)
     questions.require_vehicle(opened, vehicle)
     with questions.vehicle_history(opened, vehicle) as answer:
         print_answer(answer, form, stdout_console())
+
+
+@fleet.command()
+def drift(
+    *,
+    store: _Store,
+    nominal: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Poses as designed, to find wrong ones: TOML, URDF or another file of poses.",
+            show_default=False,
+        ),
+    ] = None,
+    false_alarm_rate: Annotated[
+        float, typer.Option(metavar="SHARE", help="Share of LiDARs that never moved and are reported all the same.")
+    ] = 0.001,
+    as_json: options.Json = False,
+) -> int:
+    """List the LiDARs that jumped, creep, are lost or sit elsewhere than designed, with dates and figures.
+
+    Ends with 0 if there are none, else with 5.
+    """
+    from multilica.exports.reading import read_extrinsics
+    from multilica.fleet.drift.drift import find_drift
+    from multilica.fleet.drift.drift_document import drift_document
+    from multilica.fleet.drift.fleet_offsets import find_offsets
+    from multilica.fleet.drift.stored_series import find_outages, read_series
+
+    opened = _opened(store)
+    series = list(read_series(opened))
+    events = find_drift(series, false_alarm_rate)
+    offsets = find_offsets(series, read_extrinsics(nominal) if nominal else None, false_alarm_rate)
+    outages = find_outages(opened)
+    if as_json:
+        print_json(drift_document(events, offsets, outages))
+    else:
+        sentences = [each.sentence for found in (events, offsets, outages) for each in found]
+        for sentence in sentences:
+            stdout_console().print(sentence)
+        if not sentences:
+            stdout_console().print(f"No LiDAR of {len({each.vehicle for each in series})} vehicles has moved.")
+    return ExitCode.DIFFERENT if events or offsets or outages else ExitCode.DONE
 
 
 @fleet.command()
@@ -211,7 +254,7 @@ def report(
     ] = Path("fleet-report.html"),
     quiet: options.Quiet = False,
 ) -> None:
-    """Write one HTML page: vehicles, failures by cause, and the pose of each LiDAR over time."""
+    """Write one HTML page: LiDARs that moved, vehicles, failures by cause, and the pose of each LiDAR over time."""
     from multilica.fleet.report.store_report import store_report
     from multilica.sinks.files.atomic import write_text_atomically
 
@@ -222,13 +265,51 @@ def report(
 @fleet.command()
 def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
     """Join the small parts of each vehicle and month into one; not while a run writes into the store."""
-    from multilica.fleet.compact import compact_store
+    from multilica.fleet.store.compact import compact_store
 
     before, after = compact_store(_opened(store))
     stdout_console(quiet=quiet).print(f"{before} parts are now {after}.")
 
 
+@fleet.command()
+def prune(
+    *,
+    store: _Store,
+    success_days: Annotated[
+        float, typer.Option("--successes", metavar="DAYS", min=0.0, help="Keep those of runs that placed every LiDAR.")
+    ] = 30.0,
+    failure_days: Annotated[
+        float, typer.Option("--failures", metavar="DAYS", min=0.0, help="Keep those of all other runs.")
+    ] = 365.0,
+    quiet: options.Quiet = False,
+) -> None:
+    """Remove recordings, reports and MCAP files that are older; tables and poses are kept."""
+    from multilica.fleet.store.recordings import prune_recordings
+
+    pruned = prune_recordings(_opened(store), success_days=success_days, failure_days=failure_days)
+    stdout_console(quiet=quiet).print(f"{pruned.files} files removed, {pruned.size_bytes / 1e6:.1f} MB.")
+
+
+@fleet.command()
+def browse(
+    *,
+    store: _Store,
+    vehicle: Annotated[str | None, typer.Option(metavar="NAME", help="Only this one.", show_default="all")] = None,
+    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(metavar="N", help="Port to listen on.")] = 51234,
+) -> None:
+    """Serve the recordings as a catalog of Rerun's viewer, a dataset per vehicle, until Ctrl-C."""
+    from multilica.fleet.store.recordings import lay_out_catalog
+    from multilica.scratch import scratch_folder
+    from multilica.sinks.rerun.viewer import serve_catalog
+
+    with scratch_folder() as folder:
+        datasets = lay_out_catalog(_opened(store), folder, vehicle)
+        stdout_console().print(f"{len(datasets)} datasets; open them with: rerun rerun+http://{host}:{port}")
+        serve_catalog(datasets, host, port)
+
+
 def _opened(address: str) -> Store:
-    from multilica.fleet.store import open_store
+    from multilica.fleet.store.store import open_store
 
     return open_store(address, create=False)

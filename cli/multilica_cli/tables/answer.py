@@ -15,14 +15,14 @@ from rich.console import Console
 from multilica_cli.tables.result import plain_table
 
 if TYPE_CHECKING:
-    from multilica.fleet.query import Answer
+    from multilica.fleet.store.query import QueryAnswer
 
 __all__ = ["print_answer"]
 
 _MOST_ROWS = 1000
 
 
-def print_answer(answer: Answer, form: Literal["table", "csv", "json"], console: Console) -> None:
+def print_answer(answer: QueryAnswer, form: Literal["table", "csv", "json"], console: Console) -> None:
     """Print the rows: as a table for people, which ends after a thousand, or all as CSV or as JSON, a row per line."""
     if form == "csv":
         typer.echo(_csv_line(answer.columns), nl=False)

@@ -12,7 +12,9 @@ import numpy.typing as npt
 
 from multilica.geometry import FloatArray, read_only
 
-__all__ = ["FleetOverview", "LidarHistory", "PageEvent", "PageFailure", "PageVehicle"]
+__all__ = ["EventKind", "FleetOverview", "LidarHistory", "PageEvent", "PageFailure", "PageVehicle"]
+
+EventKind = Literal["jump", "creep", "lost", "offset"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,24 +101,27 @@ class PageVehicle:
 
 @dataclass(frozen=True, slots=True)
 class PageEvent:
-    """A LiDAR that moved on its vehicle.
+    """A LiDAR that moved on its vehicle, has no pose in several logs, or sits elsewhere than on other vehicles.
 
     Args:
-        moved: what moved, for people.
-        lidars: whose poses changed.
-        begin_ns, end_ns: of a jump, the last log before and the first one after; of a creep, its first and last log.
-        translation_mm, rotation_deg: lengths of the motion.
+        part: which one, for people.
+        lidars: whose poses are concerned.
+        when: in words; empty for an offset, which all logs have.
+        begin_ns, end_ns: of a jump, the last log before and the first one after; else the first and the last log; None
+            for an offset.
+        translation_mm, rotation_deg: lengths of the motion; None if there is none.
     """
 
     vehicle: str
-    moved: str
+    part: str
     lidars: tuple[str, ...]
-    kind: Literal["jump", "creep"]
+    kind: EventKind
     sentence: str
-    begin_ns: int
-    end_ns: int
-    translation_mm: float
-    rotation_deg: float
+    when: str = ""
+    begin_ns: int | None = None
+    end_ns: int | None = None
+    translation_mm: float | None = None
+    rotation_deg: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

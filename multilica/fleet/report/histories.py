@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multilica.fleet.report.contents import LidarHistory
-from multilica.fleet.store import Store
+from multilica.fleet.store.store import Store
 from multilica.geometry import FloatArray
 
 __all__ = ["read_histories"]
@@ -27,7 +27,7 @@ _MM = 1e3
 
 def read_histories(store: Store, vehicles: Sequence[str]) -> dict[str, tuple[LidarHistory, ...]]:
     """Return the histories of the LiDARs of vehicles, without their targets, which rest by definition."""
-    from multilica.fleet.query import ask
+    from multilica.fleet.store.query import ask
 
     if not vehicles:
         return {}

@@ -61,21 +61,21 @@ def drawn_vehicles(names: Sequence[str], events: Sequence[PageEvent], failures: 
 def fleet_page(
     overview: FleetOverview,
     vehicles: Sequence[PageVehicle],
-    events: Sequence[PageEvent] | None,
+    events: Sequence[PageEvent],
     failures: Sequence[PageFailure],
 ) -> str:
     """Render the report as one self-contained page.
 
     Args:
         vehicles: all of the fleet; the histories only of those to draw (`drawn_vehicles`).
-        events: LiDARs that moved; None if nobody looked for them.
+        events: of LiDARs, in the order of the table.
         failures: of logs and LiDARs.
 
     Returns:
         A page of at most `MAX_BYTES` bytes unless its tables alone are larger.
     """
     context = _context(overview, vehicles, events, failures)
-    names = drawn_vehicles([each.name for each in vehicles if each.histories], events or (), failures)
+    names = drawn_vehicles([each.name for each in vehicles if each.histories], events, failures)
     page = ""
     for count, texts in ((len(names), True), *((len(names) >> halvings, False) for halvings in range(8)), (0, False)):
         page = _template().render(context | _sections(vehicles, context["own_events"], set(names[:count]), texts=texts))
@@ -87,13 +87,14 @@ def fleet_page(
 def _context(
     overview: FleetOverview,
     vehicles: Sequence[PageVehicle],
-    events: Sequence[PageEvent] | None,
+    events: Sequence[PageEvent],
     failures: Sequence[PageFailure],
 ) -> dict[str, Any]:
     """Return the variables of the template, except the sections of the vehicles."""
     own_events: dict[str, list[PageEvent]] = defaultdict(list)
-    for event in events or ():
+    for event in events:
         own_events[event.vehicle].append(event)
+    moved = {(event.vehicle, event.part) for event in events if event.kind in ("jump", "creep")}
     causes = _causes(failures)
     rank = {cause.reason: index for index, cause in enumerate(causes)}
     times = [time for vehicle in vehicles for time in (vehicle.first, vehicle.last) if time is not None]
@@ -105,9 +106,11 @@ def _context(
         "overview": overview,
         "vehicles": vehicles,
         "events": events,
-        "shown_events": list(events or ())[:MAX_EVENTS],
+        "shown_events": events[:MAX_EVENTS],
         "own_events": own_events,
-        "moved": len({(event.vehicle, event.moved) for event in events or ()}),
+        "moved": moved,
+        "moved_on": len({vehicle for vehicle, _ in moved}),
+        "unlike": sum(event.kind == "offset" for event in events),
         "failures": sorted(failures, key=lambda failure: rank[failure.reason])[:MAX_FAILURES],
         "failure_count": len(failures),
         "causes": causes,

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from multilica.fleet.report.contents import LidarHistory, PageEvent
+from multilica.fleet.report.contents import EventKind, LidarHistory, PageEvent
 from multilica.fleet.report.time_axis import TimeAxis, day_of
 from multilica.geometry import FloatArray
 
 __all__ = ["DriftPlot", "drift_plots", "number"]
 
 _WIDTH_PX, _LEFT_PX, _RIGHT_PX = 470.0, 82.0, 8.0
-_STRIP_PX, _GAP_PX, _BOTTOM_PX = 64.0, 8.0, 24.0
+_STRIP_PX, _GAP_PX, _BOTTOM_PX = 62.0, 13.0, 24.0
 _LABEL_ROW_PX = 17.0
 _LETTER_PX = 9.5
 _RING_PX, _DIAMOND_PX = 3.4, 4.6
@@ -48,6 +48,7 @@ class PlotStrip:
 class PlotSpan:
     """An event: from where to where, its line, and its label."""
 
+    kind: EventKind
     left: str
     width: str
     line: str
@@ -97,10 +98,11 @@ def drift_plots(history: LidarHistory, events: Sequence[PageEvent], *, texts: bo
     """
     if not len(history.time_ns):
         return []
-    bounds_ns = [bound for event in events for bound in (event.begin_ns, event.end_ns)]
+    dated = [event for event in events if event.begin_ns is not None and event.end_ns is not None]
+    bounds_ns = [bound for event in dated for bound in (event.begin_ns, event.end_ns)]
     times_ns = np.concatenate([history.time_ns, history.missing_ns, np.array(bounds_ns, dtype=np.int64)])
     axis = TimeAxis.around(times_ns, _LEFT_PX, _WIDTH_PX - _RIGHT_PX)
-    return [_plot(history, events, axis, index, texts=texts) for index in range(len(_QUANTITIES))]
+    return [_plot(history, dated, axis, index, texts=texts) for index in range(len(_QUANTITIES))]
 
 
 def _plot(history: LidarHistory, events: Sequence[PageEvent], axis: TimeAxis, index: int, *, texts: bool) -> DriftPlot:
@@ -196,16 +198,17 @@ def _diamond(x: float, y: float) -> str:
 def _spans(events: Sequence[PageEvent], axis: TimeAxis) -> tuple[tuple[PlotSpan, ...], int]:
     """Return the spans of events with labels that do not overlap, and the number of rows of labels."""
     spans, ends_px = [], list[float]()
-    for event in sorted(events, key=lambda each: each.begin_ns):
-        left, right = (float(each) for each in axis.place([event.begin_ns, event.end_ns]))
+    for event in sorted(events, key=lambda each: each.begin_ns or 0):
+        left, right = (float(each) for each in axis.place([event.begin_ns or 0, event.end_ns or 0]))
         line = (left + right) / 2.0 if event.kind == "jump" else left
-        label = f"{event.kind} {day_of(event.end_ns if event.kind == 'jump' else event.begin_ns)}"
+        label = f"{event.kind} {event.when}"
         half_px = _LETTER_PX * len(label) / 2.0
         centre = min(max(line, axis.left_px + half_px), axis.right_px - half_px)
         row = next((row for row, end in enumerate(ends_px) if end < centre - half_px), len(ends_px))
         ends_px[row : row + 1] = [centre + half_px]
         spans.append(
             PlotSpan(
+                event.kind,
                 number(left),
                 number(max(right - left, 1.0)),
                 number(line),

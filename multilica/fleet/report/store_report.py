@@ -4,30 +4,29 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from multilica.fleet import query
-from multilica.fleet.report.contents import FleetOverview, PageEvent, PageFailure, PageVehicle
+from multilica.fleet.report.contents import FleetOverview, PageFailure, PageVehicle
+from multilica.fleet.report.events import read_events
 from multilica.fleet.report.histories import read_histories
 from multilica.fleet.report.page import drawn_vehicles, fleet_page
-from multilica.fleet.store import Store
+from multilica.fleet.store import query
+from multilica.fleet.store.store import Store
 
 __all__ = ["store_report"]
 
 
-def store_report(store: Store, page: Path, events: Sequence[PageEvent] | None = None) -> str:
+def store_report(store: Store, page: Path) -> str:
     """Render the report of a store.
 
     Args:
         page: where it will lie; files of the store are linked if that is within the store.
-        events: LiDARs that moved; None if nobody looked for them.
     """
     from multilica import __version__
 
-    vehicles, failures = _vehicles(store), _failures(store)
-    drawn = drawn_vehicles([vehicle.name for vehicle in vehicles], events or (), failures)
+    vehicles, events, failures = _vehicles(store), read_events(store), _failures(store)
+    drawn = drawn_vehicles([vehicle.name for vehicle in vehicles], events, failures)
     histories = read_histories(store, drawn)
     overview = FleetOverview(str(store), __version__, _files_seen_from(page, store))
     shown = [replace(vehicle, histories=histories.get(vehicle.name, ())) for vehicle in vehicles]

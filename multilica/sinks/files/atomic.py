@@ -3,6 +3,7 @@
 
 import fcntl
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from glob import escape
@@ -21,7 +22,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """
     for begun in begun_files(path):
         _remove_unlocked(begun)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{os.getpid()}-{threading.get_native_id()}.tmp")
     try:
         with _locked_file(temporary) as file:
             yield file

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
@@ -20,7 +20,7 @@ from multilica.errors import ViewerError
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-__all__ = ["show_recording", "viewer_picture"]
+__all__ = ["serve_catalog", "show_recording", "viewer_picture"]
 
 _COMMAND = (sys.executable, "-m", "rerun")
 # The viewer also listens for data.
@@ -51,6 +51,23 @@ def show_recording(recording: Path) -> None:
         raise ViewerError(
             f"Rerun's viewer failed on {recording} with exit code {code}; write a picture with --png FILE."
         )
+
+
+def serve_catalog(datasets: Mapping[str, Path], host: str, port: int) -> None:
+    """Serve folders of recordings as a catalog, to which Rerun's viewer connects, until the process is stopped.
+
+    Args:
+        datasets: folder of each dataset by name.
+        host: address to listen on.
+
+    Raises:
+        ViewerError: the server fails.
+    """
+    folders = [argument for name, path in datasets.items() for argument in ("--dataset", f"{name}={path}")]
+    command = [*_COMMAND, "server", "--host", host, "--port", str(port), *folders]
+    code = subprocess.run(command, check=False, env={**os.environ, "CI": "1"}).returncode  # noqa: S603
+    if code not in {0, -signal.SIGINT, -signal.SIGTERM}:
+        raise ViewerError(f"Rerun's server failed with exit code {code}; is port {port} in use? Choose another --port.")
 
 
 def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from multilica.errors import UnreadableSourceError
-from multilica.fleet import unit, unit_server
-from multilica.fleet.store import open_store
+from multilica.fleet.store.store import open_store
+from multilica.fleet.units import unit, unit_server
+from multilica.fleet.units.unit_request import UnitSummary, failed_row
 from multilica.ingest.remote.error_texts import ConnectionLostError
 
 
@@ -36,9 +37,9 @@ def run_unit(request):
         case "unreachable":
             raise ConnectionLostError("The connection was lost.")
     print("what a library prints is no answer")
-    row = unit.failed_row(request, "stub", f"process {os.getpid()}", state="refused")
+    row = failed_row(request, "stub", f"process {os.getpid()}", state="refused")
     open_store(request.store, create=False).finish(row, [])
-    return unit.UnitSummary.of(row)
+    return UnitSummary.of(row)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,8 @@ import hashlib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multilica.fleet.records import LidarRow, LogRow
-from multilica.fleet.store import open_store
+from multilica.fleet.store.records import LidarRow, LogRow
+from multilica.fleet.store.store import open_store
 from tests.fleet.support.requests import DAY_NS, START_NS
 
 NOMINAL = {"front": ((2.0, 0.1, -0.3), (1.0, -2.0, 40.0)), "rear": ((-3.0, 0.0, 0.2), (0.0, 1.0, 179.0))}
@@ -49,7 +49,7 @@ def add_log(store, vehicle, day, lidars, *, state="verified", source=None, **cha
 
 
 def made_store(folder, vehicles=3, logs=10, *, names=("front", "rear")):
-    """Make a store: `v01`'s front jumps by 40 mm along x before log 5, `v02`'s last log lacks rear, `v03` has a bad log."""
+    """Make a store: `v01`'s front jumps by 40 mm along x before log 5, `v02`'s last two logs lack rear, `v03` has a bad log."""
     store = open_store(folder, create=True)
     noise = np.random.default_rng(7)
     for number in range(1, vehicles + 1):
@@ -64,7 +64,7 @@ def made_store(folder, vehicles=3, logs=10, *, names=("front", "rear")):
                         "shift_mm": np.array([jump_mm, 0.0, 0.0]) + noise.normal(size=3),
                         "turn_deg": noise.normal(0.0, 0.01, 3),
                     }
-                    lost = number == 2 and log == logs - 1 and lidar == "rear"
+                    lost = number == 2 and log >= logs - 2 and lidar == "rear"
                     how = "calibrated" if log == 0 else "verified"
                     found.append(
                         lost_row(key, time_ns, source, lidar)

@@ -5,9 +5,9 @@ import hashlib
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
-from multilica.fleet.logs import FleetLog
-from multilica.fleet.store import open_store
-from multilica.fleet.unit import UnitRequest
+from multilica.fleet.logs.log import FleetLog
+from multilica.fleet.store.store import open_store
+from multilica.fleet.units.unit_request import UnitRequest
 
 DAY_NS = 86_400 * 10**9
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from multilica.documents import LFS_POINTER
 from multilica.errors import UsageError
-from multilica.fleet.simulated_truth import TRUTH_NAME, fleet_truth_text
+from multilica.fleet.simulated.simulated_truth import TRUTH_NAME, fleet_truth_text
 from multilica.simulate import FleetPlan, PlannedLog, simulate_snapshot, thinned
 from multilica.sinks.bags.ros1_bag import write_ros1_bag
 from multilica.sinks.bags.ros2_bag import write_ros2_bag
@@ -20,10 +20,10 @@ from multilica.workers import Shared, open_workers
 
 __all__ = ["write_fleet"]
 
-_MODULES = ("multilica.fleet.simulated_logs", "multilica.registration.lazy_open3d")
+_MODULES = ("multilica.fleet.simulated.simulated_logs", "multilica.registration.lazy_open3d")
 _ZEROS = 200_000
-_LARGEST_CUT = 1 << 20
-"""Within the first chunk of 4 MiB, even if that is packed to a third of its size."""
+_LARGEST_CUT = 1 << 16
+"""Within the first block of zstd, which has 128 KiB unpacked: the reader takes what whole blocks hold."""
 _TEXT = b"The logger was restarted before the upload; see the ticket.\n"
 _LFS = LFS_POINTER + b"v1\noid sha256:" + b"0" * 64 + b"\nsize 734003\n"
 

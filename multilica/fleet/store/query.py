@@ -12,16 +12,16 @@ import duckdb
 import pyarrow as pa
 
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.fleet.store import Store
+from multilica.fleet.store.store import Store
 
-__all__ = ["Answer", "ask", "failures", "open_tables", "require_vehicle", "status", "vehicle_history"]
+__all__ = ["QueryAnswer", "ask", "failures", "open_tables", "require_vehicle", "status", "vehicle_history"]
 
 _LONGEST = 300
 _BATCH = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answer:
+class QueryAnswer:
     """A table: names of the columns, and rows that are read when they are asked for."""
 
     columns: tuple[str, ...]
@@ -59,7 +59,7 @@ def open_tables(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
 
 
 @contextmanager
-def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Answer]:
+def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[QueryAnswer]:
     """Answer a question in the SQL of DuckDB, with the tables `lidars` and `logs`.
 
     Raises:
@@ -68,7 +68,7 @@ def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Answe
     with open_tables(store) as base:
         try:
             batches = base.execute(sql, list(values)).fetch_record_batch(_BATCH)
-            yield Answer(tuple(batches.schema.names), batches)
+            yield QueryAnswer(tuple(batches.schema.names), batches)
         except duckdb.Error as error:
             text = " ".join(str(error).split())
             raise UsageError(f"The question cannot be answered: {text[:_LONGEST]}") from error
@@ -102,7 +102,7 @@ FROM lidars WHERE vehicle = ? ORDER BY time, source, lidar
 """
 
 
-def status(store: Store) -> Any:  # noqa: ANN401 - a context manager of an Answer
+def status(store: Store) -> Any:  # noqa: ANN401 - a context manager of a QueryAnswer
     """Answer how many logs each vehicle has, with which outcome, and which LiDARs its last one does not place."""
     return ask(store, _STATUS)
 

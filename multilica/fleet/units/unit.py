@@ -9,22 +9,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 import tomli_w
-from pydantic import BaseModel, ConfigDict
 
 import multilica
-from multilica.checks import RigTolerances, check_found, relative_covariance, saved_rig
 from multilica.config import CalibrationConfig
-from multilica.diagnosis import explain
-from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
-from multilica.fleet.records import LidarRow, LogRow
-from multilica.fleet.store import Store, folder_name, open_store
-from multilica.geometry import FloatArray, RigidTransform
+from multilica.fleet.store.records import LidarRow, LogRow
+from multilica.fleet.store.store import Store, folder_name, open_store
+from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
+from multilica.fleet.units.unit_rows import calibrated_rows, verified_rows
+from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.remote.error_texts import ConnectionLostError
@@ -33,75 +30,12 @@ from multilica.run import run_calibration
 from multilica.runs.run_documents import read_run_document
 from multilica.scratch import scratch_folder
 from multilica.snapshot import Snapshot
-from multilica.verification import find_near
 
-__all__ = ["Calibrate", "UnitRequest", "UnitSummary", "failed_row", "run_unit"]
+__all__ = ["run_unit"]
 
-Calibrate = Literal["when-needed", "always"]
 _REFERENCE = "reference.toml"
 _FILES = ("recording.rrd", "report.html", "result.mcap")
 _ALSO = ("result.json", "calibration.toml")
-
-
-class UnitRequest(BaseModel):
-    """What a worker needs to know of a log.
-
-    Attributes:
-        reference: path in the store of the vehicle's last accepted poses; empty if there are none.
-    """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    key: str
-    address: str
-    source: str
-    fingerprint: str
-    size_bytes: int
-    vehicle: str
-    time_ns: int | None
-    store: str
-    config: CalibrationConfig
-    config_sha256: str
-    tolerances: RigTolerances
-    calibrate: Calibrate
-    reference: str
-    attempt: int = 1
-
-    def row(self) -> LogRow:
-        """Return the part of the row that is known beforehand."""
-        return LogRow(
-            key=self.key,
-            vehicle=self.vehicle,
-            time_ns=self.time_ns,
-            source=self.source,
-            fingerprint=self.fingerprint,
-            size_bytes=self.size_bytes,
-            state="failed",
-            version=multilica.__version__,
-            config_sha256=self.config_sha256,
-            reference=self.reference,
-            calibration=self.reference,
-            attempts=self.attempt,
-        )
-
-
-class UnitSummary(BaseModel):
-    """What the driver needs to know of a finished log."""
-
-    model_config = ConfigDict(frozen=True)
-
-    state: str
-    reason: str
-    reason_text: str
-    calibration: str
-    source_sha256: str
-    lidars: int
-    placed: int
-
-    @classmethod
-    def of(cls, row: LogRow) -> UnitSummary:
-        """Return the summary of a row."""
-        return cls.model_validate({name: getattr(row, name) for name in cls.model_fields})
 
 
 def run_unit(request: UnitRequest) -> UnitSummary:
@@ -131,15 +65,9 @@ def run_unit(request: UnitRequest) -> UnitSummary:
     return UnitSummary.of(row)
 
 
-def failed_row(
-    request: UnitRequest, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed"
-) -> LogRow:
-    """Return the row of a log without a result; the poses that held before it still hold."""
-    told = text.replace(request.address, request.source)
-    return replace(request.row(), state=state, reason=reason, reason_text=told, finished_at=datetime.now(UTC))
-
-
 def _code(failure: MultilicaError) -> str:
+    if isinstance(failure, SourceNotFoundError):
+        return "not_found"
     if isinstance(failure, MemoryLimitError):
         return "memory"
     return "unreadable" if isinstance(failure, InputError) else "unusable"
@@ -155,7 +83,7 @@ def _outcome(request: UnitRequest, store: Store) -> tuple[LogRow, Sequence[Lidar
     require_calibratable(snapshot)
     known = _reference(request, store)
     if known is not None and request.calibrate == "when-needed" and {*snapshot.names} <= known.members:
-        rows = _verified(request, snapshot, known)
+        rows = verified_rows(request, snapshot, known)
         if rows:
             return replace(row, state="verified", placed=len(rows)), rows
     return _calibrated(request, store, row, known, snapshot)
@@ -180,50 +108,6 @@ def _reference(request: UnitRequest, store: Store) -> Extrinsics | None:
         return read_extrinsics(path)
 
 
-def _verified(request: UnitRequest, snapshot: Snapshot, known: Extrinsics) -> list[LidarRow]:
-    """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were."""
-    found = find_near(snapshot, known, request.config)
-    if known.target not in found.poses or check_found(found, snapshot, known, request.tolerances).verdict != "within":
-        return []
-    placements = {each.lidar: each for each in saved_rig(found, snapshot).placements}
-    target, T_target_root = placements[known.target], found.poses[known.target].inverse()
-    rows = []
-    for name in sorted(placements):
-        covariance = None if name == known.target else relative_covariance(target, placements[name], found.root)
-        pose = T_target_root @ found.poses[name]
-        rows.append(_row(request, name, known.target, "verified", "placed", pose, covariance))
-    return rows
-
-
-def _row(
-    request: UnitRequest,
-    lidar: str,
-    target: str,
-    how: Literal["verified", "calibrated"],
-    status: Literal["placed", "uncertain", "not_placed"],
-    pose: RigidTransform | None,
-    covariance: FloatArray | None,
-    **more: Any,  # noqa: ANN401 - fields of the row
-) -> LidarRow:
-    row = LidarRow(request.key, request.time_ns, request.source, lidar, target, how, status, **more)
-    if pose is not None:
-        x_m, y_m, z_m = pose.xyz_m.tolist()
-        qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
-        row = replace(row, x_m=x_m, y_m=y_m, z_m=z_m, qx=qx, qy=qy, qz=qz, qw=qw)
-    if covariance is not None:
-        sigma_rad, sigma_m = (
-            float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0)))
-            for block in (covariance[:3, :3], covariance[3:, 3:])
-        )
-        row = replace(
-            row,
-            covariance=tuple(covariance.ravel().tolist()),
-            sigma_mm=1000.0 * sigma_m,
-            sigma_deg=float(np.rad2deg(sigma_rad)),
-        )
-    return row
-
-
 def _calibrated(
     request: UnitRequest, store: Store, row: LogRow, known: Extrinsics | None, snapshot: Snapshot
 ) -> tuple[LogRow, Sequence[LidarRow]]:
@@ -234,15 +118,15 @@ def _calibrated(
     with scratch_folder() as folder:
         out = folder / "run"
         run_calibration(request.address, out, _recorded(config, "slim"), prior=prior)
+        # A recording in full says why LiDARs are not placed.
         if read_run_document(out).document.status != "complete":
             run_calibration(request.address, out, _recorded(config, "full"), prior=prior)
         document = read_run_document(out).document
         row = _stored(request, store, replace(row, state="calibrated"), out, document, known)
-    return row, _calibrated_rows(request, document)
+    return row, calibrated_rows(request, document)
 
 
 def _recorded(config: CalibrationConfig, detail: str) -> CalibrationConfig:
-    """A recording says why LiDARs are not placed, in full; of a success, slim."""
     return config.model_copy(update={"record": config.record.model_copy(update={"detail": detail})})
 
 
@@ -278,35 +162,6 @@ def _joined(found: Extrinsics, known: Extrinsics | None) -> Extrinsics:
         return found
     kept = {name: known.between(found.target, name) for name in known.members if name != found.target}
     return Extrinsics(found.target, {**kept, **found.T_target_source})
-
-
-def _calibrated_rows(request: UnitRequest, document: ResultDocument) -> list[LidarRow]:
-    outcome = explain(document)
-    causes: dict[str, Missing | Uncertain] = {each.lidar: each for each in outcome.missing}
-    causes |= {each.lidar: each for each in outcome.uncertain}
-    evidence: dict[str, float] = {}
-    for pair in document.pairs:
-        for name in (pair.target, pair.source) if pair.verdict.accepted else ():
-            evidence[name] = max(evidence.get(name, 0.0), pair.evidence)
-    rows = []
-    for name, entry in document.lidars.items():
-        pose = entry.T_target_source
-        cause = causes.get(name)
-        rows.append(
-            _row(
-                request,
-                name,
-                document.target,
-                "calibrated",
-                entry.status,
-                None if pose is None else RigidTransform(document.target, name, np.asarray(pose)),
-                None if entry.covariance is None or name == document.target else np.asarray(entry.covariance),
-                reason="" if cause is None else cause.cause,
-                reason_text="" if cause is None else cause.headline,
-                evidence=evidence.get(name),
-            )
-        )
-    return rows
 
 
 def _cpu_s() -> float:

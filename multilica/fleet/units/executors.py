@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from multilica.errors import MissingDependencyError, SourceNotFoundError, UsageError
-from multilica.fleet.guard import end_processes
+from multilica.fleet.units.guard import end_processes
 
 __all__ = ["open_executor"]
 

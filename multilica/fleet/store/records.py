@@ -19,6 +19,7 @@ __all__ = [
     "LidarRow",
     "LogRow",
     "LogState",
+    "moment",
     "month_of",
     "table_of",
 ]

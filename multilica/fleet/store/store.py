@@ -24,6 +24,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote, unquote
 
+import pyarrow as pa
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
@@ -35,7 +36,7 @@ from multilica.errors import (
     UsageError,
     escape_controls,
 )
-from multilica.fleet.records import (
+from multilica.fleet.store.records import (
     LIDARS_SCHEMA,
     LOGS_SCHEMA,
     SCHEMA_VERSION,
@@ -167,19 +168,21 @@ class Store:
         for path, details in sorted(found.items()):
             yield path[len(self.root) + 1 :], int(details["size"])
 
-    def parts(self, table: str) -> list[str]:
-        """Return the paths of the parts of a table."""
-        return [path for path, _ in self.files(table) if path.endswith(".parquet")]
+    def parts(self, table: str) -> Iterator[str]:
+        """Yield the paths of the parts of a table."""
+        return (path for path, _ in self.files(table) if path.endswith(".parquet"))
 
-    def dataset(self, table: str) -> pads.Dataset:
-        """Return a table as a dataset of Arrow, with `vehicle` and `month` as texts."""
-        import pyarrow as pa
-
+    def dataset(self, table: str, parts: Sequence[str] | None = None) -> pads.Dataset:
+        """Return a table, or some parts of it, as a dataset of Arrow, with `vehicle` and `month` as texts."""
         texts = pa.schema([("vehicle", pa.string()), ("month", pa.string())])
         folders = pads.HivePartitioning(texts, segment_encoding="uri")
-        schema = pa.schema([*TABLES[table], pa.field("vehicle", pa.string()), pa.field("month", pa.string())])
+        found = list(self.parts(table)) if parts is None else list(parts)
         return pads.dataset(
-            self.parts(table), schema=schema, format="parquet", filesystem=self._arrow_system(), partitioning=folders
+            found,
+            schema=pa.schema([*TABLES[table], *texts]),
+            format="parquet",
+            filesystem=self._arrow_system(),
+            partitioning=folders,
         )
 
     def _arrow_system(self) -> SubTreeFileSystem:
@@ -232,9 +235,7 @@ def open_store(address: str | Path, *, create: bool) -> Store:
         _lay_out(store)
         return store
     except (ValueError, KeyError, TypeError) as error:
-        raise UnreadableSourceError(
-            f"{store}/{_LAYOUT} cannot be read; expected its format and version."
-        ) from error
+        raise UnreadableSourceError(f"{store}/{_LAYOUT} cannot be read; expected its format and version.") from error
     if version != SCHEMA_VERSION:
         raise UnreadableSourceError(
             f"The store {store} has version {version!r:.20} of the tables; this multilica reads and writes "

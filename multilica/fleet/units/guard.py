@@ -21,9 +21,9 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from multilica.fleet.records import PASSING
-from multilica.fleet.store import open_store
-from multilica.fleet.unit import UnitRequest, UnitSummary, failed_row
+from multilica.fleet.store.records import PASSING
+from multilica.fleet.store.store import open_store
+from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
 from multilica.ingest.log_identity import LogIdentity
 
 __all__ = ["UnitLimits", "end_processes", "identify_guarded", "run_guarded"]
@@ -32,7 +32,7 @@ _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
 _READ_BYTES = 1 << 16
-_SERVER = "multilica.fleet.unit_server"
+_SERVER = "multilica.fleet.units.unit_server"
 _IDENTIFY_S = 60.0
 _LOCAL = threading.local()
 _RUNNING: set[_UnitProcess] = set()
@@ -51,7 +51,7 @@ class UnitLimits(BaseModel):
 
     time_s: float = 600.0
     memory_mb: float = 4000.0
-    retries: int = 3
+    retries: int = 5
 
 
 def run_guarded(request: UnitRequest, limits: UnitLimits) -> UnitSummary:

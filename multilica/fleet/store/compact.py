@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from multilica.fleet.store import TABLES, Store
+from multilica.fleet.store.store import TABLES, Store
 
 __all__ = ["compact_store"]
 

@@ -17,13 +17,14 @@ import duckdb
 import pyarrow as pa
 
 import multilica
-from multilica.fleet.logs import FleetLog, unit_key
-from multilica.fleet.records import PASSING
-from multilica.fleet.store import Store
+from multilica.fleet.logs.log import FleetLog, unit_key
+from multilica.fleet.store.records import PASSING
+from multilica.fleet.store.store import Store
 
-__all__ = ["Plan", "PlannedLog"]
+__all__ = ["Plan", "QueuedLog"]
 
 _BATCH = 2000
+_PARTS = 500
 _MEMORY = "256MB"
 _LOGS = pa.schema(
     [
@@ -39,7 +40,7 @@ _LOGS = pa.schema(
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedLog:
+class QueuedLog:
     """A log in the order of its vehicle.
 
     Args:
@@ -72,21 +73,32 @@ class Plan:
         self._base.execute(f"SET memory_limit='{_MEMORY}'; SET threads=1; SET temp_directory='{folder}'")
         columns = ", ".join(f"{name} {_sql_type(name)}" for name in _LOGS.names)
         self._base.execute(f"CREATE TABLE found ({columns})")
+        self._base.execute(
+            "CREATE TABLE done (key VARCHAR, source VARCHAR, fingerprint VARCHAR, vehicle VARCHAR, "
+            "time_ns BIGINT, accepted VARCHAR)"
+        )
         self._config_sha256, self._order = config_sha256, "DESC" if newest_first else "ASC"
         self._read_store(store)
 
     def _read_store(self, store: Store) -> None:
+        """Read the rows of finished logs, some parts at a time: what Arrow knows of each part takes memory."""
         passing = ", ".join(f"'{reason}'" for reason in PASSING)
-        self._base.register("stored", store.dataset("logs"))
-        self._base.execute(
-            f"""CREATE TABLE done AS
-            SELECT key, source, fingerprint, vehicle, epoch_ns(time) AS time_ns,
+        rows = f"""SELECT key, source, fingerprint, vehicle, epoch_ns(time) AS time_ns,
                    CASE WHEN state = 'calibrated' AND calibration LIKE '%' || key || '%' THEN calibration ELSE '' END
                    AS accepted
-            FROM stored WHERE config_sha256 = ? AND version = ? AND NOT (state = 'failed' AND reason IN ({passing}))""",  # noqa: S608 - no text from outside
-            [self._config_sha256, multilica.__version__],
-        )
-        self._base.unregister("stored")
+            FROM stored WHERE config_sha256 = $1 AND version = $2
+                          AND NOT (state = 'failed' AND reason IN ({passing}))"""  # noqa: S608 - no text from outside
+        wanted = [self._config_sha256, multilica.__version__]
+        for table in self._stored(store):
+            self._base.register("stored", table)
+            self._base.execute(f"INSERT INTO done {rows}", wanted)
+            self._base.unregister("stored")
+
+    def _stored(self, store: Store) -> Iterator[pa.Table]:
+        names = ["key", "source", "fingerprint", "vehicle", "time", "state", "reason", "calibration"]
+        parts = store.parts("logs")
+        while some := list(islice(parts, _PARTS)):
+            yield store.dataset("logs", some).to_table(columns=[*names, "config_sha256", "version"])
 
     def add(self, logs: Iterable[FleetLog]) -> int:
         """Add logs; return how many."""
@@ -134,7 +146,7 @@ class Plan:
         todo = "SELECT DISTINCT vehicle FROM found WHERE key NOT IN (SELECT key FROM done) ORDER BY vehicle"
         return (vehicle for (vehicle,) in self._stream(todo))
 
-    def logs_of(self, vehicle: str) -> Iterator[PlannedLog]:
+    def logs_of(self, vehicle: str) -> Iterator[QueuedLog]:
         """Yield the logs of a vehicle in the order of the work, finished ones of earlier runs among them."""
         rows = self._stream(
             f"""WITH own AS (SELECT * FROM found WHERE vehicle = $1),
@@ -147,7 +159,7 @@ class Plan:
             ORDER BY time_ns {self._order} NULLS LAST, source, key""",  # noqa: S608 - no text from outside
             [vehicle],
         )
-        return (PlannedLog(*row) for row in rows)
+        return (QueuedLog(*row) for row in rows)
 
     def close(self) -> None:
         """Close the database."""

@@ -15,8 +15,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.fleet.logs import FleetLog, fingerprint_of
-from multilica.fleet.store import vehicle_name
+from multilica.fleet.logs.log import FleetLog, fingerprint_of
+from multilica.fleet.store.store import vehicle_name
 from multilica.ingest.formats import Content, name_unpacked, named_format
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
 from multilica.ingest.remote.error_texts import remote_failures_named
@@ -139,7 +139,7 @@ def _globbed(path: Path, given: str) -> Iterator[FleetLog]:
     parts = path.parts
     fixed = next(index for index, part in enumerate(parts) if has_magic(part))
     base = Path(*parts[:fixed])
-    found = sorted(base.glob(str(Path(*parts[fixed:]))))
+    found = sorted(each for each in base.glob(str(Path(*parts[fixed:]))) if not each.name.startswith("."))
     if not found:
         raise SourceNotFoundError(f"No file matches {given}.")
     for each in found:
@@ -216,7 +216,7 @@ def _in_manifest(path: Path) -> Iterator[FleetLog]:
         if not source:
             raise UnreadableSourceError(f"A row of the manifest {path} has no source.")
         log = next(_behind([source])) if scheme_of(source) else _listed(Path(source), path.parent)
-        time = row.get("time")
+        time = row.get("time") or None
         yield replace(
             log, vehicle=str(row.get("vehicle") or ""), time_ns=None if time is None else _time_ns(time, path)
         )

@@ -28,7 +28,7 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints is no answer
     requests: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests,), daemon=True).start()
-    from multilica.fleet import unit
+    from multilica.fleet.units import unit
 
     _limit_memory(float(sys.argv[1]))
     while True:
@@ -44,13 +44,14 @@ def main() -> None:
 
 
 def _answer(request: dict[str, Any], unit: Any) -> dict[str, Any]:  # noqa: ANN401 - a module that takes time to load
+    from multilica.fleet.units.unit_request import UnitRequest
     from multilica.ingest.log_identity import identify_log
     from multilica.ingest.remote.error_texts import ConnectionLostError
 
     if "identify" in request:
         identity = identify_log(request["identify"])
         return {"vehicle": identity.vehicle, "time_ns": identity.time_ns}
-    asked = _below_folder(unit.UnitRequest.model_validate(request["unit"]))
+    asked = _below_folder(UnitRequest.model_validate(request["unit"]))
     try:
         return {"summary": unit.run_unit(asked).model_dump()}
     except ConnectionLostError as failure:

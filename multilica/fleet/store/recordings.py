@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recordings of a store: how long they are kept, and as a catalog."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+from multilica.errors import SourceNotFoundError
+from multilica.fleet.store.query import ask
+from multilica.fleet.store.store import Store, folder_name
+
+__all__ = ["Pruned", "lay_out_catalog", "prune_recordings"]
+
+_LARGE = ("recording.rrd", "report.html", "result.mcap")
+_RUNS = """
+SELECT logs.vehicle, logs.time, logs.key, recording, finished_at,
+       bool_and(coalesce(lidars.status = 'placed', true) AND state = 'calibrated') AS succeeded
+FROM logs LEFT JOIN lidars USING (key) WHERE recording <> '' GROUP BY ALL ORDER BY logs.vehicle, logs.time, logs.key
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Pruned:
+    """Number of files that were removed, and their bytes."""
+
+    files: int
+    size_bytes: int
+
+
+def prune_recordings(store: Store, *, success_days: float, failure_days: float, now: datetime | None = None) -> Pruned:
+    """Remove recordings, reports and MCAP files of runs that finished longer ago; rows and poses are kept.
+
+    Args:
+        success_days: for runs that placed every LiDAR.
+        failure_days: for the others.
+    """
+    now, files, size_bytes = now or datetime.now(UTC), 0, 0
+    sizes = dict(store.files("runs"))
+    with ask(store, _RUNS) as answer:
+        for _, _, _, recording, finished_at, succeeded in answer.rows():
+            age = now - finished_at
+            if age > timedelta(days=success_days if succeeded else failure_days):
+                folder = recording.rpartition("/")[0]
+                for path in (f"{folder}/{name}" for name in _LARGE):
+                    if path in sizes:
+                        store.remove(path)
+                        files, size_bytes = files + 1, size_bytes + sizes[path]
+    return Pruned(files, size_bytes)
+
+
+def lay_out_catalog(store: Store, folder: Path, vehicle: str | None = None) -> dict[str, Path]:
+    """Lay out the recordings in a folder per vehicle: as links, or as copies of those in a bucket.
+
+    Args:
+        vehicle: only this one.
+
+    Returns:
+        The folder of each vehicle, by name.
+
+    Raises:
+        SourceNotFoundError: there is no recording.
+    """
+    folders: dict[str, Path] = {}
+    for name, recording, label in _recordings(store):
+        if vehicle in {None, name}:
+            folders.setdefault(name, folder / folder_name(name)).mkdir(parents=True, exist_ok=True)
+            place = folders[name] / f"{label}.rrd"
+            if store.system is None:
+                place.symlink_to(Path(store.root, recording))
+            else:
+                place.write_bytes(store.read(recording))
+    if not folders:
+        whose = f" of {vehicle}" if vehicle else ""
+        raise SourceNotFoundError(f"The store {store} has no recordings{whose}; logs that verify have none.")
+    return folders
+
+
+def _recordings(store: Store) -> Iterator[tuple[str, str, str]]:
+    with ask(store, _RUNS) as answer:
+        for vehicle, time, key, recording, *_ in answer.rows():
+            if store.exists(recording):
+                day = "unknown" if time is None else f"{time:%Y-%m-%d_%H%M%S}"
+                yield vehicle, recording, f"{day}_{key[:8]}"

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes to a unit, and what comes back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+import multilica
+from multilica.checks import RigTolerances
+from multilica.config import CalibrationConfig
+from multilica.fleet.store.records import LogRow
+
+__all__ = ["Calibrate", "UnitRequest", "UnitSummary", "failed_row"]
+
+Calibrate = Literal["when-needed", "always"]
+
+
+class UnitRequest(BaseModel):
+    """What a worker needs to know of a log.
+
+    Attributes:
+        reference: path in the store of the vehicle's last accepted poses; empty if there are none.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: str
+    address: str
+    source: str
+    fingerprint: str
+    size_bytes: int
+    vehicle: str
+    time_ns: int | None
+    store: str
+    config: CalibrationConfig
+    config_sha256: str
+    tolerances: RigTolerances
+    calibrate: Calibrate
+    reference: str
+    attempt: int = 1
+
+    def row(self) -> LogRow:
+        """Return the part of the row that is known beforehand."""
+        return LogRow(
+            key=self.key,
+            vehicle=self.vehicle,
+            time_ns=self.time_ns,
+            source=self.source,
+            fingerprint=self.fingerprint,
+            size_bytes=self.size_bytes,
+            state="failed",
+            version=multilica.__version__,
+            config_sha256=self.config_sha256,
+            reference=self.reference,
+            calibration=self.reference,
+            attempts=self.attempt,
+        )
+
+
+class UnitSummary(BaseModel):
+    """What the driver needs to know of a finished log."""
+
+    model_config = ConfigDict(frozen=True)
+
+    state: str
+    reason: str
+    reason_text: str
+    calibration: str
+    source_sha256: str
+    lidars: int
+    placed: int
+
+    @classmethod
+    def of(cls, row: LogRow) -> UnitSummary:
+        """Return the summary of a row."""
+        return cls.model_validate({name: getattr(row, name) for name in cls.model_fields})
+
+
+def failed_row(
+    request: UnitRequest, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed"
+) -> LogRow:
+    """Return the row of a log without a result; the poses that held before it still hold."""
+    told = text.replace(request.address, request.source)
+    return replace(request.row(), state=state, reason=reason, reason_text=told, finished_at=datetime.now(UTC))

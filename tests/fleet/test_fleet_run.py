@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+import threading
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+
+from multilica.fleet.fleet_run import FleetOptions, LogsPlanned, run_fleet
+from multilica.fleet.store.compact import compact_store
+from multilica.fleet.store.query import ask, failures, status
+from multilica.fleet.store.records import MEASURED, LidarRow
+from multilica.fleet.store.store import open_store
+from multilica.fleet.units.unit_request import UnitSummary, failed_row
+
+FLEET = {"v1": 5, "v2": 3, "v3": 4}
+
+
+class Units:
+    """Units without calibration: the first log of a vehicle and those with `moved` are calibrated."""
+
+    def __init__(self, *, failing=(), stop_after=None):
+        self.done, self.running, self.most, self.failing, self.stop_after = [], Counter(), 0, failing, stop_after
+        self._lock = threading.Lock()
+
+    def __call__(self, request, _):
+        with self._lock:
+            if self.stop_after is not None and len(self.done) >= self.stop_after:
+                raise KeyboardInterrupt
+            self.done.append(request.source)
+            self.running[request.vehicle] += 1
+            self.most = max(self.most, self.running[request.vehicle])
+        row, lidars = failed_row(request, "network", "lost"), []
+        if request.source not in self.failing:
+            calibrated = not request.reference or "moved" in request.source
+            own = f"runs/{request.key}/reference.toml"
+            row = replace(
+                request.row(),
+                state="calibrated" if calibrated else "verified",
+                calibration=own if calibrated else request.reference,
+                placed=1,
+            )
+            lidars = [LidarRow(row.key, row.time_ns, row.source, "left", "top", "verified", "placed", x_m=1.0)]
+        open_store(request.store, create=False).finish(row, lidars)
+        with self._lock:
+            self.running[request.vehicle] -= 1
+        return UnitSummary.of(row)
+
+
+@pytest.fixture
+def manifest(tmp_path):
+    lines = [
+        f"s3://logs/{vehicle}/{day}{'-moved' * (day == 2)}.mcap,{vehicle},2026-0{1 + day // 2}-0{day + 1}T00:00:00Z"
+        for vehicle, days in FLEET.items()
+        for day in range(days)
+    ]
+    path = tmp_path / "logs.csv"
+    path.write_text("source,vehicle,time\n" + "\n".join(reversed(lines)) + "\n")
+    return str(path)
+
+
+def table(store, name="logs"):
+    with ask(store, f"SELECT * FROM {name} ORDER BY vehicle, time, key") as answer:  # noqa: S608
+        kept = [index for index, column in enumerate(answer.columns) if column not in MEASURED]
+        return [tuple(row[index] for index in kept) for row in answer.rows()]
+
+
+def run(manifest, store, units, **options):
+    events = []
+    return run_fleet([manifest], store, FleetOptions(**options), events.append, units), events
+
+
+@pytest.mark.parametrize("workers", [1, 4])
+def test_logs_run_by_time_from_the_last_accepted_poses(tmp_path, manifest, workers):
+    store, units = open_store(tmp_path / "store", create=True), Units()
+    outcome, events = run(manifest, store, units, workers=workers)
+    assert (outcome.found, outcome.skipped, outcome.states) == (12, 0, {"calibrated": 6, "verified": 6})
+    assert events[0] == LogsPlanned(12, 12)
+    assert len(events) == 13
+    assert units.most == 1
+    for vehicle, days in FLEET.items():
+        own = [source for source in units.done if f"/{vehicle}/" in source]
+        assert own == sorted(own)
+        assert len(own) == days
+    with ask(store, "SELECT source, reference, calibration FROM logs WHERE vehicle = 'v1' ORDER BY time") as answer:
+        (_, none, first), (_, one, _), (moved, two, second), (_, three, _), (_, four, _) = answer.rows()
+    assert none == ""
+    assert one == two == first
+    assert "moved" in moved
+    assert three == four == second != first
+
+
+def test_newest_first_goes_back_in_time(tmp_path, manifest):
+    store, units = open_store(tmp_path / "store", create=True), Units()
+    run(manifest, store, units, newest_first=True)
+    own = [source for source in units.done if "/v1/" in source]
+    assert own == sorted(own, reverse=True)
+
+
+@pytest.mark.parametrize("after", [0, 1, 5, 11])
+def test_an_interrupted_run_goes_on_and_ends_alike(tmp_path, manifest, after):
+    whole, broken = (open_store(tmp_path / name, create=True) for name in ("whole", "broken"))
+    run(manifest, whole, Units())
+    first, second = Units(stop_after=after), Units()
+    with pytest.raises(KeyboardInterrupt):
+        run(manifest, broken, first)
+    outcome, _ = run(manifest, broken, second)
+    assert (len(first.done), outcome.skipped) == (after, after)
+    assert not {*first.done} & {*second.done}
+    assert table(broken) == table(whole)
+    assert table(broken, "lidars") == table(whole, "lidars")
+    outcome, _ = run(manifest, broken, units := Units())
+    assert (outcome.skipped, units.done) == (12, [])
+
+
+def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest):
+    store, offline = open_store(tmp_path / "store", create=True), "s3://logs/v2/1.mcap"
+    outcome, _ = run(manifest, store, Units(failing=[offline]))
+    assert outcome.without_result == 1
+    with failures(store) as answer:
+        assert [row[2:7] for row in answer.rows()] == [(offline, "", "failed", "network", "lost")]
+    outcome, _ = run(manifest, store, units := Units())
+    assert units.done == [offline]
+    assert outcome.without_result == 0
+    with failures(store) as answer:
+        assert list(answer.rows()) == []
+
+
+def test_two_drivers_on_one_store_do_no_harm(tmp_path, manifest):
+    alone, shared = (open_store(tmp_path / name, create=True) for name in ("alone", "shared"))
+    run(manifest, alone, Units())
+    drivers = [threading.Thread(target=run, args=(manifest, shared, Units())) for _ in range(2)]
+    for driver in drivers:
+        driver.start()
+    for driver in drivers:
+        driver.join()
+    assert table(shared) == table(alone)
+    assert table(shared, "lidars") == table(alone, "lidars")
+
+
+def test_new_logs_go_on_from_what_the_store_has(tmp_path, manifest):
+    store = open_store(tmp_path / "store", create=True)
+    run(manifest, store, Units())
+    more = tmp_path / "more.csv"
+    more.write_text("source,vehicle,time\ns3://logs/v1/new.mcap,v1,2026-12-01T00:00:00Z\n")
+    outcome, _ = run(str(more), store, units := Units())
+    assert (outcome.found, units.done) == (1, ["s3://logs/v1/new.mcap"])
+    with ask(store, "SELECT state, reference FROM logs WHERE source LIKE '%new%'") as answer:
+        ((state, reference),) = answer.rows()
+    with ask(store, "SELECT calibration FROM logs WHERE source = 's3://logs/v1/2-moved.mcap'") as answer:
+        assert list(answer.rows()) == [(reference,)]
+    assert state == "verified"
+
+
+def test_another_configuration_does_all_again_and_stands_once(tmp_path, manifest):
+    store = open_store(tmp_path / "store", create=True)
+    run(manifest, store, Units())
+    outcome, _ = run(manifest, store, Units(), calibrate="always")
+    assert outcome.skipped == 0
+    assert len(table(store)) == 12
+    assert len(list(store.parts("logs"))) == 24
+
+
+def test_joined_parts_hold_the_same_rows(tmp_path, manifest):
+    store = open_store(tmp_path / "store", create=True)
+    run(manifest, store, Units())
+    before = table(store), table(store, "lidars")
+    assert compact_store(store) == (24, 14)
+    assert (table(store), table(store, "lidars")) == before
+    outcome, _ = run(manifest, store, units := Units())
+    assert (outcome.skipped, units.done) == (12, [])
+    assert compact_store(store) == (14, 14)
+
+
+def test_a_compaction_that_was_killed_leaves_no_row_twice(tmp_path, manifest, monkeypatch):
+    store = open_store(tmp_path / "store", create=True)
+    run(manifest, store, Units())
+    before = table(store), table(store, "lidars")
+    monkeypatch.setattr(type(store), "remove", _killed)
+    with pytest.raises(InterruptedError):
+        compact_store(store)
+    monkeypatch.undo()
+    assert (table(store), table(store, "lidars")) == before
+    compact_store(store)
+    assert (table(store), table(store, "lidars")) == before
+    assert len(list(store.parts("lidars"))) == 7
+
+
+def _killed(*_):
+    raise InterruptedError
+
+
+def test_the_status_counts_per_vehicle(tmp_path, manifest):
+    store = open_store(tmp_path / "store", create=True)
+    run(manifest, store, Units())
+    with status(store) as answer:
+        rows = [dict(zip(answer.columns, row, strict=True)) for row in answer.rows()]
+    assert [(row["vehicle"], row["logs"], row["verified"], row["calibrated"]) for row in rows] == [
+        ("v1", 5, 3, 2),
+        ("v2", 3, 1, 2),
+        ("v3", 4, 2, 2),
+    ]

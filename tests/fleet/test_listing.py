@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+from datetime import UTC, datetime
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.fleet.logs.listing import LogPattern, find_logs
+
+MARCH_NS = int(datetime(2026, 3, 1, 12, 30, tzinfo=UTC).timestamp()) * 10**9
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for path in ("logs/v1/a.mcap", "logs/v1/.hidden.mcap", "logs/v1/notes.txt", "logs/v2/b.bag", "logs/v2/c/d.db3"):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(path)
+    for path in ("logs/v2/bag/metadata.yaml", "logs/v2/bag/x_0.mcap", "logs/v2/bag/x_1.mcap", "logs/v2/scans/left.pcd"):
+        (tmp_path / path).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / path).write_text(path)
+    return tmp_path
+
+
+def test_a_folder_is_searched_to_its_ends_and_a_bag_is_one_log(folder):
+    logs = list(find_logs([str(folder / "logs")]))
+    names = ["logs/v1/a.mcap", "logs/v2/b.bag", "logs/v2/bag", "logs/v2/c/d.db3", "logs/v2/scans"]
+    assert [log.source for log in logs] == names
+    assert [log.address for log in logs] == [str(folder / name) for name in names]
+    assert logs[0].size_bytes == len("logs/v1/a.mcap")
+    assert logs[2].size_bytes > 40
+    assert len({log.fingerprint for log in logs}) == 5
+
+
+def test_the_source_does_not_depend_on_where_the_logs_lie(folder, monkeypatch):
+    monkeypatch.chdir(folder / "logs")
+    wanted = next(iter(find_logs([str(folder / "logs" / "v1")])))
+    for given in ("v1", "./v1/", "v1/a.mcap", "v1/*.mcap", str(folder / "logs" / "v?" / "a.mcap")):
+        (found,) = find_logs([given])
+        assert found.source in {"v1/a.mcap", "logs/v1/a.mcap"}
+        assert found.fingerprint == wanted.fingerprint
+        assert found.address.endswith(found.source)
+
+
+def test_the_fingerprint_follows_the_content(folder):
+    before = next(iter(find_logs([str(folder / "logs" / "v1")])))
+    (folder / "logs/v1/a.mcap").write_bytes(b"x" * 3_000_000)
+    middle = next(iter(find_logs([str(folder / "logs" / "v1")])))
+    (folder / "logs/v1/a.mcap").write_bytes(b"x" * 2_999_999 + b"y")
+    end = next(iter(find_logs([str(folder / "logs" / "v1")])))
+    assert len({before.fingerprint, middle.fingerprint, end.fingerprint}) == 3
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_a_manifest_gives_vehicle_and_time(folder, form):
+    rows = {
+        "source": ["logs/v1/a.mcap", str(folder / "logs/v2/b.bag"), "s3://bucket/x/c.mcap", "logs/none.mcap"],
+        "vehicle": ["truck 7", "", "../v3", "v4"],
+        "time": ["2026-03-01T12:30:00Z", "", "1772368200", "2026-03-01T13:30:00+01:00"],
+        "driver": ["unused"] * 4,
+    }
+    path = folder / f"manifest.{form}"
+    if form == "csv":
+        lines = [",".join(rows), *(",".join(values) for values in zip(*rows.values(), strict=True))]
+        path.write_text("\n".join(lines) + "\n")
+    else:
+        rows["time"] = [datetime.fromtimestamp(MARCH_NS / 1e9, UTC), None] + [
+            datetime.fromtimestamp(MARCH_NS / 1e9, UTC)
+        ] * 2
+        pq.write_table(pa.table(rows), path)
+    one, two, three, four = find_logs([str(path)])
+    assert [each.source for each in (one, two, three, four)] == [
+        "logs/v1/a.mcap",
+        "v2/b.bag",
+        "s3://bucket/x/c.mcap",
+        "logs/none.mcap",
+    ]
+    assert [each.vehicle for each in (one, two, three, four)] == ["truck 7", "", "../v3", "v4"]
+    assert [each.time_ns for each in (one, two, three, four)] == [MARCH_NS, None, MARCH_NS, MARCH_NS]
+    assert one.address == str(folder / "logs/v1/a.mcap")
+    assert one.size_bytes > 0 == four.size_bytes
+
+
+@pytest.mark.parametrize(
+    ("pattern", "source", "vehicle", "time"),
+    [
+        ("{vehicle}/{time:%Y-%m-%d_%H%M}", "logs/truck-7/2026-03-01_1230.mcap", "truck-7", MARCH_NS),
+        ("/{vehicle}_{time:%Y%m%d%H%M}_*.bag", "x/v 1_202603011230_front.bag", "v 1", MARCH_NS),
+        ("{time:%Y/%m/%d}", "2026/03/01/a.mcap", "", MARCH_NS - 45_000 * 10**9),
+        ("cars/{vehicle}/", "logs/cars/v(1)/a.mcap", "v(1)", None),
+        ("{vehicle}/{time:%Y-%m-%d}", "logs/2026-13-99.mcap", "logs", None),
+        ("cars/{vehicle}/", "trucks/v1/a.mcap", "", None),
+    ],
+)
+def test_a_pattern_reads_paths(pattern, source, vehicle, time):
+    assert LogPattern(pattern).of(source) == (vehicle, time)
+
+
+@pytest.mark.parametrize("pattern", ["", "logs/*", "{vehicle}/{vehicle}", "{time:%Y-%B}", "{name}"])
+def test_a_pattern_without_sense_is_refused(pattern):
+    with pytest.raises(UsageError, match="pattern"):
+        LogPattern(pattern)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("", "cannot be read as CSV"),
+        ("path,vehicle\na,b\n", "has the columns path, vehicle; expected source"),
+        ("source,time\na.mcap,yesterday\n", "has the time 'yesterday'"),
+        ("source,vehicle\n,v1\n", "has no source"),
+    ],
+)
+def test_a_manifest_that_cannot_be_used_is_refused(tmp_path, content, words):
+    (tmp_path / "logs.csv").write_text(content)
+    with pytest.raises(UnreadableSourceError, match=words):
+        list(find_logs([str(tmp_path / "logs.csv")]))
+
+
+def test_nothing_is_told(tmp_path):
+    with pytest.raises(UsageError, match="No logs were given"):
+        list(find_logs([]))
+    with pytest.raises(SourceNotFoundError, match="Nothing exists"):
+        list(find_logs([str(tmp_path / "none")]))
+    with pytest.raises(SourceNotFoundError, match="No file matches"):
+        list(find_logs([str(tmp_path / "*.mcap")]))
+    with pytest.raises(UsageError, match="unknown kind"):
+        list(find_logs(["ftp://host/log.mcap"]))
