@@ -189,6 +189,15 @@ def test_recordings_are_linked_from_within_the_store(store):
     assert path.startswith("../runs/v02/2026-09/")
 
 
+def test_a_recording_that_was_pruned_is_not_linked(tmp_path):
+    store = made_store(tmp_path)
+    for path, _ in list(store.files("runs")):
+        store.remove(path)
+    text = store_report(store, tmp_path / "page.html")
+    assert [link for link in Tables(text).links if link[0] != "#"] == []
+    assert "recording.rrd" not in text
+
+
 def test_a_link_finds_a_folder_with_percent_signs():
     failure = PageFailure("a/b", None, "s", "", "failed", "unreadable", "t", "runs/a%2Fb/recording.rrd")
     text = fleet_page(FleetOverview("store", "1", ""), [PageVehicle("a/b", 1, None, None, 0, 0, 1, 0)], [], [failure])

@@ -95,7 +95,7 @@ def test_no_width_needs_sideways_scrolling(name, width, scheme, show):
         )
 
 
-def test_only_vehicles_with_events_are_open_and_links_open_others(show):
+def test_vehicles_with_events_are_open_and_links_open_others(show):
     page = show("fleet")
     assert page.locator("details").evaluate_all("all => all.map(one => one.open)") == [True, True, False]
     page.locator(".overview").get_by_role("link", name="v03").click()
@@ -105,10 +105,10 @@ def test_only_vehicles_with_events_are_open_and_links_open_others(show):
     page.evaluate("scrollTo(0, 0)")
     page.locator(".overview").get_by_role("link", name="v03").click()  # the same link a second time
     expect(page.locator("details").nth(2).locator("svg").first).to_be_visible()
-    page.get_by_role("button", name="Open all").click()
-    assert page.locator("details").evaluate_all("all => all.every(one => one.open)")
     page.get_by_role("button", name="Fold all").click()
     assert page.locator("details").evaluate_all("all => !all.some(one => one.open)")
+    page.get_by_role("button", name="Open all").click()
+    assert page.locator("details").evaluate_all("all => all.every(one => one.open)")
 
 
 @pytest.mark.parametrize("width", [390, 1400])

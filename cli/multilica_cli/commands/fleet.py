@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from multilica_cli import options
+from multilica_cli.commands.fleet_report import report
 from multilica_cli.configuration import ingest_options, resolve_config
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import print_json, stdout_console
@@ -26,10 +27,7 @@ fleet = typer.Typer(
     short_help="Turn many logs into one table of extrinsics over time.",
 )
 
-_Store = Annotated[
-    str,
-    typer.Option("--store", metavar="STORE", help="Folder, or s3://BUCKET/PREFIX, of `fleet run`.", show_default=False),
-]
+_Store = options.FleetStore
 _Format = Annotated[
     Literal["table", "csv", "json"], typer.Option("--format", metavar="table|csv|json", help="Form of the answer.")
 ]
@@ -245,21 +243,7 @@ def drift(
     return ExitCode.DIFFERENT if events or offsets or outages else ExitCode.DONE
 
 
-@fleet.command()
-def report(
-    *,
-    store: _Store,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="File to write.", callback=options.local_path)
-    ] = Path("fleet-report.html"),
-    quiet: options.Quiet = False,
-) -> None:
-    """Write one HTML page: LiDARs that moved, vehicles, failures by cause, and the pose of each LiDAR over time."""
-    from multilica.fleet.report.store_report import store_report
-    from multilica.sinks.files.atomic import write_text_atomically
-
-    write_text_atomically(out, store_report(_opened(store), out))
-    stdout_console(quiet=quiet).print(f"wrote {out}")
+fleet.command()(report)
 
 
 @fleet.command()

@@ -83,7 +83,7 @@ class PageVehicle:
     Args:
         first, last: times of its first and last log; None without a time.
         without_result: logs that are refused or failed.
-        not_placed_last: LiDARs without a certain pose in the last log with a result, with reasons; empty if all have one.
+        not_placed_last: LiDARs without a certain pose in the last log with a result, with reasons.
         histories: of its LiDARs except the target; empty if they were not read.
     """
 

@@ -26,8 +26,10 @@ _QUANTITIES = (
     ("translation", "mm", ("x", "y", "z"), 12.0, 1),
     ("rotation", "deg", ("roll", "pitch", "yaw"), 0.12, 3),
 )
-"""Name, unit, components, least half range of an axis, and decimals. The least range is 40 percent of what `fleet run` takes
-for no motion by default, so that noise stays small."""
+"""Name, unit, components, least half range of an axis, and decimals.
+
+The least range is 40 percent of what `fleet run` takes for no motion by default, so that noise looks small.
+"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -53,9 +53,12 @@ def _vehicles(store: Store) -> list[PageVehicle]:
 
 
 def _failures(store: Store) -> list[PageFailure]:
+    def kept(path: str) -> bool:  # `fleet prune` removes recordings; a request for each were slow in a bucket
+        return store.system is not None or store.exists(path)
+
     with query.failures(store) as answer:
         return [
-            PageFailure(vehicle, time, source, lidar, outcome, reason, sentence, recording)
+            PageFailure(vehicle, time, source, lidar, outcome, reason, sentence, recording if kept(recording) else "")
             for vehicle, time, source, lidar, outcome, reason, sentence, recording in answer.rows()
         ]
 

@@ -43,13 +43,15 @@ def add_log(store, vehicle, day, lidars, *, state="verified", source=None, **cha
     key = key_of(source)
     rows = lidars(key, time_ns, source)
     recording = f"{store.run_folder(vehicle, time_ns, key)}/recording.rrd" if state == "calibrated" else ""
+    if recording:
+        store.write(recording, b"recording")
     values = {"lidars": len(rows), "placed": sum(row.x_m is not None for row in rows), "recording": recording}
     store.finish(LogRow(key, vehicle, time_ns, source, key, 1000, state, **(values | changes)), rows)
     return key
 
 
 def made_store(folder, vehicles=3, logs=10, *, names=("front", "rear")):
-    """Make a store: `v01`'s front jumps by 40 mm along x before log 5, `v02`'s last two logs lack rear, `v03` has a bad log."""
+    """Make a store: `v01`'s front jumps by 40 mm before log 5, `v02`'s last two logs lack rear, `v03` has a bad log."""
     store = open_store(folder, create=True)
     noise = np.random.default_rng(7)
     for number in range(1, vehicles + 1):
