@@ -10,6 +10,7 @@ from multilica.errors import UsageError
 
 __all__ = [
     "ConfigFile",
+    "FleetStore",
     "Frames",
     "Json",
     "MaxSigma",
@@ -122,6 +123,11 @@ Record = Annotated[
 ]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, and nothing else.")]
+
+FleetStore = Annotated[
+    str,
+    typer.Option("--store", metavar="STORE", help="Folder, or s3://BUCKET/PREFIX, of `fleet run`.", show_default=False),
+]
 
 
 def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from multilica_cli import options
+from multilica_cli.commands.fleet_report import report
 from multilica_cli.configuration import ingest_options, resolve_config
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import print_json, stdout_console
@@ -26,10 +27,7 @@ fleet = typer.Typer(
     short_help="Turn many logs into one table of extrinsics over time.",
 )
 
-_Store = Annotated[
-    str,
-    typer.Option("--store", metavar="STORE", help="Folder, or s3://BUCKET/PREFIX, of `fleet run`.", show_default=False),
-]
+_Store = options.FleetStore
 _Format = Annotated[
     Literal["table", "csv", "json"], typer.Option("--format", metavar="table|csv|json", help="Form of the answer.")
 ]
@@ -243,6 +241,9 @@ def drift(
         if not sentences:
             stdout_console().print(f"No LiDAR of {len({each.vehicle for each in series})} vehicles has moved.")
     return ExitCode.DIFFERENT if events or offsets or outages else ExitCode.DONE
+
+
+fleet.command()(report)
 
 
 @fleet.command()

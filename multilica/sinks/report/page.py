@@ -1,17 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """HTML page of a report."""
 
-import base64
-import hashlib
 import math
 from collections.abc import Sequence
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from jinja2 import Template
 from markupsafe import Markup
 
 from multilica import events
@@ -27,6 +24,7 @@ from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
 from multilica.sinks.report.outcome import Outcome, outcome_of
 from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_scene
+from multilica.sinks.report.template import own_text, page_template
 from multilica.sinks.run_state import RunState
 
 __all__ = ["MAX_BYTES", "ReportFile", "report_html"]
@@ -155,23 +153,8 @@ def _graph_places(names: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 @cache
 def _template() -> Template:
-    """Load the template with its style, its script, and their hashes for the content security policy."""
-    environment = Environment(
-        loader=PackageLoader(_PACKAGE, ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    own = {name: files(_PACKAGE).joinpath(name).read_text(encoding="utf-8") for name in ("page.css", "rig_view.js")}
-    environment.filters |= {"figure": _figure, "snapshot_verdict": _snapshot_verdict, "with_code": _with_code}
-    environment.globals |= {
-        "style": Markup(own["page.css"]),  # noqa: S704
-        "script": Markup(own["rig_view.js"]),  # noqa: S704
-        "style_hash": _hash(own["page.css"]),
-        "script_hash": _hash(own["rig_view.js"]),
-    }
-    return environment.get_template("page.html")
+    filters = {"figure": _figure, "snapshot_verdict": _snapshot_verdict, "with_code": _with_code}
+    return page_template(_PACKAGE, own_text(_PACKAGE, "page.css"), own_text(_PACKAGE, "rig_view.js"), filters)
 
 
 def _figure(value: float | None, scale: float, digits: int) -> str:
@@ -190,9 +173,3 @@ def _with_code(text: str) -> Markup:
     parts = text.split("`")
     code = Markup("<code>{}</code>")
     return Markup("").join(code.format(part) if index % 2 else part for index, part in enumerate(parts))
-
-
-def _hash(text: str) -> str:
-    """Return the hash of an inline script or style for the content security policy."""
-    digest = hashlib.sha256(text.encode("utf-8")).digest()
-    return f"sha256-{base64.b64encode(digest).decode('ascii')}"

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Report of a fleet as one HTML page."""

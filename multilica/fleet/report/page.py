@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""HTML page of the report of a fleet."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from functools import cache
+from typing import Any
+from urllib.parse import quote
+
+from jinja2 import Template
+from markupsafe import Markup
+
+from multilica.errors import escape_controls
+from multilica.fleet.report.contents import FleetOverview, PageEvent, PageFailure, PageVehicle
+from multilica.fleet.report.plots import DriftPlot, drift_plots
+from multilica.fleet.report.sparklines import HEIGHT_PX, WIDTH_PX, sparklines
+from multilica.fleet.report.time_axis import day_of
+from multilica.sinks.report.template import own_text, page_template
+
+__all__ = ["MAX_BYTES", "MAX_DRAWN", "drawn_vehicles", "fleet_page"]
+
+MAX_BYTES = 8_000_000
+"""Limit of ticket systems and mail; texts of single logs are left out first, then plots."""
+MAX_DRAWN = 200
+"""A larger fleet has plots only of vehicles with an event or a failure, and of at most this many."""
+MAX_EVENTS = MAX_FAILURES = 1000
+"""Rows of a table; more are not read by people, and the commands list all."""
+
+_PACKAGE = "multilica.fleet.report"
+_DATE = re.compile(r"(\b\d{4}-\d\d-\d\d(?: \d\d:\d\d)?\b)", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class CauseCount:
+    """A cause of failures: logs without a result, and LiDARs without a certain pose."""
+
+    reason: str
+    logs: int
+    lidars: int
+
+    @property
+    def total(self) -> int:
+        """Number of failures."""
+        return self.logs + self.lidars
+
+
+def drawn_vehicles(names: Sequence[str], events: Sequence[PageEvent], failures: Sequence[PageFailure]) -> list[str]:
+    """Return the vehicles to draw, first those with events, then those with failures; of a large fleet, only these."""
+    first = dict.fromkeys([*(event.vehicle for event in events), *(failure.vehicle for failure in failures)])
+    known = set(names)
+    urgent = [name for name in first if name in known]
+    others = [name for name in names if name not in first] if len(names) <= MAX_DRAWN else []
+    return [*urgent, *others][:MAX_DRAWN]
+
+
+def fleet_page(
+    overview: FleetOverview,
+    vehicles: Sequence[PageVehicle],
+    events: Sequence[PageEvent],
+    failures: Sequence[PageFailure],
+) -> str:
+    """Render the report as one self-contained page.
+
+    Args:
+        vehicles: all of the fleet; the histories only of those to draw (`drawn_vehicles`).
+        events: of LiDARs, in the order of the table.
+        failures: of logs and LiDARs.
+
+    Returns:
+        A page of at most `MAX_BYTES` bytes unless its tables alone are larger.
+    """
+    context = _context(overview, vehicles, events, failures)
+    names = drawn_vehicles([each.name for each in vehicles if each.histories], events, failures)
+    page = ""
+    for count, texts in ((len(names), True), *((len(names) >> halvings, False) for halvings in range(8)), (0, False)):
+        page = _template().render(context | _sections(vehicles, context["own_events"], set(names[:count]), texts=texts))
+        if len(page.encode()) <= MAX_BYTES:
+            break
+    return page
+
+
+def _context(
+    overview: FleetOverview,
+    vehicles: Sequence[PageVehicle],
+    events: Sequence[PageEvent],
+    failures: Sequence[PageFailure],
+) -> dict[str, Any]:
+    """Return the variables of the template, except the sections of the vehicles."""
+    own_events: dict[str, list[PageEvent]] = defaultdict(list)
+    for event in events:
+        own_events[event.vehicle].append(event)
+    moved = {(event.vehicle, event.part) for event in events if event.kind in ("jump", "creep")}
+    causes = _causes(failures)
+    rank = {cause.reason: index for index, cause in enumerate(causes)}
+    times = [time for vehicle in vehicles for time in (vehicle.first, vehicle.last) if time is not None]
+    lines = {
+        "mm": sparklines(vehicles, lambda history: history.distances_mm),
+        "deg": sparklines(vehicles, lambda history: history.angles_deg),
+    }
+    return {
+        "overview": overview,
+        "vehicles": vehicles,
+        "events": events,
+        "shown_events": events[:MAX_EVENTS],
+        "own_events": own_events,
+        "moved": moved,
+        "moved_on": len({vehicle for vehicle, _ in moved}),
+        "unlike": sum(event.kind == "offset" for event in events),
+        "failures": sorted(failures, key=lambda failure: rank[failure.reason])[:MAX_FAILURES],
+        "failure_count": len(failures),
+        "causes": causes,
+        "not_placed": sum(len(vehicle.not_placed_last) for vehicle in vehicles),
+        "counts": {
+            name: sum(getattr(vehicle, name) for vehicle in vehicles)
+            for name in ("logs", "verified", "calibrated", "without_result", "duplicates")
+        },
+        "first": min(times, default=None),
+        "last": max(times, default=None),
+        "anchors": {vehicle.name: f"vehicle-{index}" for index, vehicle in enumerate(vehicles, 1)},
+        "lines": lines,
+        "line_size": (WIDTH_PX, HEIGHT_PX),
+        "max_drawn": MAX_DRAWN,
+    }
+
+
+def _sections(
+    vehicles: Sequence[PageVehicle], events: Mapping[str, Sequence[PageEvent]], drawn: set[str], *, texts: bool
+) -> dict[str, Any]:
+    """Return the vehicles that have a section, and the plots per LiDAR."""
+    shown = [vehicle for vehicle in vehicles if vehicle.name in drawn]
+    return {
+        "shown": shown,
+        "plots": {each.name: _plots(each, events.get(each.name, ()), texts=texts) for each in shown},
+    }
+
+
+def _plots(vehicle: PageVehicle, events: Sequence[PageEvent], *, texts: bool) -> list[tuple[Any, list[DriftPlot]]]:
+    """Return the histories of a vehicle with their plots, those with an event first."""
+    own = {
+        index: [event for event in events if history.lidar in event.lidars]
+        for index, history in enumerate(vehicle.histories)
+    }
+    order = sorted(own, key=lambda index: not own[index])
+    return [(vehicle.histories[i], drift_plots(vehicle.histories[i], own[i], texts=texts)) for i in order]
+
+
+def _causes(failures: Sequence[PageFailure]) -> list[CauseCount]:
+    logs = Counter(failure.reason for failure in failures if not failure.lidar)
+    lidars = Counter(failure.reason for failure in failures if failure.lidar)
+    causes = [CauseCount(reason, logs[reason], lidars[reason]) for reason in logs.keys() | lidars.keys()]
+    return sorted(causes, key=lambda cause: (-cause.total, cause.reason))
+
+
+@cache
+def _template() -> Template:
+    style = own_text("multilica.sinks.report", "page.css") + own_text(_PACKAGE, "page.css")
+    filters = {"day": _day, "day_of": day_of, "counted": _counted, "address": _address, "with_dates": _with_dates}
+    return page_template(_PACKAGE, style, own_text(_PACKAGE, "page.js"), filters, one_line=True)
+
+
+def _day(time: datetime | None) -> str:
+    return "-" if time is None else f"{time:%Y-%m-%d}"
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count:,} {noun}{'' if count == 1 else 's'}"
+
+
+def _with_dates(text: str) -> Markup:
+    """Keep each date of a text in one line."""
+    parts = _DATE.split(escape_controls(text))
+    date = Markup('<span class="when">{}</span>')
+    return Markup("").join(date.format(part) if index % 2 else part for index, part in enumerate(parts))
+
+
+def _address(path: str, files: str) -> str:
+    """Return the relative address of a file of the store, whose names may hold percent signs."""
+    return quote(f"{files}/{path}" if files else f"./{path}")

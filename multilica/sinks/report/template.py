@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Templates of pages that hold their style and script, and ask for nothing."""
+
+import base64
+import hashlib
+from collections.abc import Mapping
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
+from markupsafe import Markup
+
+from multilica.errors import escape_controls
+
+__all__ = ["own_text", "page_template"]
+
+
+def own_text(package: str, name: str) -> str:
+    """Return a text file of a package."""
+    return files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+def page_template(
+    package: str, style: str, script: str, filters: Mapping[str, Any], *, one_line: bool = False
+) -> Template:
+    """Load `page.html` of a package with style, script, and their hashes for the content security policy.
+
+    Args:
+        one_line: show every text in one line, with controls as escapes.
+    """
+    environment = Environment(
+        loader=PackageLoader(package, ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_without_controls if one_line else None,
+    )
+    environment.filters |= filters
+    environment.globals |= {
+        "style": Markup(style),  # noqa: S704
+        "script": Markup(script),  # noqa: S704
+        "style_hash": _hash(style),
+        "script_hash": _hash(script),
+    }
+    return environment.get_template("page.html")
+
+
+def _without_controls(value: object) -> object:
+    return escape_controls(value) if type(value) is str else value
+
+
+def _hash(text: str) -> str:
+    """Return the hash of an inline script or style for the content security policy."""
+    digest = hashlib.sha256(text.encode("utf-8")).digest()
+    return f"sha256-{base64.b64encode(digest).decode('ascii')}"

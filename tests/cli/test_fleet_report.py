@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+from pathlib import Path
+
+import pytest
+
+from multilica_cli.exit_codes import ExitCode
+from tests.cli.support import Invoke
+from tests.fleet.support.made_store import made_store
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("fleet") / "store"
+    made_store(folder)
+    return folder
+
+
+def test_the_page_lies_in_the_working_directory(store, invoke: Invoke):
+    outcome = invoke("fleet", "report", "--store", store)
+    assert (outcome.code, outcome.out) == (ExitCode.DONE, "wrote fleet-report.html\n")
+    assert "1 LiDAR moved on 1 of 3 vehicles." in Path("fleet-report.html").read_text(encoding="utf-8")
+
+
+def test_a_page_in_the_store_links_its_recordings(store, invoke: Invoke):
+    outcome = invoke("fleet", "report", "--store", store, "--out", store / "report.html", "--quiet")
+    assert (outcome.code, outcome.out) == (ExitCode.DONE, "")
+    assert 'href="./runs/v02/' in (store / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("address", ["s3://bucket/report.html", "https://example.com/report.html"])
+def test_an_address_is_no_place_for_a_page(address, store, invoke: Invoke):
+    outcome = invoke("fleet", "report", "--store", store, "--out", address)
+    assert outcome.code == ExitCode.USAGE
+    assert "--out" in outcome.err
+
+
+def test_without_a_store_there_is_no_page(invoke: Invoke):
+    assert invoke("fleet", "report", "--store", "none").code == ExitCode.INPUT
+    assert not Path("fleet-report.html").exists()
