@@ -28,7 +28,7 @@ def store_report(store: Store, page: Path) -> str:
     vehicles, events, failures = _vehicles(store), read_events(store), _failures(store)
     drawn = drawn_vehicles([vehicle.name for vehicle in vehicles], events, failures)
     histories = read_histories(store, drawn)
-    overview = FleetOverview(str(store), __version__, _files_seen_from(page, store))
+    overview = FleetOverview(store.name, __version__, _files_seen_from(page, store))
     shown = [replace(vehicle, histories=histories.get(vehicle.name, ())) for vehicle in vehicles]
     return fleet_page(overview, shown, events, failures)
 

@@ -70,8 +70,8 @@ def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Query
             batches = base.execute(sql, list(values)).fetch_record_batch(_BATCH)
             yield QueryAnswer(tuple(batches.schema.names), batches)
         except duckdb.Error as error:
-            text = " ".join(str(error).split())
-            raise UsageError(f"The question cannot be answered: {text[:_LONGEST]}") from error
+            text = " ".join(str(error).partition("\nLINE ")[0].split())[:_LONGEST].rstrip(".!")
+            raise UsageError(f"The question cannot be answered: {text}.") from error
 
 
 _STATUS = """

@@ -18,7 +18,8 @@ _LARGE = ("recording.rrd", "report.html", "result.mcap")
 _RUNS = """
 SELECT logs.vehicle, logs.time, logs.key, recording, finished_at,
        bool_and(coalesce(lidars.status = 'placed', true) AND state = 'calibrated') AS succeeded
-FROM logs LEFT JOIN lidars USING (key) WHERE recording <> '' GROUP BY ALL ORDER BY logs.vehicle, logs.time, logs.key
+FROM logs LEFT JOIN lidars USING (key) WHERE recording <> '' AND finished_at IS NOT NULL
+GROUP BY ALL ORDER BY logs.vehicle, logs.time, logs.key
 """
 
 

@@ -89,6 +89,11 @@ class Store:
     def __str__(self) -> str:
         return without_secrets(self.address) if scheme_of(self.address) else self.address
 
+    @property
+    def name(self) -> str:
+        """The name of the folder, or the address: nothing that only this machine has."""
+        return str(self) if self.system else Path(self.root).name
+
     def finish(self, log: LogRow, lidars: Sequence[LidarRow]) -> None:
         """Write the rows of a log, the row that makes it finished last."""
         if lidars:

@@ -11,7 +11,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -65,8 +65,13 @@ def serve_catalog(datasets: Mapping[str, Path], host: str, port: int) -> None:
     """
     folders = [argument for name, path in datasets.items() for argument in ("--dataset", f"{name}={path}")]
     command = [*_COMMAND, "server", "--host", host, "--port", str(port), *folders]
-    code = subprocess.run(command, check=False, env={**os.environ, "CI": "1"}).returncode  # noqa: S603
-    if code not in {0, -signal.SIGINT, -signal.SIGTERM}:
+    with subprocess.Popen(command, env={**os.environ, "CI": "1"}, start_new_session=True) as process:  # noqa: S603
+        try:
+            code = process.wait()
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
+    if code != 0:
         raise ViewerError(f"Rerun's server failed with exit code {code}; is port {port} in use? Choose another --port.")
 
 

@@ -2,6 +2,7 @@
 """Stores with made-up rows."""
 
 import hashlib
+from datetime import UTC, datetime
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -45,7 +46,12 @@ def add_log(store, vehicle, day, lidars, *, state="verified", source=None, **cha
     recording = f"{store.run_folder(vehicle, time_ns, key)}/recording.rrd" if state == "calibrated" else ""
     if recording:
         store.write(recording, b"recording")
-    values = {"lidars": len(rows), "placed": sum(row.x_m is not None for row in rows), "recording": recording}
+    values = {
+        "finished_at": datetime.now(UTC),
+        "lidars": len(rows),
+        "placed": sum(row.x_m is not None for row in rows),
+        "recording": recording,
+    }
     store.finish(LogRow(key, vehicle, time_ns, source, key, 1000, state, **(values | changes)), rows)
     return key
 
