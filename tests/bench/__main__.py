@@ -21,12 +21,14 @@ MEASUREMENTS = (
     "causes",
     "moved_lidars",
     "fleet_drift",
+    "fleet_year",
     "crash",
     "ingest",
     "recording",
 )
-ON_REQUEST = ("paper", "tables", "fuzz", "soak", "evidence")
+ON_REQUEST = ("paper", "tables", "fuzz", "soak", "evidence", "fleet_scale")
 ROBUSTNESS = ("crash", "fuzz", "soak")
+FLEET = ("fleet_drift", "fleet_scale", "fleet_year")
 
 
 def main(names: list[str]) -> int:
@@ -45,6 +47,8 @@ def main(names: list[str]) -> int:
 
 def module_of(name: str) -> str:
     """The module of a measurement."""
+    if name in FLEET:
+        return f"tests.bench.fleet.{name}"
     return f"tests.bench.robustness.{name}" if name in ROBUSTNESS else f"tests.bench.{name}"
 
 

@@ -31,14 +31,14 @@ def shown_options() -> list[tuple[str, str]]:
     found = set()
     for page in PAGES:
         for block in blocks(page, "console"):
-            for command, rest in re.findall(r"multilica (\w+)([^#|\n]*)", block):
+            for command, rest in re.findall(r"multilica ((?:fleet )?\w+)([^#|\n]*)", block):
                 found.update((command, option) for option in re.findall(r"--[a-z-]+", rest))
     return sorted(found)
 
 
 @pytest.mark.parametrize(("command", "option"), shown_options())
 def test_shown_options_exist(command: str, option: str, invoke: Invoke) -> None:
-    outcome = invoke(command, "--help")
+    outcome = invoke(*command.split(), "--help")
     assert outcome.code == ExitCode.DONE
     assert re.search(rf"{option}\b", outcome.out)
 

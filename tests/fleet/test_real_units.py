@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import fsspec
 import numpy as np
 import psutil
 import pytest
@@ -24,6 +25,7 @@ from multilica.fleet.store.query import ask
 from multilica.fleet.store.store import open_store
 from multilica.geometry import RigidTransform
 from multilica.simulate import true_extrinsics
+from tests.fleet.support.buckets import bucket
 from tests.fleet.support.small_fleet import PLAN, tables, write_small_fleet
 
 pytestmark = pytest.mark.xdist_group("fleet")
@@ -189,6 +191,30 @@ def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, fleet, tmp_path):
         with dask.config.set(keys):
             run_fleet([str(fleet)], store, replace(OPTIONS, scheduler=address))
     assert tables(store) == tables(whole)
+
+
+def test_a_bucket_holds_the_logs_and_the_store(whole, fleet, monkeypatch):
+    with bucket(monkeypatch) as address:
+        files = [path for path in sorted(fleet.rglob("*")) if path.is_file() and path.parent.parent == fleet]
+        system = fsspec.filesystem("s3", skip_instance_cache=True)
+        for path in files:
+            system.put_file(str(path), f"bucket/fleet/{path.relative_to(fleet)}")
+        store = open_store(f"{address}-store", create=True)
+        outcome = run_fleet(["s3://bucket/fleet/"], store, OPTIONS)
+        assert outcome.found == len(files) > 4
+        assert "killed" not in outcome.states
+        found, wanted = (_poses(each) for each in (store, whole))
+        (recording, *_) = [path for path, _ in store.files("runs") if path.endswith(".rrd")]
+        assert store.read(recording).startswith(b"RRF")
+    assert {*found} < {*wanted}
+    assert len(found) > 10
+    for key, pose in found.items():
+        np.testing.assert_allclose(pose, wanted[key], atol=0.02)
+
+
+def _poses(store):
+    with ask(store, "SELECT source, lidar, x_m, y_m, z_m FROM lidars WHERE status = 'placed'") as answer:
+        return {("/".join(source.split("/")[-2:]), lidar): pose for source, lidar, *pose in answer.rows()}
 
 
 def test_an_address_that_is_no_scheduler_is_refused(fleet, tmp_path):

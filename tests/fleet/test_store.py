@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import duckdb
-import fsspec
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
@@ -14,26 +13,12 @@ from hypothesis import strategies as st
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.store.records import LIDARS_SCHEMA, LidarRow, LogRow
 from multilica.fleet.store.store import folder_name, open_store, vehicle_name, vehicle_of_part
+from tests.fleet.support.buckets import bucket
 from tests.fleet.support.requests import DAY_NS, START_NS
-from tests.ingest.support.processes import served
 
 KEY = "0123456789abcdef0123456789abcdef"
 LOG = LogRow(KEY, "v1", START_NS, "a/b.mcap", "f", 3, "calibrated", reason_text="", artifacts_mb=0.5)
 LIDAR = LidarRow(KEY, START_NS, "a/b.mcap", "left", "top", "calibrated", "placed", x_m=1.25, covariance=(0.5,) * 36)
-
-
-@contextmanager
-def bucket(monkeypatch):
-    with served("s3_server.py") as port:
-        for name, value in {
-            "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}",
-            "AWS_ACCESS_KEY_ID": "key",
-            "AWS_SECRET_ACCESS_KEY": "secret",
-            "AWS_DEFAULT_REGION": "us-east-1",
-        }.items():
-            monkeypatch.setenv(name, value)
-        fsspec.filesystem("s3", skip_instance_cache=True).mkdir("bucket")
-        yield "s3://bucket/fleet"
 
 
 @pytest.mark.parametrize("place", ["disk", "bucket"])

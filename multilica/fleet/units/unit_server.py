@@ -61,7 +61,7 @@ def _answer(request: dict[str, Any], unit: Any) -> dict[str, Any]:  # noqa: ANN4
 def _below_folder(request: Any) -> Any:  # noqa: ANN401 - as above
     """Read a local log by its path below what was given, so that files and tables hold no path of the machine."""
     folder = request.address.removesuffix(request.source)
-    if folder != request.address and Path(folder).is_dir():
+    if folder not in {"", request.address} and Path(folder).is_dir():
         os.chdir(folder)
         return request.model_copy(update={"address": request.source})
     return request
