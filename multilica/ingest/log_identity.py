@@ -6,20 +6,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass
-from io import BytesIO
 from pathlib import Path
-
-from mcap.data_stream import ReadDataStream
-from mcap.reader import make_reader
-from mcap.records import Metadata
 
 from multilica.config import IngestConfig
 from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_yaml, read_limited
 from multilica.errors import MultilicaError
-from multilica.ingest.containers.exact_reader import ExactReader
-from multilica.ingest.containers.mcap_records import RECORD_HEAD
-from multilica.ingest.damage import DamagedRecordingError, damage_named
-from multilica.ingest.formats import FORMATS, named_format
+from multilica.ingest.containers.mcap_metadata import mcap_metadata
+from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
@@ -30,8 +23,6 @@ __all__ = ["VEHICLE_KEYS", "LogIdentity", "identify_log"]
 
 VEHICLE_KEYS = ("vehicle", "vehicle_id", "vehicle_name", "robot", "robot_id")
 """Keys, in any metadata record of an MCAP file or in `custom_data` of a ROS 2 bag, of the vehicle's name."""
-_MAX_BYTES = 1 << 20
-_MAX_RECORDS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +50,7 @@ def _metadata(file: SourceFile) -> Iterator[Mapping[str, str]]:
     if isinstance(file, Path) and file.is_dir():
         yield _custom_data(file / "metadata.yaml")
         return
-    if named_format(file) is FORMATS["mcap"]:
-        with suppress(DamagedRecordingError), damage_named(str(file)), closing(ExactReader(file)) as stream:
-            summary = make_reader(stream).get_summary()
-            for index in (summary.metadata_indexes if summary else [])[:_MAX_RECORDS]:
-                if index.length <= _MAX_BYTES:
-                    stream.seek(index.offset + RECORD_HEAD.size)
-                    record = stream.read(index.length - RECORD_HEAD.size)
-                    yield dict(Metadata.read(ReadDataStream(BytesIO(record))).metadata)
+    yield from (record.metadata for record in mcap_metadata(file))
     if isinstance(file, Path):
         yield _custom_data(file.parent / "metadata.yaml")
 

@@ -3,21 +3,14 @@
 
 import re
 from collections.abc import Collection, Sequence
-from contextlib import closing, suppress
-from io import BytesIO
+from contextlib import suppress
 from typing import Annotated
 
-from mcap.data_stream import ReadDataStream
-from mcap.reader import make_reader
-from mcap.records import Metadata
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from multilica.config import IngestConfig
 from multilica.documents import DocumentError, parse_json
-from multilica.ingest.containers.exact_reader import ExactReader
-from multilica.ingest.containers.mcap_records import RECORD_HEAD
-from multilica.ingest.damage import DamagedRecordingError, damage_named
-from multilica.ingest.formats import FORMATS, named_format
+from multilica.ingest.containers.mcap_metadata import mcap_metadata
 from multilica.ingest.locate import PathLike, locate
 from multilica.ingest.recording import sanitize_text
 from multilica.ingest.remote.address import is_live
@@ -26,8 +19,6 @@ from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
 
 __all__ = ["SnapshotMetadata", "config_for", "frames_recorded", "notes_recorded"]
 
-_MAX_BYTES = 1 << 20
-"""Limit of a snapshot's metadata, which take a few hundred bytes."""
 _PREFIX = "When it was recorded: "
 _MAX_FRAMES = 1_000_000
 
@@ -90,14 +81,4 @@ def _metadata(path: SourceFile) -> SnapshotMetadata:
 
 
 def _texts(path: SourceFile) -> dict[str, str]:
-    with suppress(DamagedRecordingError), damage_named(str(path)):
-        if named_format(path) is not FORMATS["mcap"] or not (path.exists() and path.is_file()):
-            return {}
-        with closing(ExactReader(path)) as stream:
-            summary = make_reader(stream).get_summary()
-            for index in summary.metadata_indexes if summary else ():
-                if index.name == SNAPSHOT_METADATA_NAME and index.length <= _MAX_BYTES:
-                    stream.seek(index.offset + RECORD_HEAD.size)
-                    record = stream.read(index.length - RECORD_HEAD.size)
-                    return dict(Metadata.read(ReadDataStream(BytesIO(record))).metadata)
-    return {}
+    return next((record.metadata for record in mcap_metadata(path) if record.name == SNAPSHOT_METADATA_NAME), {})
