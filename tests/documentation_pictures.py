@@ -29,6 +29,7 @@ SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
 SHORT = ("--frames", "2", "--keep-every", "4")
 SIZE = ("--width", "1280", "--height", "720")
 SCREEN = {"width": 1100, "height": 720}
+FLEET_SCREEN = {"width": 1100, "height": 640}
 TALL_SCREEN = {"width": 1100, "height": 1370}
 SETTLED_MS = 5_000
 ENDED = (0, 3, 4)  # done, refused, incomplete
@@ -110,6 +111,26 @@ def draw_report(browser: Browser, directory: Path, name: str, screen: dict[str, 
         save(page.screenshot(), name)
 
 
+def draw_fleet(browser: Browser, folder: Path) -> None:
+    """Draw the fleet's page: the events, and the poses of a LiDAR that jumped."""
+    run(folder, "simulate", "--fleet", "logs")
+    run(folder, "fleet", "run", "logs", "--out", "store", "-q")
+    run(folder, "fleet", "report", "--store", "store", "--out", "fleet.html")
+    draw_fleet_page(browser, folder / "fleet.html")
+
+
+def draw_fleet_page(browser: Browser, page_file: Path) -> None:
+    with browser.new_context(viewport=FLEET_SCREEN) as context:
+        page = context.new_page()
+        page.goto(page_file.as_uri())
+        save(page.screenshot(), "fleet-events")
+        page.locator("details[open]").first.scroll_into_view_if_needed()
+        box = page.locator("details[open]").first.bounding_box()
+        page.evaluate("offset => window.scrollBy(0, offset)", box["y"] - 20)
+        page.wait_for_timeout(500)
+        save(page.screenshot(), "fleet-drift")
+
+
 def draw_studio(browser: Browser, result_mcap: Path) -> None:
     """Draw the result.mcap in Foxglove Studio without its hint for beginners, the log at its end."""
     with tempfile.TemporaryDirectory() as folder:
@@ -138,6 +159,7 @@ def main() -> int:
             draw_studio(browser, folder / "result" / "result.mcap")
         else:
             print("foxglove.png is left as it is: Foxglove Studio is missing (make node)")
+        draw_fleet(browser, folder)
         for scene in scenes():
             printed += calibrate(folder, scene)
             draw_recording(folder, scene.name)
