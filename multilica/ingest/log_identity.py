@@ -24,6 +24,8 @@ __all__ = ["VEHICLE_KEYS", "LogIdentity", "identify_log"]
 VEHICLE_KEYS = ("vehicle", "vehicle_id", "vehicle_name", "robot", "robot_id")
 """Keys, in any metadata record of an MCAP file or in `custom_data` of a ROS 2 bag, of the vehicle's name."""
 
+_LATEST_NS = 2**63
+
 
 @dataclass(frozen=True, slots=True)
 class LogIdentity:
@@ -42,7 +44,7 @@ def identify_log(source: PathLike) -> LogIdentity:
         found = find_source(file)
         with limited_memory(IngestConfig().max_memory_mb, found.label), closing(open_source(found)) as recording:
             span = recording.span_ns([topic.name for topic in recording.topics])
-            time_ns = span[0] if span and span[0] > 0 else None
+            time_ns = span[0] if span and 0 < span[0] < _LATEST_NS else None
     return LogIdentity(sanitize_text(vehicle), time_ns)
 
 

@@ -82,6 +82,7 @@ def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
         (("status", "--store", "none"), ExitCode.INPUT, "no fleet store at none"),
         (("show", "v9", "--store", "store"), ExitCode.INPUT, "no vehicle 'v9'; it has v01"),
         (("query", "SELECT none FROM logs", "--store", "store"), ExitCode.USAGE, "cannot be answered"),
+        (("query", "", "--store", "store"), ExitCode.USAGE, "question is empty"),
         (("drift", "--store", "store", "--false-alarm-rate", "2"), ExitCode.USAGE, "false-alarm rate is 2"),
         (("browse", "--store", "store", "--vehicle", "v9"), ExitCode.INPUT, "no recordings of v9"),
     ],
@@ -185,6 +186,29 @@ def test_the_catalog_listens_on_loopback_alone(tmp_path):
             server.wait(30.0)
     _, alive = psutil.wait_procs(children, timeout=20.0)
     assert not alive
+
+
+@pytest.mark.parametrize("content", [b"", b"no Parquet"])
+def test_a_damaged_part_is_named(content, store, invoke: Invoke):
+    part = min(store.glob("lidars/*/*/*.parquet"))
+    part.write_bytes(content)
+    for command in (("status",), ("drift",), ("compact",), ("show", "v01"), ("report",)):
+        outcome = invoke("fleet", *command, "--store", store)
+        if outcome.code != ExitCode.DONE:
+            assert_one_sentence(outcome, ExitCode.INPUT)
+            assert f"The part {part.relative_to(store)} of the store" in outcome.err
+    assert invoke("fleet", "drift", "--store", store).code == ExitCode.INPUT
+
+
+def test_a_damaged_row_of_a_log_is_written_again(tmp_path, invoke: Invoke):
+    (tmp_path / "v1").mkdir()
+    (tmp_path / "v1" / "log.mcap").write_bytes(bytes(100))
+    invoke("fleet", "run", "v1", "--out", "store")
+    (part,) = (tmp_path / "store").glob("logs/*/*/*.parquet")
+    whole = part.read_bytes()
+    part.write_bytes(whole[:50])
+    assert invoke("fleet", "run", "v1", "--out", "store").out.startswith("1 logs, 0 of them finished before: 1 failed")
+    assert len(part.read_bytes()) == len(whole)
 
 
 def test_a_row_of_a_newer_version_takes_the_place_of_the_older(tmp_path):

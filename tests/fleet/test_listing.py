@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+import os
 from datetime import UTC, datetime
 
 import pyarrow as pa
@@ -30,6 +31,18 @@ def test_a_folder_is_searched_to_its_ends_and_a_bag_is_one_log(folder):
     assert logs[0].size_bytes == len("logs/v1/a.mcap")
     assert logs[2].size_bytes > 40
     assert len({log.fingerprint for log in logs}) == 5
+
+
+def test_what_is_no_file_is_passed_over(folder):
+    os.mkfifo(folder / "logs/v1/pipe.mcap")
+    (folder / "logs/v1/deep").mkdir()
+    (folder / "logs/v1/deep/up").symlink_to("..")
+    (folder / "logs/v1/self").symlink_to(".")
+    (folder / "logs/v1/gone.mcap").symlink_to("nowhere")
+    assert [log.source for log in find_logs([str(folder / "logs/v1")])] == ["v1/a.mcap", "v1/gone.mcap"]
+    assert [log.source for log in find_logs([str(folder / "logs/v1/*.mcap")])] == ["v1/a.mcap"]
+    with pytest.raises(UnreadableSourceError, match="neither a file nor a folder"):
+        list(find_logs([str(folder / "logs/v1/pipe.mcap")]))
 
 
 def test_the_source_does_not_depend_on_where_the_logs_lie(folder, monkeypatch):
@@ -109,6 +122,7 @@ def test_a_pattern_without_sense_is_refused(pattern):
         ("path,vehicle\na,b\n", "has the columns path, vehicle; expected source"),
         ("source,time\na.mcap,yesterday\n", "has the time 'yesterday'"),
         ("source,vehicle\n,v1\n", "has no source"),
+        ("source,time\na.mcap,12345678901234567890123\n", "has the time"),
     ],
 )
 def test_a_manifest_that_cannot_be_used_is_refused(tmp_path, content, words):

@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
+
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.logs.log import FleetLog, fingerprint_of
 from multilica.fleet.store.store import vehicle_name
@@ -127,8 +129,10 @@ def _found(given: str) -> Iterator[FleetLog]:
         yield from _in_manifest(path)
     elif path.is_dir():
         yield from (_local(each, path) for each in _logs_below(path))
-    elif path.exists():
+    elif path.is_file():
         yield _local(path, path.parent)
+    elif path.exists():
+        raise UnreadableSourceError(f"{given} is neither a file nor a folder.")
     elif has_magic(given):
         yield from _globbed(path, given)
     else:
@@ -143,19 +147,23 @@ def _globbed(path: Path, given: str) -> Iterator[FleetLog]:
     if not found:
         raise SourceNotFoundError(f"No file matches {given}.")
     for each in found:
-        yield from (_local(log, base) for log in (_logs_below(each) if each.is_dir() else [each]))
+        found_here = _logs_below(each) if each.is_dir() else [each] if each.is_file() else []
+        yield from (_local(log, base) for log in found_here)
 
 
-def _logs_below(folder: Path) -> Iterator[Path]:
-    """Yield recordings, folders that are one bag, and folders of point files."""
+def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[Path]:
+    """Yield recordings, bags and folders of point files; a link to a folder above leads nowhere."""
+    real = folder.resolve()
+    if real in above:
+        return
     entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
     if _is_one_log(folder, entries):
         yield folder
         return
     for each in entries:
         if each.is_dir():
-            yield from _logs_below(each)
-        elif _has_recording(each):
+            yield from _logs_below(each, above | {real})
+        elif (each.is_file() or not each.exists()) and _has_recording(each):
             yield each
 
 
@@ -173,7 +181,7 @@ def _has_recording(path: Path) -> bool:
 
 def _local(path: Path, base: Path) -> FleetLog:
     """Return a log below a folder; its source begins with the folder's name."""
-    return _with_source(path, path.resolve().relative_to(base.resolve().parent))
+    return _with_source(path, base.resolve().name / path.relative_to(base))
 
 
 def _with_source(path: Path, source: Path) -> FleetLog:
@@ -256,7 +264,8 @@ def _time_ns(value: object, path: Path) -> int:
             aware = value if value.tzinfo else value.replace(tzinfo=UTC)
             return round(aware.timestamp() * 10**6) * 1000
         number = float(value)  # type: ignore[arg-type]
-        return int(value) if number > 1e12 else round(number * 10**9)  # type: ignore[call-overload]
+        time_ns = int(value) if number > 1e12 else round(number * 10**9)  # type: ignore[call-overload]
+        return int(np.int64(time_ns))
     except (ValueError, TypeError, OverflowError) as error:
         raise UnreadableSourceError(
             f"The manifest {path} has the time {value!r:.60}; expected ISO 8601, or seconds since 1970."

@@ -7,7 +7,7 @@ The plan lies in a database on disk, so that its size in memory does not depend 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
@@ -97,8 +97,15 @@ class Plan:
     def _stored(self, store: Store) -> Iterator[pa.Table]:
         names = ["key", "source", "fingerprint", "vehicle", "time", "state", "reason", "calibration"]
         parts = store.parts("logs")
+        columns = [*names, "config_sha256", "version"]
         while some := list(islice(parts, _PARTS)):
-            yield store.dataset("logs", some).to_table(columns=[*names, "config_sha256", "version"])
+            try:
+                yield store.dataset("logs", some).to_table(columns=columns)
+            except (pa.ArrowException, OSError):
+                # The log of a damaged part is not finished; its part will be written again.
+                for part in some:
+                    with suppress(pa.ArrowException, OSError):
+                        yield store.dataset("logs", [part]).to_table(columns=columns)
 
     def add(self, logs: Iterable[FleetLog]) -> int:
         """Add logs; return how many."""

@@ -10,7 +10,7 @@ from pathlib import PurePosixPath
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from multilica.fleet.store.store import TABLES, Store
+from multilica.fleet.store.store import TABLES, Store, damaged_part
 
 __all__ = ["compact_store"]
 
@@ -30,9 +30,16 @@ def compact_store(store: Store) -> tuple[int, int]:
         for folder, parts in folders.items():
             before, after = before + len(parts), after + 1
             if len(parts) > 1:
-                tables = [pq.read_table(BytesIO(store.read(path))).cast(schema) for path in parts]
+                tables = [_part(store, path).cast(schema) for path in parts]
                 _replace(store, parts, f"{folder}/joined-{_keys_digest(parts)}.parquet", pa.concat_tables(tables))
     return before, after
+
+
+def _part(store: Store, path: str) -> pa.Table:
+    try:
+        return pq.read_table(BytesIO(store.read(path)))
+    except pa.ArrowException as error:
+        raise damaged_part(store, path) from error
 
 
 def _replace(store: Store, parts: list[str], joined: str, rows: pa.Table) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -12,12 +13,13 @@ import duckdb
 import pyarrow as pa
 
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.fleet.store.store import Store
+from multilica.fleet.store.store import Store, damaged_part
 
 __all__ = ["QueryAnswer", "ask", "failures", "open_tables", "require_vehicle", "status", "vehicle_history"]
 
 _LONGEST = 300
 _BATCH = 1000
+_DAMAGED = re.compile(r"Parquet input source '([^']+)'")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,9 +69,14 @@ def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Query
     """
     with open_tables(store) as base:
         try:
-            batches = base.execute(sql, list(values)).fetch_record_batch(_BATCH)
+            done = base.execute(sql, list(values))
+            if done is None:
+                raise UsageError("The question is empty; expected SQL, for example: SELECT * FROM lidars LIMIT 10.")
+            batches = done.fetch_record_batch(_BATCH)
             yield QueryAnswer(tuple(batches.schema.names), batches)
-        except duckdb.Error as error:
+        except (duckdb.Error, pa.ArrowException) as error:
+            if damaged := _DAMAGED.search(str(error)):
+                raise damaged_part(store, damaged[1]) from error
             text = " ".join(str(error).partition("\nLINE ")[0].split())[:_LONGEST].rstrip(".!")
             raise UsageError(f"The question cannot be answered: {text}.") from error
 

@@ -50,7 +50,7 @@ from multilica.ingest.remote.error_texts import remote_failures_named
 from multilica.ingest.remote.remote_file import open_file_system
 from multilica.sinks.files.atomic import atomic_file
 
-__all__ = ["Store", "folder_name", "open_store", "vehicle_name", "vehicle_of_part"]
+__all__ = ["Store", "damaged_part", "folder_name", "open_store", "vehicle_name", "vehicle_of_part"]
 
 _LAYOUT = "fleet.json"
 _BUCKETS = ("s3", "gs")
@@ -214,6 +214,14 @@ def vehicle_of_part(path: str) -> str:
     """Return the vehicle whose row a part holds."""
     folder = PurePosixPath(path).parts[1]
     return unquote(folder.removeprefix("vehicle="))
+
+
+def damaged_part(store: Store, path: str) -> UnreadableSourceError:
+    """Return the error of a part that is no Parquet file."""
+    return UnreadableSourceError(
+        f"The part {path} of the store {store} is damaged; remove it, and the part of the same name in `logs`, then "
+        "`multilica fleet run` writes both again."
+    )
 
 
 def open_store(address: str | Path, *, create: bool) -> Store:
