@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
+from concurrent.futures import CancelledError
 
 import pytest
 
@@ -15,6 +16,7 @@ LIMITS = UnitLimits(time_s=60.0, memory_mb=500.0, retries=2)
 def _failing_units(monkeypatch):
     monkeypatch.setattr(guard, "_SERVER", "tests.fleet.support.failing_units")
     monkeypatch.setattr(guard, "_PAUSES_S", (0.0,))
+    guard.allow_processes()
     yield
     guard.end_processes()
 
@@ -60,6 +62,15 @@ def test_units_of_a_thread_share_a_process_until_one_crashes(tmp_path):
     first, second, crashed, after = (each.reason_text for each in told)
     assert first == second != after
     assert "SIGABRT" in crashed
+
+
+def test_after_the_end_no_unit_runs_and_no_row_is_written(tmp_path):
+    threading.Timer(1.5, guard.end_processes).start()
+    with pytest.raises(CancelledError):
+        run_guarded(request(tmp_path, "hang-1"), LIMITS)
+    with pytest.raises(CancelledError):
+        run_guarded(request(tmp_path, "fine-1"), LIMITS)
+    assert rows(tmp_path) == []
 
 
 def test_each_thread_has_a_process(tmp_path):

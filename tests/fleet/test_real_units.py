@@ -2,7 +2,6 @@
 """Real logs through every executor, with the same tables."""
 
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -223,15 +222,21 @@ def test_an_address_that_is_no_scheduler_is_refused(fleet, tmp_path):
         run_fleet([str(fleet)], store, replace(OPTIONS, scheduler="host:8786"))
 
 
-def test_ctrl_c_ends_the_workers(fleet, tmp_path):
-    out = tmp_path / "store"
-    command = [sys.executable, "-m", "multilica_cli", "fleet", "run", str(fleet), "--out", str(out)]
-    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as driver:
+@pytest.mark.parametrize(("number", "name", "busy"), [(2, "SIGINT", False), (2, "SIGINT", True), (15, "SIGTERM", True)])
+def test_a_signal_ends_the_run_with_its_workers(number, name, busy, fleet, tmp_path):
+    store = open_store(tmp_path / "store", create=True)
+    command = [sys.executable, "-m", "multilica_cli", "fleet", "run", str(fleet), "--out", store.root]
+    with subprocess.Popen([*command, "--target", "left"], stderr=subprocess.PIPE, text=True) as driver:
         end_s = time.monotonic() + 60.0
-        while not (children := psutil.Process(driver.pid).children()) and time.monotonic() < end_s:
+        while time.monotonic() < end_s:
+            children = psutil.Process(driver.pid).children()
+            if children and (not busy or list(store.parts("logs"))):
+                break
             time.sleep(0.05)
-        driver.send_signal(signal.SIGINT)
-        assert driver.wait(30.0) == 130
-        assert driver.stderr.read().splitlines()[-1].startswith("multilica: Stopped by SIGINT")
+        driver.send_signal(number)
+        assert driver.wait(10.0) == 128 + number
+        assert driver.stderr.read().splitlines()[-1].startswith(f"multilica: Stopped by {name}")
     _, alive = psutil.wait_procs(children, timeout=10.0)
     assert not alive
+    with ask(store, "SELECT count(*) FROM logs WHERE reason = 'killed'") as answer:
+        assert list(answer.rows()) == [(0,)]

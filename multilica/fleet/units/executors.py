@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from multilica.errors import MissingDependencyError, SourceNotFoundError, UsageError
-from multilica.fleet.units.guard import end_processes
+from multilica.fleet.units.guard import allow_processes, end_processes
 
 __all__ = ["open_executor"]
 
@@ -32,6 +32,7 @@ def open_executor(workers: int, scheduler: str = "") -> Iterator[tuple[Executor,
         SourceNotFoundError: no scheduler answers there, or it has no workers.
     """
     if not scheduler:
+        allow_processes()
         with ThreadPoolExecutor(workers, thread_name_prefix="unit") as pool:
             try:
                 yield pool, workers

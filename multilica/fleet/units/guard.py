@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import Any
 
@@ -26,7 +27,7 @@ from multilica.fleet.store.store import open_store
 from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
 from multilica.ingest.log_identity import LogIdentity
 
-__all__ = ["UnitLimits", "end_processes", "identify_guarded", "run_guarded"]
+__all__ = ["UnitLimits", "allow_processes", "end_processes", "identify_guarded", "run_guarded"]
 
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
@@ -36,6 +37,7 @@ _SERVER = "multilica.fleet.units.unit_server"
 _IDENTIFY_S = 60.0
 _LOCAL = threading.local()
 _RUNNING: set[_UnitProcess] = set()
+_STOPPED = threading.Event()
 
 
 class UnitLimits(BaseModel):
@@ -58,9 +60,11 @@ def run_guarded(request: UnitRequest, limits: UnitLimits) -> UnitSummary:
     """Run a unit, again after what may pass; write the row of one that ended without."""
     for attempt in range(limits.retries + 1):
         if attempt:
-            time.sleep(_PAUSES_S[min(attempt, len(_PAUSES_S)) - 1])
+            _STOPPED.wait(_PAUSES_S[min(attempt, len(_PAUSES_S)) - 1])
         tried = request.model_copy(update={"attempt": attempt + 1})
         answer = _process(limits).ask({"unit": tried.model_dump(mode="json")}, limits.time_s)
+        if _STOPPED.is_set():
+            raise CancelledError
         if "summary" in answer:
             return UnitSummary.model_validate(answer["summary"])
         if answer["reason"] not in PASSING:
@@ -76,8 +80,14 @@ def identify_guarded(address: str, limits: UnitLimits) -> LogIdentity:
     return LogIdentity(answer.get("vehicle", ""), answer.get("time_ns"))
 
 
+def allow_processes() -> None:
+    """Let units run, after an earlier end."""
+    _STOPPED.clear()
+
+
 def end_processes() -> None:
-    """End the child processes of all threads; what they were doing is not finished."""
+    """End the child processes of all threads, and start no more; what they were doing is not finished."""
+    _STOPPED.set()
     for process in [*_RUNNING]:
         process.end()
 
@@ -87,6 +97,8 @@ def _process(limits: UnitLimits) -> _UnitProcess:
     if kept is None or kept.memory_mb != limits.memory_mb or not kept.is_alive:
         if kept is not None:
             kept.end()
+        if _STOPPED.is_set():
+            raise CancelledError
         _LOCAL.process = kept = _UnitProcess(limits.memory_mb)
     return kept
 
