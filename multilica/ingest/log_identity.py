@@ -17,6 +17,7 @@ from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import sanitize_text
+from multilica.ingest.remote.error_texts import ConnectionLostError
 from multilica.ingest.remote.remote_file import SourceFile
 
 __all__ = ["VEHICLE_KEYS", "LogIdentity", "identify_log"]
@@ -36,15 +37,23 @@ class LogIdentity:
 
 
 def identify_log(source: PathLike) -> LogIdentity:
-    """Read vehicle and time of a log, as far as it can be read."""
+    """Read vehicle and time of a log, as far as it can be read.
+
+    Raises:
+        ConnectionLostError: a server does not answer.
+    """
     vehicle, time_ns = "", None
-    with suppress(MultilicaError, DamagedRecordingError, OSError):
+    try:
         file = locate(source)
         vehicle = next((texts[key] for texts in _metadata(file) for key in VEHICLE_KEYS if texts.get(key)), "")
         found = find_source(file)
         with limited_memory(IngestConfig().max_memory_mb, found.label), closing(open_source(found)) as recording:
             span = recording.span_ns([topic.name for topic in recording.topics])
             time_ns = span[0] if span and 0 < span[0] < _LATEST_NS else None
+    except ConnectionLostError:
+        raise
+    except (MultilicaError, DamagedRecordingError, OSError):
+        pass
     return LogIdentity(sanitize_text(vehicle), time_ns)
 
 

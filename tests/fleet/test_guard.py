@@ -87,5 +87,12 @@ def test_each_thread_has_a_process(tmp_path):
     assert len({*told}) == 2
 
 
-def test_a_log_that_is_nothing_has_no_identity(tmp_path):
+@pytest.mark.parametrize("source", ["killed-1", "offline-1"])
+def test_a_log_is_identified_again_after_what_may_pass(tmp_path, source):
+    assert identify_guarded(str(tmp_path / source), LIMITS) == guard.LogIdentity("v7", 7)
+
+
+def test_a_log_that_is_nothing_has_no_identity(tmp_path, monkeypatch):
+    monkeypatch.undo()
+    guard.allow_processes()
     assert identify_guarded(str(tmp_path / "none.mcap"), LIMITS) == guard.LogIdentity("", None)

@@ -49,7 +49,7 @@ def open_tables(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
             base.register(f"{table}_parts", store.dataset(table))
         base.execute(
             """CREATE VIEW logs AS SELECT * EXCLUDE (turn) FROM (
-                 SELECT *, row_number() OVER (PARTITION BY source, fingerprint, vehicle
+                 SELECT *, row_number() OVER (PARTITION BY source, fingerprint
                                               ORDER BY state = 'failed', finished_at DESC, key) AS turn
                  FROM logs_parts) WHERE turn = 1;
                CREATE VIEW lidars AS SELECT DISTINCT ON (key, lidar) * FROM lidars_parts

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import Any
@@ -58,26 +59,41 @@ class UnitLimits(BaseModel):
 
 def run_guarded(request: UnitRequest, limits: UnitLimits) -> UnitSummary:
     """Run a unit, again after what may pass; write the row of one that ended without."""
-    for attempt in range(limits.retries + 1):
-        if attempt:
-            _STOPPED.wait(_PAUSES_S[min(attempt, len(_PAUSES_S)) - 1])
-        tried = request.model_copy(update={"attempt": attempt + 1})
-        answer = _process(limits).ask({"unit": tried.model_dump(mode="json")}, limits.time_s)
-        if _STOPPED.is_set():
-            raise CancelledError
-        if "summary" in answer:
-            return UnitSummary.model_validate(answer["summary"])
-        if answer["reason"] not in PASSING:
-            break
+    tried = request
+
+    def ask(attempt: int) -> dict[str, Any]:
+        nonlocal tried
+        tried = request.model_copy(update={"attempt": attempt})
+        return _process(limits).ask({"unit": tried.model_dump(mode="json")}, limits.time_s)
+
+    answer = _tried(ask, limits)
+    if "summary" in answer:
+        return UnitSummary.model_validate(answer["summary"])
     row = failed_row(tried, answer["reason"], answer["text"])
     open_store(request.store, create=False).finish(row, [])
     return UnitSummary.of(row)
 
 
 def identify_guarded(address: str, limits: UnitLimits) -> LogIdentity:
-    """Read vehicle and time of a log; nothing if that takes too much."""
-    answer = _process(limits).ask({"identify": address}, min(_IDENTIFY_S, limits.time_s))
+    """Read vehicle and time of a log, again after what may pass; nothing if that takes too much."""
+    answer = _tried(
+        lambda _: _process(limits).ask({"identify": address}, min(_IDENTIFY_S, limits.time_s)),
+        limits,
+    )
     return LogIdentity(answer.get("vehicle", ""), answer.get("time_ns"))
+
+
+def _tried(ask: Callable[[int], dict[str, Any]], limits: UnitLimits) -> dict[str, Any]:
+    """Ask up to an answer, or a failure that does not pass."""
+    for attempt in range(limits.retries + 1):
+        if attempt:
+            _STOPPED.wait(_PAUSES_S[min(attempt, len(_PAUSES_S)) - 1])
+        answer = ask(attempt + 1)
+        if _STOPPED.is_set():
+            raise CancelledError
+        if answer.get("reason") not in PASSING:
+            break
+    return answer
 
 
 def allow_processes() -> None:

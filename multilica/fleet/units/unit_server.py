@@ -48,12 +48,11 @@ def _answer(request: dict[str, Any], unit: Any) -> dict[str, Any]:  # noqa: ANN4
     from multilica.ingest.log_identity import identify_log
     from multilica.ingest.remote.error_texts import ConnectionLostError
 
-    if "identify" in request:
-        identity = identify_log(request["identify"])
-        return {"vehicle": identity.vehicle, "time_ns": identity.time_ns}
-    asked = _below_folder(UnitRequest.model_validate(request["unit"]))
     try:
-        return {"summary": unit.run_unit(asked).model_dump()}
+        if "identify" in request:
+            identity = identify_log(request["identify"])
+            return {"vehicle": identity.vehicle, "time_ns": identity.time_ns}
+        return {"summary": unit.run_unit(_below_folder(UnitRequest.model_validate(request["unit"]))).model_dump()}
     except ConnectionLostError as failure:
         return {"reason": "network", "text": str(failure)}
 

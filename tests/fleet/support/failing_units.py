@@ -12,6 +12,7 @@ from multilica.errors import UnreadableSourceError
 from multilica.fleet.store.store import open_store
 from multilica.fleet.units import unit, unit_server
 from multilica.fleet.units.unit_request import UnitSummary, failed_row
+from multilica.ingest import log_identity
 from multilica.ingest.remote.error_texts import ConnectionLostError
 
 
@@ -42,6 +43,18 @@ def run_unit(request):
     return UnitSummary.of(row)
 
 
+def identify_log(address):
+    tried = Path(f"{address}.tried")
+    if "killed" in address and not tried.exists():
+        tried.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    if "offline" in address and not tried.exists():
+        tried.touch()
+        raise ConnectionLostError("The connection was lost.")
+    return log_identity.LogIdentity("v7", 7)
+
+
 if __name__ == "__main__":
+    log_identity.identify_log = identify_log
     unit.run_unit = run_unit
     unit_server.main()
