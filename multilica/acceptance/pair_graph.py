@@ -64,3 +64,10 @@ class PairGraph:
                     paths[further] = [*paths[name], pair]
                     reached.append(further)
         return paths.get(source, [])
+
+    def lidars_between(self, target: str, source: str) -> list[str]:
+        """Return the names along that path, target and source included."""
+        names = [target]
+        for pair in self.path(target, source):
+            names += pair.lidars - {names[-1]}
+        return names

@@ -15,7 +15,6 @@ from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.disputes import Dispute, SnapshotPairs, blamed_lidars, resolve_disputes
 from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses, scatter_ratio, spread_of
 from multilica.multi_snapshot.replay import shown_snapshot
-from multilica.registration.stability import weakest_deviations
 from multilica.results import (
     CalibrationResult,
     LidarPlacement,
@@ -24,6 +23,7 @@ from multilica.results import (
     SnapshotDeviation,
     SnapshotReport,
 )
+from multilica.results.deviations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
 from multilica.steps.outcome import contested_place
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import small_gicp
@@ -39,12 +39,12 @@ def register(
     """
     small = config.engine == "small_gicp"
     run = _run_small_gicp if small else _run_open3d
-    state = _Gicp(T_target_source)
+    state = _Gicp(T_target_source, len(source.points_m))
     within_reach = _within_reach(target, source, T_target_source, config) if small else source
-    converged = True
+    converged: bool | None = True
     for distance_m in config.max_correspondence_distances_m:
         state = run(state, target, within_reach, distance_m, config)
-        converged &= state.converged
+        converged = state.converged if converged else converged
     fit = state.fit if config.fitness_distance_m == config.max_correspondence_distances_m[-1] else None
     fitness, rmse_m, inliers = fit or fitness_and_rmse(target, source, state.pose, config.fitness_distance_m)
     return PairRegistration(
@@ -95,12 +95,14 @@ class _Gicp:
     """State of a GICP run.
 
     Args:
+        points: number of source points, those out of reach included.
         fit: fitness, RMSE and inliers within the correspondence distance; None where the engine does not give them.
     """
 
     pose: RigidTransform
-    iterations: int = 0
-    converged: bool = False
+    points: int
+    iterations: int | None = 0
+    converged: bool | None = False
     hessian: FloatArray | None = None
     steps: tuple[GicpStep, ...] = ()
     fit: tuple[float, float, int] | None = None
@@ -116,10 +118,10 @@ class _Gicp:
         converged: bool,
         hessian: FloatArray | None = None,
     ) -> _Gicp:
-        before, iterations = self.pose, self.iterations + iterations
+        before, iterations = self.pose, (self.iterations or 0) + iterations
         pose = RigidTransform.from_rotation_translation(before.target, before.source, matrix[:3, :3], matrix[:3, 3])
-        step = GicpStep(iterations, distance_m, inliers, error, *before.distance_to(pose))
-        return _Gicp(pose, iterations, converged, hessian, (*self.steps, step))
+        step = GicpStep(iterations, distance_m, inliers, inliers / self.points, error, *before.distance_to(pose))
+        return _Gicp(pose, self.points, iterations, converged, hessian, (*self.steps, step))
 
 
 def _within_reach(
@@ -172,7 +174,8 @@ def _run_open3d(
         registration.TransformationEstimationForGeneralizedICP(epsilon=config.gicp_epsilon),
         registration.ICPConvergenceCriteria(config.relative_fitness, config.relative_rmse, config.max_iterations),
     )
-    inliers, iterations = len(result.correspondence_set), config.max_iterations
-    moved = state.moved(result.transformation, iterations, distance_m, inliers, float("nan"), converged=inliers > 0)
+    inliers, before, matrix = len(result.correspondence_set), state.pose, np.asarray(result.transformation)
+    pose = RigidTransform.from_rotation_translation(before.target, before.source, matrix[:3, :3], matrix[:3, 3])
     fit = (float(result.fitness), float(result.inlier_rmse), inliers) if inliers else None
-    return replace(moved, fit=fit)
+    # Open3D reports neither; without matches it has certainly not converged.
+    return _Gicp(pose, state.points, iterations=None, converged=None if inliers else False, fit=fit)

@@ -7,9 +7,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import Registration
+from multilica.results import Hypothesis, Registration
 
-__all__ = ["is_distinct", "is_near", "moved", "slid", "within_baseline"]
+__all__ = ["is_distinct", "is_near", "moved", "slid_hypotheses", "within_baseline"]
 
 # Poses as near as this lie in one basin of GICP.
 _SAME_POSE_M = 0.3
@@ -43,15 +43,19 @@ def within_baseline(registrations: Sequence[Registration], max_baseline_m: float
     return [each for each in registrations if is_near(each.T_target_source, max_baseline_m)] or list(registrations)
 
 
-def slid(
-    pose: RigidTransform, direction: FloatArray, step_m: float, steps: int, max_baseline_m: float
-) -> list[RigidTransform]:
+def slid_hypotheses(
+    start: Hypothesis, direction: FloatArray, step_m: float, steps: int, max_baseline_m: float
+) -> list[Hypothesis]:
     """Shift a pose in steps to both sides: where facades or pillars repeat, the true one may be steps away.
 
     Args:
         direction: (3,) unit vector in the target's frame.
         steps: number of steps to either side.
     """
-    shifts_m = (side * step * (step_m * direction) for step in range(1, steps + 1) for side in (-1.0, 1.0))
-    poses = (moved(pose, np.zeros(3), shift_m) for shift_m in shifts_m)
-    return [each for each in poses if is_near(each, max_baseline_m)]
+    found = []
+    for signed in (side * step for step in range(1, steps + 1) for side in (-1.0, 1.0)):
+        pose = moved(start.T_target_source, np.zeros(3), signed * (step_m * direction))
+        if is_near(pose, max_baseline_m):
+            words = f"slid by {signed * step_m:+g} m"
+            found.append(Hypothesis(pose, origin=start.origin, index=start.index, derivation=words))
+    return found

@@ -9,14 +9,13 @@ from multilica.registration.gicp import register
 from multilica.registration.poses import moved
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import PairRegistration, Stability
+from multilica.results.deviations import weakest_sigmas
 
 __all__ = [
     "arc_between_m",
     "check_stability",
     "pushed_ends",
     "weakest_curvature",
-    "weakest_deviations",
-    "weakest_sigmas",
     "widened",
 ]
 
@@ -89,17 +88,3 @@ def arc_between_m(pose: RigidTransform, other: RigidTransform) -> float:
     """Return the distance between two poses, a rotation counted as the arc at `LEVER_ARM_M`."""
     metres, radians = pose.distance_to(other)
     return metres + LEVER_ARM_M * radians
-
-
-def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:
-    """Return `weakest_deviations` of a pose with that `pose_information`; None where it has none."""
-    if information is None:
-        return None, None
-    return weakest_deviations(np.asarray(np.linalg.pinv(information, hermitian=True)))
-
-
-def weakest_deviations(covariance: FloatArray) -> tuple[float, float]:
-    """Return the largest standard deviations of position (m) and rotation (rad) of a (6, 6) covariance."""
-    variances = np.linalg.eigvalsh(covariance[3:, 3:])[-1], np.linalg.eigvalsh(covariance[:3, :3])[-1]
-    sigma_m, sigma_rad = (float(np.sqrt(max(variance, 0.0))) for variance in variances)
-    return sigma_m, sigma_rad

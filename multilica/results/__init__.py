@@ -20,6 +20,7 @@ from multilica.results.hypotheses import (
     IndexArray,
     PairKey,
     hypothesis_label,
+    pose_name,
 )
 from multilica.results.merging import Group, MergeCandidate, MergeDecision, PairResidual, Refinement
 from multilica.results.placements import (
@@ -80,4 +81,5 @@ __all__ = [
     "VisibilityScore",
     "connected",
     "hypothesis_label",
+    "pose_name",
 ]

@@ -19,6 +19,7 @@ __all__ = [
     "IndexArray",
     "PairKey",
     "hypothesis_label",
+    "pose_name",
 ]
 
 IndexArray = npt.NDArray[np.int64]
@@ -27,6 +28,8 @@ PairKey = tuple[str, str]
 """(target, source): names of the two LiDARs."""
 PRIOR = "prior"
 """Origin and name of the hypothesis that the prior gives."""
+
+_SOLVER_WORDS = {"cliques": "clique", "": "hypothesis"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +87,8 @@ class Hypothesis:
         score: number of agreeing matches; the order in which hypotheses are tried.
         origin: the solver, or `PRIOR`; "" if the pose came from other pairs.
         index: place among the pair's hypotheses, which derived poses share; -1 if the pose came from other pairs.
+        derivation: how it follows from that hypothesis, such as "turned by 180 deg" or "slid by +2 m"; of a pose that
+            came from other pairs the LiDARs that link it, such as "front-left-rear"; else "".
         evidence: of its visibility score, where that is known.
     """
 
@@ -93,6 +98,12 @@ class Hypothesis:
     origin: str = ""
     index: int = -1
     evidence: float | None = None
+    derivation: str = ""
+
+    @property
+    def name(self) -> str:
+        """Where it comes from, for people."""
+        return pose_name(self.index, self.origin, self.derivation)
 
 
 def hypothesis_label(index: int, origin: str) -> str:
@@ -100,6 +111,14 @@ def hypothesis_label(index: int, origin: str) -> str:
     if origin == PRIOR:
         return PRIOR
     return str(index) if index >= 0 else "implied"
+
+
+def pose_name(index: int, origin: str, derivation: str = "") -> str:
+    """Name a pose for people by its origin: "clique 18, turned by 180 deg", "implied by A-B-C", "the prior"."""
+    if index < 0 and origin != PRIOR:
+        return f"implied by {derivation}" if derivation else "implied by other pairs"
+    start = "the prior" if origin == PRIOR else f"{_SOLVER_WORDS.get(origin, origin)} {index}"
+    return f"{start}, {derivation}" if derivation else start
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -52,6 +52,7 @@ class MergeCandidate:
     Args:
         reason: why it does not pass.
         uncertain: whether it is merged where no pair passes.
+        of_groups: whether the merged clouds of two groups were registered; target and source are their roots.
     """
 
     target: str
@@ -62,6 +63,7 @@ class MergeCandidate:
     evidence: float = 0.0
     reason: str = ""
     uncertain: bool = False
+    of_groups: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results.hypotheses import hypothesis_label
+from multilica.results.hypotheses import hypothesis_label, pose_name
 from multilica.results.visibility_score import VisibilityScore
 
 __all__ = ["GicpStep", "PairRegistration", "Reason", "Registration", "Stability", "Verdict", "connected"]
@@ -46,6 +46,7 @@ class Registration:
         probes_m: (N, 3) scored points of the source, in its own frame, to which `visibility.labels` belong.
         target_probes_m: (M, 3) scored points of the target, in its own frame, as `visibility.target_labels`.
         stability: None where it was not tested.
+        derivation: as `Hypothesis.derivation`.
     """
 
     hypothesis: int
@@ -58,11 +59,17 @@ class Registration:
     origin: str = ""
     target_probes_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
     stability: Stability | None = None
+    derivation: str = ""
 
     @property
     def label(self) -> str:
-        """Name of its hypothesis for people."""
+        """Name of its hypothesis in paths."""
         return hypothesis_label(self.hypothesis, self.origin)
+
+    @property
+    def name(self) -> str:
+        """Where the pose comes from, for people."""
+        return pose_name(self.hypothesis, self.origin, self.derivation)
 
     @property
     def evidence(self) -> float:
@@ -122,6 +129,8 @@ class GicpStep:
 
     Args:
         iteration: iterations done since the start.
+        inliers: source points that have a target point within `max_correspondence_distance_m`.
+        fitness: their share of all source points.
         error: the engine's objective; NaN where the engine does not report it.
         translation_step_m, rotation_step_rad: movement since the last observed moment.
     """
@@ -129,6 +138,7 @@ class GicpStep:
     iteration: int
     max_correspondence_distance_m: float
     inliers: int
+    fitness: float
     error: float
     translation_step_m: float
     rotation_step_rad: float
@@ -142,7 +152,9 @@ class PairRegistration:
         target, source: LiDARs, or roots of groups during merging.
         fitness: source points within `fine.fitness_distance_m` of the target cloud, as a share of all source points.
         rmse_m: root mean square distance of those points to their nearest target point.
-        converged: whether GICP converged with each of its correspondence distances.
+        converged: whether GICP converged with each of its correspondence distances; None where the engine does not
+            report it.
+        iterations: of GICP; None where the engine does not report them.
         hessian: (6, 6) of the objective, order rotation xyz, translation xyz about the source frame; None where the
             engine does not report it.
         information: (6, 6) inverse covariance of the pose, order rotation (rad), translation (m) along the target's
@@ -158,8 +170,8 @@ class PairRegistration:
     fitness: float
     rmse_m: float
     inliers: int
-    converged: bool
-    iterations: int
+    converged: bool | None
+    iterations: int | None
     engine: str
     hypothesis: int = 0
     hessian: FloatArray | None = None
@@ -175,8 +187,13 @@ class PairRegistration:
 
     @property
     def start_label(self) -> str:
-        """Name of the hypothesis that it started from, for people."""
+        """Name in paths of the hypothesis that it started from."""
         return self.registrations[0].label if self.registrations else str(self.hypothesis)
+
+    @property
+    def start_name(self) -> str:
+        """Where the pose comes from, for people."""
+        return self.registrations[0].name if self.registrations else pose_name(self.hypothesis, "")
 
     @property
     def evidence(self) -> float:

@@ -12,10 +12,11 @@ from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import FloatArray
 from multilica.registration.gicp import fitness_and_rmse, register
 from multilica.registration.plane_fit import fit_planes, pose_information
-from multilica.registration.poses import is_distinct, slid, within_baseline
+from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
 from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
-from multilica.registration.stability import arc_between_m, check_stability, pushed_ends, weakest_sigmas, widened
+from multilica.registration.stability import arc_between_m, check_stability, pushed_ends, widened
 from multilica.results import Hypothesis, PairRegistration, Registration
+from multilica.results.deviations import weakest_sigmas
 from multilica.visibility.sensor_view import PlacedView, score_registration, score_visibility
 
 __all__ = ["Side", "prepare_side", "register_best", "select_finalists"]
@@ -92,8 +93,8 @@ def register_best(
     if stability is None or beside_known or not slides(stability, config.acceptance):
         return best
     direction, max_baseline_m = found.visibility.slide_direction, config.acceptance.max_baseline_m
-    poses = slid(found.T_target_source, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
-    starts = [Hypothesis(pose, origin=found.origin, index=best.hypothesis) for pose in poses]
+    start, steps = _start_of(found), (verify.slide_step_m, verify.slide_steps)
+    starts = slid_hypotheses(start, direction, *steps, max_baseline_m)
     beside = pair.register_thinned(starts, beside=[*registered, best])
     if any(each.evidence > best.evidence for each in beside):
         return max(best, pair.best_of([*registered, *beside], thinned=True), key=lambda each: each.evidence)
@@ -107,6 +108,11 @@ def select_finalists(evidence: Sequence[float], config: AcceptanceConfig, most: 
         return []
     needed = hopeless_below(evidence[ranked[0]], config)
     return [index for index in ranked if index == ranked[0] or evidence[index] > needed]
+
+
+def _start_of(found: Registration) -> Hypothesis:
+    """Return a registered pose as a hypothesis of the same origin."""
+    return Hypothesis(found.T_target_source, origin=found.origin, index=found.hypothesis, derivation=found.derivation)
 
 
 def _register_first(target: Side, source: Side, first: Hypothesis, config: CalibrationConfig) -> PairRegistration:
@@ -169,7 +175,7 @@ class _Pair:
         kept: list[PairRegistration] = []
         for hypothesis, start in zip(hypotheses, begun, strict=True):
             found = start
-            if not start.converged and start.evidence > needed:
+            if start.converged is False and start.evidence > needed:
                 further = replace(hypothesis, T_target_source=start.T_target_source)
                 found = self._register(*clouds, further, self.config.fine)
             if is_distinct(found.T_target_source, [other.T_target_source for other in (*beside, *kept)]):
@@ -197,7 +203,7 @@ class _Pair:
         best, *others = sorted(found, key=lambda each: -each.evidence)
         result = next(each for each in registered if each.registrations[0] is best)
         if thinned and not is_hopeless(best.evidence, acceptance):
-            result = self.register(Hypothesis(best.T_target_source, origin=best.origin, index=best.hypothesis))
+            result = self.register(_start_of(best))
             best = result.registrations[0]
         if best.evidence >= acceptance.min_evidence:
             by_gicp = result
@@ -216,8 +222,7 @@ class _Pair:
         fitted = replace(
             found, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers, information=information
         )
-        before = found.registrations[0]
-        return self._scored(fitted, Hypothesis(pose, origin=before.origin, index=before.hypothesis))
+        return self._scored(fitted, replace(_start_of(found.registrations[0]), T_target_source=pose))
 
     def _needs_stability(self, found: PairRegistration, best: Registration, others: Sequence[Registration]) -> bool:
         """Tell whether the pose may slide: not firm, uncertain, or with a competing pose."""
@@ -243,7 +248,7 @@ class _Pair:
             apart = arc_between_m(*ends) > _SAME_END_M
             if last or stability.pushed_off_m <= _SAME_END_M or apart or is_distinct(ends[0], [pose]):
                 break
-            further = self.register(Hypothesis(ends[0], origin=best.origin, index=best.hypothesis))
+            further = self.register(replace(_start_of(best), T_target_source=ends[0]))
             if further.evidence < best.evidence:
                 break
             by_gicp, fitted = further, self._fitted(further) if self.fit else further

@@ -74,7 +74,8 @@ def merge_along_graph(
                 kept, added = added, kept
             grown = kept.joined(added, kept.pose_of(added, chosen.T_target_source))
             groups |= dict.fromkeys(grown.poses, grown)
-        yield _step(step, ranked, chosen, target, {id(group): group for group in groups.values()}.values())
+        distinct_after = {id(group): group for group in groups.values()}.values()
+        yield _step(step, ranked, chosen, target, distinct_after, pairs)
         if chosen is None:
             return
 
@@ -118,7 +119,7 @@ def merge_by_fitness(
                 if kept.root in key
             }
             candidates = {key: pair for key, pair in {**candidates, **again}.items() if pair is not None}
-        yield _step(step, ranked, chosen, target, groups.values())
+        yield _step(step, ranked, chosen, target, groups.values(), pairs)
         if chosen is None:
             return
 
@@ -153,7 +154,7 @@ def merge_target_first(
         if chosen is not None:
             pose = chosen.T_target_source.with_target(target)
             groups[target] = groups[target].joined(groups.pop(pose.source), pose)
-        yield _step(step, left, chosen, target, groups.values())
+        yield _step(step, left, chosen, target, groups.values(), pairs)
         left = [pair for pair in left if pair is not chosen]
         if chosen is None:
             return
@@ -165,19 +166,23 @@ def _step(
     chosen: PairRegistration | None,
     target: str,
     groups: Iterable[Group],
+    pairs: Sequence[PairRegistration],
 ) -> MergeStep:
+    """Describe a step; what is not one of the given pairs is a registration of groups."""
+    of_pairs = {id(pair) for pair in pairs}
+    candidates = {id(pair): _candidate(pair, of_groups=id(pair) not in of_pairs) for pair in ranked}
     ordered = tuple(sorted(groups, key=lambda group: (target not in group.poses, -len(group.poses), group.members)))
     decision = MergeDecision(
         step=step,
-        candidates=tuple(_candidate(pair) for pair in ranked),
-        chosen=None if chosen is None else _candidate(chosen),
+        candidates=tuple(candidates.values()),
+        chosen=None if chosen is None else candidates[id(chosen)],
         reason=_reason(ranked, chosen),
         groups=tuple(group.members for group in ordered),
     )
     return MergeStep(decision, chosen, ordered)
 
 
-def _candidate(pair: PairRegistration) -> MergeCandidate:
+def _candidate(pair: PairRegistration, *, of_groups: bool) -> MergeCandidate:
     verdict = pair.verdict
     return MergeCandidate(
         pair.target,
@@ -188,15 +193,20 @@ def _candidate(pair: PairRegistration) -> MergeCandidate:
         pair.evidence,
         verdict.text,
         uncertain=verdict.outcome == "uncertain",
+        of_groups=of_groups,
     )
 
 
 def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None) -> str:
     if chosen is not None:
         accepted = sum(pair.verdict.accepted for pair in ranked)
-        rank = "the only accepted pair" if accepted == 1 else f"ranked first of {accepted} accepted pairs"
-        rank = rank if chosen.verdict.accepted else f"uncertain, and no accepted pair is left: {chosen.verdict.text}"
-        return f"merged {chosen.source} into {chosen.target}: fitness {chosen.fitness:.3f}, {rank}"
+        if not chosen.verdict.accepted:
+            rank = f"uncertain, and no accepted pair is left: {chosen.verdict.text}"
+        elif accepted == 1:
+            rank = "the only accepted pair"
+        else:
+            rank = f"the highest of {accepted} accepted pairs"
+        return f"merged {chosen.source} into {chosen.target}: {_rank_figure(chosen)}, {rank}"
     if not ranked:
         return "stopped: no pair is left that could be registered"
     best = ranked[0]
@@ -204,3 +214,8 @@ def _reason(ranked: Sequence[PairRegistration], chosen: PairRegistration | None)
     if len(ranked) == 1:
         return f"stopped: the only pair left, {pair}, is not accepted: {best.verdict.text}"
     return f"stopped: none of {len(ranked)} pairs is accepted; the best, {pair}: {best.verdict.text}"
+
+
+def _rank_figure(pair: PairRegistration) -> str:
+    """Return the figure that ranks the pair."""
+    return f"evidence {pair.evidence:z.1f}" if pair.registrations else f"fitness {pair.fitness:.3f}"

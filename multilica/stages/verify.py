@@ -11,7 +11,7 @@ from multilica.acceptance.accept import hopeless_below, is_firm, is_hopeless
 from multilica.config import CalibrationConfig, FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register_narrower
-from multilica.registration.poses import is_distinct, slid, within_baseline
+from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
 from multilica.visibility.sensor_view import SensorView, score_registration, score_visibility
@@ -145,15 +145,20 @@ def _competing_hypotheses(
     pose, up = best.T_target_source, best.visibility.commonest_normal
     near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
     turned = symmetric_poses(target, source, pose, up, max_baseline_m, verify.max_symmetric_poses)
-    along: list[RigidTransform] = []
+    start = Hypothesis(pose, origin=best.origin, index=best.hypothesis)
+    along: list[Hypothesis] = []
     if not is_firm(best.visibility, acceptance):
         direction = best.visibility.slide_direction
-        along = slid(pose, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
+        along = slid_hypotheses(start, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
     return [
-        (Hypothesis(each, origin=best.origin, index=best.hypothesis), settings)
-        for poses, settings in ((turned, near), (along, gicp))
-        for each in poses
+        *((replace(start, T_target_source=each, derivation=_turn_between(pose, each)), near) for each in turned),
+        *((each, gicp) for each in along),
     ]
+
+
+def _turn_between(pose: RigidTransform, turned: RigidTransform) -> str:
+    _, turn_rad = pose.distance_to(turned)
+    return f"turned by {np.degrees(turn_rad):.0f} deg"
 
 
 def _registered(

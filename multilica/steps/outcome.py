@@ -8,7 +8,6 @@ from multilica.acceptance.accept import imprecision
 from multilica.config import STAGES
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct
-from multilica.registration.stability import weakest_deviations
 from multilica.results import (
     LEVEL_FRAME,
     CalibrationResult,
@@ -19,6 +18,7 @@ from multilica.results import (
     Refusal,
     TimeLimit,
 )
+from multilica.results.deviations import weakest_deviations
 from multilica.stages.ground import estimate_level
 from multilica.stages.prior import known_between
 from multilica.stages.refine import trusted_pairs

@@ -95,10 +95,11 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
     return found
 
 
-def register_implied(lidars: Shared, pose: RigidTransform) -> PairRegistration:
+def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:
     """Register two LiDARs from the pose that other pairs imply."""
+    pose = implied.T_target_source
     target, source = (lidars[name] for name in (pose.target, pose.source))
-    return register_sides(target.side, source.side, [Hypothesis(pose)], target.config)
+    return register_sides(target.side, source.side, [implied], target.config)
 
 
 def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
@@ -119,7 +120,13 @@ def register_sides(
 
 def _as_hypotheses(registrations: Sequence[Registration]) -> list[Hypothesis]:
     return [
-        Hypothesis(each.T_target_source, origin=each.origin, index=each.hypothesis, evidence=each.evidence)
+        Hypothesis(
+            each.T_target_source,
+            origin=each.origin,
+            index=each.hypothesis,
+            evidence=each.evidence,
+            derivation=each.derivation,
+        )
         for each in registrations
     ]
 

@@ -6,11 +6,12 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 
 from multilica import events
+from multilica.acceptance.pair_graph import PairGraph
 from multilica.acceptance.rig import check_ambiguous_chains, check_cycles, check_scene_symmetry
 from multilica.config import Stage
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct
-from multilica.results import PairKey, PairRegistration
+from multilica.results import Hypothesis, PairKey, PairRegistration
 from multilica.stages.loops import choose_loops, implied_poses, is_open
 from multilica.stages.prior import known_between
 from multilica.stages.search_order import components, next_round, pairs_by_role
@@ -135,7 +136,9 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     )
     if chosen and state.out_of_time:
         state.cut_short, chosen = True, []
-    registered = state.workers.map(register_implied, [poses[pair] for pair in chosen])
+    graph = PairGraph.of(state.clouds, state.accepted)
+    starts = [Hypothesis(poses[pair], derivation="-".join(graph.lidars_between(*pair))) for pair in chosen]
+    registered = state.workers.map(register_implied, starts)
     for pair, found in zip(chosen, registered, strict=True):
         if _moved_away(found, poses[pair]):
             contradicted.add(pair)

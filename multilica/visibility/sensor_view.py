@@ -168,6 +168,7 @@ def score_registration(
         probes_m=sources[0][1].probes_m,
         origin=hypothesis.origin,
         target_probes_m=targets[0][1].probes_m,
+        derivation=hypothesis.derivation,
     )
 
 

@@ -197,7 +197,8 @@ class _MadeRun:
             Reason("not_observable", 0.26, 0.15, "the scene does not constrain y (0.26 m away, limit 0.15 m)"),
         )
         steps = tuple(
-            GicpStep(3 * (k + 1), 2.0 / (k + 1), 100 + k, 10.0 / (k + 1), 0.1 / (k + 1), 0.01) for k in range(4)
+            GicpStep(3 * (k + 1), 2.0 / (k + 1), 100 + k, 0.1 * k, 10.0 / (k + 1), 0.1 / (k + 1), 0.01)
+            for k in range(4)
         )
         return PairRegistration(
             target,
@@ -222,14 +223,13 @@ class _MadeRun:
         return Verdict("accept")
 
     def _registrations(self, target: str, source: str, hypothesis: int) -> tuple[Registration, ...]:
-        origin = PRIOR if self.prior is not None and hypothesis >= 0 else ""
+        solver = "cliques" if hypothesis >= 0 else ""
+        origin = PRIOR if self.prior is not None and solver else solver
         truth = self.truth(target, source)
         turned = RigidTransform.from_xyz_rpy(target, target, (0.0, 0.0, 0.0), (0.0, 0.0, np.pi)) @ truth
         first = self._assessment(source, 0, Hypothesis(truth, np.zeros(0), 0.0, origin))
-        return (
-            replace(first, hypothesis=hypothesis),
-            self._assessment(source, 1, Hypothesis(turned, np.zeros(0), 0.0, "")),
-        )
+        second = self._assessment(source, 1, Hypothesis(turned, np.zeros(0), 0.0, solver))
+        return replace(first, hypothesis=hypothesis), second
 
     def merge(self):
         yield events.TargetChosen(TARGET, "set by --target")
@@ -240,7 +240,7 @@ class _MadeRun:
             placed.append(name)
             verdict = self._verdict(TARGET, name)
             chosen = MergeCandidate(
-                TARGET, name, 0.8, 0.06, verdict.accepted, reason=verdict.text, uncertain=not verdict.accepted
+                TARGET, name, 0.8, 0.06, verdict.accepted, 9.5, verdict.text, uncertain=not verdict.accepted
             )
             yield self._merge_step(step, chosen, placed)
         if self.refused:
@@ -248,8 +248,8 @@ class _MadeRun:
 
     def _merge_step(self, step: int, chosen: MergeCandidate | None, placed: list[str]) -> events.MergeStepTaken:
         left = sorted(set(LIDARS) - set(placed))
-        refusal = "too little evidence"
-        others = tuple(MergeCandidate(TARGET, name, 0.1, np.inf, passes=False, reason=refusal) for name in left)
+        refused = {"passes": False, "evidence": -1.2, "reason": "too little evidence"}
+        others = tuple(MergeCandidate(TARGET, name, 0.1, np.inf, **refused) for name in left)
         pairs = (*((chosen,) if chosen else ()), *others)
         reason = f"merged {chosen.source} into top" if chosen else "stopped: the best has fitness 0.100, below 0.2"
         groups = (tuple(sorted(placed)), *((name,) for name in left))

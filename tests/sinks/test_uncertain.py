@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -100,7 +101,8 @@ def test_the_summary_has_pose_sigma_and_advice(state):
 
 
 def test_the_merge_that_joined_it_is_told(state):
-    assert "| top <- rear | 0.800 | 0.060 | merged, uncertain |" in decisions_markdown(state.decisions)
+    text = decisions_markdown(state.decisions, by_evidence=True)
+    assert re.search(r"\| top <- rear \| 1 \| 9.5 \| 0.800 \| 0.060 \| merged, uncertain \|", text)
 
 
 def test_nothing_counts_as_failed(state):

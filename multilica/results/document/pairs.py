@@ -50,6 +50,10 @@ class RegistrationEntry(Entry):
 
     hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
     origin: str = Field(description="Solver of that hypothesis, or `prior`; empty if the pose came from other pairs.")
+    derivation: str = Field(
+        "",
+        description="How the pose follows from its hypothesis, or the LiDARs that imply it; else empty.",
+    )
     T_target_source: Matrix4 = Field(description="Rows of the homogeneous matrix, lengths.")
     agree: int = Field(description="Points on a surface that the other LiDAR measured.")
     violate: int = Field(description="Points in space that beams of the other LiDAR passed through.")
@@ -71,8 +75,8 @@ class PairEntry(PoseEntry, PairNames):
     fitness: Number = Field(description="Share of the source points that lie near a surface of the target cloud.")
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
     inliers: int = Field(description="Number of those points.")
-    converged: bool = Field(description="Whether GICP converged.")
-    iterations: int = Field(description="Number of GICP iterations.")
+    converged: bool | None = Field(description="Whether GICP converged; null where the engine does not report it.")
+    iterations: int | None = Field(description="Number of GICP iterations; null where the engine does not report it.")
     engine: str = Field(description="GICP implementation.")
     hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
     hessian: Matrix6 | None = Field(description="GICP Hessian, order rotation, translation, about the source frame.")
@@ -99,6 +103,9 @@ class CandidateEntry(PairNames):
     evidence: Number = Field(description="Evidence of the pair's registration.")
     reason: str = Field(description="Why the pair does not pass; empty if it does.")
     uncertain: bool = Field(description="Whether the pair is merged where no pair passes.")
+    of_groups: bool = Field(
+        default=False, description="Whether the merged clouds of two groups were registered; the names are their roots."
+    )
 
 
 class DecisionEntry(Entry):

@@ -46,7 +46,7 @@ GROUND = "/ground"
 DISPLAY_FRAME = "display"
 
 CURVES = {
-    "inliers": "inliers",
+    "fitness": "fitness within GICP's distance",
     "error": "GICP cost",
     "translation_step_m": "translation per step, m",
     "rotation_step_rad": "rotation per step, rad",

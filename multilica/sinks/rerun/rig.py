@@ -32,12 +32,12 @@ def log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
         member, is_root = pose.source, pose.source == pose.target
         parent = slot_frame(member) if is_root else lidar_frame(pose.target)
         scene.log(lidar_path(member, "sensor"), rigid(lidar_frame(member), parent, None if is_root else pose))
-    scene.log_document(MERGE_STEPS, decisions_markdown(scene.state.decisions))
+    scene.log_document(MERGE_STEPS, decisions_markdown(scene.state.decisions, by_evidence=_by_evidence(scene)))
     _log_graph(scene, scene.state.decisions)
 
 
 def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision]) -> None:
-    """Log LiDARs on a circle; each pair is an edge through a small node with its fitness."""
+    """Log LiDARs on a circle; each pair is an edge through a small node with the figure that ranks it."""
     latest, merged = _latest_pairs(decisions), [decision.chosen for decision in decisions]
     angles = np.linspace(0.0, 2.0 * np.pi, len(scene.state.lidars), endpoint=False) - np.pi / 2.0
     circle = _CIRCLE_RADIUS * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -49,13 +49,21 @@ def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision]) -> None:
     nodes = rr.GraphNodes(
         node_ids=[*places, *(pair_label(*pair) for pair in pairs)],
         positions=[*places.values(), *middles],
-        labels=[*places, *(f"{latest[pair].fitness:.2f} {words[pair]}" for pair in pairs)],
+        labels=[*places, *(f"{_rank_figure(scene, latest[pair])} {words[pair]}" for pair in pairs)],
         colors=[*map(scene.colour, places), *(VERDICT_COLOURS[outcomes[pair]] for pair in pairs)],
         radii=[_NODE_RADIUS] * len(places) + [_LABEL_RADIUS] * len(pairs),
         show_labels=True,
     )
     edges = [edge for pair in pairs for edge in ((pair[1], pair_label(*pair)), (pair_label(*pair), pair[0]))]
     scene.log(MERGE_GRAPH, nodes, rr.GraphEdges(edges=edges, graph_type="directed"))
+
+
+def _by_evidence(scene: RerunScene) -> bool:
+    return scene.state.config is None or scene.state.config.verify.enabled
+
+
+def _rank_figure(scene: RerunScene, one: MergeCandidate) -> str:
+    return f"evidence {one.evidence:z.1f}" if _by_evidence(scene) else f"fitness {one.fitness:.2f}"
 
 
 def _latest_pairs(decisions: Sequence[MergeDecision]) -> dict[PairKey, MergeCandidate]:

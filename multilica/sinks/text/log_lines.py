@@ -74,12 +74,11 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
             size = f"{event.voxel_size_m:g} m"
             return _line(f"no accepted pair connects these yet: searching again with voxels of {size}: {labels}")
         case events.PairRegistered(found):
-            start = "the prior" if found.start_label == PRIOR else f"hypothesis #{found.hypothesis}"
-            return _registered(found, start)
+            return _registered(found, found.start_name)
         case events.GroupsRegistered(found):
             return _registered(found, "the merged pose")
         case events.LoopRegistered(found):
-            return _registered(found, "the pose that accepted pairs imply")
+            return _registered(found, f"the pose {found.start_name}")
         case events.VerdictChanged(found):
             return _line(f"{pair_label(found.target, found.source)}: {_verdict(found)}", "WARN")
         case events.TargetChosen(target, reason):
@@ -139,10 +138,9 @@ def _verified(event: events.HypothesesVerified) -> tuple[LogLine, ...]:
     if not event.registrations:
         return _line(f"{label}: no hypothesis to score", "WARN")
     best = event.registrations[0]
-    name = "the prior" if best.origin == PRIOR else f"#{best.hypothesis}"
     beams = best.visibility
     return _line(
-        f"{label}: {len(event.registrations)} distinct hypotheses, {name} has the most evidence: "
+        f"{label}: {len(event.registrations)} distinct poses, {best.name} has the most evidence: "
         f"{best.evidence:z.1f}; {beams.agree:,} points agree, {beams.violate:,} lie in proven-empty space, "
         f"{beams.occluded:,} are occluded"
     )
@@ -150,7 +148,8 @@ def _verified(event: events.HypothesesVerified) -> tuple[LogLine, ...]:
 
 def _registered(found: PairRegistration, start: str) -> tuple[LogLine, ...]:
     fit = f"fitness {found.fitness:.3f}, RMSE {found.rmse_m:.3f} m" if found.inliers else "no points in common"
-    text = f"{pair_label(found.target, found.source)} from {start}: {fit} after {found.iterations} iterations"
+    known = "" if found.iterations is None else f" after {found.iterations} iterations"
+    text = f"{pair_label(found.target, found.source)} from {start}: {fit}{known}"
     return _line(f"{text}; {_verdict(found)}", "INFO" if found.verdict.accepted else "WARN")
 
 
@@ -162,7 +161,7 @@ def _verdict(found: PairRegistration) -> str:
 def _merge_step(decision: MergeDecision) -> tuple[LogLine, ...]:
     groups = "; ".join(" + ".join(group) for group in decision.groups)
     level: LogLevel = "WARN" if decision.chosen is None and len(decision.groups) > 1 else "INFO"
-    return _line(f"merge step {decision.step}: {decision.reason}; groups: {groups}", level)
+    return _line(f"merge step {decision.step + 1}: {decision.reason}; groups: {groups}", level)
 
 
 def _refined(refinement: Refinement) -> tuple[LogLine, ...]:

@@ -11,13 +11,19 @@ from multilica.results import (
     PairKey,
     PairRegistration,
     Registration,
-    hypothesis_label,
 )
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.markdown import markdown_table, thousandths
 
-__all__ = ["coverage_of", "decisions_markdown", "hypotheses_markdown", "pair_figures_markdown", "pair_scores_markdown"]
+__all__ = [
+    "candidate_label",
+    "coverage_of",
+    "decisions_markdown",
+    "hypotheses_markdown",
+    "pair_figures_markdown",
+    "pair_scores_markdown",
+]
 
 Shown = Registration | Hypothesis
 
@@ -32,6 +38,10 @@ _FIGURES_HEADER = (
     "violate",
     "verdict",
     "reasons",
+)
+_RMSE_NOTE = (
+    "RMSE: distance of neighbouring points of the two clouds, so it contains their spacing and roughness. The error of "
+    "a pose is far smaller, and sigma estimates it."
 )
 _FIGURES_NOTE = (
     "Fitness: share of source points near the target's cloud. Coverage: share of agreeing points among those in the "
@@ -100,23 +110,23 @@ def _score_rows(
     known = {one.hypothesis for one in full}
     short = [one for one in state.verified.get(pair, ()) if one.hypothesis not in known]
     known |= {one.hypothesis for one in short}
-    rows: list[tuple[Shown, str, int, tuple[str, ...]]] = [
-        (one, one.label, one.hypothesis, (how, *_scores(one)))
+    rows: list[tuple[Shown, tuple[str, ...]]] = [
+        (one, (_matches(one, hypotheses), how, *_scores(one)))
         for how, scored in (("full", full), ("short", short))
         for one in scored
     ]
-    rows += [
-        (one, hypothesis_label(index, one.origin), index, ("-",) * 7)
-        for index, one in enumerate(hypotheses)
-        if index not in known
-    ]
+    rows += [(one, (f"{one.score:g}", *("-",) * 7)) for index, one in enumerate(hypotheses) if index not in known]
     lines = []
-    for one, label, index, scores in rows:
-        name = label if label == PRIOR else f"#{label}"
-        matches = f"{hypotheses[index].score:g}" if 0 <= index < len(hypotheses) else "-"
-        line = (name, str(shown_at.get(one, "-")), matches, *scores)
+    for one, figures in rows:
+        line = (one.name, str(shown_at.get(one, "-")), *figures)
         lines.append(tuple(f"**{cell}**" for cell in line) if one is shown else line)
     return lines
+
+
+def _matches(one: Registration, hypotheses: Sequence[Hypothesis]) -> str:
+    """Return how many matches agree with the hypothesis; "-" for a pose that does not come from matches."""
+    index = one.hypothesis
+    return f"{hypotheses[index].score:g}" if 0 <= index < len(hypotheses) and not one.derivation else "-"
 
 
 def _scores(one: Registration) -> Sequence[str]:
@@ -133,52 +143,66 @@ def hypotheses_markdown(state: RunState) -> str:
         "The best of each pair first. Evidence: log-odds that the pose is the true one. Scored points: green agree "
         "with a surface that the other LiDAR measured, red lie in space that its beams proved empty, grey are occluded."
     )
-    return f"# Hypotheses\n\n{legend}\n\n{markdown_table(header, rows)}"
+    return f"# Hypotheses\n\n{legend} {_RMSE_NOTE}\n\n{markdown_table(header, rows)}"
 
 
 def _hypothesis_rows(state: RunState, pair: PairKey) -> Iterable[Sequence[str]]:
     label = pair_label(*pair)
     hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
-    verified = state.verified.get(pair, ())
-    scored = {one.hypothesis: one for one in reversed(verified)}
-    order = list(dict.fromkeys(one.hypothesis for one in verified)) or range(len(hypotheses))
-    if not order:
+    found, verified = state.registrations.get(pair), state.verified.get(pair, ())
+    scored = verified or (() if found is None else found.registrations)
+    prior = [one for one in scored if one.origin == PRIOR]
+    for one in dict.fromkeys([*scored[:_SHOWN_HYPOTHESES], *prior]):
+        beams = (f"{one.visibility.agree:,}", f"{one.visibility.violate:,}", f"{one.evidence:z.1f}")
+        registered = found is not None and found.start_name == one.name
+        yield (label, one.name, _matches(one, hypotheses), *beams, *(_fit(found) if registered else ("-",) * 3))
+    if scored:
+        return
+    for guess in hypotheses[:_SHOWN_HYPOTHESES]:
+        registered = found is not None and found.hypothesis == guess.index
+        yield (label, guess.name, f"{guess.score:g}", *("-",) * 3, *(_fit(found) if registered else ("-",) * 3))
+    if not hypotheses:
         yield (label, "none", f"0 of {len(state.matches.get(pair, ()))}", *("-",) * 6)
-    prior = [index for index, one in enumerate(hypotheses) if one.origin == PRIOR]
-    found = state.registrations.get(pair)
-    for index in dict.fromkeys([*order[:_SHOWN_HYPOTHESES], *prior]):
-        matches = f"{hypotheses[index].score:g}" if index < len(hypotheses) else "-"
-        beams, fit = ("-",) * 3, ("-",) * 3
-        if index in scored:
-            score = scored[index].visibility
-            beams = (f"{score.agree:,}", f"{score.violate:,}", f"{scored[index].evidence:z.1f}")
-        if found is not None and found.hypothesis == index:
-            fit = (thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
-        yield (label, PRIOR if index in prior else f"#{index}", matches, *beams, *fit)
 
 
-def decisions_markdown(decisions: Sequence[MergeDecision]) -> str:
-    """Tabulate the merge steps, the latest first."""
-    return "\n\n".join(_decision_part(decision) for decision in reversed(decisions))
+def _fit(found: PairRegistration | None) -> Sequence[str]:
+    return () if found is None else (thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
 
 
-def _decision_part(decision: MergeDecision) -> str:
+def decisions_markdown(decisions: Sequence[MergeDecision], *, by_evidence: bool) -> str:
+    """Tabulate the merge steps, the latest first.
+
+    Args:
+        by_evidence: whether evidence ranks the candidates; without verification, fitness does.
+    """
+    return "\n\n".join([*(_decision_part(decision, by_evidence) for decision in reversed(decisions)), _RMSE_NOTE])
+
+
+def _decision_part(decision: MergeDecision, by_evidence: bool) -> str:
+    header = ("pair", "rank", "evidence", "fitness", "RMSE m", "verdict")
     rows = [
         (
-            pair_label(one.target, one.source),
+            candidate_label(one),
+            f"{rank}",
+            f"{one.evidence:z.1f}" if by_evidence else "-",
             thousandths(one.fitness),
             thousandths(one.rmse_m),
             _candidate_verdict(one, decision.chosen),
         )
-        for one in decision.candidates
+        for rank, one in enumerate(decision.candidates, start=1)
     ]
-    groups = "; ".join(" + ".join(group) for group in decision.groups)
-    table = markdown_table(("pair", "fitness", "RMSE m", "verdict"), rows)
-    refused = "\n".join(
-        f"- {pair_label(one.target, one.source)}: {one.reason}" for one in decision.candidates if one.reason
-    )
-    parts = (f"# Merge step {decision.step}", decision.reason, table, refused, f"Groups after this step: {groups}")
+    groups = ". ".join(" + ".join(group) for group in decision.groups)
+    ranked = f"Ranked by {'evidence' if by_evidence else 'fitness'}."
+    refused = "\n".join(f"- {candidate_label(one)}: {one.reason}" for one in decision.candidates if one.reason)
+    table = f"{ranked}\n\n{markdown_table(header, rows)}" if rows else ""
+    parts = (f"# Merge step {decision.step + 1}", decision.reason, table, refused, f"Groups after this step: {groups}")
     return "\n\n".join(part for part in parts if part)
+
+
+def candidate_label(one: MergeCandidate) -> str:
+    """Return the name of a pair, or of two groups by their roots."""
+    label = pair_label(one.target, one.source)
+    return f"{label} (groups)" if one.of_groups else label
 
 
 def _candidate_verdict(one: MergeCandidate, chosen: MergeCandidate | None) -> str:

@@ -142,10 +142,12 @@ def test_lines_of_the_log_have_the_figures(messages):
     text = "\n".join(getattr(line, "message", "") or line.msg for line in messages["/log"])
     read = ", ".join(f"{lidar} with 1,200 points in 2 frame(s)" for lidar in (made.FRONT, made.REAR, made.TOP))
     assert f"calibrating 3 LiDARs of drive.mcap: {read}" in text
-    assert "2 distinct hypotheses, #0 has the most evidence: -0.9; 90 points agree, 1 lie in proven-empty space" in text
+    assert (
+        "2 distinct poses, clique 0 has the most evidence: -0.9; 90 points agree, 1 lie in proven-empty space" in text
+    )
     for (target, source), fitness in made.PAIR_FITNESS.items():
         rmse_m = made.PAIR_RMSE_MM[target, source] / 1000.0
-        assert f"{target} <- {source} from hypothesis #0: fitness {fitness:.3f}, RMSE {rmse_m:.3f} m after" in text
+        assert f"{target} <- {source} from clique 0: fitness {fitness:.3f}, RMSE {rmse_m:.3f} m after" in text
     assert (
         f"refined over 2 pairs: largest disagreement {LARGEST_BEFORE_MM:.1f} mm, {LARGEST_BEFORE_DEG:.3f} deg before, "
         f"{LARGEST_AFTER_MM:.1f} mm, {LARGEST_AFTER_DEG:.3f} deg after"

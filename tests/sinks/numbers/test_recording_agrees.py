@@ -88,7 +88,7 @@ def test_scores_of_the_pairs(recording):
         first, second = sorted((target, source))
         path = rr.new_entity_path(["pairs", first, second, "scores"])
         (rows,) = markdown_tables(document(recording, path))
-        best = {heading: cell.strip("*") for heading, cell in rows["**#0**"].items()}
+        best = {heading: cell.strip("*") for heading, cell in rows["**clique 0**"].items()}
         agree, violate, occluded, _ = made.PAIR_COUNTS[target, source]
         assert best.pop("evidence")
         assert best.pop("step")

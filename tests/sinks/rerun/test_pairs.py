@@ -62,10 +62,10 @@ def test_scores_show_graph_verdict_and_step_of_each_pose(partial):
     text = partial.last(f"{PAIR}/scores", "TextDocument:text")[0]
     assert "80 matches; consistency graph: 80 nodes, 200 edges; hypotheses: 2" in text
     assert text.startswith("# rear <- top\n\n**reject**\n- only 12 points")
-    shown, other = re.findall(r"^\| (\S+) \| (\S+) \| \S+ \| (\S+) \| (\S+) \|", text, flags=re.MULTILINE)[2:]
+    shown, other = re.findall(r"^\| ([^|]+) \| (\S+) \| \S+ \| (\S+) \| (\S+) \|", text, flags=re.MULTILINE)[2:]
     steps = [step for step, _ in partial.cells(f"{PAIR}/scored/source", "Points3D:class_ids")]
-    assert shown == ("**#0**", f"**{steps[-1]}**", "**full**", "**90**")
-    assert other == ("#1", str(steps[-2]), "full", "20")
+    assert shown == ("**clique 0**", f"**{steps[-1]}**", "**full**", "**90**")
+    assert other == ("clique 1", str(steps[-2]), "full", "20")
 
 
 def test_the_verdict_is_at_the_source(partial, recordings):

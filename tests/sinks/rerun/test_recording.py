@@ -113,9 +113,9 @@ def test_curves_run_over_iterations(recordings):
     assert steps == list(range(steps[0], steps[0] + 4))
 
 
-def test_the_graph_carries_the_fitness(recordings):
+def test_the_graph_carries_what_ranks_the_pairs(recordings):
     labels = Recording(recordings["partial"]).last("/merge/graph", "GraphNodes:labels")
-    assert labels == [*LIDARS, "0.80 merged", "0.10 reject"]
+    assert labels == [*LIDARS, "evidence 9.5 merged", "evidence -1.2 reject"]
 
 
 def test_the_matrices_and_the_table_of_pairs_agree(recordings):

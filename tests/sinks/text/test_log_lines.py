@@ -13,7 +13,7 @@ from multilica.results import CoarseResult, MergeCandidate, MergeDecision
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
-from multilica.sinks.text.pair_tables import decisions_markdown, hypotheses_markdown
+from multilica.sinks.text.pair_tables import candidate_label, decisions_markdown, hypotheses_markdown
 from multilica.sinks.text.run_summary import summary_markdown
 from tests.sinks.made_events import LIDARS, UNPLACED, made_events
 
@@ -59,7 +59,9 @@ def test_a_pair_without_points_in_common_has_no_rmse():
     state = state_of()
     state(events.PairRegistered(apart))
     candidate = MergeCandidate(apart.target, apart.source, 0.0, math.inf, passes=False)
-    shown = hypotheses_markdown(state) + decisions_markdown([MergeDecision(0, (candidate,), None, "none passes", ())])
+    shown = hypotheses_markdown(state) + decisions_markdown(
+        [MergeDecision(0, (candidate,), None, "none passes", ())], by_evidence=True
+    )
     assert " inf " not in shown
     assert "| 0.000 | - |" in shown
 
@@ -71,11 +73,28 @@ def test_each_candidate_of_a_merge_step_has_its_verdict():
     )
     good = replace(good, passes=True)
     best = replace(good, source="right")
-    text = decisions_markdown([MergeDecision(0, (weak, fair, good, best), best, "it fits best", ())])
-    rows = dict(line.strip("| ").split(" | ")[::3] for line in text.splitlines() if line.startswith("| "))
+    text = decisions_markdown([MergeDecision(0, (weak, fair, good, best), best, "it fits best", ())], by_evidence=True)
+    rows = dict(line.strip("| ").split(" | ")[::5] for line in text.splitlines() if line.startswith("| "))
     expected = {"rear": "does not pass", "left": "uncertain", "front": "passes", "right": "merged"}
     assert {name: rows[f"top <- {name}"] for name in expected} == expected
     assert "- top <- rear: too few" in text
+    assert "# Merge step 1" in text
+
+
+def test_what_ranks_the_candidates_is_said_and_shown():
+    decisions = state_of().decisions
+    by_evidence, by_fitness = (decisions_markdown(decisions, by_evidence=how) for how in (True, False))
+    assert "Ranked by evidence." in by_evidence
+    assert "Ranked by fitness." in by_fitness
+    best = decisions[0].candidates[0]
+    assert f"| {best.target} <- {best.source} | 1 | {best.evidence:z.1f} |" in by_evidence
+    assert f"| {best.target} <- {best.source} | 1 | - |" in by_fitness
+
+
+def test_a_candidate_of_two_groups_is_no_pair():
+    pair = MergeCandidate("top", "rear", 0.5, 0.02, passes=True)
+    assert candidate_label(pair) == "top <- rear"
+    assert candidate_label(replace(pair, of_groups=True)) == "top <- rear (groups)"
 
 
 def test_a_cloud_without_points_is_an_error():
@@ -124,8 +143,9 @@ def test_the_summary_names_what_is_missing_first():
 def test_names_cannot_break_a_table():
     decisions = state_of().decisions
     assert decisions
-    rows = [line for line in decisions_markdown(decisions).splitlines() if line.startswith("|")]
-    assert {row.count("|") for row in rows} == {5}
+    text = decisions_markdown(decisions, by_evidence=True)
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert {row.count("|") for row in rows} == {7}
 
 
 def test_the_table_of_hypotheses_has_the_best_of_every_pair():
@@ -133,7 +153,7 @@ def test_the_table_of_hypotheses_has_the_best_of_every_pair():
     table = hypotheses_markdown(state)
     evidence = state.registrations["front left/1", "top"].evidence
     assert "| rear <- top | none | 0 of 80 |" in table
-    assert f"| front left/1 <- top | #0 | 20 | 90 | 1 | {evidence:z.1f} | 0.100 | 0.060 | reject |" in table
+    assert f"| front left/1 <- top | clique 0 | 20 | 90 | 1 | {evidence:z.1f} | 0.100 | 0.060 | reject |" in table
 
 
 def test_a_wider_search_is_logged_with_its_voxel_size():
@@ -143,14 +163,15 @@ def test_a_wider_search_is_logged_with_its_voxel_size():
 
 
 @pytest.mark.parametrize(
-    ("origin", "name"), [("cliques", "#0"), ("prior", "the prior"), ("teaserpp", "#0"), ("", "#0")]
+    ("origin", "name"),
+    [("cliques", "clique 0"), ("prior", "the prior"), ("teaserpp", "teaserpp 0"), ("", "hypothesis 0")],
 )
 def test_the_best_hypothesis_has_the_name_of_its_origin(origin, name):
     event = next(event for event in made_events() if isinstance(event, events.HypothesesVerified))
     best, *others = event.registrations
     changed = replace(event, registrations=(replace(best, origin=origin), *others))
     (line,) = log_lines(changed)
-    assert f"{len(others) + 1} distinct hypotheses, {name} has the most evidence: " in line.text
+    assert f"{len(others) + 1} distinct poses, {name} has the most evidence: " in line.text
 
 
 def test_the_summary_says_what_was_next_best():

@@ -142,7 +142,7 @@ def test_the_log_names_the_pose_with_the_most_evidence():
     prior = next(one for one in event.registrations if one.origin == PRIOR)
     (line,) = log_lines(events.HypothesesVerified(event.target, event.source, (prior,)))
     assert "the prior has the most evidence" in line.text
-    assert "#0 has the most evidence" in log_lines(event)[0].text
+    assert "clique 0 has the most evidence" in log_lines(event)[0].text
 
 
 def test_a_prior_alone_is_no_pose_that_the_matches_agree_on():
@@ -159,7 +159,7 @@ def test_the_summary_names_the_prior_and_the_surprise():
     summary = summary_markdown(state, run_document(state))
     assert "- **Warning**: front left/1 is turned by 180 deg about its z axis against its prior" in summary
     rows = [line for line in hypotheses_markdown(state).splitlines() if line.startswith("| rear <- top |")]
-    assert [row.split(" | ")[1] for row in rows] == ["#0", "#1", "prior"]
+    assert [row.split(" | ")[1] for row in rows] == ["clique 0", "clique 1", "the prior"]
     assert "accept" in rows[2]
     assert "accept" not in rows[0]
 
@@ -169,9 +169,10 @@ def test_the_table_has_the_prior_however_little_it_is_believed():
     for event in told():
         state(event)
     pair = ("rear", "top")
-    state.verified[pair] = state.verified[pair][:2]
+    best, other, prior = state.verified[pair]
+    state.verified[pair] = (best, other, other, prior)
     rows = [line for line in hypotheses_markdown(state).splitlines() if line.startswith("| rear <- top |")]
-    assert [row.split(" | ")[1:4] for row in rows][2:] == [["prior", "3", "-"]]
+    assert [row.split(" | ")[1:4] for row in rows][2:] == [["the prior", "3", f"{prior.visibility.agree}"]]
 
 
 @pytest.mark.parametrize("outcome", ["complete", "partial"])

@@ -9,7 +9,8 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import register
 from multilica.registration.plane_fit import pose_information
 from multilica.registration.registration_cloud import prepare_registration_cloud
-from multilica.registration.stability import check_stability, pushed_ends, weakest_sigmas, widened
+from multilica.registration.stability import check_stability, pushed_ends, widened
+from multilica.results.deviations import weakest_sigmas
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG, _FINE = AcceptanceConfig(), FineConfig()

@@ -6,7 +6,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.results import PRIOR
+from multilica.results import PRIOR, Hypothesis
 from multilica.steps.pairs import PAIR_STAGES, SearchRequest, register_implied, score_implied, search_pair
 from multilica.steps.prepared_lidar import prepare_lidar
 from tests.unit.made_rooms import HALL, scan
@@ -76,7 +76,7 @@ def test_without_a_hypothesis_there_is_no_registration():
 
 def test_an_implied_pose_is_scored_and_registered_from_there(lidars):
     near = RigidTransform.from_xyz_rpy("t", "t", (0.05, 0.0, 0.0), (0.0, 0.0, 0.01)) @ _TRUTH
-    scored, registered = score_implied(lidars, near), register_implied(lidars, near)
+    scored, registered = score_implied(lidars, near), register_implied(lidars, Hypothesis(near))
     assert scored.T_target_source is near
     assert np.isnan(scored.fitness)
     assert registered.T_target_source.with_target("t").distance_to(_TRUTH)[0] < 0.01
