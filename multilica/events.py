@@ -26,6 +26,7 @@ __all__ = [
     "MergeStepTaken",
     "Observer",
     "PairRegistered",
+    "ResidualsMeasured",
     "RigRefined",
     "RunEvent",
     "RunObserver",
@@ -34,6 +35,7 @@ __all__ = [
     "SnapshotStarted",
     "StageFinished",
     "StageStarted",
+    "SurfacesMatched",
     "TargetChosen",
     "VerdictChanged",
     "ignore",
@@ -167,6 +169,20 @@ class RigRefined(Event):
 
     refinement: results.Refinement
     poses: tuple[RigidTransform, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SurfacesMatched(Event):
+    """The clouds of a registered pair were matched at its final pose."""
+
+    matches: results.SurfaceMatches
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResidualsMeasured(Event):
+    """The merged cloud was compared with one placed LiDAR."""
+
+    residuals: results.SurfaceResiduals
 
 
 @dataclass(frozen=True, slots=True, eq=False)

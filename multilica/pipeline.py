@@ -16,7 +16,7 @@ from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
 from multilica.stages.base_frame import require_usable_rig
 from multilica.stages.prior import require_usable
-from multilica.steps import clouds, outcome, rig
+from multilica.steps import clouds, outcome, rig, surfaces
 from multilica.steps.calibration_workers import open_calibration_workers
 from multilica.steps.pairs import PAIR_STAGES
 from multilica.steps.search import search_pairs
@@ -30,7 +30,7 @@ _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]
     (("features",), lambda state, _: clouds.prepare_lidars(state)),
     (PAIR_STAGES, search_pairs),
     (("merge",), lambda state, _: rig.merge_pairs(state)),
-    (("refine",), lambda state, _: rig.refine_rig(state)),
+    (("refine",), lambda state, _: _refine(state)),
     (("ground",), lambda state, _: rig.fit_ground(state)),
 )
 """The stages that are run together, with their function, which gets the last of them to run.
@@ -127,11 +127,16 @@ def _run_stages(state: CalibrationState) -> None:
             state.observe(events.StageFinished(stage, state.timing_s.setdefault(stage, 0.0)))
 
 
+def _refine(state: CalibrationState) -> None:
+    rig.refine_rig(state)
+    surfaces.compare_surfaces(state)
+
+
 def _nothing_to_do(state: CalibrationState, stage: Stage) -> None:
     """Tell of the stage that was done when the snapshot was read."""
-    state.timing_s[stage] = 0.0
+    state.timing_s[stage] = state.snapshot.reading_s
     state.observe(events.StageStarted(stage, 0))
-    state.observe(events.StageFinished(stage, 0.0))
+    state.observe(events.StageFinished(stage, state.snapshot.reading_s))
 
 
 def _steps_of(stage: Stage, state: CalibrationState) -> int:

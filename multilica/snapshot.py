@@ -82,6 +82,7 @@ class Snapshot:
         source_sha256: hash over the bytes of what was read, "" if it was made in memory.
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
         notes: what the reader noticed and the user should know ("12 of 20 scans, then the file ends").
+        reading_s: seconds that reading took; 0 if it was made in memory.
     """
 
     lidars: tuple[LidarScans, ...]
@@ -89,6 +90,7 @@ class Snapshot:
     source_sha256: str = ""
     static_transforms: tuple[RigidTransform, ...] = ()
     notes: tuple[str, ...] = ()
+    reading_s: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lidars", tuple(sorted(self.lidars, key=lambda lidar: lidar.name)))

@@ -14,6 +14,7 @@ from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
 from multilica_cli.commands.export import export
 from multilica_cli.commands.fleet import fleet
+from multilica_cli.commands.query import query
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
 from multilica_cli.commands.simulate import simulate
@@ -40,6 +41,7 @@ for command in (
     inspect,
     record,
     explain,
+    query,
     diff,
     view,
     report,

@@ -3,6 +3,7 @@
 
 import hashlib
 import os
+import time
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -102,6 +103,7 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         UnknownNameError: there is no point cloud topic of that name.
         UsageError: several recordings of the same LiDAR, or a topic with two names.
     """
+    start_s = time.perf_counter()
     found = find_source(source)
     config = config or config_for(found.files)
     with (
@@ -117,7 +119,8 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         static = read_static_transforms(recording)
         unread = unread_notes(recording)
         snapshot = assemble_snapshot(found.label, given, window, static, sha256.result(), unread)
-        return with_recorded_notes(snapshot, recording, found.files)
+        noted = with_recorded_notes(snapshot, recording, found.files)
+    return replace(noted, reading_s=time.perf_counter() - start_s)
 
 
 def assemble_snapshot(

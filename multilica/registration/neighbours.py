@@ -47,10 +47,15 @@ class PointTree:
 
     def nearest_within(self, points_m: FloatArray, reach_m: float) -> tuple[IndexArray, FloatArray]:
         """Return which of (M, 3) points have a neighbour within that distance: indices (K,) and distances (K,)."""
+        near, distances_m, _ = self.matches_within(points_m, reach_m)
+        return near, distances_m
+
+    def matches_within(self, points_m: FloatArray, reach_m: float) -> tuple[IndexArray, FloatArray, IndexArray]:
+        """Return the same, and the indices (K,) of those neighbours."""
         near = np.flatnonzero(self._grid.at_least_m(points_m) <= reach_m)
-        distances_m, _ = self.nearest(points_m[near])
+        distances_m, index = self.nearest(points_m[near])
         within = distances_m <= reach_m
-        return near[within], distances_m[within]
+        return near[within], distances_m[within], index[within]
 
     def neighbours(self, points_m: FloatArray, count: int) -> IndexArray:
         """Return the indices (M, count) of the nearest neighbours of (M, 3) points; fewer if there are fewer."""

@@ -40,6 +40,7 @@ from multilica.results.registrations import (
     Verdict,
     connected,
 )
+from multilica.results.surface_matches import SurfaceMatches, SurfaceResiduals
 from multilica.results.visibility_score import BeamLabel, VisibilityScore
 
 __all__ = [
@@ -76,6 +77,8 @@ __all__ = [
     "Spread",
     "Stability",
     "Status",
+    "SurfaceMatches",
+    "SurfaceResiduals",
     "TimeLimit",
     "Verdict",
     "VisibilityScore",

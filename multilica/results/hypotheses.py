@@ -40,6 +40,7 @@ class Correspondences:
         target_points_m, source_points_m: (M, 3), each in its own LiDAR's frame.
         target_normals, source_normals: (M, 3) unit.
         feature_distances: (M,) distance in descriptor space.
+        target_index, source_index: (M,) rows of `FeatureCloud.points_m`.
     """
 
     target: str
@@ -49,6 +50,8 @@ class Correspondences:
     target_normals: FloatArray
     source_normals: FloatArray
     feature_distances: FloatArray
+    target_index: IndexArray
+    source_index: IndexArray
 
     def __len__(self) -> int:
         return len(self.target_points_m)
@@ -63,6 +66,8 @@ class Correspondences:
             self.target_normals[index],
             self.source_normals[index],
             self.feature_distances[index],
+            self.target_index[index],
+            self.source_index[index],
         )
 
     def within_baseline(self, max_baseline_m: float) -> Correspondences:

@@ -124,6 +124,11 @@ class VisibilityScore:
         return agree / (agree + self.structure_occluded)
 
     @property
+    def coverage(self) -> float:
+        """Share of agreeing points among those in the other LiDAR's view; 0 if none are."""
+        return self.agree / max(1, self.agree + self.violate + self.occluded)
+
+    @property
     def violation_share(self) -> float:
         """Violations as a share of the points that agree or violate."""
         return self.violate / max(1, self.agree + self.violate)

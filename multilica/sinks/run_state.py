@@ -81,6 +81,10 @@ class RunState:
         target, source = registration.target, registration.source
         return (source, target) if (source, target) in self.matches else (target, source)
 
+    def key_of(self, target: str, source: str) -> PairKey:
+        """Return the order in which two LiDARs are in `pairs`; the given one if they are not."""
+        return (source, target) if {(source, target)} & {*self.matches, *self.registrations} else (target, source)
+
     def progress_of(self, pair: PairKey) -> tuple[bool, float, int]:
         """Return an order of pairs by how close they came to being merged."""
         found = self.registrations.get(pair)

@@ -27,7 +27,7 @@ def match_features(target: FeatureCloud, source: FeatureCloud, config: Correspon
     finds neighbours in single precision, so that of several nearly identical descriptors any may be taken for the
     nearest. Without a limit the matches keep the order of the source's points.
     """
-    return _match(_sample(target, config.max_keypoints), _sample(source, config.max_keypoints), config)
+    return _match(target, source, config, config.max_keypoints, config.max_keypoints)
 
 
 def pair_promise(target: FeatureCloud, source: FeatureCloud, config: CoarseConfig, max_baseline_m: float) -> float:
@@ -37,24 +37,27 @@ def pair_promise(target: FeatureCloud, source: FeatureCloud, config: CoarseConfi
         The largest number of sampled matches that agree on one pose; 0 if none do. Only the order between pairs of one
         rig has a meaning.
     """
-    few = _sample(target, _PROMISE_TARGETS), _sample(source, _PROMISE_SOURCES)
-    matches = _match(*few, CorrespondConfig()).within_baseline(max_baseline_m)
+    found = _match(target, source, CorrespondConfig(), _PROMISE_TARGETS, _PROMISE_SOURCES)
+    matches = found.within_baseline(max_baseline_m)
     if len(matches) == 0:
         return 0.0
-    found = solve_by_cliques(matches, config.model_copy(update={"max_hypotheses": 1}), 0)
-    near = [pose for pose in found.poses if is_near(pose, max_baseline_m)]
+    solution = solve_by_cliques(matches, config.model_copy(update={"max_hypotheses": 1}), 0)
+    near = [pose for pose in solution.poses if is_near(pose, max_baseline_m)]
     agreeing = (matches.agreeing(pose, config.noise_bound_m, config.normal_tolerance_deg) for pose in near)
     return float(max(map(np.count_nonzero, agreeing), default=0))
 
 
-def _match(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
+def _match(
+    target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig, most_targets: int, most_sources: int
+) -> Correspondences:
     nearest_pairs = _nearest_by_kd_tree if config.engine == "kd_tree" else _nearest_pairs
-    pairs = nearest_pairs(target.descriptors, source.descriptors, mutual=config.mutual)
-    distances = np.linalg.norm(source.descriptors[pairs[:, 0]] - target.descriptors[pairs[:, 1]], axis=1)
-    best = np.arange(len(pairs))
+    of_target, of_source = _drawn(target, most_targets), _drawn(source, most_sources)
+    pairs = nearest_pairs(target.descriptors[of_target], source.descriptors[of_source], mutual=config.mutual)
+    source_index, target_index = of_source[pairs[:, 0]], of_target[pairs[:, 1]]
+    distances = np.linalg.norm(source.descriptors[source_index] - target.descriptors[target_index], axis=1)
     if config.max_matches:
-        best = np.lexsort((pairs[:, 0], distances))[: config.max_matches]
-    source_index, target_index = pairs[best].T
+        best = np.lexsort((source_index, distances))[: config.max_matches]
+        source_index, target_index, distances = source_index[best], target_index[best], distances[best]
     return Correspondences(
         target=target.lidar,
         source=source.lidar,
@@ -62,16 +65,18 @@ def _match(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig)
         source_points_m=source.points_m[source_index],
         target_normals=target.normals[target_index],
         source_normals=source.normals[source_index],
-        feature_distances=distances[best],
+        feature_distances=distances,
+        target_index=target_index,
+        source_index=source_index,
     )
 
 
-def _sample(cloud: FeatureCloud, most: int) -> FeatureCloud:
-    """Draw at most so many descriptors; all if 0."""
-    if most == 0 or len(cloud.points_m) <= most:
-        return cloud
-    kept = np.sort(np.random.default_rng(0).permutation(len(cloud.points_m))[:most])
-    return FeatureCloud(cloud.lidar, cloud.points_m[kept], cloud.normals[kept], cloud.descriptors[kept])
+def _drawn(cloud: FeatureCloud, most: int) -> IndexArray:
+    """Draw the rows of at most so many descriptors; all if 0."""
+    count = len(cloud.points_m)
+    if most == 0 or count <= most:
+        return np.arange(count)
+    return np.sort(np.random.default_rng(0).permutation(count)[:most])
 
 
 def _nearest_pairs(target: FloatArray, source: FloatArray, *, mutual: bool) -> IndexArray:

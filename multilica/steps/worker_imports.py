@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What tasks use, imported once for all worker processes."""
 
-from multilica.steps import clouds, pairs
+from multilica.steps import clouds, pairs, surfaces
 
-__all__ = ["clouds", "pairs"]
+__all__ = ["clouds", "pairs", "surfaces"]

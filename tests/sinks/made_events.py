@@ -37,6 +37,7 @@ from multilica.results import (
 from multilica.results.visibility_score import VisibilityScore
 from multilica.steps.pairs import PAIR_STAGES
 from tests.sinks.made_scans import STAMP_NS, made_snapshot, made_street
+from tests.sinks.made_surfaces import made_surfaces
 
 __all__ = ["IMPRECISE", "LIDARS", "STAMP_NS", "TRUTH", "UNPLACED", "made_events"]
 
@@ -138,9 +139,8 @@ class _MadeRun:
         rows = np.arange(count)
         wrong = (rows * 37 + 11) % len(of.points_m)
         at = np.where(rows % 4 == 0, rows, wrong)
-        return Correspondences(
-            target, source, to.points_m[rows], of.points_m[at], to.normals[rows], of.normals[at], rows / count
-        )
+        points = to.points_m[rows], of.points_m[at], to.normals[rows], of.normals[at]
+        return Correspondences(target, source, *points, rows / count, rows, at)
 
     def coarse(self, target: str, source: str):
         matches = self._matches(target, source)
@@ -260,6 +260,7 @@ class _MadeRun:
     def refine(self):
         placed = tuple(pose for name, pose in TRUTH.items() if name not in self.refused)
         yield events.RigRefined(Refinement((PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9),)), placed)
+        yield from made_surfaces(self.points, self.registrations, sorted({*LIDARS} - self.refused))
 
     def ground(self):
         base = RigidTransform.from_xyz_rpy("base", TARGET, (0.0, 0.0, 2.0), (0.0, 0.0, 0.0))
@@ -295,6 +296,4 @@ class _MadeRun:
         if self.outcome == "uncertain" and name == UNPLACED:
             covariance[3, 3] = IMPRECISE.value**2
             return LidarPlacement(name, IMPRECISE.text, "uncertain", pose, 0.8, 0.06, covariance)
-        return LidarPlacement(
-            name, "placed", "placed", T_target_source=pose, fitness=0.8, rmse_m=0.06, covariance=covariance
-        )
+        return LidarPlacement(name, "placed", "placed", pose, 0.8, 0.06, covariance)

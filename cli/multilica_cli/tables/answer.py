@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Answers of a fleet's store on the terminal."""
+"""Tables on the terminal: for people, as CSV, or as JSON."""
 
 from __future__ import annotations
 
 import csv
 import io
 import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Literal
 
@@ -17,22 +19,16 @@ from multilica_cli.tables.result import plain_table
 if TYPE_CHECKING:
     from multilica.fleet.store.query import QueryAnswer
 
-__all__ = ["print_answer"]
+__all__ = ["answer_lines", "print_answer"]
 
 _MOST_ROWS = 1000
 
 
 def print_answer(answer: QueryAnswer, form: Literal["table", "csv", "json"], console: Console) -> None:
     """Print the rows: as a table for people, which ends after a thousand, or all as CSV or as JSON, a row per line."""
-    if form == "csv":
-        typer.echo(_csv_line(answer.columns), nl=False)
-        for row in answer.rows():
-            typer.echo(_csv_line([_plain(value) for value in row]), nl=False)
-        return
-    if form == "json":
-        for row in answer.rows():
-            named = {name: _plain(value) for name, value in zip(answer.columns, row, strict=True)}
-            typer.echo(json.dumps(named, ensure_ascii=False, allow_nan=False))
+    if form != "table":
+        for line in answer_lines(answer.columns, answer.rows(), form):
+            typer.echo(line, nl=False)
         return
     table = plain_table("", [name.replace("_", " ") for name in answer.columns], numbers_from=len(answer.columns))
     count = 0
@@ -45,7 +41,24 @@ def print_answer(answer: QueryAnswer, form: Literal["table", "csv", "json"], con
         console.print(f"{count - _MOST_ROWS} more rows; --format csv prints all.")
 
 
+def answer_lines(
+    columns: Sequence[str], rows: Iterable[Sequence[object]], form: Literal["csv", "json"]
+) -> Iterator[str]:
+    """Yield the lines of a table: CSV with a header, or a JSON object per row; what is unknown is empty or null."""
+    if form == "csv":
+        yield _csv_line(columns)
+    for row in rows:
+        values = [_plain(value) for value in row]
+        if form == "csv":
+            yield _csv_line(values)
+        else:
+            named = dict(zip(columns, values, strict=True))
+            yield json.dumps(named, ensure_ascii=False, allow_nan=False) + "\n"
+
+
 def _plain(value: object) -> object:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
     return value.isoformat() if isinstance(value, datetime) else value
 
 

@@ -15,10 +15,13 @@ __all__ = [
     "LOG",
     "MERGE_GRAPH",
     "MERGE_STEPS",
+    "MERGE_TABLE",
     "PAIRS",
     "PAIRS_TABLE",
+    "PAIR_TABLE",
     "RESULT",
     "SUMMARY",
+    "TIMINGS",
     "VERDICTS",
     "curve_path",
     "lidar_frame",
@@ -41,6 +44,9 @@ PAIRS_TABLE = "/pair_figures"
 HYPOTHESES_TABLE = "/hypotheses"
 MERGE_GRAPH = "/merge/graph"
 MERGE_STEPS = "/merge/steps"
+PAIR_TABLE = "/tables/pairs"
+MERGE_TABLE = "/tables/merge"
+TIMINGS = "/timings"
 GROUND = "/ground"
 
 DISPLAY_FRAME = "display"

@@ -22,7 +22,8 @@ class RecordLimits:
         feature_points, normals: per LiDAR.
         pair_points: per pair, of each copy of the source's cloud.
         scored_points: per pair and side.
-        matches: per pair, of the kept and of the rejected ones.
+        matches: per pair, of the kept and of the rejected ones, as lines.
+        match_rows: per pair, of the matches as data, and of the matches of its surfaces.
     """
 
     raw_points: int
@@ -32,6 +33,7 @@ class RecordLimits:
     pair_points: int
     scored_points: int
     matches: int
+    match_rows: int
 
     def thinned(self, share: float) -> RecordLimits:
         """Return the limits multiplied by a share."""
@@ -39,13 +41,13 @@ class RecordLimits:
 
 
 _ALL = 10**9
-NO_LIMITS = RecordLimits(_ALL, _ALL, _ALL, _ALL, _ALL, _ALL, _ALL)
+NO_LIMITS = RecordLimits(*[_ALL] * 8)
 _LIMITS: Mapping[str, RecordLimits] = {
     "full": NO_LIMITS,
-    "normal": RecordLimits(500_000, 500_000, 500_000, 1500, 30_000, 6000, 1000),
-    "slim": RecordLimits(0, 30_000, 0, 0, 5000, 2000, 200),
+    "normal": RecordLimits(500_000, 500_000, 500_000, 1500, 30_000, 6000, 1000, 2000),
+    "slim": RecordLimits(0, 30_000, 0, 0, 5000, 2000, 200, 200),
 }
-_POINT_BYTES, _LINE_BYTES, _LABEL_BYTES = 12, 24, 2
+_POINT_BYTES, _LINE_BYTES, _LABEL_BYTES, _MATCH_BYTES = 12, 24, 2, 80
 _CLOUDS_OF_A_PAIR = 4
 _SCORED_POSES = 20
 _BYTES_OF_A_RUN, _BYTES_OF_A_PAIR = 1_000_000, 500_000
@@ -77,6 +79,7 @@ def _expected_bytes(limits: RecordLimits, counts: list[int]) -> float:
     per_pair = (
         _CLOUDS_OF_A_PAIR * _POINT_BYTES * min(limits.pair_points, largest)
         + 3 * _LINE_BYTES * limits.matches
+        + _MATCH_BYTES * min(limits.match_rows, largest)
         + 2 * (_POINT_BYTES + _SCORED_POSES * _LABEL_BYTES) * min(limits.scored_points, largest)
     )
     return max(1.0, per_lidar + pairs * per_pair)

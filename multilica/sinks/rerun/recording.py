@@ -13,9 +13,11 @@ from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.rerun import pairs
 from multilica.sinks.rerun.blueprint.layout import final_blueprint, stage_blueprint
+from multilica.sinks.rerun.data import log_data, log_data_tables, log_timings
 from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed
 from multilica.sinks.rerun.matches import log_matches
 from multilica.sinks.rerun.record_limits import limits_for
+from multilica.sinks.rerun.residual_map import log_residuals
 from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
 from multilica.sinks.rerun.scene import RerunScene
 from multilica.sinks.rerun.streams import end_threads, send_blueprint
@@ -64,6 +66,7 @@ class RerunRecording:
         handle = _HANDLERS.get(type(event))
         if handle is not None:
             handle(scene, event)
+        log_data(scene, event)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -111,6 +114,7 @@ def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
     if event.stage in ("coarse", "verify", "fine", "merge", "refine"):
         pairs.show_best_poses(scene)
         log_pair_tables(scene)
+        log_data_tables(scene)
     log_summary(scene)
     if event.stage in ("preprocess", "coarse", "verify", "fine", "merge"):
         send_blueprint(scene.stream, stage_blueprint(scene.state))
@@ -126,6 +130,8 @@ def _register_pair(scene: RerunScene, event: events.PairRegistered) -> None:
 def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
     log_outcome(scene, event)
     log_contested_places(scene)
+    log_data_tables(scene)
+    log_timings(scene)
     log_summary(scene)
     _send_properties(scene, event.result.status)
     blueprint = final_blueprint if event.result.refusal is None else stage_blueprint
@@ -167,6 +173,7 @@ _HANDLERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
     events.GroupsRegistered: pairs.log_group_registration,
     events.LoopRegistered: pairs.log_registration,
     events.MergeStepTaken: log_merge_step,
+    events.ResidualsMeasured: log_residuals,
     events.GroundEstimated: log_ground,
     events.StageFinished: _finish_stage,
     events.CalibrationFinished: _finish,

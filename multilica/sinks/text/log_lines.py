@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Log lines of events."""
 
+import statistics
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,6 +15,7 @@ from multilica.results import (
     PairRegistration,
     PreprocessedCloud,
     Refinement,
+    SurfaceResiduals,
 )
 from multilica.sinks.text.prior_comparison import surprises
 
@@ -87,6 +89,10 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
             return _merge_step(decision)
         case events.RigRefined(refinement):
             return _refined(refinement)
+        case events.SurfacesMatched():
+            return ()
+        case events.ResidualsMeasured(residuals):
+            return _residuals(residuals)
         case events.GroundEstimated():
             if event.ground is None:
                 return _line(f"no ground plane: {event.reason}", "WARN")
@@ -179,6 +185,16 @@ def _refined(refinement: Refinement) -> tuple[LogLine, ...]:
             for pair in outliers
         ),
     )
+
+
+def _residuals(residuals: SurfaceResiduals) -> tuple[LogLine, ...]:
+    count = len(residuals.residual_m)
+    if count == 0:
+        return _line(
+            f"{residuals.lidar}: no points on surfaces of the LiDARs that its accepted pairs link to it", "WARN"
+        )
+    median_mm = 1e3 * statistics.median(residuals.residual_m.tolist())
+    return _line(f"{residuals.lidar}: {count:,} points on surfaces of other LiDARs, {median_mm:.0f} mm off (median)")
 
 
 def _finished(result: CalibrationResult) -> tuple[LogLine, ...]:

@@ -57,11 +57,7 @@ _SCORES_LEGEND = (
 
 def coverage_of(pair: PairRegistration) -> float:
     """Return the share of agreeing points among those in the other LiDAR's view; NaN without verification."""
-    if not pair.registrations:
-        return float("nan")
-    beams = pair.registrations[0].visibility
-    covered = beams.agree + beams.violate + beams.occluded
-    return beams.agree / covered if covered else 0.0
+    return pair.registrations[0].visibility.coverage if pair.registrations else float("nan")
 
 
 def pair_figures_markdown(state: RunState) -> str:

@@ -59,7 +59,8 @@ def solve(
     kept = np.flatnonzero(back[nearest] == np.arange(len(nearest)))
     target_m, source_m = of_target[0][nearest[kept]], of_source[0][kept]
     unknown = np.zeros_like(source_m)
-    matches = Correspondences(target, source, target_m, source_m, unknown, unknown, unknown[:, 0])
+    distances = unknown[:, 0]
+    matches = Correspondences(target, source, target_m, source_m, unknown, unknown, distances, nearest[kept], kept)
     config = preset("paper").coarse
     return SOLVERS[solver_in_use(config)](matches, config, 0).poses[0].matrix
 

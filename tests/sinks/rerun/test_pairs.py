@@ -97,7 +97,7 @@ def test_a_changed_verdict_repeats_no_progress(tmp_path):
     assert recording.last(f"{PAIR}/verdict", "Points3D:labels") == ["rear <- top undecided: another pose not ruled out"]
     assert f"{PAIR}/competing" not in recording.entity_paths
     assert len(recording.cells(f"{PAIR}/scored/source", "Points3D:class_ids")) == 4
-    assert len(recording.cells("/gicp/inliers/rear/top/0", "Scalars:scalars")) == 4
+    assert len(recording.cells("/gicp/fitness/rear/top/0", "Scalars:scalars")) == 4
 
 
 def test_arrows_are_in_the_frame_of_the_registration(partial):
@@ -145,4 +145,4 @@ def test_a_refused_loop_may_join_a_pair_never_matched(tmp_path):
                     observe(events.LoopRegistered(replace(found, verdict=Verdict("reject", found.verdict.reasons))))
                     continue
             observe(event)
-    assert len(Recording(path).cells("/gicp/inliers/rear/top/0", "Scalars:scalars")) == 4
+    assert len(Recording(path).cells("/gicp/fitness/rear/top/0", "Scalars:scalars")) == 4

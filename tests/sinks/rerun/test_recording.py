@@ -106,9 +106,9 @@ def test_a_reverse_registration_moves_the_pair_as_matched(recordings):
 
 def test_curves_run_over_iterations(recordings):
     recording = Recording(recordings["complete"])
-    curve = "/gicp/inliers/top/rear/merged-1"
+    curve = "/gicp/fitness/top/rear/merged-1"
     by_iteration = recording.cells(curve, "Scalars:scalars", "iteration")
-    assert by_iteration == [(3, [100.0]), (6, [101.0]), (9, [102.0]), (12, [103.0])]
+    assert by_iteration == [(3, [0.0]), (6, [0.1]), (9, [0.2]), (12, [pytest.approx(0.3)])]
     steps = [step for step, _ in recording.cells(curve, "Scalars:scalars")]
     assert steps == list(range(steps[0], steps[0] + 4))
 

@@ -205,5 +205,5 @@ def test_the_recording_calls_its_poses_prior(tmp_path):
     assert frames[-1] == "pair/rear/top/prior"
     translation = recording.last("/pairs/rear/top/poses/prior", "Transform3D:translation")[0]
     np.testing.assert_allclose(translation, (TRUTH["rear"].inverse() @ TRUTH["top"]).xyz_m, atol=1e-5)
-    assert "/gicp/inliers/rear/top/prior" in recording.entity_paths
+    assert "/gicp/fitness/rear/top/prior" in recording.entity_paths
     assert any("front left/1 is turned by 180 deg" in text for _, level, text in recording.log if level == "WARN")

@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -19,7 +20,8 @@ def _matches(seed, right, wrong):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     target, target_normals = source @ rotation.T + [1.0, 2.0, 3.0], normals @ rotation.T
     target[right:] = rng.uniform(-20, 20, (wrong, 3))
-    return Correspondences("t", "s", target, source, target_normals, normals, np.zeros(len(source)))
+    rows = np.arange(len(source))
+    return Correspondences("t", "s", target, source, target_normals, normals, np.zeros(len(source)), rows, rows)
 
 
 def test_edges_are_those_of_the_definition():
@@ -49,9 +51,7 @@ def test_a_turned_normal_loses_the_edges_of_its_match():
     matches = _matches(3, 30, 0)
     normals = matches.source_normals.copy()
     normals[7] *= -1.0
-    turned = Correspondences(
-        "t", "s", matches.target_points_m, matches.source_points_m, matches.target_normals, normals, np.zeros(30)
-    )
+    turned = replace(matches, source_normals=normals)
     before, after = (build_consistency_graph(each, 0.2, 20.0) for each in (matches, turned))
     others = np.arange(30) != 7
     assert np.array_equal(before[np.ix_(others, others)], after[np.ix_(others, others)])
@@ -61,15 +61,8 @@ def test_a_turned_normal_loses_the_edges_of_its_match():
 def test_the_graph_does_not_depend_on_where_the_clouds_lie():
     matches = _matches(4, 100, 100)
     pose = RigidTransform.from_xyz_rpy("far", "t", [60.0, -40.0, 5.0], [0.3, -0.2, 2.0])
-    moved = Correspondences(
-        "far",
-        "s",
-        pose.apply(matches.target_points_m),
-        matches.source_points_m,
-        pose.rotate(matches.target_normals),
-        matches.source_normals,
-        matches.feature_distances,
-    )
+    moved_m, normals = pose.apply(matches.target_points_m), pose.rotate(matches.target_normals)
+    moved = replace(matches, target="far", target_points_m=moved_m, target_normals=normals)
     here, there = (build_consistency_graph(each, 0.2, 20.0) for each in (matches, moved))
     assert np.mean(here != there) < 1e-4
 

@@ -43,7 +43,7 @@ def _matches(seed, count, wrong_share):
     target[wrong], target_normals[wrong] = np.roll(target[wrong], 1, axis=0), np.roll(target_normals[wrong], 1, axis=0)
     order = rng.permutation(count)
     arrays = (array[order] for array in (target, source, target_normals, normals))
-    return Correspondences("t", "s", *arrays, np.zeros(count))
+    return Correspondences("t", "s", *arrays, np.zeros(count), order, order)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

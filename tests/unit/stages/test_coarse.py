@@ -1,4 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -25,7 +26,8 @@ def _matches(*shares, seed=0):
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         rows.append((pose.apply(source), source, pose.rotate(normals), normals))
     target, source, target_normals, source_normals = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return Correspondences("t", "s", target, source, target_normals, source_normals, np.zeros(len(source)))
+    rows = np.arange(len(source))
+    return Correspondences("t", "s", target, source, target_normals, source_normals, np.zeros(len(source)), rows, rows)
 
 
 def _found(matches, config=_CONFIG, max_baseline_m=15.0, prior=None):
@@ -104,10 +106,7 @@ def test_a_match_with_the_wrong_normal_does_not_agree():
     matches = _matches((_TRUTH, 60))
     flipped = matches.target_normals.copy()
     flipped[:10] *= -1.0
-    turned = Correspondences(
-        "t", "s", matches.target_points_m, matches.source_points_m, flipped, matches.source_normals, np.zeros(60)
-    )
-    best = _found(turned).hypotheses[0]
+    best = _found(replace(matches, target_normals=flipped)).hypotheses[0]
     assert not best.inliers[:10].any()
     assert best.inliers[10:].all()
 
@@ -116,5 +115,6 @@ def test_matches_of_no_pose_at_all_agree_on_little():
     rng = np.random.default_rng(0)
     normals = np.tile([0.0, 0.0, 1.0], (300, 1))
     points = rng.uniform(-20, 20, (2, 300, 3))
-    coarse = _found(Correspondences("t", "s", *points, normals, normals, np.zeros(300)))
+    rows = np.arange(300)
+    coarse = _found(Correspondences("t", "s", *points, normals, normals, np.zeros(300), rows, rows))
     assert all(hypothesis.score < 15 for hypothesis in coarse.hypotheses)

@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures, matches and decisions of a run as data that programs read from its recording."""
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import rerun as rr
+
+from multilica import events
+from multilica.geometry import RigidTransform
+from multilica.results import Correspondences, PairKey, PairRegistration, Registration
+from multilica.results.deviations import weakest_sigmas
+from multilica.sinks.drawing.clouds import sample_indices
+from multilica.sinks.rerun.data_tables import MERGE_COLUMNS, PAIR_COLUMNS, merge_rows, pair_rows
+from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, TIMINGS, pair_path
+from multilica.sinks.rerun.scene import RerunScene
+from multilica.sinks.text.pair_tables import coverage_of
+
+__all__ = ["log_data", "log_data_tables", "log_timings"]
+
+
+def log_data(scene: RerunScene, event: events.Event) -> None:
+    """Log the figures of an event as scalars below its pair and stage, and its matches."""
+    log = _LOGGERS.get(type(event))
+    if log is not None:
+        log(scene, event)
+
+
+def log_data_tables(scene: RerunScene) -> None:
+    """Log one row per pair, and one per candidate of each merge step."""
+    if scene.state.pairs:
+        _log_rows(scene, PAIR_TABLE, PAIR_COLUMNS, pair_rows(scene.state))
+    if scene.state.decisions:
+        _log_rows(scene, MERGE_TABLE, MERGE_COLUMNS, merge_rows(scene.state.decisions))
+
+
+def log_timings(scene: RerunScene) -> None:
+    """Log the name of each stage at its start and end, back to back up to now, on the wall clock alone.
+
+    Equal runs differ on that timeline only.
+    """
+    timing_s = {} if scene.state.result is None else scene.state.result.timing_s
+    known_s = {stage: seconds for stage, seconds in timing_s.items() if math.isfinite(seconds)}
+    if not known_s:
+        return
+    seconds = np.array(list(known_s.values()))
+    ends_s = np.cumsum(seconds)
+    edges_s = np.stack([ends_s - seconds, ends_s], axis=1).ravel() - ends_s[-1]
+    times = (time.time_ns() + (1e9 * edges_s).astype(np.int64)).astype("datetime64[ns]")
+    names = [stage for stage in known_s for _ in ("start", "end")]
+    columns = rr.AnyValues.columns(stage=pa.array(names))
+    scene.stream.send_columns(TIMINGS, [rr.TimeColumn("log_time", timestamp=times)], columns)
+
+
+def _log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None:
+    matches = event.correspondences
+    _log_scalars(scene, (matches.target, matches.source), "correspond", {"matches": len(matches)})
+    _log_matches(scene, matches)
+
+
+def _log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
+    found = event.coarse.hypotheses
+    figures = {"hypotheses": len(found), "agreeing_matches": found[0].score if found else 0.0}
+    _log_scalars(scene, (event.coarse.target, event.coarse.source), "coarse", figures)
+    _log_agreement(scene, event.correspondences)
+
+
+def _log_verified(scene: RerunScene, event: events.HypothesesVerified) -> None:
+    if event.registrations:
+        _log_scalars(scene, (event.target, event.source), "verify", _figures_of(event.registrations[0]))
+
+
+def _log_registration(
+    scene: RerunScene, event: events.PairRegistered | events.VerdictChanged | events.LoopRegistered
+) -> None:
+    found = event.registration
+    if isinstance(event, events.LoopRegistered) and not found.verdict.accepted:
+        return
+    pair = scene.state.pair_of(found)
+    _log_scalars(scene, pair, "fine", _figures_of_pair(found))
+    _log_residuals(scene, pair, found.T_target_source)
+
+
+def _log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
+    for one in event.decision.candidates:
+        figures = {"evidence": one.evidence, "fitness": one.fitness, "rmse_m": one.rmse_m}
+        stage = "merge_groups" if one.of_groups else "merge"
+        _log_scalars(scene, scene.state.key_of(one.target, one.source), stage, figures)
+
+
+def _log_refined(scene: RerunScene, event: events.RigRefined) -> None:
+    for each in event.refinement.pairs:
+        figures = {"residual_m": each.after_m, "residual_deg": each.after_deg, "weight": each.weight}
+        _log_scalars(scene, scene.state.key_of(each.target, each.source), "refine", figures)
+
+
+def _log_scalars(scene: RerunScene, pair: PairKey, stage: str, figures: Mapping[str, float | None]) -> None:
+    for name, value in figures.items():
+        if value is not None and math.isfinite(value):
+            scene.log(pair_path(*pair, stage, name), rr.Scalars(float(value)))
+
+
+def _figures_of(found: Registration) -> dict[str, float | None]:
+    return {
+        "evidence": found.evidence,
+        "fitness": found.fitness,
+        "rmse_m": found.rmse_m,
+        "coverage": found.visibility.coverage,
+        "violation_share": found.visibility.violation_share,
+    }
+
+
+def _figures_of_pair(found: PairRegistration) -> dict[str, float | None]:
+    sigma_m, sigma_rad = weakest_sigmas(found.information)
+    figures = {} if not found.registrations else _figures_of(found.registrations[0])
+    return {
+        **figures,
+        "fitness": found.fitness,
+        "rmse_m": found.rmse_m,
+        "coverage": coverage_of(found),
+        "sigma_m": sigma_m,
+        "sigma_deg": None if sigma_rad is None else math.degrees(sigma_rad),
+    }
+
+
+def _rows_of(scene: RerunScene, count: int) -> npt.NDArray[np.intp]:
+    return np.sort(sample_indices(count, scene.limits.match_rows))
+
+
+def _log_matches(scene: RerunScene, matches: Correspondences) -> None:
+    """Log the matches in their own frames; `--record full` keeps all."""
+    rows = _rows_of(scene, len(matches))
+    values = rr.AnyValues(
+        target_index=pa.array(matches.target_index[rows], pa.int32()),
+        source_index=pa.array(matches.source_index[rows], pa.int32()),
+        target_point_m=_points(matches.target_points_m[rows]),
+        source_point_m=_points(matches.source_points_m[rows]),
+        feature_distance=pa.array(matches.feature_distances[rows], pa.float32()),
+    )
+    scene.log(_data_path(matches), values)
+
+
+def _log_agreement(scene: RerunScene, matches: Correspondences) -> None:
+    """Log which hypotheses each match agrees with."""
+    rows = _rows_of(scene, len(matches))
+    hypotheses = scene.state.coarse[matches.target, matches.source].hypotheses
+    told = [one.inliers if len(one.inliers) else np.zeros(len(matches), dtype=np.bool_) for one in hypotheses]
+    agree = np.array(told, dtype=np.bool_).reshape(len(told), len(matches)).T[rows]
+    ends = np.concatenate([[0], np.cumsum(np.count_nonzero(agree, axis=1))])
+    lists = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), pa.array(np.nonzero(agree)[1], pa.int32()))
+    scene.log(_data_path(matches), rr.AnyValues(agrees_with=lists))
+
+
+def _log_residuals(scene: RerunScene, pair: PairKey, pose: RigidTransform) -> None:
+    """Log the distance of the two points of each match at a pose."""
+    matches = scene.state.matches.get(pair)
+    if matches is None:
+        return
+    rows = _rows_of(scene, len(matches))
+    moved_m = pose.with_target(pair[0]).apply(matches.source_points_m[rows])
+    residual_m = np.linalg.norm(moved_m - matches.target_points_m[rows], axis=1)
+    scene.log(_data_path(matches), rr.AnyValues(residual_m=pa.array(residual_m, pa.float32())))
+
+
+def _log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> None:
+    found = event.matches
+    pair = scene.state.key_of(found.target, found.source)
+    points = (found.target_points_m, found.source_points_m)
+    of_target, of_source = points if found.target == pair[0] else points[::-1]
+    rows = _rows_of(scene, len(found))
+    values = rr.AnyValues(
+        target_point_m=_points(of_target[rows]),
+        source_point_m=_points(of_source[rows]),
+        distance_m=pa.array(found.distance_m[rows], pa.float32()),
+        plane_distance_m=pa.array(found.plane_distance_m[rows], pa.float32()),
+    )
+    scene.log(pair_path(*pair, "fine", "matches"), values)
+    _log_residuals(scene, pair, found.T_target_source)
+
+
+def _known(value: object) -> object:
+    """Return the value; None for a number that is not finite."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _data_path(matches: Correspondences) -> str:
+    return pair_path(matches.target, matches.source, "matches", "data")
+
+
+def _points(points_m: npt.NDArray[np.floating]) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(points_m.astype(np.float32).ravel()), 3)
+
+
+def _log_rows(
+    scene: RerunScene, path: str, columns: Mapping[str, pa.DataType], rows: Sequence[Mapping[str, object]]
+) -> None:
+    """Log a table as one cell per column, so that the latest row of the entity is the whole table."""
+    # Null where a number is not known: NaN would make equal recordings differ.
+    arrays = {name: pa.array([_known(row[name]) for row in rows], kind) for name, kind in columns.items()}
+    scene.log(path, rr.AnyValues(**arrays))
+
+
+_LOGGERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
+    events.CorrespondencesMatched: _log_matched,
+    events.HypothesesFound: _log_hypotheses,
+    events.HypothesesVerified: _log_verified,
+    events.PairRegistered: _log_registration,
+    events.VerdictChanged: _log_registration,
+    events.LoopRegistered: _log_registration,
+    events.MergeStepTaken: _log_merge_step,
+    events.RigRefined: _log_refined,
+    events.SurfacesMatched: _log_surface_matches,
+}

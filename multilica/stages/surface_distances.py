@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Distances between the surfaces of LiDARs in their final poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from multilica.geometry import RigidTransform
+from multilica.registration.registration_cloud import RegistrationCloud
+from multilica.results import IndexArray, SurfaceMatches, SurfaceResiduals
+
+__all__ = ["PairMatches", "match_surfaces", "residuals_of"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairMatches:
+    """Matches of a pair with the rows of the source's cloud that they belong to."""
+
+    matches: SurfaceMatches
+    source_rows: IndexArray
+
+
+def match_surfaces(
+    target: RegistrationCloud, source: RegistrationCloud, pose: RigidTransform, distance_m: float, most: int
+) -> PairMatches:
+    """Match each source point with the nearest target point within a distance, as fitness counts them.
+
+    Args:
+        pose: ``T_target_source``.
+        most: of more source points, only so many are matched, spread evenly.
+    """
+    rows = np.arange(len(source.points_m))
+    if len(rows) > most:
+        rows = np.linspace(0, len(rows) - 1, most).astype(np.int64)
+    moved_m = pose.apply(source.points_m[rows])
+    near, distances_m, index = target.tree.matches_within(moved_m, distance_m)
+    normals, _ = target.surface.at(index)
+    planes_m = np.abs(((moved_m[near] - target.points_m[index]) * normals).sum(axis=1))
+    matches = SurfaceMatches(
+        target.name,
+        source.name,
+        pose,
+        target.points_m[index],
+        source.points_m[rows[near]],
+        distances_m,
+        np.minimum(planes_m, distances_m),
+    )
+    return PairMatches(matches, rows[near])
+
+
+def residuals_of(source: RegistrationCloud, found: Iterable[PairMatches]) -> SurfaceResiduals:
+    """Return the residual at each point of a LiDAR that any of the others saw: the smallest to any of them."""
+    residual_m = np.full(len(source.points_m), np.inf)
+    for each in found:
+        residual_m[each.source_rows] = np.minimum(residual_m[each.source_rows], each.matches.plane_distance_m)
+    seen = np.flatnonzero(np.isfinite(residual_m))
+    return SurfaceResiduals(source.name, source.points_m[seen], residual_m[seen])

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`multilica query`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+
+import pyarrow.parquet as pq
+import pytest
+
+from tests.sinks.conftest import record
+
+_PAIRS = [("front left/1", "rear"), ("front left/1", "top"), ("rear", "top")]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    record(folder / "recording.rrd", "partial")
+    return folder
+
+
+def _objects(done):
+    return [json.loads(line) for line in done.out.splitlines()]
+
+
+@pytest.mark.parametrize("table", ["pairs", "matches", "surfaces", "merge", "timings"])
+def test_all_forms_have_the_same_rows(invoke, run, tmp_path, table):
+    done = invoke("query", run / "recording.rrd", table)
+    assert done.code == 0
+    by_csv = list(csv.DictReader(io.StringIO(done.out)))
+    by_json = [
+        json.loads(line) for line in invoke("query", run / "recording.rrd", table, "--format", "json").out.splitlines()
+    ]
+    path = tmp_path / "deep" / "table.parquet"
+    assert invoke("query", run / "recording.rrd", table, "--format", "parquet", "--out", path).code == 0
+    by_parquet = pq.read_table(path).to_pylist()
+    assert len(by_csv) == len(by_json) == len(by_parquet) > 0
+    assert list(by_csv[0]) == list(by_json[0]) == list(by_parquet[0])
+    for texts, values in zip(by_csv, by_json, strict=True):
+        assert texts == {name: "" if value is None else str(value) for name, value in values.items()}
+
+
+def test_pairs_have_their_figures_and_reasons(invoke, run):
+    rows = [
+        json.loads(line)
+        for line in invoke("query", run / "recording.rrd", "pairs", "--format", "json").out.splitlines()
+    ]
+    assert [(row["target"], row["source"]) for row in rows] == _PAIRS
+    assert rows[2]["reasons"] == "too_little_evidence,ambiguous,not_observable"
+    assert rows[2]["sigma_m"] is None
+
+
+def test_the_rows_go_to_a_file(invoke, run, tmp_path):
+    done = invoke("query", run / "recording.rrd", "merge", "--out", tmp_path / "merge.csv")
+    assert (done.code, done.out) == (0, "")
+    assert (tmp_path / "merge.csv").read_text() == invoke("query", run / "recording.rrd", "merge").out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (("pairs", "--format", "parquet"), 2, "--format parquet needs a file; add --out FILE."),
+        (("poses",), 2, "'poses' is not one of 'pairs', 'matches', 'surfaces', 'merge', 'timings'"),
+        (("pairs", "--out", "s3://bucket/pairs.csv"), 2, "s3://bucket/pairs.csv"),
+    ],
+    ids=["parquet", "table", "address"],
+)
+def test_a_wrong_use_is_told(invoke, run, arguments, code, said):
+    done = invoke("query", run / "recording.rrd", *arguments)
+    assert done.code == code
+    assert said in done.err
+    assert done.out == ""
+
+
+def test_a_run_without_a_recording_is_told(invoke, tmp_path):
+    (tmp_path / "empty").mkdir()
+    done = invoke("query", tmp_path / "empty", "pairs")
+    assert done.code == 3
+    assert len(done.err.splitlines()) == 1
+    (tmp_path / "broken.rrd").write_bytes(b"no recording")
+    done = invoke("query", tmp_path / "broken.rrd", "pairs")
+    assert done.code == 3
+    assert "broken.rrd" in done.err

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recording as data, read with Rerun's own reader."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from multilica import events
+from multilica.sinks.rerun.recorded_tables import TABLES, read_recorded_table
+from multilica.sinks.rerun.recording import RerunRecording
+from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
+from tests.sinks.made_surfaces import COUNT
+from tests.sinks.recording_reader import Recording
+
+PAGE = (Path(__file__).resolve().parents[3] / "docs" / "recording-layout.md").read_text(encoding="utf-8")
+PAIR = "/pairs/rear/top"
+
+
+def _matched(outcome):
+    return {
+        (event.correspondences.target, event.correspondences.source): event.correspondences
+        for event in made_events(outcome)
+        if isinstance(event, events.CorrespondencesMatched)
+    }
+
+
+@pytest.mark.parametrize("outcome", ["complete", "partial", "failed"])
+def test_the_documented_lines_read_the_pairs(recordings, outcome, monkeypatch):
+    monkeypatch.chdir(recordings[outcome].parent)
+    (recordings[outcome].parent / "run").mkdir(exist_ok=True)
+    (recordings[outcome].parent / "run" / "recording.rrd").unlink(missing_ok=True)
+    (recordings[outcome].parent / "run" / "recording.rrd").symlink_to(recordings[outcome])
+    (code,) = re.findall(r"```python\n(.+?)```", PAGE.split("## As data\n")[1], flags=re.DOTALL)
+    assert len([line for line in code.splitlines() if line and not line.startswith(("import", "from", "print"))]) == 3
+    names: dict = {}
+    exec(code, names)  # noqa: S102 - the documentation's own lines
+    pairs = names["pairs"]
+    assert list(zip(pairs["target"], pairs["source"], strict=True)) == sorted(_matched(outcome))
+    refused = [UNPLACED in pair or outcome == "failed" for pair in zip(pairs["target"], pairs["source"], strict=True)]
+    accepted = [verdict == "accept" for verdict in pairs["verdict"]]
+    assert accepted == [not (each and outcome != "complete") for each in refused]
+
+
+def test_figures_of_a_pair_are_scalars(recordings):
+    recording = Recording(recordings["partial"])
+    for path, value in {
+        "correspond/matches": 80.0,
+        "coarse/hypotheses": 2.0,
+        "coarse/agreeing_matches": 20.0,
+        "verify/coverage": 90 / 96,
+        "fine/fitness": 0.1,
+        "fine/rmse_m": 0.06,
+        "merge/fitness": 0.1,
+        "merge/evidence": -1.2,
+    }.items():
+        assert recording.last(f"{PAIR}/{path}", "Scalars:scalars") == pytest.approx([value]), path
+    refined = recording.last("/pairs/front\\ left\\/1/top/refine/residual_m", "Scalars:scalars")
+    assert refined == pytest.approx([0.001])
+
+
+def test_matches_are_recorded_in_their_own_frames(recordings):
+    recording, truth = Recording(recordings["complete"]), _matched("complete")["rear", "top"]
+    path = f"{PAIR}/matches/data"
+    assert recording.last(path, "target_index") == truth.target_index.tolist()
+    assert recording.last(path, "source_index") == truth.source_index.tolist()
+    np.testing.assert_allclose(recording.last(path, "target_point_m"), truth.target_points_m, atol=1e-4)
+    np.testing.assert_allclose(recording.last(path, "source_point_m"), truth.source_points_m, atol=1e-4)
+    np.testing.assert_allclose(recording.last(path, "feature_distance"), truth.feature_distances, atol=1e-6)
+    agree = recording.last(path, "agrees_with")
+    assert [0 in each for each in agree] == [row % 4 == 0 for row in range(80)]
+    moved_m = (TRUTH["rear"].inverse() @ TRUTH["top"]).apply(truth.source_points_m)
+    residual_m = np.linalg.norm(moved_m - truth.target_points_m, axis=1)
+    np.testing.assert_allclose(recording.last(path, "residual_m"), residual_m, atol=1e-3)
+
+
+def test_points_of_a_match_are_rows_of_the_descriptors(recordings):
+    recording = Recording(recordings["complete"])
+    found = recording.last(f"{PAIR}/matches/data", "source_point_m")
+    rows = recording.last(f"{PAIR}/matches/data", "source_index")
+    points = np.asarray(recording.last("/lidars/top/features", "Points3D:positions"))
+    np.testing.assert_allclose(found, points[rows], atol=1e-4)
+
+
+def test_full_detail_keeps_every_match_and_slim_few(tmp_path):
+    counts = {}
+    for detail in ("full", "slim"):
+        path = tmp_path / f"{detail}.rrd"
+        with RerunRecording(path) as observe:
+            for event in made_events("complete", record={"detail": detail}):
+                observe(_multiplied(event) if isinstance(event, events.CorrespondencesMatched) else event)
+        counts[detail] = len(Recording(path).last(f"{PAIR}/matches/data", "target_index"))
+    assert counts == {"full": 800, "slim": 200}
+
+
+def _multiplied(event):
+    rows = np.tile(np.arange(len(event.correspondences)), 10)
+    return events.CorrespondencesMatched(event.correspondences.subset(rows))
+
+
+def test_tables_are_read_whole(recordings):
+    pairs = read_recorded_table(recordings["partial"], "pairs").to_pylist()
+    of_pair = next(row for row in pairs if (row["target"], row["source"]) == ("rear", "top"))
+    assert of_pair["matches"] == 80
+    assert of_pair["verdict"] == "reject"
+    assert of_pair["reasons"] == "too_little_evidence,ambiguous,not_observable"
+    assert of_pair["pose_from"] == "clique 0"
+    true_pose = TRUTH["rear"].inverse() @ TRUTH["top"]
+    assert [of_pair[name] for name in ("x_m", "y_m", "z_m")] == pytest.approx(true_pose.xyz_m.tolist())
+    merge = read_recorded_table(recordings["partial"], "merge").to_pylist()
+    assert [(row["merge_step"], row["rank"], row["source"], row["chosen"]) for row in merge] == [
+        (1, 1, LIDARS[0], True),
+        (1, 2, UNPLACED, False),
+        (2, 1, UNPLACED, False),
+    ]
+    assert {row["target"] for row in merge} == {TARGET}
+    matches = read_recorded_table(recordings["partial"], "matches").to_pylist()
+    assert len(matches) == 3 * 80
+    assert {row["agrees_with"] for row in matches} <= {"0", "1", "0 1", ""}
+    surfaces = read_recorded_table(recordings["partial"], "surfaces").to_pylist()
+    assert len(surfaces) == 3 * COUNT
+    assert {(round(row["distance_m"], 6), round(row["plane_distance_m"], 6)) for row in surfaces} == {(0.02, 0.01)}
+
+
+def test_timings_are_those_of_the_result(recordings):
+    rows = read_recorded_table(recordings["complete"], "timings").to_pylist()
+    assert [row["stage"] for row in rows] == ["fine"]
+    assert rows[0]["seconds"] == pytest.approx(0.01, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_recording_that_was_cut_off_has_the_tables_so_far(tmp_path, name):
+    path = tmp_path / "recording.rrd"
+    told = list(made_events("complete"))
+    merged = next(index for index, event in enumerate(told) if isinstance(event, events.MergeStepTaken))
+    with RerunRecording(path) as observe:
+        for event in told[:merged]:
+            observe(event)
+    rows = read_recorded_table(path.with_name("recording.partial.rrd"), name).num_rows
+    assert rows == {"pairs": 3, "matches": 240, "surfaces": 0, "merge": 0, "timings": 0}[name]
+
+
+def test_the_residual_map_goes_from_dark_to_bright(recordings):
+    recording = Recording(recordings["complete"])
+    packed = recording.last("/lidars/top/residual", "Points3D:colors")
+    brightness = [sum(colour >> shift & 255 for shift in (8, 16, 24)) for colour in packed]
+    assert brightness[0] < brightness[COUNT // 4] < brightness[-1]
+    assert brightness[COUNT // 2] == brightness[-1]
