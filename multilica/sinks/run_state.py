@@ -36,6 +36,7 @@ class RunState:
         verified: per pair its hypotheses after verification, the one with the most evidence first.
         stages: those that finished, in order.
         rig: poses in the target's frame after the joint refinement.
+        residuals: LiDARs with a residual of the merged cloud.
         document: cache of `run_document`.
         figures: cache of `stage_figures`.
         extents: centre and radius of clouds, cache of `rerun_camera`.
@@ -58,6 +59,7 @@ class RunState:
     target_reason: str = ""
     decisions: list[MergeDecision] = field(default_factory=list)
     rig: tuple[RigidTransform, ...] = ()
+    residuals: set[str] = field(default_factory=set)
     ground: events.GroundEstimated | None = None
     document: ResultDocument | None = None
     figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
@@ -134,6 +136,8 @@ class RunState:
                 self.decisions.append(decision)
             case events.RigRefined(_, poses):
                 self.rig = poses
+            case events.ResidualsMeasured(residuals):
+                self.residuals.add(residuals.lidar)
             case events.GroundEstimated():
                 self.ground = event
             case events.CalibrationFinished(result):

@@ -19,9 +19,11 @@ from multilica.sinks.drawing.clouds import sample_indices
 from multilica.sinks.rerun.data_tables import MERGE_COLUMNS, PAIR_COLUMNS, merge_rows, pair_rows
 from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, TIMINGS, pair_path
 from multilica.sinks.rerun.scene import RerunScene
+from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import coverage_of
 
-__all__ = ["log_data", "log_data_tables", "log_timings"]
+__all__ = ["candidate_pairs", "log_data", "log_data_tables", "log_timings"]
 
 
 def log_data(scene: RerunScene, event: events.Event) -> None:
@@ -86,7 +88,18 @@ def _log_registration(
     _log_residuals(scene, pair, found.T_target_source)
 
 
+def candidate_pairs(state: RunState) -> tuple[PairKey, ...]:
+    """Return the pairs of two LiDARs that a merge step could have chosen, in name order."""
+    candidates = [one for decision in state.decisions for one in decision.candidates if not one.of_groups]
+    return tuple(sorted({state.key_of(one.target, one.source) for one in candidates}))
+
+
 def _log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
+    for pair in candidate_pairs(scene.state):
+        label, colour = pair_label(*pair), scene.pair_colour(*pair)
+        lines = rr.SeriesLines(names=label, colors=colour)
+        points = rr.SeriesPoints(names=label, colors=colour, marker_sizes=5.0)
+        scene.log(pair_path(*pair, "merge", "evidence"), lines, points)
     for one in event.decision.candidates:
         figures = {"evidence": one.evidence, "fitness": one.fitness, "rmse_m": one.rmse_m}
         stage = "merge_groups" if one.of_groups else "merge"

@@ -7,7 +7,6 @@ import rerun as rr
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, PairKey, PairRegistration, Registration, hypothesis_label
-from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.rerun.entity_paths import CURVES, curve_path, lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.matches import log_verdict_on_matches
 from multilica.sinks.rerun.scene import ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
@@ -79,10 +78,7 @@ def _log_curves(scene: RerunScene, registration: PairRegistration, start: str) -
     if not registration.steps:
         return
     pair = (registration.target, registration.source)
-    # A loop that was not accepted may join a pair that was never matched.
-    matched = scene.state.pair_of(registration)
-    colours = distinct_colours([pair_label(*each) for each in sorted({*scene.state.pairs, matched})])
-    colour = colours[pair_label(*matched)]
+    colour = scene.pair_colour(*pair)
     line = rr.SeriesLines(names=f"{pair_label(*pair)} {start}", colors=colour, widths=2.0)
     for quantity in CURVES:
         path = curve_path(quantity, *pair, start)

@@ -2,6 +2,7 @@
 """Recording stream with its timelines."""
 
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -85,6 +86,13 @@ class RerunScene:
     def colour(self, lidar: str) -> Rgb:
         """Return the colour of a LiDAR in every view."""
         return distinct_colours(self.state.lidars)[lidar]
+
+    def pair_colour(self, target: str, source: str) -> Rgb:
+        """Return the colour of a pair in every plot."""
+        names = sorted(self.state.lidars)
+        pairs = [f"{first}/{second}" for first, second in combinations(range(len(names)), 2)]
+        first, second = sorted((names.index(target), names.index(source)))
+        return distinct_colours(pairs)[f"{first}/{second}"]
 
 
 def rigid(child_frame: str, parent_frame: str, pose: RigidTransform | None = None) -> rr.Transform3D:

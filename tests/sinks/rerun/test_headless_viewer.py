@@ -51,7 +51,8 @@ def show_tabs_below(viewer: ViewerClient, blueprint: dict[str, Any], key: str) -
     container = blueprint[key].get("ContainerBlueprint")
     if container is None:
         return
-    for child in container["contents"]:
+    contents = container["contents"]
+    for child in [contents] if isinstance(contents, str) else contents:  # a single one is no list
         if container["container_kind"] == "Tabs":
             container["active_tab"] = child
             viewer.set_blueprint(blueprint, of="recording")

@@ -8,6 +8,7 @@ from multilica.geometry import FloatArray
 from multilica.results import CalibrationResult
 from multilica.sinks.rerun.blueprint import views
 from multilica.sinks.rerun.blueprint.camera import around_rig, three_quarter, up_axis
+from multilica.sinks.rerun.blueprint.residual_tab import residual_tab
 from multilica.sinks.rerun.blueprint.stage_tabs import stage_tab, stage_tabs
 from multilica.sinks.rerun.entity_paths import CONFIG, GROUND, MERGE_STEPS, lidar_frame, lidar_path, pair_path
 from multilica.sinks.rerun.scene import STEP_TIMELINE
@@ -33,7 +34,7 @@ def final_blueprint(state: RunState) -> rrb.Blueprint:
         views.document_view(CONFIG, "Config"),
         name="Log",
     )
-    first = [tab for tab in (_failure_tab(state), _result_tab(state)) if tab is not None]
+    first = [tab for tab in (_failure_tab(state), _result_tab(state), residual_tab(state)) if tab is not None]
     opened = 0 if first else len(stages) - 1
     return _blueprint(rrb.Tabs(*first, *stages, last, active_tab=opened))
 

@@ -17,6 +17,7 @@ from multilica.sinks.rerun.blueprint.views import (
     scored_view,
     single_lidar_view,
 )
+from multilica.sinks.rerun.data import candidate_pairs
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
@@ -130,7 +131,15 @@ def _merge_tab(state: RunState) -> Tab | None:
         for part in ("preprocessed", "sensor", "name")
     ]
     growing = scene_view("Growing cloud", entity_paths.DISPLAY_FRAME, contents, above_group(state))
-    side = rrb.Vertical(graph, document_view(entity_paths.MERGE_STEPS, "Merge steps"))
+    pairs = [pair for pair in _shown_pairs(state) if pair in candidate_pairs(state)]
+    evidence = rrb.TimeSeriesView(
+        origin=entity_paths.PAIRS,
+        contents=[entity_paths.pair_path(*pair, "merge", "evidence") for pair in pairs],
+        name="Evidence of the candidates per merge step",
+        plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
+    )
+    steps = rrb.Tabs(document_view(entity_paths.MERGE_STEPS, "Merge steps"), evidence)
+    side = rrb.Vertical(graph, steps)
     return rrb.Horizontal(growing, side, column_shares=[3, 2], name="Merge")
 
 
