@@ -58,7 +58,7 @@ format: $(READY) ## Format the code, fix what the linter can fix.
 constraints: ## Write constraints.txt from a fresh environment with the newest versions.
 	@fresh=$$(mktemp -d) && trap 'rm -rf "$$fresh"' EXIT && $(PYTHON) -m venv "$$fresh" \
 	&& "$$fresh/bin/python" -m pip install --quiet --upgrade 'pip>=25.1' \
-	&& "$$fresh/bin/python" -m pip install --quiet --editable . --group dev \
+	&& "$$fresh/bin/python" -m pip install --quiet --editable '.[all]' --group dev \
 	&& "$$fresh/bin/python" -m pip freeze --exclude-editable > constraints.txt
 
 clean: ## Remove the environment and what tools cached.
@@ -71,10 +71,10 @@ pictures:
 	@$(PYTHON) .ci/system_libraries.py --pictures
 
 $(READY): pyproject.toml constraints.txt | libraries
-	@echo "installing into $(VENV): 1.7 GB, a minute or a few"
+	@echo "installing into $(VENV): 2.4 GB, a minute or a few"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable . --group dev
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
 	@$(BIN)/python -m pip install --quiet --no-deps ouster-sdk==1.0.1 \
 	|| echo "tests of Ouster's packets are skipped: ouster-sdk has no wheel for this machine"
 	@touch $@

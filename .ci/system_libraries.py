@@ -7,7 +7,6 @@ Runs before the environment exists: standard library only, any Python 3.
 from __future__ import annotations
 
 import argparse
-import ctypes
 import importlib.util
 import os
 import shutil
@@ -15,49 +14,31 @@ import subprocess
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from multilica import system_libraries
+
 OLDEST_PYTHON = (3, 11)
-OPEN3D = {
-    "libusb-1.0.so.0": "libusb-1.0-0",
-    "libGL.so.1": "libgl1",
-    "libEGL.so.1": "libegl1",
-    "libX11.so.6": "libx11-6",
-    "libudev.so.1": "libudev1",
-    "libidn2.so.0": "libidn2-0",
-    "libgomp.so.1": "libgomp1",
-}
 VENV_MODULES = ("venv", "ensurepip")
-VULKAN_DRIVERS = "/usr/share/vulkan/icd.d"
 BROWSERS = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 
 
 def missing_packages() -> list[str]:
-    """Packages without which multilica does not run."""
-    packages = [package for library, package in OPEN3D.items() if not loads(library)]
+    """Packages without which the environment of the developers cannot be made."""
+    packages = system_libraries.missing_for_open3d()
     if any(importlib.util.find_spec(module) is None for module in VENV_MODULES):
         packages.append(f"python{sys.version_info.major}.{sys.version_info.minor}-venv")
     return packages
 
 
 def missing_for_pictures() -> list[str]:
-    """Packages that the viewer needs where there is no screen; tests skip without them."""
-    packages = [] if loads("libvulkan.so.1") else ["libvulkan1"]
-    if not any(Path(VULKAN_DRIVERS).glob("lvp_icd*")):
-        packages.append("mesa-vulkan-drivers")
-    return packages
+    """Packages that the viewer needs where there is no screen and no GPU; tests skip without them."""
+    return system_libraries.missing_for_pictures(software=True)
 
 
 def missing_browser() -> list[str]:
     """The package with which reports are read where there is no browser; tests skip without it."""
     return [] if any(map(shutil.which, BROWSERS)) else ["chromium-headless-shell"]
-
-
-def loads(library: str) -> bool:
-    """Whether the dynamic linker finds that library."""
-    try:
-        ctypes.CDLL(library)
-    except OSError:
-        return False
-    return True
 
 
 def install(packages: list[str]) -> bool:
@@ -103,8 +84,8 @@ def main() -> None:
     packages = missing_packages()
     if packages and not install(packages):
         sys.exit(
-            "These system packages are missing; install them, then run make again:\n  sudo apt-get install "
-            + " ".join(packages)
+            "These system packages are missing; install them, then run make again:\n  "
+            + system_libraries.apt_command(packages)
         )
     # One after the other: not every distribution has the browser.
     for extra in (missing_for_pictures(), missing_browser()) if pictures else ():

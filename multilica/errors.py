@@ -6,13 +6,13 @@
     MultilicaError
     ├── UsageError                  the request itself is wrong             exit code 2
     │   ├── ConfigError             a key, value or file of the configuration
-    │   ├── UnknownNameError        a topic, LiDAR, preset or stage that does not exist
-    │   └── MissingDependencyError  an optional engine that is not installed
+    │   └── UnknownNameError        a topic, LiDAR, preset or stage that does not exist
     ├── InputError                  the recording cannot be used            exit code 3
     │   ├── SourceNotFoundError     nothing at that path
     │   ├── UnreadableSourceError   broken, truncated, or not what its name says
     │   ├── UnfitSnapshotError      readable, yet nothing that can be calibrated
     │   └── UnfitPriorError         readable, yet no poses of this rig's LiDARs
+    ├── MissingDependencyError      an optional library is not installed    exit code 1
     ├── ViewerError                 no viewer can be shown on this machine  exit code 1
     └── WorkerDiedError             a worker process was killed or crashed  exit code 1
 
@@ -89,8 +89,8 @@ class UnknownNameError(UsageError):
         return type(self), self._arguments
 
 
-class MissingDependencyError(UsageError):
-    """An optional engine that is not installed."""
+class MissingDependencyError(MultilicaError):
+    """An optional library that is not installed, or cannot be loaded."""
 
 
 class InputError(MultilicaError):

@@ -28,6 +28,7 @@ __all__ = [
 DEBUG_VARIABLE = "MULTILICA_DEBUG"
 """Environment variable; 1 adds the traceback to each failure."""
 _LONGEST = 500
+_OWN = ("multilica", "multilica_cli")
 
 
 class ExitCode(IntEnum):
@@ -88,8 +89,13 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: C901, 
             )
         case ImportError() if "shared object" in str(failure):
             return ExitCode.BROKEN, (
-                f"A library that multilica needs cannot be loaded ({failure}); on Debian and Ubuntu "
-                "`sudo apt-get install libusb-1.0-0 libgl1 libegl1 libx11-6 libgomp1` installs what Open3D needs."
+                f"A library that multilica needs cannot be loaded ({failure}); `multilica doctor` names the command "
+                "that mends it."
+            )
+        case ModuleNotFoundError(name=str(name)) if name.partition(".")[0] not in _OWN:
+            return ExitCode.BROKEN, (
+                f"A library that multilica needs is not installed ({name}); `pip install --force-reinstall multilica` "
+                "installs all of them."
             )
         case OSError():
             where = f" ({failure.filename})" if failure.filename else ""

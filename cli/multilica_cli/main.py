@@ -12,6 +12,7 @@ from multilica_cli.commands.check import accept, check, verify
 from multilica_cli.commands.config import config
 from multilica_cli.commands.datasets import datasets
 from multilica_cli.commands.demo import demo
+from multilica_cli.commands.doctor import doctor
 from multilica_cli.commands.export import export
 from multilica_cli.commands.fleet import fleet
 from multilica_cli.commands.query import query
@@ -51,6 +52,7 @@ for command in (
     export,
     datasets,
     demo,
+    doctor,
 ):
     app.command()(command)
 app.add_typer(fleet)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
-import laspy
 import numpy as np
 import numpy.typing as npt
 
@@ -14,6 +13,7 @@ from multilica.config import IngestConfig
 from multilica.errors import InputError, SourceNotFoundError
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.ingest import read_snapshot
+from multilica.optional_libraries import needed_for
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.files.run_files import MCAP
 
@@ -92,6 +92,9 @@ def _ply(cloud: StitchedCloud) -> bytes:
 
 def _las(cloud: StitchedCloud) -> bytes:
     """Return a LAS 1.2 file; the source of a point is the index of its LiDAR, from 1."""
+    with needed_for("Writing a LAS file", "laspy"):
+        import laspy
+
     header = laspy.LasHeader(point_format=2, version="1.2")
     header.scales = np.full(3, _LAS_SCALE_M)
     header.generating_software = "multilica"

@@ -7,17 +7,34 @@ from importlib import import_module, reload
 from types import ModuleType
 from typing import Any
 
-__all__ = ["o3d"]
+from multilica.optional_libraries import needed_for
+
+__all__ = ["o3d", "open3d_for"]
 
 _PLOTS = "open3d.visualization.draw_plotly"
 
 
 class _LazyOpen3d:
+    def __init__(self, wanted: str) -> None:
+        self._wanted = wanted
+
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - whatever Open3D has
-        return getattr(_open3d(), name)
+        with needed_for(self._wanted, "open3d"):
+            return getattr(_open3d(), name)
 
 
-o3d: Any = _LazyOpen3d()
+def open3d_for(wanted: str) -> Any:  # noqa: ANN401 - a module
+    """Return Open3D as a module that is imported at the first use of one of its names.
+
+    That use raises MissingDependencyError if Open3D is not installed, or lacks a system library.
+
+    Args:
+        wanted: what needs it, as for `needed_for`.
+    """
+    return _LazyOpen3d(wanted)
+
+
+o3d: Any = open3d_for("The engine 'open3d'")
 
 
 @cache

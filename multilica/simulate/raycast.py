@@ -7,11 +7,13 @@ import numpy as np
 import numpy.typing as npt
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.registration.lazy_open3d import o3d
+from multilica.registration.lazy_open3d import open3d_for
 from multilica.simulate.sensors import SensorModel
 from multilica.simulate.shapes.mesh import Mesh
 
 __all__ = ["Hits", "Surroundings", "measure", "nearer", "returned_points"]
+
+o3d = open3d_for("A simulation")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

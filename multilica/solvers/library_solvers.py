@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from multilica.config import CoarseConfig
-from multilica.errors import MissingDependencyError
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.registration.lazy_open3d import o3d
+from multilica.optional_libraries import needed_for
+from multilica.registration.lazy_open3d import open3d_for
 from multilica.results import Correspondences
 from multilica.solvers.solution import Solution
 
@@ -18,6 +18,8 @@ __all__ = ["solve_by_fgr", "solve_by_kiss_matcher", "solve_by_ransac"]
 _RANSAC_ITERATIONS = 1_000_000
 _RANSAC_CONFIDENCE = 0.999
 _EDGE_LENGTH_SIMILARITY = 0.9
+
+o3d = open3d_for("The solver 'ransac' or 'fgr'")
 
 
 def solve_by_ransac(matches: Correspondences, config: CoarseConfig, seed: int) -> Solution:
@@ -71,13 +73,8 @@ def solve_by_kiss_matcher(matches: Correspondences, config: CoarseConfig, seed: 
         MissingDependencyError: the package `kiss-matcher` is not installed.
     """
     del seed
-    try:
+    with needed_for("The solver 'kiss_matcher'", "kiss_matcher", instead="set coarse.solver=cliques"):
         import kiss_matcher
-    except ImportError as error:
-        raise MissingDependencyError(
-            "The solver 'kiss_matcher' is not installed; install it with `pip install kiss-matcher` "
-            "or set coarse.solver=cliques."
-        ) from error
     settings = kiss_matcher.KISSMatcherConfig(config.noise_bound_m)
     solution = kiss_matcher.KISSMatcher(settings).prune_and_solve(
         list(matches.source_points_m.astype(np.float32)), list(matches.target_points_m.astype(np.float32))

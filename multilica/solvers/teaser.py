@@ -5,8 +5,8 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from multilica.config import CoarseConfig
-from multilica.errors import MissingDependencyError
 from multilica.geometry import RigidTransform
+from multilica.optional_libraries import needed_for, require_library
 from multilica.results import BoolArray, Correspondences
 from multilica.solvers.decoupled_pose import decoupled_pose
 from multilica.solvers.maximum_clique import maximum_clique
@@ -22,8 +22,12 @@ def solve_by_maximum_clique(matches: Correspondences, config: CoarseConfig, seed
     """Solve as TEASER++ does, without scale: the largest clique of consistent matches, its rotation, its translation.
 
     Of several cliques as large, TEASER++ may take another one.
+
+    Raises:
+        MissingDependencyError: NetworkX is not installed.
     """
     del seed
+    require_library("The solver 'maximum_clique'", "networkx", instead="set coarse.solver=cliques")
     graph = _length_graph(matches, 2.0 * config.noise_bound_m * np.sqrt(config.cbar2))
     edges = int(np.count_nonzero(graph)) // 2
     clique = maximum_clique(graph)
@@ -52,13 +56,9 @@ def solve_by_teaserpp(matches: Correspondences, config: CoarseConfig, seed: int)
         MissingDependencyError: `teaserpp_python` is not installed.
     """
     del seed
-    try:
+    with needed_for("The solver 'teaserpp'", "teaserpp_python", instead="set coarse.solver=maximum_clique"):
         from teaserpp_python import RobustRegistrationSolver
-    except ImportError as error:
-        raise MissingDependencyError(
-            "The solver 'teaserpp' is not installed; install it with "
-            "`pip install git+https://github.com/MIT-SPARK/TEASER-plusplus.git` or set coarse.solver=maximum_clique."
-        ) from error
+
     params = RobustRegistrationSolver.Params()
     params.noise_bound = config.noise_bound_m
     params.cbar2 = config.cbar2

@@ -13,13 +13,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import pyarrow as pa
 
 import multilica
 from multilica.fleet.logs.log import FleetLog, unit_key
 from multilica.fleet.store.records import PASSING
 from multilica.fleet.store.store import Store
+from multilica.optional_libraries import needed_for
+
+with needed_for("`multilica fleet`", "duckdb"):
+    import duckdb
 
 __all__ = ["Plan", "QueuedLog"]
 

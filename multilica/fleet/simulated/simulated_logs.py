@@ -9,6 +9,7 @@ from pathlib import Path
 from multilica.documents import LFS_POINTER
 from multilica.errors import UsageError
 from multilica.fleet.simulated.simulated_truth import TRUTH_NAME, fleet_truth_text
+from multilica.optional_libraries import require_library
 from multilica.simulate import FleetPlan, PlannedLog, simulate_snapshot, thinned
 from multilica.sinks.bags.ros1_bag import write_ros1_bag
 from multilica.sinks.bags.ros2_bag import write_ros2_bag
@@ -49,10 +50,12 @@ def write_fleet(
         The path of the truth.
 
     Raises:
+        MissingDependencyError: Open3D is not installed.
         UsageError: the folder is not empty, or is a file.
         WorkerDiedError: a worker was killed or crashed.
         OSError: a file cannot be written.
     """
+    require_library("A simulation", "open3d")
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise UsageError(f"{out} exists already and is not an empty folder; give a new one for the fleet.")
     for vehicle in plan.build_seeds:

@@ -9,11 +9,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-import duckdb
 import pyarrow as pa
 
 from multilica.errors import SourceNotFoundError, UsageError
 from multilica.fleet.store.store import Store, damaged_part
+from multilica.optional_libraries import needed_for
+
+with needed_for("`multilica fleet`", "duckdb"):
+    import duckdb
 
 __all__ = ["QueryAnswer", "ask", "failures", "open_tables", "require_vehicle", "status", "vehicle_history"]
 

@@ -30,7 +30,6 @@ import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
 
 from multilica.errors import (
-    MissingDependencyError,
     SourceNotFoundError,
     UnreadableSourceError,
     UsageError,
@@ -48,12 +47,14 @@ from multilica.fleet.store.records import (
 from multilica.ingest.remote.address import scheme_of, without_secrets
 from multilica.ingest.remote.error_texts import remote_failures_named
 from multilica.ingest.remote.remote_file import open_file_system
+from multilica.optional_libraries import needed_for
 from multilica.sinks.files.atomic import atomic_file
 
 __all__ = ["Store", "damaged_part", "folder_name", "open_store", "vehicle_name", "vehicle_of_part"]
 
 _LAYOUT = "fleet.json"
-_BUCKETS = ("s3", "gs")
+_BUCKETS = {"s3": "s3fs", "gs": "gcsfs"}
+"""Scheme of a bucket -> library that reads and writes it."""
 _LONGEST_NAME = 200
 """Bytes; file systems take 255."""
 TABLES = {"lidars": LIDARS_SCHEMA, "logs": LOGS_SCHEMA}
@@ -266,14 +267,8 @@ def _located(address: str) -> Store:
             "A store is a folder, or lies at s3://BUCKET/PREFIX or gs://BUCKET/PREFIX; found "
             f"{without_secrets(address)}."
         )
-    try:
+    with needed_for(f"The store {without_secrets(address)}", _BUCKETS[scheme]):
         system, path = open_file_system(address)
-    except ImportError as error:
-        extra = {"gs": "gcs"}.get(scheme, scheme)
-        raise MissingDependencyError(
-            f"The store {without_secrets(address)} needs a package that is not installed; "
-            f"`pip install 'multilica[{extra}]'` installs it."
-        ) from error
     return Store(address, system, path.rstrip("/"))
 
 

@@ -8,8 +8,9 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
-from multilica.errors import MissingDependencyError, SourceNotFoundError, UsageError
+from multilica.errors import SourceNotFoundError, UsageError
 from multilica.fleet.units.guard import allow_processes, end_processes
+from multilica.optional_libraries import needed_for
 
 __all__ = ["open_executor"]
 
@@ -57,13 +58,9 @@ def open_executor(workers: int, scheduler: str = "") -> Iterator[tuple[Executor,
 
 @contextmanager
 def _dask_client(scheduler: str) -> Iterator[Any]:
-    try:
+    with needed_for(f"The Dask scheduler {scheduler}", "distributed"):
         from distributed import Client
         from distributed.security import Security
-    except ImportError as error:
-        raise MissingDependencyError(
-            "A Dask scheduler needs a package that is not installed; `pip install 'multilica[dask]'` installs it."
-        ) from error
     security = Security(require_encryption=True) if scheduler.startswith(("tls", "wss")) else None
     try:
         client = Client(scheduler, timeout=_CONNECT_S, security=security, set_as_default=False)

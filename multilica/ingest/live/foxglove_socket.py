@@ -9,15 +9,24 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, TypeAdapter, ValidationError
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI, WebSocketException
-from websockets.sync.client import connect
-from websockets.typing import Subprotocol
 
 from multilica.documents import DocumentError, first_problem, parse_json
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.recording import Topic, normal_type, sanitize_text
 from multilica.ingest.remote.address import without_secrets
+from multilica.optional_libraries import needed_for
+
+with needed_for("Listening to a running vehicle", "websockets"):
+    from websockets.exceptions import (
+        ConnectionClosed,
+        InvalidHandshake,
+        InvalidStatus,
+        InvalidURI,
+        WebSocketException,
+    )
+    from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
 
 __all__ = ["Advertised", "ConnectionLost", "FoxgloveSocket", "Oddity", "Received", "Withdrawn"]
 

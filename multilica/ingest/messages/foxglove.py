@@ -6,14 +6,11 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache
 from typing import Any
 
 import pybase64
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from google.protobuf.message import DecodeError
-from google.protobuf.message_factory import GetMessageClass
 
 from multilica.ingest.messages.cloud import Cloud
 from multilica.ingest.recording import RawMessage, sanitize_text
@@ -49,7 +46,7 @@ _Parts = tuple[int, str, Sequence[float], tuple[PointField, ...], int, bytes]
 
 def _from_protobuf(data: bytes | memoryview) -> _Parts:
     try:
-        cloud = _cloud_class().FromString(data)
+        cloud = PointCloud.FromString(data)
     except DecodeError as error:
         raise ValueError("cannot be unpacked: it is not a foxglove.PointCloud, or was cut off") from error
     position, turn = cloud.pose.position, cloud.pose.orientation
@@ -61,16 +58,6 @@ def _from_protobuf(data: bytes | memoryview) -> _Parts:
         cloud.point_stride,
         cloud.data,
     )
-
-
-@cache
-def _cloud_class() -> Any:  # noqa: ANN401 - made at run time
-    from foxglove.messages import PointCloud
-
-    pool = DescriptorPool()
-    for file in FileDescriptorSet.FromString(PointCloud.get_schema().data).file:
-        pool.Add(file)
-    return GetMessageClass(pool.FindMessageTypeByName("foxglove.PointCloud"))
 
 
 def _from_json(message: bytes | memoryview) -> _Parts:

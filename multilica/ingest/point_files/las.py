@@ -12,7 +12,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-import laspy
 import numpy as np
 
 from multilica.ingest.damage import reason_of
@@ -21,8 +20,12 @@ from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.messages.cloud import Cloud
 from multilica.ingest.recording import RawMessage
+from multilica.optional_libraries import needed_for, require_library
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan
+
+with needed_for("Reading LAS and LAZ files", "laspy"):
+    import laspy
 
 __all__ = ["decode_cloud"]
 
@@ -71,6 +74,7 @@ def _decompressed(header: Any, data: memoryview) -> memoryview:  # noqa: ANN401 
     records = header.vlrs.get("LasZipVlr")
     if not records:
         raise ValueError("has compressed points, but no record that says how to unpack them")
+    require_library("Reading LAZ files", "lazrs")
     memory_bytes = size + len(data) + _ENGINE_BYTES
     arguments = [header.offset_to_point_data, size, memory_bytes, records[0].record_data.hex()]
     command = [sys.executable, "-I", str(Path(__file__).with_name("laz_process.py")), *map(str, arguments)]

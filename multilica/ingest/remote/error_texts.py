@@ -4,7 +4,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from multilica.errors import MissingDependencyError, MultilicaError, SourceNotFoundError, UnreadableSourceError
+from multilica.errors import MultilicaError, SourceNotFoundError, UnreadableSourceError
+from multilica.optional_libraries import library_error
 
 __all__ = ["ConnectionLostError", "WithoutRangesError", "remote_failures_named"]
 
@@ -12,7 +13,7 @@ _CREDENTIALS = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or AWS_PROFILE, or FSSPEC_S3_ANON=true for a public bucket",
     "gs": "run `gcloud auth application-default login`, or set FSSPEC_GS_TOKEN=anon for a public bucket",
 }
-_EXTRAS = {"gs": "gcs"}
+_LIBRARIES = {"s3": "s3fs", "gs": "gcsfs"}
 _NO_CREDENTIALS = {
     "CredentialRetrievalError",
     "DefaultCredentialsError",
@@ -43,10 +44,7 @@ def remote_failures_named(where: str, scheme: str) -> Iterator[None]:
     except MultilicaError:
         raise
     except ImportError as error:
-        raise MissingDependencyError(
-            f"Reading {where} needs a package that is not installed; "
-            f"`pip install 'multilica[{_EXTRAS.get(scheme, scheme)}]'` installs it."
-        ) from error
+        raise library_error(f"Reading {where}", _LIBRARIES.get(scheme, "fsspec"), error) from error
     except Exception as error:
         raise _explained(error, where, scheme) from error
 

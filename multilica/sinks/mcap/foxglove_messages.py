@@ -3,31 +3,28 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from functools import cache
 from typing import Any
 
 import numpy as np
-from foxglove.messages import (
-    Color,
-    FrameTransform,
-    FrameTransforms,
-    LinePrimitive,
-    LinePrimitiveLineType,
-    Log,
-    LogLevel,
-    PackedElementField,
-    PackedElementFieldNumericType,
-    Point3,
-    PointCloud,
-    Pose,
-    Quaternion,
-    SceneEntity,
-    SceneUpdate,
-    SpherePrimitive,
-    TextPrimitive,
-    Timestamp,
-    Vector3,
-)
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_protobuf.schema import build_file_descriptor_set
 
 from multilica.geometry import Float32Array, RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
@@ -41,7 +38,7 @@ __all__ = ["FoxgloveEncoding"]
 _LINE_PIXELS = 2.0
 _TEXT_PIXELS = 14.0
 _OPACITY = 0.6
-_LEVELS = {"DEBUG": LogLevel.Debug, "INFO": LogLevel.Info, "WARN": LogLevel.Warning, "ERROR": LogLevel.Error}
+_LEVELS = {"DEBUG": Log.DEBUG, "INFO": Log.INFO, "WARN": Log.WARNING, "ERROR": Log.ERROR}
 
 _TEXT, _NUMBER, _FLAG = {"type": "string"}, {"type": "number"}, {"type": "boolean"}
 _NUMBERS = {"type": "array", "items": _NUMBER}
@@ -77,12 +74,12 @@ class FoxgloveEncoding:
     def transforms(self, poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.FrameTransforms`` on `/tf`."""
         transforms = FrameTransforms(transforms=[_transform(pose, stamp_ns) for pose in poses])
-        return McapMessage("/tf", _schema(FrameTransforms), transforms.encode())
+        return McapMessage("/tf", _schema(FrameTransforms), transforms.SerializeToString())
 
     def cloud(self, lidar: str, frame_id: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.PointCloud`` of little-endian float32."""
         packed = np.ascontiguousarray(points_m, dtype="<f4")
-        numeric = PackedElementFieldNumericType.Float32
+        numeric = PackedElementField.FLOAT32
         cloud = PointCloud(
             timestamp=_timestamp(stamp_ns),
             frame_id=frame_id,
@@ -91,12 +88,13 @@ class FoxgloveEncoding:
             fields=[PackedElementField(name=name, offset=4 * index, type=numeric) for index, name in enumerate("xyz")],
             data=packed.tobytes(),
         )
-        return McapMessage(f"/lidar/{lidar}/points", _schema(PointCloud), cloud.encode(), {LIDAR_NAME_KEY: lidar})
+        data, metadata = cloud.SerializeToString(), {LIDAR_NAME_KEY: lidar}
+        return McapMessage(f"/lidar/{lidar}/points", _schema(PointCloud), data, metadata)
 
     def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.SceneUpdate``, an entity per drawing."""
         update = _scene_update(drawings, _timestamp(stamp_ns))
-        return McapMessage(topic, _schema(SceneUpdate), update.encode())
+        return McapMessage(topic, _schema(SceneUpdate), update.SerializeToString())
 
     def log(self, line: LogLine, stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.Log`` on `/log`."""
@@ -108,7 +106,7 @@ class FoxgloveEncoding:
             file="",
             line=0,
         )
-        return McapMessage("/log", _schema(Log), entry.encode())
+        return McapMessage("/log", _schema(Log), entry.SerializeToString())
 
     def metrics(self, figures: Mapping[str, Any]) -> McapMessage:
         """Encode JSON with its own schema on `/metrics`."""
@@ -118,13 +116,15 @@ class FoxgloveEncoding:
         return McapMessage("/metrics", schema, json.dumps(figures, allow_nan=False).encode())
 
 
+@cache
 def _schema(kind: type[FrameTransforms | PointCloud | SceneUpdate | Log]) -> MessageSchema:
-    schema = kind.get_schema()
-    return MessageSchema(schema.name, schema.encoding, schema.data, MessageEncoding.Protobuf)
+    descriptors = build_file_descriptor_set(kind).SerializeToString()
+    return MessageSchema(kind.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, descriptors, MessageEncoding.Protobuf)
 
 
 def _timestamp(stamp_ns: int) -> Timestamp:
-    return Timestamp(*divmod(stamp_ns, 10**9))
+    seconds, nanos = divmod(stamp_ns, 10**9)
+    return Timestamp(seconds=seconds, nanos=nanos)
 
 
 def _transform(pose: RigidTransform, stamp_ns: int) -> FrameTransform:
@@ -156,7 +156,7 @@ def _scene_update(drawings: Sequence[Drawing], timestamp: Timestamp) -> SceneUpd
 
 def _lines(lines: Lines) -> LinePrimitive:
     return LinePrimitive(
-        type=LinePrimitiveLineType.LineList,
+        type=LinePrimitive.LINE_LIST,
         pose=_pose((0.0, 0.0, 0.0)),
         thickness=_LINE_PIXELS,
         scale_invariant=True,

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from multilica.errors import ViewerError
+from multilica.system_libraries import apt_command
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -27,7 +28,7 @@ _COMMAND = (sys.executable, "-m", "rerun")
 _LOOPBACK = ("--bind", "127.0.0.1")
 _NO_DRIVER = (
     "pictures without a screen need a Vulkan driver, on Debian and Ubuntu "
-    "`sudo apt-get install mesa-vulkan-drivers libvulkan1`"
+    f"`{apt_command(('libudev1', 'libvulkan1', 'mesa-vulkan-drivers'))}`"
 )
 _TIMEOUT_S = 60.0
 _PAUSE_S = 0.4

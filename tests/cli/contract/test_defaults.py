@@ -94,6 +94,7 @@ DEFAULTS = {
         "--quiet": False,
         "--json": False,
     },
+    "doctor": {"--json": False},
     "demo": {"--out": Path("recordings/runs/demo"), "--quiet": False},
     "fleet run": {
         **dict.fromkeys(

@@ -9,6 +9,8 @@ from types import ModuleType
 
 import pytest
 
+from multilica import system_libraries
+
 SCRIPT = Path(__file__).parents[3] / ".ci" / "system_libraries.py"
 
 
@@ -18,7 +20,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     spec = importlib.util.spec_from_file_location("system_libraries", SCRIPT)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "loads", bool)
+    monkeypatch.setattr(system_libraries, "loads", bool)
     monkeypatch.setattr(module, "privilege", lambda: None)
     monkeypatch.setattr(module, "missing_for_pictures", list)
     monkeypatch.setattr(module, "missing_browser", list)
@@ -32,7 +34,7 @@ def test_nothing_is_done_where_nothing_is_missing(script: ModuleType, capsys: py
 
 
 def test_a_user_without_rights_reads_the_command(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(script, "loads", lambda library: library not in {"libGL.so.1", "libusb-1.0.so.0"})
+    monkeypatch.setattr(system_libraries, "loads", lambda library: library not in {"libGL.so.1", "libusb-1.0.so.0"})
     with pytest.raises(SystemExit) as ended:
         script.main()
     assert str(ended.value).splitlines()[-1].strip() == "sudo apt-get install libusb-1.0-0 libgl1"
@@ -54,7 +56,7 @@ def test_what_is_missing_is_installed_with_apt(
         commands.append(command)
         return subprocess.CompletedProcess(command, 0)
 
-    monkeypatch.setattr(script, "loads", lambda library: library != "libEGL.so.1")
+    monkeypatch.setattr(system_libraries, "loads", lambda library: library != "libEGL.so.1")
     monkeypatch.setattr(script, "privilege", lambda: privilege)
     monkeypatch.setattr(script.shutil, "which", lambda name: f"/usr/bin/{name}")
     monkeypatch.setattr(script.subprocess, "run", record)

@@ -82,7 +82,8 @@ def test_the_same_seed_gives_the_same_bits(solver):
 def test_a_solver_that_is_not_installed_says_how_to_get_on(name, instead, monkeypatch):
     monkeypatch.setitem(sys.modules, _PACKAGES[name], None)
     with pytest.raises(
-        MissingDependencyError, match=rf"'{name}' is not installed; .*`pip install .*coarse\.solver={instead}"
+        MissingDependencyError,
+        match=rf"'{name}' needs the library .* not installed; `pip .*` installs it, or set coarse\.solver={instead}",
     ):
         SOLVERS[name](_matches(1, 50, 0.0), CoarseConfig(solver=name), 0)
 

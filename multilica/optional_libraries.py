@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Optional libraries: what each is for, and the command that installs it."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from multilica.errors import MissingDependencyError
+from multilica.system_libraries import OPEN3D, apt_command, missing_for_open3d
+
+__all__ = ["OPTIONAL_LIBRARIES", "OptionalLibrary", "is_found", "library_error", "needed_for", "require_library"]
+
+
+@dataclass(frozen=True, slots=True)
+class OptionalLibrary:
+    """A library that multilica works without.
+
+    Args:
+        module: the name that is imported.
+        distributions: names in the package index, of which one is installed.
+        extra: the extra of multilica that installs it; empty if none does.
+        purpose: what works with it only.
+        command: installs it where no extra does.
+    """
+
+    module: str
+    distributions: tuple[str, ...]
+    extra: str
+    purpose: str
+    command: str = ""
+
+    @property
+    def install_command(self) -> str:
+        """The command that installs it."""
+        return self.command or f"pip install 'multilica[{self.extra}]'"
+
+
+_ALL = (
+    OptionalLibrary(
+        "open3d",
+        ("open3d-cpu", "open3d"),
+        "open3d",
+        "presets of the paper, simulate, Open3D's engines and solvers",
+    ),
+    OptionalLibrary("networkx", ("networkx",), "open3d", "solver maximum_clique of the presets of the paper"),
+    OptionalLibrary("kiss_matcher", ("kiss-matcher",), "kiss", "solver kiss_matcher (Python up to 3.12)"),
+    OptionalLibrary("laspy", ("laspy",), "las", "LAS and LAZ files"),
+    OptionalLibrary("lazrs", ("lazrs",), "las", "LAZ files"),
+    OptionalLibrary("fsspec", ("fsspec",), "remote", "files at https://"),
+    OptionalLibrary("aiohttp", ("aiohttp",), "remote", "files at https://"),
+    OptionalLibrary("s3fs", ("s3fs",), "s3", "files at s3://"),
+    OptionalLibrary("gcsfs", ("gcsfs",), "gcs", "files at gs://"),
+    OptionalLibrary("websockets", ("websockets",), "live", "record from a running vehicle at ws://"),
+    OptionalLibrary("duckdb", ("duckdb",), "fleet", "fleet"),
+    OptionalLibrary("distributed", ("distributed",), "dask", "fleet run --scheduler"),
+    OptionalLibrary("velodyne_decoder", ("velodyne-decoder",), "velodyne", "packets of Velodyne"),
+    OptionalLibrary("ouster.sdk", ("ouster-sdk",), "", "packets of Ouster", "pip install --no-deps 'ouster-sdk>=1.0'"),
+    OptionalLibrary(
+        "teaserpp_python",
+        ("teaserpp-python",),
+        "",
+        "solver teaserpp, else maximum_clique",
+        "pip install git+https://github.com/MIT-SPARK/TEASER-plusplus.git",
+    ),
+    OptionalLibrary("pandas", ("pandas",), "", "to_dataframe of a result", "pip install pandas"),
+)
+OPTIONAL_LIBRARIES = {library.module: library for library in _ALL}
+"""By the name that is imported."""
+
+
+def is_found(module: str) -> bool:
+    """Return whether a library can be found, without importing it."""
+    try:
+        return find_spec(module) is not None
+    except (ModuleNotFoundError, ValueError):  # no parent package, or a module without a spec
+        return False
+
+
+@contextmanager
+def needed_for(wanted: str, module: str, instead: str = "") -> Iterator[None]:
+    """Turn the ImportError of an optional library into one sentence.
+
+    Args:
+        wanted: what the user asked for, as the subject of the sentence: ``"Reading a.las"``.
+        module: key of `OPTIONAL_LIBRARIES`.
+        instead: what else the user may do, as an imperative.
+
+    Raises:
+        MissingDependencyError: the library is missing, or cannot be loaded.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise library_error(wanted, module, error, instead) from error
+
+
+def require_library(wanted: str, module: str, instead: str = "") -> None:
+    """Raise MissingDependencyError, with arguments as for `needed_for`, if a library cannot be found."""
+    if not is_found(module):
+        raise library_error(wanted, module, instead=instead)
+
+
+def library_error(wanted: str, module: str, error: ImportError | None = None, instead: str = "") -> Exception:
+    """Return the error for an optional library that was not imported, with arguments as for `needed_for`.
+
+    An error for want of memory is returned as it is.
+    """
+    library = OPTIONAL_LIBRARIES[module]
+    missing = error.name if isinstance(error, ModuleNotFoundError) else None
+    name, command = missing or library.distributions[-1], library.install_command
+    otherwise = f", or {instead}" if instead else ""
+    if error is None or missing or not is_found(module):
+        return MissingDependencyError(
+            f"{wanted} needs the library {name}, which is not installed; `{command}` installs it{otherwise}."
+        )
+    if "failed to map segment" in str(error) or "llocate memory" in str(error):
+        return error
+    if module == "open3d" and "shared object" in str(error):
+        mend = apt_command(missing_for_open3d() or OPEN3D.values())
+        return MissingDependencyError(
+            f"{wanted} needs the library {name}, which cannot be loaded ({error}); on Debian and Ubuntu `{mend}` "
+            f"installs what it lacks{otherwise}."
+        )
+    return MissingDependencyError(
+        f"{wanted} needs the library {name}, which cannot be loaded ({error}); `pip install --force-reinstall {name}` "
+        f"mends an installation{otherwise}."
+    )

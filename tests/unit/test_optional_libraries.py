@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Optional libraries: their table is that of the package, and what is missing is told in one sentence."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from multilica import optional_libraries
+from multilica.errors import MissingDependencyError
+from multilica.installation import CORE_LIBRARIES
+from multilica.optional_libraries import OPTIONAL_LIBRARIES, needed_for, require_library
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+LIBGL = "libGL.so.1: cannot open shared object file: No such file or directory"
+
+
+def names(requirements: list[str]) -> set[str]:
+    return {re.match(r"[\w.-]+", requirement)[0] for requirement in requirements} - {"multilica"}
+
+
+def test_the_core_is_that_of_the_package() -> None:
+    assert {*CORE_LIBRARIES} == names(PROJECT["dependencies"])
+
+
+def test_each_library_is_in_its_extra() -> None:
+    found: dict[str, set[str]] = {}
+    for library in OPTIONAL_LIBRARIES.values():
+        if library.extra:
+            found.setdefault(library.extra, set()).update(library.distributions)
+        else:
+            assert library.command
+    assert found == {extra: names(required) for extra, required in EXTRAS.items() if extra != "all"}
+
+
+def test_the_extra_all_has_every_other() -> None:
+    assert EXTRAS["all"] == [f"multilica[{','.join(sorted({*EXTRAS} - {'all'}))}]"]
+
+
+@pytest.mark.parametrize("module", OPTIONAL_LIBRARIES)
+def test_a_missing_library_is_one_sentence(module: str) -> None:
+    with pytest.raises(MissingDependencyError) as caught, needed_for("Reading a.las", module, "wait"):
+        raise ModuleNotFoundError(f"No module named '{module}'", name=module)
+    command = OPTIONAL_LIBRARIES[module].install_command
+    assert str(caught.value) == (
+        f"Reading a.las needs the library {module}, which is not installed; `{command}` installs it, or wait."
+    )
+
+
+def test_a_library_that_is_not_found_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    require_library("Reading a.las", "laspy")
+    monkeypatch.setattr(optional_libraries, "find_spec", lambda _: None)
+    with pytest.raises(MissingDependencyError, match=r"needs the library laspy, .*'multilica\[las\]'` installs it\.$"):
+        require_library("Reading a.las", "laspy")
+
+
+def test_a_missing_system_library_names_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("multilica.system_libraries.loads", lambda library: library != "libGL.so.1")
+    with pytest.raises(MissingDependencyError) as caught, needed_for("A simulation", "open3d"):
+        raise ImportError(LIBGL)
+    assert str(caught.value) == (
+        f"A simulation needs the library open3d, which cannot be loaded ({LIBGL}); on Debian and Ubuntu `sudo apt-get "
+        "install libgl1` installs what it lacks."
+    )
+
+
+def test_a_broken_library_is_to_be_installed_again() -> None:
+    told = r"laspy, which cannot be loaded \(no name x\); `pip install --force-reinstall laspy` mends"
+    with pytest.raises(MissingDependencyError, match=told), needed_for("Reading a.las", "laspy"):
+        raise ImportError("no name x")
+
+
+def test_a_lack_of_memory_stays_what_it_is() -> None:
+    with pytest.raises(ImportError, match="failed to map segment"), needed_for("A simulation", "open3d"):
+        raise ImportError("libOpen3D.so: failed to map segment from shared object")
