@@ -11,10 +11,10 @@ if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
     from multilica.ingest import read_prior, read_snapshot
-    from multilica.pipeline import calibrate
     from multilica.results import CalibrationResult
     from multilica.run import CalibrationRun, run_calibration
     from multilica.snapshot import LidarScans, Scan, Snapshot
+    from multilica.source_calibration import calibrate
 
 __version__ = "0.1.0"
 
@@ -25,10 +25,10 @@ _NAMES = {
     "extrinsics": ("Extrinsics",),
     "geometry": ("RigidTransform",),
     "ingest": ("read_prior", "read_snapshot"),
-    "pipeline": ("calibrate",),
     "results": ("CalibrationResult",),
     "run": ("CalibrationRun", "run_calibration"),
     "snapshot": ("LidarScans", "Scan", "Snapshot"),
+    "source_calibration": ("calibrate",),
 }
 
 __all__ = [

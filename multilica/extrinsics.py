@@ -147,16 +147,18 @@ def pose_values(pose: RigidTransform) -> dict[str, Any]:
     }
 
 
-def read_extrinsics(path: Path, *, with_uncertain: bool = False) -> Extrinsics:
+def read_extrinsics(path: str | Path, *, with_uncertain: bool = False) -> Extrinsics:
     """Read extrinsics from a TOML table, such as `calibration.toml` or a truth file; further keys are ignored.
 
     Args:
+        path: of the file; ``~`` stands for the home folder.
         with_uncertain: also take the LiDARs that `calibration.toml` lists as uncertain.
 
     Raises:
         SourceNotFoundError: no such file.
         UnreadableSourceError: not TOML, or not such a table.
     """
+    path = Path(path).expanduser()
     try:
         values = parse_toml(read_limited(path, MAX_TOML_BYTES))
     except FileNotFoundError as error:

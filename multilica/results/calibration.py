@@ -3,14 +3,19 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from multilica.geometry import RigidTransform
+from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
 from multilica.results.hypotheses import PairKey
 from multilica.results.merging import MergeDecision, Refinement
+from multilica.results.notebook import TABLE_COLUMNS, html_table, table_rows
 from multilica.results.placements import GroundPlane, LidarPlacement
 from multilica.results.registrations import PairRegistration
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["LEVEL_FRAME", "CalibrationResult", "Refusal", "SnapshotDeviation", "SnapshotReport", "Status", "TimeLimit"]
 
@@ -144,6 +149,24 @@ class CalibrationResult:
             return "complete"
         with_pose = sum(placement.T_target_source is not None for placement in self.placements)
         return "partial" if with_pose > 1 else "failed"
+
+    def to_dataframe(self) -> "pd.DataFrame":
+        """Return a row per LiDAR in name order.
+
+        The columns are those of `multilica.results.notebook.TABLE_COLUMNS`: pose in metres, as quaternion and in
+        degrees, standard deviations in metres and degrees, all along the axes of the target, then fitness, RMSE and
+        reason. Numbers that are not known are NaN.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        with needed_for("`to_dataframe`", "pandas"):
+            import pandas as pd
+        return pd.DataFrame(table_rows(self), columns=[*TABLE_COLUMNS])
+
+    def _repr_html_(self) -> str:
+        """Return the table that notebooks show."""
+        return html_table(self)
 
     def __getitem__(self, lidar: str) -> LidarPlacement:
         """Return the placement of that LiDAR; KeyError if the rig has none of that name."""

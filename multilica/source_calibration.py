@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A calibration of what a recording or a snapshot holds, without files."""
+
+from collections.abc import Sequence
+
+from multilica import events, pipeline
+from multilica.config import CalibrationConfig
+from multilica.events import Observer
+from multilica.extrinsics import Extrinsics
+from multilica.ingest import read_snapshot, require_calibratable
+from multilica.ingest.locate import PathLike
+from multilica.results import CalibrationResult
+from multilica.snapshot import Snapshot
+from multilica.workers import Workers
+
+__all__ = ["calibrate"]
+
+
+def calibrate(
+    source: Snapshot | PathLike | Sequence[PathLike],
+    config: CalibrationConfig | None = None,
+    observe: Observer = events.ignore,
+    prior: Extrinsics | None = None,
+    workers: Workers | None = None,
+    rig: Extrinsics | None = None,
+) -> CalibrationResult:
+    """Find where every LiDAR of a snapshot or a recording sits relative to the target LiDAR.
+
+    `run_calibration` does the same and writes the files; it also takes several snapshots of one rig.
+
+    Args:
+        source: a snapshot with at least two LiDARs, or what `read_snapshot` takes.
+        config: the default preset if None.
+        observe: called with each event of `multilica.events` as it happens.
+        prior: poses in metres and radians that the user claims, by the LiDARs' names; verified like other hypotheses.
+        rig: has the target in the base frame `config.ground.frame`: x, y and yaw of the ground plane's base frame.
+        workers: an open pool, to start it once for several calibrations; None: a pool of its own.
+
+    Returns:
+        A pose `T_target_source` or a reason per LiDAR; a LiDAR that cannot be placed is a normal outcome.
+
+    Raises:
+        InputError: the source cannot be read, or is not fit to be calibrated.
+        UsageError: the configuration, the prior or the rig names something that does not exist.
+        MissingDependencyError: the source or the configuration needs a library that is not installed.
+        WorkerDiedError: a worker process was killed or crashed.
+    """
+    deadline_s = pipeline.deadline_of(config or CalibrationConfig())
+    if isinstance(source, Snapshot):
+        snapshot = source
+    else:
+        snapshot = read_snapshot(source, config=config.ingest if config else None)
+        require_calibratable(snapshot)
+    return pipeline.calibrate(snapshot, config, observe, prior, workers, rig, deadline_s)
