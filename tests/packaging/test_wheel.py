@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The wheel as a user gets it: built, installed without extras into an environment of its own, and used there."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.xdist_group("wheel")
+
+ROOT = Path(__file__).parents[2]
+SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
+LIMIT_BYTES = 1_000_000_000
+OF_A_CHECKOUT = {"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"}
+SMOKE = """
+import sys
+import multilica
+result = multilica.calibrate(sys.argv[1])
+assert result.status == "complete", result
+assert result._repr_html_().count("<tr>") == 5
+print(multilica.__file__)
+"""
+WANTED = {
+    "las": ["calibrate", "scans"],
+    "remote": ["inspect", "https://localhost/a.mcap"],
+    "s3": ["inspect", "s3://bucket/a.mcap"],
+    "gcs": ["inspect", "gs://bucket/a.mcap"],
+    "live": ["record", "ws://localhost:1", "--out", "a.mcap"],
+    "fleet": ["fleet", "run", "scans", "--out", "store"],
+    "open3d": ["simulate", "--rig", "sides", "--scene", "garage", "--out", "a.mcap"],
+}
+
+
+@dataclass(frozen=True)
+class Installed:
+    """An environment with the wheel, in whose `folder` commands run."""
+
+    programs: Path
+    folder: Path
+
+    def run(self, program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+        return run([str(self.programs / program), *arguments], self.folder)
+
+
+def run(command: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
+    environment = {name: value for name, value in os.environ.items() if name not in OF_A_CHECKOUT}
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the source distribution, and the wheel that was built from it."""
+    pytest.importorskip("build", reason="make installs it")
+    folder = tmp_path_factory.mktemp("built")
+    backend = ["hatchling", "--no-deps", "--dest", str(folder / "backend")]
+    if run([sys.executable, "-m", "pip", "download", "--quiet", *backend], folder).returncode:
+        pytest.skip("no package index can be reached")
+    ended = run([sys.executable, "-m", "build", "--outdir", str(folder), str(ROOT)], folder)
+    assert ended.returncode == 0, ended.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    folder = tmp_path_factory.mktemp("clean")
+    (wheel,) = built.glob("*.whl")
+    assert run([sys.executable, "-m", "venv", "venv"], folder).returncode == 0
+    programs = folder / "venv" / "bin"
+    options = ["--quiet", "--no-compile", "--constraint", str(ROOT / "constraints.txt")]
+    ended = run([str(programs / "python"), "-m", "pip", "install", *options, str(wheel)], folder)
+    assert ended.returncode == 0, ended.stderr
+    (folder / "scans").mkdir()
+    for name in ("left.las", "right.las"):
+        (folder / "scans" / name).write_bytes(b"LASF" + bytes(400))
+    return Installed(programs, folder)
+
+
+def test_the_wheel_holds_types_pages_and_the_sample(built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {"multilica/py.typed", "multilica_cli/samples/edgar-street.mcap"} <= names
+    assert {"multilica/sinks/report/page.html", "multilica/fleet/report/page.html"} <= names
+    assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"multilica", "multilica_cli"}
+
+
+def test_the_sources_can_be_tested(built: Path) -> None:
+    (sources,) = built.glob("*.tar.gz")
+    with tarfile.open(sources) as file:
+        names = {name.partition("/")[2] for name in file.getnames()}
+    assert {"Makefile", "constraints.txt", ".ci/run", "tests/conftest.py", "multilica/py.typed"} <= names
+
+
+def test_the_environment_is_below_a_gigabyte(installed: Installed) -> None:
+    files = (file for file in (installed.folder / "venv").rglob("*") if "__pycache__" not in file.parts)
+    assert sum(file.stat().st_size for file in files if file.is_file() and not file.is_symlink()) < LIMIT_BYTES
+
+
+def test_the_demo_places_every_lidar(installed: Installed) -> None:
+    ended = installed.run("multilica", "demo", "--out", "run")
+    assert ended.returncode == 0, ended.stderr
+    assert "All 4 LiDARs are placed" in ended.stdout
+    left = {path.name for path in (installed.folder / "run").iterdir()}
+    assert {"calibration.toml", "result.json", "recording.rrd", "result.mcap", "report.html"} <= left
+
+
+def test_python_calibrates_in_one_line(installed: Installed) -> None:
+    ended = installed.run("python", "-c", SMOKE, str(SAMPLE))
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.startswith(str(installed.folder))
+
+
+@pytest.mark.parametrize("extra", WANTED)
+def test_a_missing_extra_is_one_sentence(extra: str, installed: Installed) -> None:
+    ended = installed.run("multilica", *WANTED[extra])
+    assert ended.returncode == 1
+    told = [line for line in ended.stderr.splitlines() if line.startswith("multilica: ")]
+    assert len(told) == 1
+    assert re.search(rf" needs the library \w+, which is not installed; `pip install 'multilica\[{extra}\]'`", told[0])
+    assert "Traceback" not in ended.stderr
+    assert not (installed.folder / "store").exists()
+
+
+def test_the_doctor_finds_the_core_whole(installed: Installed) -> None:
+    ended = installed.run("multilica", "doctor")
+    assert ended.returncode == 0, ended.stdout
+    assert "pip install 'multilica[all]'" in ended.stdout
+    assert installed.run("multilica", "fleet", "--help").returncode == 0
