@@ -9,6 +9,7 @@ from functools import cache
 from importlib import import_module
 
 from multilica.ingest.formats import FORMATS, Content
+from multilica.optional_libraries import OPTIONAL_LIBRARIES
 
 __all__ = ["MESSAGE_TYPES", "OTHER_PACKETS", "OUSTER", "OUSTER_TURN", "MessageType", "is_installed", "is_packets"]
 
@@ -45,6 +46,11 @@ def _driver(packets: str, driver: str) -> str:
     return f"{packets}, which the driver {driver} turns into point clouds; replay the log through it"
 
 
+def _decodable(packets: str, module: str, driver: str) -> str:
+    command = OPTIONAL_LIBRARIES[module].install_command
+    return f"{packets}; `{command}`, or replay the log through the driver {driver}"
+
+
 _ROS = ("cdr", "ros1")
 MESSAGE_TYPES = {
     name: entry
@@ -59,16 +65,14 @@ MESSAGE_TYPES = {
             _ROS,
             "messages.velodyne_packets",
             requires="velodyne_decoder",
-            packets="packets of Velodyne; `pip install 'multilica[velodyne]'`, or replay the log through the driver "
-            "velodyne_pointcloud",
+            packets=_decodable("packets of Velodyne", "velodyne_decoder", "velodyne_pointcloud"),
         ),
         MessageType(
             ("ouster_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg", "ouster_sensor_msgs/msg/PacketMsg"),
             (OUSTER_TURN,),
             "messages.ouster_packets",
             requires=OUSTER,
-            packets="packets of Ouster; `pip install --no-deps 'ouster-sdk>=1.0'`, or replay the log through the "
-            "driver ouster_ros",
+            packets=_decodable("packets of Ouster", "ouster.sdk", "ouster_ros"),
             incomplete="packets of Ouster without the topic 'metadata' of its driver, which is needed to decode them; "
             "replay the log through the driver ouster_ros with the sensor's metadata file",
         ),

@@ -17,7 +17,7 @@ def test_position_and_angles_are_enough(tmp_path):
     path = tmp_path / "drawing.toml"
     path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = [0, 45, -90]\n")
     expected = RigidTransform.from_xyz_rpy("base", "left", [0.1, 0.6, 1.7], [0.0, np.pi / 4, -np.pi / 2])
-    np.testing.assert_allclose(read_extrinsics(path).T_target_source["left"].matrix, expected.matrix, atol=1e-12)
+    np.testing.assert_allclose(read_extrinsics(str(path)).T_target_source["left"].matrix, expected.matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
-from foxglove_schemas_protobuf.Point3_pb2 import Point3
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
@@ -155,14 +154,17 @@ def _scene_update(drawings: Sequence[Drawing], timestamp: Timestamp) -> SceneUpd
 
 
 def _lines(lines: Lines) -> LinePrimitive:
-    return LinePrimitive(
+    primitive = LinePrimitive(
         type=LinePrimitive.LINE_LIST,
         pose=_pose((0.0, 0.0, 0.0)),
         thickness=_LINE_PIXELS,
         scale_invariant=True,
-        points=[Point3(x=x, y=y, z=z) for x, y, z in lines.segments_m.reshape(-1, 3).tolist()],
         color=_color(lines.colour),
     )
+    add = primitive.points.add  # takes a third of the time of messages that are made first
+    for x, y, z in lines.segments_m.reshape(-1, 3).tolist():
+        add(x=x, y=y, z=z)
+    return primitive
 
 
 def _sphere(ellipsoid: Ellipsoid) -> SpherePrimitive:

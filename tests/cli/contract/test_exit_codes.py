@@ -111,6 +111,7 @@ def test_each_until_stops_after_its_stage(until, invoke: Invoke, two_lidars: Pat
         (("report", "nowhere"), 3),
         (("config", "--preset", "nonsense"), 2),
         (("config",), 0),
+        (("doctor",), 0),
         (("simulate", "--rig", "nonsense", "--scene", "street", "--out", "a.mcap"), 2),
         (("evaluate", "nowhere", "--truth", "nowhere.toml"), 3),
         (("datasets", "nonsense", "nowhere"), 2),

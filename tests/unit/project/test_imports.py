@@ -10,7 +10,17 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
-HEAVY = {"open3d", "rerun", "scipy", "numpy", "mcap", "rosbags", "foxglove", "small_gicp", "kiss_matcher"}
+HEAVY = {
+    "open3d",
+    "rerun",
+    "scipy",
+    "numpy",
+    "mcap",
+    "rosbags",
+    "foxglove_schemas_protobuf",
+    "small_gicp",
+    "kiss_matcher",
+}
 PLOTS = {"dash", "plotly", "IPython"}
 READ_SAMPLE = f"from multilica import read_snapshot; snapshot = read_snapshot({str(SAMPLE)!r})"
 SHOW_POINT = """
@@ -75,4 +85,4 @@ def test_verify_takes_no_viewer_and_draws_no_picture() -> None:
     arguments = ["verify", str(SAMPLE), "--calibration", str(SAMPLE.with_suffix(".truth.toml"))]
     loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")
     assert "small_gicp" in loaded
-    assert loaded & (PLOTS | {"PIL", "jinja2", "rerun", "open3d", "foxglove", "kiss_matcher"}) == set()
+    assert loaded & (PLOTS | {"PIL", "jinja2", "rerun", "open3d", "foxglove_schemas_protobuf", "kiss_matcher"}) == set()
