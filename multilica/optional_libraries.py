@@ -5,11 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
+from typing import NoReturn
 
 from multilica.errors import MissingDependencyError
 from multilica.system_libraries import OPEN3D, apt_command, missing_for_open3d
 
-__all__ = ["OPTIONAL_LIBRARIES", "OptionalLibrary", "is_found", "library_error", "needed_for", "require_library"]
+__all__ = ["OPTIONAL_LIBRARIES", "OptionalLibrary", "is_found", "needed_for", "raise_missing", "require_library"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,37 +93,31 @@ def needed_for(wanted: str, module: str, instead: str = "") -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise library_error(wanted, module, error, instead) from error
+        raise_missing(wanted, module, error, instead)
 
 
 def require_library(wanted: str, module: str, instead: str = "") -> None:
     """Raise MissingDependencyError, with arguments as for `needed_for`, if a library cannot be found."""
     if not is_found(module):
-        raise library_error(wanted, module, instead=instead)
+        raise_missing(wanted, module, None, instead)
 
 
-def library_error(wanted: str, module: str, error: ImportError | None = None, instead: str = "") -> Exception:
-    """Return the error for an optional library that was not imported, with arguments as for `needed_for`.
+def raise_missing(wanted: str, module: str, error: ImportError | None, instead: str = "") -> NoReturn:
+    """Raise MissingDependencyError for an optional library that was not imported, with arguments as for `needed_for`.
 
-    An error for want of memory is returned as it is.
+    An error for want of memory is raised as it is.
     """
     library = OPTIONAL_LIBRARIES[module]
     missing = error.name if isinstance(error, ModuleNotFoundError) else None
-    name, command = missing or library.distributions[-1], library.install_command
-    otherwise = f", or {instead}" if instead else ""
+    name, otherwise = missing or library.distributions[-1], f", or {instead}" if instead else ""
     if error is None or missing or not is_found(module):
-        return MissingDependencyError(
-            f"{wanted} needs the library {name}, which is not installed; `{command}` installs it{otherwise}."
-        )
-    if "failed to map segment" in str(error) or "llocate memory" in str(error):
-        return error
-    if module == "open3d" and "shared object" in str(error):
-        mend = apt_command(missing_for_open3d() or OPEN3D.values())
-        return MissingDependencyError(
-            f"{wanted} needs the library {name}, which cannot be loaded ({error}); on Debian and Ubuntu `{mend}` "
-            f"installs what it lacks{otherwise}."
-        )
-    return MissingDependencyError(
-        f"{wanted} needs the library {name}, which cannot be loaded ({error}); `pip install --force-reinstall {name}` "
-        f"mends an installation{otherwise}."
-    )
+        state, mend = "is not installed", f"`{library.install_command}` installs it"
+    elif "failed to map segment" in str(error) or "llocate memory" in str(error):
+        raise error
+    elif module == "open3d" and "shared object" in str(error):
+        command = apt_command(missing_for_open3d() or OPEN3D.values())
+        state, mend = f"cannot be loaded ({error})", f"on Debian and Ubuntu `{command}` installs what it lacks"
+    else:
+        command = f"pip install --force-reinstall {name}"
+        state, mend = f"cannot be loaded ({error})", f"`{command}` mends an installation"
+    raise MissingDependencyError(f"{wanted} needs the library {name}, which {state}; {mend}{otherwise}.") from error

@@ -45,6 +45,8 @@ def _open3d() -> Any:  # noqa: ANN401 - a module
         sys.modules[_PLOTS] = _Deferred(_PLOTS)
     try:
         import open3d
+    except OSError as error:  # releases before 0.20 load their libraries themselves
+        raise ImportError(str(error)) from error
     finally:
         if first:
             del sys.modules[_PLOTS]

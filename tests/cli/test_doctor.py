@@ -75,6 +75,9 @@ def test_a_broken_library_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     """A module in the place of a library fails in the process that tries it."""
     (tmp_path / "small_gicp.py").write_text("raise ImportError('it does\\n not fit')")
     (tmp_path / "pyarrow.py").write_text("import os; os._exit(3)")
+    (tmp_path / "open3d").mkdir()
+    for name in ("__init__.py", "libOpen3D.so.1"):
+        (tmp_path / "open3d" / name).write_text("")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
     document = json.loads(invoke("doctor", "--json").out)
     found = {each["name"]: each for each in document["core"]}
@@ -83,6 +86,10 @@ def test_a_broken_library_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     assert found["small-gicp"]["command"] == "pip install --force-reinstall small-gicp"
     assert (found["pyarrow"]["state"], found["pyarrow"]["problem"]) == ("broken", "it ends the process")
     assert found["numpy"]["state"] == "works"
+    open3d = next(each for each in document["optional"] if each["name"] == "open3d")
+    assert open3d["state"] == "broken"
+    assert open3d["problem"].endswith("libOpen3D.so.1: file too short")
+    assert open3d["command"].startswith("pip install --force-reinstall open3d")
 
 
 def test_open3d_without_a_system_library(versions: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -77,3 +80,20 @@ def test_a_broken_library_is_to_be_installed_again() -> None:
 def test_a_lack_of_memory_stays_what_it_is() -> None:
     with pytest.raises(ImportError, match="failed to map segment"), needed_for("A simulation", "open3d"):
         raise ImportError("libOpen3D.so: failed to map segment from shared object")
+
+
+@pytest.mark.parametrize("kind", ["ImportError", "OSError"])
+def test_open3d_without_libgl_names_the_command(kind: str, tmp_path: Path) -> None:
+    (tmp_path / "open3d").mkdir()
+    (tmp_path / "open3d" / "__init__.py").write_text(f"raise {kind}({LIBGL!r})")
+    code = "from multilica.simulate import simulate_snapshot; simulate_snapshot('sides', 'garage', 1)"
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    ended = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    told = rf"MissingDependencyError: A simulation needs the library open3d, .*{LIBGL}.* `sudo apt-get install lib"
+    assert re.search(told, ended.stderr.splitlines()[-1])

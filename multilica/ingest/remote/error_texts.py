@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from multilica.errors import MultilicaError, SourceNotFoundError, UnreadableSourceError
-from multilica.optional_libraries import library_error
+from multilica.optional_libraries import raise_missing
 
 __all__ = ["ConnectionLostError", "WithoutRangesError", "remote_failures_named"]
 
@@ -44,7 +44,7 @@ def remote_failures_named(where: str, scheme: str) -> Iterator[None]:
     except MultilicaError:
         raise
     except ImportError as error:
-        raise library_error(f"Reading {where}", _LIBRARIES.get(scheme, "fsspec"), error) from error
+        raise_missing(f"Reading {where}", _LIBRARIES.get(scheme, "fsspec"), error)
     except Exception as error:
         raise _explained(error, where, scheme) from error
 
