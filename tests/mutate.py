@@ -100,16 +100,8 @@ CONFUSIONS = (
     (r"1e3 \*|1000\.0 \*", ""),
 )
 # Loaded once; each test run starts from here.
-LIBRARIES = (
-    "numpy",
-    "scipy.spatial",
-    "scipy.optimize",
-    "pydantic",
-    "small_gicp",
-    "rerun.chunk",
-    "foxglove_schemas_protobuf.SceneUpdate_pb2",
-)
-LIBRARIES += ("rosbags.highlevel", "mcap_ros2.decoder", "jinja2", "jsonschema", "PIL.Image", "rich.table")
+LIBRARIES = ("numpy", "scipy.spatial", "scipy.optimize", "pydantic", "small_gicp", "rerun.chunk", "rosbags.highlevel")
+LIBRARIES += ("mcap_protobuf.schema", "mcap_ros2.decoder", "jinja2", "jsonschema", "PIL.Image", "rich.table")
 LOADED_EARLY = "ignore::pytest.PytestAssertRewriteWarning"
 
 
