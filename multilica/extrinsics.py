@@ -69,6 +69,12 @@ class Extrinsics:
             raise InputError(f"'{source}' is joined to '{target}' through {min(joints)}; expected fixed joints only.")
         return self._pose(target).inverse() @ self._pose(source)
 
+    def seen_from(self, T_base_target: RigidTransform) -> "Extrinsics":
+        """Return the same poses in a base frame, where the target has a pose of its own."""
+        base = T_base_target.target
+        poses = {frame: T_base_target @ self.between(self.target, frame) for frame in self.members if frame != base}
+        return Extrinsics(base, dict(sorted(poses.items())))
+
     def _pose(self, name: str) -> RigidTransform:
         if name == self.target:
             return RigidTransform.identity(name, name)

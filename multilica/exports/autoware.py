@@ -8,18 +8,10 @@ from typing import Any
 
 from multilica.errors import UnreadableSourceError
 from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import (
-    child_poses,
-    mapping_of,
-    number_text,
-    numbers,
-    pose_of_rpy,
-    quoted,
-    read_text,
-    read_yaml,
-)
+from multilica.exports.values import mapping_of, numbers, pose_of_rpy, quoted, read_text, read_yaml
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
+from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
 __all__ = ["autoware_yaml", "read_autoware", "updated_autoware"]
 

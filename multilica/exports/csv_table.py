@@ -7,9 +7,10 @@ from io import StringIO
 from pathlib import Path
 
 from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import child_poses, number_text, numbers, pose_of_quaternion, read_text
+from multilica.exports.values import numbers, pose_of_quaternion, read_text
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
+from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
 __all__ = ["csv_text", "read_csv"]
 

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import child_poses, mapping_of, number_text, pose_of_matrix, quoted, read_yaml
+from multilica.exports.values import mapping_of, pose_of_matrix, quoted, read_yaml
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
+from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
 __all__ = ["MATRIX", "kalibr_yaml", "read_kalibr"]
 

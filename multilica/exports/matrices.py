@@ -8,14 +8,14 @@ from pathlib import Path
 
 from multilica.errors import UsageError
 from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import child_poses, number_list, pose_of_matrix, read_text
+from multilica.exports.values import pose_of_matrix, read_text
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
+from multilica.sinks.text.extrinsics_text import MATRIX_FRAMES, child_poses, matrix_text, number_list
 
 __all__ = ["KITTI_LINE", "kitti_text", "matrix_text", "read_kitti", "read_matrices"]
 
 KITTI_LINE = re.compile(r"^Tr_(?P<source>\S{1,255}?)_to_(?P<target>\S{1,255}?): *(?P<numbers>.*)$", re.MULTILINE)
-_FRAMES = "# T_target_source "
 
 
 def kitti_text(extrinsics: Extrinsics) -> str:
@@ -46,15 +46,6 @@ def _kitti_poses(text: str) -> Iterator[RigidTransform]:
         yield pose_of_matrix(line["target"], line["source"], [words[row : row + 4] for row in (0, 4, 8)])
 
 
-def matrix_text(extrinsics: Extrinsics) -> str:
-    """Return four lines per frame, below a comment with target and source."""
-    return "# p_target = T_target_source @ p_source, in metres.\n" + "".join(
-        f"{_FRAMES}{shlex.join((pose.target, pose.source))}\n"
-        + "".join(f"{number_list(row)}\n" for row in pose.matrix.tolist())
-        for pose in child_poses(extrinsics)
-    )
-
-
 def read_matrices(path: Path) -> Extrinsics:
     """Read 4 x 4 matrices, each below a comment ``# T_target_source TARGET SOURCE``.
 
@@ -65,14 +56,14 @@ def read_matrices(path: Path) -> Extrinsics:
 
 
 def _matrix_poses(text: str) -> Iterator[RigidTransform]:
-    before, *parts = re.split(rf"^{_FRAMES}", text, flags=re.MULTILINE)
+    before, *parts = re.split(rf"^{MATRIX_FRAMES}", text, flags=re.MULTILINE)
     if _rows(before):
-        raise ValueError(f"it has numbers above the first line '{_FRAMES}TARGET SOURCE'")
+        raise ValueError(f"it has numbers above the first line '{MATRIX_FRAMES}TARGET SOURCE'")
     for part in parts:
         frames, _, rest = part.partition("\n")
         names = shlex.split(frames)
         if len(names) != 2:
-            raise ValueError(f"the line '{_FRAMES}{frames}' does not have two frames")
+            raise ValueError(f"the line '{MATRIX_FRAMES}{frames}' does not have two frames")
         yield pose_of_matrix(names[0], names[1], _rows(rest))
 
 

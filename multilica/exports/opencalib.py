@@ -7,9 +7,10 @@ from pathlib import Path
 
 from multilica.documents import MAX_JSON_BYTES, parse_json, read_limited
 from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import child_poses, mapping_of, pose_of_matrix
+from multilica.exports.values import mapping_of, pose_of_matrix
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
+from multilica.sinks.text.extrinsics_text import child_poses
 
 __all__ = ["opencalib_json", "read_opencalib"]
 

@@ -17,9 +17,10 @@ from multilica.exports.static_publisher import (
     ros2_arguments,
     split_arguments,
 )
-from multilica.exports.values import child_poses, read_text
+from multilica.exports.values import read_text
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
+from multilica.sinks.text.extrinsics_text import child_poses
 
 __all__ = [
     "command_lines",

@@ -16,10 +16,10 @@ from multilica.exports.static_publisher import (
     ros2_arguments,
     split_arguments,
 )
-from multilica.exports.values import child_poses
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import parse_xml
+from multilica.sinks.text.extrinsics_text import child_poses
 
 __all__ = ["read_launch_xml", "ros1_launch_xml", "ros2_launch_xml"]
 

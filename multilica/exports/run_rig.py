@@ -75,7 +75,7 @@ def rig_of_run(
     ground = None if rig is not None else _own_base(document, base, with_uncertain=with_uncertain)
     if ground is not None:
         T_base_target = RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))
-        found = _seen_from(found, T_base_target)
+        found = found.seen_from(T_base_target)
     else:
         found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
     for frame in found.members:
@@ -117,14 +117,7 @@ def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple
     base = T_base_target.target
     if base in found.members and rig is not None and base != found.target:
         raise UsageError(f"The base frame '{base}' has the name of a LiDAR of the run; give another one.")
-    return _seen_from(found, T_base_target)
-
-
-def _seen_from(found: Extrinsics, T_base_target: RigidTransform) -> Extrinsics:
-    """Return the same poses in the base frame, where the target has a pose of its own."""
-    base = T_base_target.target
-    poses = {frame: T_base_target @ found.between(found.target, frame) for frame in found.members if frame != base}
-    return Extrinsics(base, dict(sorted(poses.items())))
+    return found.seen_from(T_base_target)
 
 
 def _own_base(document: ResultDocument, base: str | None, *, with_uncertain: bool) -> GroundEntry | None:

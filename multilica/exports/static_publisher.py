@@ -10,8 +10,9 @@ import shlex
 from collections.abc import Sequence
 
 from multilica.errors import UsageError
-from multilica.exports.values import number_text, numbers, pose_of_quaternion, pose_of_rpy
+from multilica.exports.values import numbers, pose_of_quaternion, pose_of_rpy
 from multilica.geometry import RigidTransform
+from multilica.sinks.text.extrinsics_text import number_text
 
 __all__ = [
     "EXECUTABLE",

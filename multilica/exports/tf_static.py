@@ -5,12 +5,12 @@ from contextlib import closing
 from pathlib import Path
 
 from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import child_poses
 from multilica.extrinsics import Extrinsics
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
 from multilica.ingest.transforms.static_transforms import read_static_transforms
 from multilica.sinks.mcap.static_transforms_mcap import static_transforms_mcap
+from multilica.sinks.text.extrinsics_text import child_poses
 
 __all__ = ["read_tf_static", "tf_static_mcap"]
 

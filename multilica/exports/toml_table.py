@@ -3,9 +3,9 @@
 
 from pathlib import Path
 
-from multilica.exports.values import child_poses
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
 from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.text.extrinsics_text import child_poses
 
 __all__ = ["read_toml", "toml_extrinsics"]
 

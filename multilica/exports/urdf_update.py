@@ -9,10 +9,10 @@ from xml.parsers import expat
 
 from multilica.errors import InputError, UnreadableSourceError
 from multilica.exports.frame_tree import extrinsics_of_joints
-from multilica.exports.values import child_poses, number_list
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import Joint, read_urdf
+from multilica.sinks.text.extrinsics_text import child_poses, number_list
 
 __all__ = ["updated_urdf"]
 

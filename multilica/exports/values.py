@@ -12,15 +12,12 @@ import numpy as np
 
 from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_yaml, read_limited, require_length, shown
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import MAX_ANGLE_RAD
+from multilica.sinks.text.extrinsics_text import number_list
 
 __all__ = [
-    "child_poses",
     "mapping_of",
-    "number_list",
-    "number_text",
     "numbers",
     "pose_of_matrix",
     "pose_of_quaternion",
@@ -40,23 +37,6 @@ _ROTATION_TOLERANCE = 1e-3
 """Matrices of four digits are rotations."""
 _MAX_ENTRY = 2.0
 """Larger entries of a rotation are wrong, and their squares may overflow."""
-
-
-def child_poses(extrinsics: Extrinsics) -> list[RigidTransform]:
-    """Return the poses in the common frame by name, without the common frame itself."""
-    named = sorted(extrinsics.T_target_source.items())
-    return [RigidTransform(extrinsics.target, name, pose.matrix) for name, pose in named if name != extrinsics.target]
-
-
-def number_text(value: float) -> str:
-    """Return the shortest text that reads back as the same number; with a dot, which YAML 1.1 needs."""
-    mantissa, exponent, power = repr(float(value) + 0.0).partition("e")
-    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{exponent}{power}"
-
-
-def number_list(values: Sequence[float]) -> str:
-    """Return numbers with a space between them."""
-    return " ".join(map(number_text, values))
 
 
 def numbers(values: Sequence[object], what: str) -> list[float]:

@@ -68,15 +68,29 @@ def _scored(found: RecordedScores, pair: PairEntry) -> tuple[ScoredPoints, ...]:
     ]
     shown = [finalists[0] if finalists else pair.pose]
     shown += [found.competing_pose] if found.competing_pose is not None else []
-    return tuple(_points_at(pose, finalists, found) for pose in shown)
+    return tuple(_points_at(pose, finalists, found, pair) for pose in shown)
 
 
-def _points_at(pose: RigidTransform, finalists: list[RigidTransform], found: RecordedScores) -> ScoredPoints:
+def _points_at(
+    pose: RigidTransform, finalists: list[RigidTransform], found: RecordedScores, pair: PairEntry
+) -> ScoredPoints:
     """Return the scored points at a pose; none if the recording has no score of it."""
     rank = next((rank for rank, one in enumerate(finalists) if max(one.distance_to(pose)) < _SAME_POSE), None)
-    if rank is None or rank >= len(found.labels):
-        return ScoredPoints(pose, np.empty((0, 3)), np.empty(0, dtype=np.uint8))
-    return ScoredPoints(pose, found.points_m.astype(np.float64), found.labels[rank])
+    if rank is None or rank >= min(len(found.labels), len(found.target_labels)):
+        nothing, none = np.empty((0, 3)), np.empty(0, dtype=np.uint8)
+        return ScoredPoints(pose, nothing, none, nothing, none, 0, 0, 0, 0.0)
+    score = pair.registrations[rank]
+    return ScoredPoints(
+        pose,
+        found.points_m.astype(np.float64),
+        found.labels[rank],
+        found.target_points_m.astype(np.float64),
+        found.target_labels[rank],
+        score.agree,
+        score.violate,
+        score.occluded,
+        score.evidence or 0.0,
+    )
 
 
 def recording_of_run(path: Path) -> Path:

@@ -6,12 +6,11 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 import tomli_w
 
 from multilica.extrinsics import Extrinsics, extrinsics_table, pose_values
-from multilica.results import CalibrationResult, GroundPlane, LidarPlacement
-from multilica.sinks.files.provenance import Provenance
+from multilica.results.document import LidarEntry, ResultDocument
+from multilica.results.document.result import GroundEntry
 
 __all__ = ["calibration_toml", "toml_text"]
 
@@ -26,30 +25,29 @@ _HEADER = """\
 """
 
 
-def calibration_toml(result: CalibrationResult, provenance: Provenance) -> str:
+def calibration_toml(document: ResultDocument) -> str:
     """Return the text of `calibration.toml`; `multilica.read_extrinsics` reads it."""
-    placed = [place for place in result.placements if place.placed]
-    poses = {place.lidar: place.T_target_source for place in placed if place.T_target_source is not None}
-    table = extrinsics_table(Extrinsics(result.target, poses))
-    for place in placed:
-        table["lidars"][place.lidar].update(_figures(place))
+    poses = {name: pose for name, pose in document.poses.items() if document.lidars[name].placed}
+    table = extrinsics_table(Extrinsics(document.target, poses))
+    for name in poses:
+        table["lidars"][name].update(_figures(document.lidars[name]))
     table |= {
-        "status": result.status,
-        "target_reason": result.target_reason,
+        "status": document.status,
+        "target_reason": document.target_reason,
         "uncertain": {
-            place.lidar: {"reason": place.reason, **pose_values(place.T_target_source), **_figures(place)}
-            for place in result.placements
-            if place.uncertain and place.T_target_source is not None
+            name: {"reason": document.lidars[name].reason, **pose_values(pose), **_figures(document.lidars[name])}
+            for name, pose in document.poses.items()
+            if not document.lidars[name].placed
         },
-        "not_placed": {place.lidar: place.reason for place in result.placements if place.status == "not_placed"},
-        "input": {"source": provenance.input.source, "sha256": provenance.input.sha256},
-        "versions": provenance.versions,
+        "not_placed": {name: each.reason for name, each in document.lidars.items() if each.status == "not_placed"},
+        "input": {"source": document.input.source, "sha256": document.input.sha256},
+        "versions": document.versions,
     }
-    if result.ground is not None:
-        table["ground"] = _ground(result.ground)
-    elif result.ground_refusal:
-        table["no_ground"] = result.ground_refusal
-    return f"{_HEADER.format(target=json.dumps(result.target))}\n{toml_text(table)}"
+    if document.ground is not None:
+        table["ground"] = _ground(document.ground)
+    elif document.ground_refusal:
+        table["no_ground"] = document.ground_refusal
+    return f"{_HEADER.format(target=json.dumps(document.target))}\n{toml_text(table)}"
 
 
 def toml_text(document: Mapping[str, Any]) -> str:
@@ -57,24 +55,12 @@ def toml_text(document: Mapping[str, Any]) -> str:
     return _NUMBERS.sub(lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]", tomli_w.dumps(document))
 
 
-def _figures(placement: LidarPlacement) -> dict[str, Any]:
-    """Return the figures of a placement that are known."""
+def _figures(lidar: LidarEntry) -> dict[str, Any]:
+    """Return the figures of a LiDAR that are known."""
     names = ("fitness", "rmse_m", "sigma_xyz_m", "sigma_rotation_deg")
-    figures = {name: getattr(placement, name) for name in names}
-    known = {name: np.asarray(value) for name, value in figures.items() if value is not None}
-    return {name: value.tolist() for name, value in known.items() if np.all(np.isfinite(value))}
+    return {name: value for name in names if (value := getattr(lidar, name)) is not None}
 
 
-def _ground(ground: GroundPlane) -> dict[str, Any]:
-    pose = ground.T_base_target
-    return {
-        "base": pose.target,
-        "T_base_target": pose.matrix.tolist(),
-        "xyz_m": pose.xyz_m.tolist(),
-        "rpy_deg": pose.rpy_deg.tolist(),
-        "area_m2": ground.area_m2,
-        "residual_m": ground.residual_m,
-        "sigma_z_m": ground.sigma_z_m,
-        "sigma_roll_pitch_deg": ground.sigma_roll_pitch_deg.tolist(),
-        "doubt": ground.doubt,
-    }
+def _ground(ground: GroundEntry) -> dict[str, Any]:
+    names = ("T_base_target", "xyz_m", "rpy_deg", "area_m2", "residual_m", "sigma_z_m", "sigma_roll_pitch_deg", "doubt")
+    return {"base": ground.frame, **{name: getattr(ground, name) for name in names}}

@@ -32,7 +32,7 @@ class ResultFiles:
         self._state(event)
         if not isinstance(event, events.CalibrationFinished):
             return
-        document, provenance = run_document(self._state), self._state.provenance
-        if document is not None and provenance is not None:
+        document = run_document(self._state)
+        if document is not None:
             write_text_atomically(self.directory / RESULT_JSON, f"{document.model_dump_json(indent=2)}\n")
-            write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(event.result, provenance))
+            write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(document))

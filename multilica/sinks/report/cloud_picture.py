@@ -3,8 +3,9 @@
 
 import io
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import shorten
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +15,22 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.sinks.drawing.clouds import every_nth
 from multilica.sinks.drawing.palette import Rgb
 
-__all__ = ["GROUND_COLOUR", "Layer", "View", "draw_clouds", "png_bytes", "side_view", "top_view"]
+__all__ = [
+    "GROUND_COLOUR",
+    "Layer",
+    "View",
+    "draw_clouds",
+    "fitted_height_px",
+    "is_upright",
+    "png_bytes",
+    "side_view",
+    "top_view",
+]
 
 GROUND_COLOUR: Rgb = (15, 19, 25)
 _TEXT_COLOUR: Rgb = (232, 236, 241)
 _AXIS_COLOURS: tuple[Rgb, ...] = ((255, 120, 110), (120, 220, 130), (120, 170, 255))
-_OPACITY_OF_A_POINT = 0.7
+_OPACITY_OF_A_POINT = 0.9
 _PALETTE_SIZE = 256
 _AXIS_SHARE = 0.04
 _MARGIN_PX = 12
@@ -85,6 +96,11 @@ class Layer:
     sensor: RigidTransform | None = None
     label: str = ""
 
+    def moved(self, T_view_layer: RigidTransform) -> Self:
+        """Return the layer in another frame."""
+        sensor = None if self.sensor is None else T_view_layer @ self.sensor
+        return replace(self, points_m=T_view_layer.apply(self.points_m), sensor=sensor)
+
 
 def top_view(points_m: FloatArray, size_px: tuple[int, int], sensors_m: Sequence[FloatArray] = ()) -> View:
     """Return a view from above, x to the right, of nearly all points (N, 3), the origin and these sensors."""
@@ -97,8 +113,21 @@ def top_view(points_m: FloatArray, size_px: tuple[int, int], sensors_m: Sequence
     return View(0, 1, (float(centre_m[0]), float(centre_m[1])), float(width_m), size_px)
 
 
+def fitted_height_px(points_m: FloatArray, width_px: int, least: float, most: float) -> int:
+    """Return the height of a top view that nearly all points (N, 3) fill, within two shares of the width."""
+    low_m, high_m = _extent_m(points_m)
+    width_m, height_m, _ = np.maximum(high_m - low_m, 1.0)
+    return round(width_px * float(np.clip(height_m / width_m, least, most)))
+
+
+def is_upright(points_m: FloatArray) -> bool:
+    """Tell whether nearly all points (N, 3) extend farther along y than along x."""
+    low_m, high_m = _extent_m(points_m)
+    return bool(high_m[1] - low_m[1] > high_m[0] - low_m[0])
+
+
 def side_view(points_m: FloatArray, width_px: int) -> View:
-    """Return a view from the right side, x to the right, z up, of nearly all points (N, 3)."""
+    """Return a view along y, x to the right, z up, of nearly all points (N, 3)."""
     low_m, high_m = _extent_m(points_m)
     width_m = max(_MARGIN * (high_m[0] - low_m[0]), _LEAST_WIDTH_M)
     height_m = float(np.clip(_MARGIN * (high_m[2] - low_m[2]), width_m / 6.0, width_m / 2.0))

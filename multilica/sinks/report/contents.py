@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import PairKey, PairRegistration
+from multilica.results import PairKey, PairRegistration, Registration
 from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.clouds import sample_points
 from multilica.sinks.files.result_document import run_document
@@ -23,16 +23,25 @@ _RAW_SAMPLE = 60_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredPoints:
-    """Points of a pair's source at one pose, labelled by what the target's beams prove.
+    """Points of a pair at one pose, labelled by what the beams of the other LiDAR prove.
 
     Args:
-        points_m: (N, 3) in the source's frame.
-        labels: (N,) `BeamLabel`.
+        points_m: (N, 3) of the source, in its own frame.
+        labels: (N,) `BeamLabel` of these.
+        target_points_m, target_labels: the same of the target.
+        agree, violate, occluded: number of points of both with that label, also if fewer points are at hand.
+        evidence: of the pose.
     """
 
     T_target_source: RigidTransform
     points_m: FloatArray
     labels: npt.NDArray[np.uint8]
+    target_points_m: FloatArray
+    target_labels: npt.NDArray[np.uint8]
+    agree: int
+    violate: int
+    occluded: int
+    evidence: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +111,19 @@ def _cloud(state: RunState, lidar: LidarScans) -> FloatArray:
 
 def _scored(state: RunState, pair: PairRegistration) -> tuple[ScoredPoints, ...]:
     shown = (*pair.registrations[:1], state.competing(state.pair_of(pair)))
-    return tuple(
-        ScoredPoints(one.T_target_source, one.probes_m, one.visibility.labels) for one in shown if one is not None
+    return tuple(_scored_points(one) for one in shown if one is not None)
+
+
+def _scored_points(one: Registration) -> ScoredPoints:
+    beams = one.visibility
+    return ScoredPoints(
+        one.T_target_source,
+        one.probes_m,
+        beams.labels,
+        one.target_probes_m,
+        beams.target_labels,
+        beams.agree,
+        beams.violate,
+        beams.occluded,
+        one.evidence,
     )

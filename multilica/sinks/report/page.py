@@ -21,9 +21,11 @@ from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.run_files import REPORT_HTML
 from multilica.sinks.report.contents import ReportContents, contents_of
+from multilica.sinks.report.extrinsics_texts import extrinsics_texts
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
 from multilica.sinks.report.outcome import Outcome, outcome_of
 from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_scene
+from multilica.sinks.report.rig_uncertainty import rig_drawing
 from multilica.sinks.report.template import own_text, page_template
 from multilica.sinks.run_state import RunState
 
@@ -33,6 +35,10 @@ MAX_BYTES = 8_000_000
 """Limit of ticket systems and mail; the clouds of the 3-D view are thinned until the page fits."""
 
 _MAX_PICTURED = 4
+_MAX_LABELLED = 15
+"""Pairs of the graph with numbers at each edge."""
+_MAX_NAME = 14
+"""Letters of a name in a drawing."""
 _SLACK_BYTES = 20_000
 """Reserve for the text about thinning."""
 _PACKAGE = "multilica.sinks.report"
@@ -118,6 +124,11 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
         "places": _graph_places(contents.names),
         "edges": [(pair, _edge(pair, merged=pair.names in merged)) for pair in document.pairs],
         "label_share": EDGE_LABEL_SHARE,
+        "labelled": len(document.pairs) <= _MAX_LABELLED,
+        "by_evidence": document.accepted_by == "evidence",
+        "fitness_distance": f"{document.config.fine.fitness_distance_m:g}",
+        "texts": extrinsics_texts(document),
+        "rig": rig_drawing(contents, level),
         "matrix": {pair.key: pair for pair in document.pairs},
         "seconds": {stage: seconds for stage, seconds in document.timing_s.items() if seconds is not None},
         "config_toml": toml_text(document.config.model_dump(mode="json")),
@@ -153,19 +164,46 @@ def _graph_places(names: Sequence[str]) -> dict[str, tuple[float, float]]:
 
 @cache
 def _template() -> Template:
-    filters = {"figure": _figure, "snapshot_verdict": _snapshot_verdict, "with_code": _with_code}
-    return page_template(_PACKAGE, own_text(_PACKAGE, "page.css"), own_text(_PACKAGE, "rig_view.js"), filters)
+    filters = {
+        "figure": _figure,
+        "grouped": _grouped,
+        "sentences": _sentences,
+        "short": _short,
+        "snapshot_verdict": _snapshot_verdict,
+        "with_code": _with_code,
+    }
+    script = own_text(_PACKAGE, "page_actions.js") + own_text(_PACKAGE, "rig_view.js")
+    return page_template(_PACKAGE, own_text(_PACKAGE, "page.css"), script, filters)
 
 
 def _figure(value: float | None, scale: float, digits: int) -> str:
     return "-" if value is None else f"{scale * value:z.{digits}f}"
 
 
+def _short(name: str) -> str:
+    """Leave out the middle of a long name: the beginning and the end tell LiDARs apart."""
+    return name if len(name) <= _MAX_NAME else f"{name[: _MAX_NAME // 2 - 1]}…{name[-_MAX_NAME // 2 :]}"
+
+
+def _grouped(groups: Sequence[Sequence[str]]) -> str:
+    """Describe the groups after a merge step."""
+    joined = [" + ".join(group) for group in groups if len(group) > 1]
+    alone = [name for group in groups if len(group) == 1 for name in group]
+    parts = [f"Joined: {', '.join(joined)}."] if joined else []
+    parts += [f"Alone: {', '.join(alone)}."] if alone else []
+    return " ".join(parts)
+
+
+def _sentences(text: str) -> str:
+    """Begin with a capital letter and end with a full stop."""
+    return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
+
+
 def _snapshot_verdict(snapshot: SnapshotEntry) -> str:
-    verdicts = [f"left out: {snapshot.refusal}"] if snapshot.refusal else []
-    verdicts += [f"outvoted on {lidar}" for lidar in snapshot.outliers]
-    verdicts += [f"contradicts others on {lidar} (undecided)" for lidar in snapshot.disputed]
-    return "; ".join(verdicts) or "agrees"
+    verdicts = [f"Left out: {snapshot.refusal}"] if snapshot.refusal else []
+    verdicts += [f"Outvoted on {lidar}" for lidar in snapshot.outliers]
+    verdicts += [f"Contradicts others on {lidar} (undecided)" for lidar in snapshot.disputed]
+    return " ".join(_sentences(verdict) for verdict in verdicts) or "Agrees."
 
 
 def _with_code(text: str) -> Markup:

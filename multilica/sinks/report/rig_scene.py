@@ -12,13 +12,16 @@ from multilica.sinks.drawing.clouds import every_nth, sample_points
 from multilica.sinks.drawing.palette import Rgb
 from multilica.sinks.report.contents import ReportContents
 
-__all__ = ["BYTES_PER_POINT", "MAX_POINTS", "refused_poses", "rig_scene"]
+__all__ = ["BYTES_PER_POINT", "FIRST_VIEW_RAD", "MAX_POINTS", "refused_poses", "rig_scene"]
 
 MAX_POINTS = 300_000
 """More make the view slow on machines without a graphics card."""
 
 BYTES_PER_POINT = 8
 """Three coordinates of two bytes each, as base64."""
+
+FIRST_VIEW_RAD = (-1.9, 0.7)
+"""Direction from which the view shows the clouds first: angle about z, and above the horizon."""
 
 _STEPS = 65_535
 _REACH_M = 40.0
@@ -45,6 +48,7 @@ def rig_scene(
     seen_first = {name: pose for name, pose in (placed or recorded).items() if name in clouds}
     return {
         "level": _columns(level.matrix),
+        "direction": FIRST_VIEW_RAD,
         **_camera([(level @ pose).apply(every_nth(clouds[name], _ENOUGH_POINTS)) for name, pose in seen_first.items()]),
         "clouds": [
             {

@@ -16,7 +16,7 @@
   const FIELD_OF_VIEW = 0.8;
   const AXIS_COLOURS = [[1, 0.47, 0.43], [0.47, 0.86, 0.51], [0.47, 0.67, 1]];
   const GRID_HALF_SIZE_M = 30, GRID_SPACING_M = 5, AXIS_LENGTH_M = 0.8, LABEL_HEIGHT_PX = 16;
-  const HOME = { yaw: -1.9, pitch: 0.7, distance: scene.distance, centre: scene.centre };
+  const HOME = { yaw: scene.direction[0], pitch: scene.direction[1], distance: scene.distance, centre: scene.centre };
   const VIEWS = {
     home: HOME,
     top: { ...HOME, yaw: -Math.PI / 2, pitch: Math.PI / 2 },

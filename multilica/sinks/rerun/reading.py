@@ -26,16 +26,19 @@ _STEP = "step"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedScores:
-    """Scored points of a pair's source.
+    """Scored points of a pair.
 
     Args:
-        points_m: (N, 3) in the source's frame; empty if the recording has none.
+        points_m: (N, 3) of the source, in its own frame; empty if the recording has none.
         labels: (N,) `BeamLabel` per pose, the latest first: the registrations by evidence, then the hypotheses.
+        target_points_m, target_labels: the same of the target.
         competing_pose: `T_target_source` of the competing pose, if there is one.
     """
 
     points_m: npt.NDArray[np.float32]
     labels: tuple[npt.NDArray[np.uint8], ...]
+    target_points_m: npt.NDArray[np.float32]
+    target_labels: tuple[npt.NDArray[np.uint8], ...]
     competing_pose: RigidTransform | None
 
 
@@ -71,7 +74,7 @@ def read_recorded_clouds(path: Path, lidars: Sequence[str]) -> dict[str, npt.NDA
 
 
 def read_recorded_scores(path: Path, pairs: Sequence[PairKey]) -> dict[PairKey, RecordedScores]:
-    """Read the scored points of the source of each pair (target, source), in either order of the pair.
+    """Read the scored points of each pair (target, source), in either order of the pair.
 
     Raises:
         UnreadableSourceError: no recording, or a damaged one.
@@ -83,14 +86,19 @@ def read_recorded_scores(path: Path, pairs: Sequence[PairKey]) -> dict[PairKey, 
 
 
 def _scores(found: Mapping[str, list[Any]], target: str, source: str) -> RecordedScores:
-    scored = found[pair_path(target, source, "scored", "source")]
+    ends = [found[pair_path(target, source, "scored", end)] for end in ("source", "target")]
     competing_pose = _competing(found, target, source)
-    if not scored:
-        scored = found[pair_path(source, target, "scored", "target")]
+    if not ends[0]:
+        ends = [found[pair_path(source, target, "scored", end)] for end in ("target", "source")]
         reverse = _competing(found, source, target)
         competing_pose = None if reverse is None else reverse.inverse()
-    labels = [np.asarray(cell, dtype=np.uint8) for cell in reversed(_cells(scored, _CLASSES))]
-    return RecordedScores(_points_m(_cells(scored, _POSITIONS)), tuple(labels), competing_pose)
+    (points_m, labels), (target_points_m, target_labels) = map(_labelled, ends)
+    return RecordedScores(points_m, labels, target_points_m, target_labels, competing_pose)
+
+
+def _labelled(scored: list[Any]) -> tuple[npt.NDArray[np.float32], tuple[npt.NDArray[np.uint8], ...]]:
+    labels = (np.asarray(cell, dtype=np.uint8) for cell in reversed(_cells(scored, _CLASSES)))
+    return _points_m(_cells(scored, _POSITIONS)), tuple(labels)
 
 
 def _competing(found: Mapping[str, list[Any]], target: str, source: str) -> RigidTransform | None:

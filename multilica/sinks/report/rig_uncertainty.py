@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drawing of a rig with the standard deviation of each pose."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.sinks.drawing.shapes import SIGMAS
+from multilica.sinks.report.contents import ReportContents
+from multilica.sinks.report.figures import QUARTER_TURN
+
+__all__ = ["RigDrawing", "SigmaMark", "SigmaView", "rig_drawing"]
+
+_WIDTH_PX, _LEAST_HEIGHT_PX = 560.0, 240.0
+_SIDE_PX = 175.0
+"""Width of each column of labels."""
+_GAP_PX = 53.0
+"""Between the rig and the labels: fans and ellipses end there."""
+_MARGIN_PX = 60.0
+_LABEL_PX = 58.0
+_LARGEST_ELLIPSE_PX = 50.0
+_LARGEST_FAN_RAD = math.radians(35.0)
+_FAN_PX = 48.0
+_LEAST_SPAN_M = 0.5
+_LEVEL_AXIS = 0.5
+_FACTORS = tuple(step * 10**power for power in (4, 3, 2, 1, 0) for step in (5, 2, 1))
+_TOP, _SIDE = (0, 1), (0, 2)
+_ALONG = ("From above: x to the right, y up.", "From the right: x to the right, z up.")
+_ACROSS = ("From above: x up, y to the left.", "From behind: y to the left, z up.")
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaMark:
+    """A LiDAR in a view, in pixels to the right and down.
+
+    Args:
+        forward: end of the line along the axis that the fan is about.
+        ellipse: half axes in pixels, then the angle of the first one in degrees; None without a covariance.
+        fan: SVG path of the sector of the rotation; empty without a covariance.
+        label, leader_end: where its text begins and where the line to it ends.
+        anchor: `start` or `end`, as SVG aligns texts.
+    """
+
+    name: str
+    at: tuple[float, float]
+    forward: tuple[float, float]
+    ellipse: tuple[float, float, float] | None
+    fan: str
+    label: tuple[float, float]
+    leader_end: tuple[float, float]
+    anchor: str
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaView:
+    """The rig along one axis."""
+
+    name: str
+    caption: str
+    size_px: tuple[float, float]
+    marks: tuple[SigmaMark, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class RigDrawing:
+    """The views of a rig.
+
+    Args:
+        sigmas: how many standard deviations ellipses and fans show.
+        enlarged, turned: how many times ellipses and fans are enlarged.
+    """
+
+    views: tuple[SigmaView, ...]
+    sigmas: float
+    enlarged: int
+    turned: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pose:
+    """A LiDAR in the level frame; the covariances (3, 3) are along its axes."""
+
+    name: str
+    pose: RigidTransform
+    position: FloatArray | None
+    rotation: FloatArray | None
+
+
+def rig_drawing(contents: ReportContents, level: RigidTransform) -> RigDrawing | None:
+    """Lay out the rig from above and from the side; None if no LiDAR has a covariance."""
+    placed_m = np.array([(level @ pose).xyz_m for pose in contents.poses().values()])
+    is_wide = bool(np.ptp(placed_m[:, 1]) > np.ptp(placed_m[:, 0]))
+    poses = [_levelled(contents, name, QUARTER_TURN @ level if is_wide else level) for name in contents.poses()]
+    if all(each.position is None for each in poses):
+        return None
+    xyz_m = np.array([each.pose.xyz_m for each in poses])
+    spans_m = np.maximum(np.ptp(xyz_m, axis=0), _LEAST_SPAN_M)
+    scale = (_WIDTH_PX - 2.0 * _SIDE_PX) / float(spans_m[0])
+    scale = min(scale, 3.0 * _LEAST_HEIGHT_PX / float(spans_m[1:].max()))
+    enlarged = _factor(scale * _largest([each.position for each in poses]), _LARGEST_ELLIPSE_PX)
+    turned = _factor(_largest([each.rotation for each in poses]), _LARGEST_FAN_RAD)
+    names = zip(("top", "side"), (_TOP, _SIDE), _ACROSS if is_wide else _ALONG, strict=True)
+    views = tuple(_view(view, poses, xyz_m, scale, enlarged, turned) for view in names)
+    return RigDrawing(views, SIGMAS, enlarged, turned)
+
+
+def _levelled(contents: ReportContents, name: str, level: RigidTransform) -> _Pose:
+    pose = level @ contents.poses()[name]
+    covariance = contents.document.lidars[name].covariance
+    if covariance is None or name == contents.target:
+        return _Pose(name, pose, None, None)
+    turn, matrix = level.rotation, np.asarray(covariance)
+    return _Pose(name, pose, turn @ matrix[3:, 3:] @ turn.T, turn @ matrix[:3, :3] @ turn.T)
+
+
+def _largest(covariances: Sequence[FloatArray | None]) -> float:
+    """Return the largest half axis that is drawn of any covariance."""
+    known = [each for each in covariances if each is not None]
+    return SIGMAS * math.sqrt(max(float(np.linalg.eigvalsh(each)[-1]) for each in known))
+
+
+def _factor(size: float, limit: float) -> int:
+    """Return the largest enlargement that keeps a size below the limit; 1 if none does."""
+    return next((factor for factor in _FACTORS if factor * size <= limit), 1)
+
+
+def _view(
+    view: tuple[str, tuple[int, int], str],
+    poses: Sequence[_Pose],
+    xyz_m: FloatArray,
+    scale: float,
+    enlarged: int,
+    turned: int,
+) -> SigmaView:
+    name, axes, caption = view
+    rows = math.ceil(len(poses) / 2.0)
+    height = max(
+        _LEAST_HEIGHT_PX, scale * float(np.ptp(xyz_m[:, axes[1]])) + 2.0 * _MARGIN_PX, (rows + 0.5) * _LABEL_PX
+    )
+    middle_m = (xyz_m.min(axis=0) + xyz_m.max(axis=0)) / 2.0
+    offsets = scale * (xyz_m - middle_m)[:, axes] * (1.0, -1.0)
+    places = offsets + np.array([_WIDTH_PX / 2.0, height / 2.0])
+    labels = _label_places(places, height)
+    marks = tuple(
+        _mark(pose, axes, places[index], labels[index], scale * enlarged, turned) for index, pose in enumerate(poses)
+    )
+    return SigmaView(name, caption, (_WIDTH_PX, round(height, 1)), marks)
+
+
+def _label_places(places: FloatArray, height: float) -> dict[int, tuple[float, float, str]]:
+    """Return places of texts in a column on each side, in order of height, so that none covers another."""
+    by_x = np.lexsort((places[:, 1].round(3), places[:, 0].round(3)))
+    half = len(by_x) // 2
+    labels: dict[int, tuple[float, float, str]] = {}
+    for column, x, anchor in (
+        (by_x[:half], _SIDE_PX - _GAP_PX, "end"),
+        (by_x[half:], _WIDTH_PX - _SIDE_PX + _GAP_PX, "start"),
+    ):
+        order = sorted(column.tolist(), key=lambda index: (round(float(places[index, 1]), 3), index))
+        wanted = [float(places[index, 1]) for index in order]
+        for index, y in zip(order, _spread(wanted, height), strict=True):
+            labels[index] = (x, y, anchor)
+    return labels
+
+
+def _spread(wanted: Sequence[float], height: float) -> list[float]:
+    """Move heights in order apart by the height of a label, within the picture."""
+    found = list(wanted)
+    top, bottom = _LABEL_PX / 2.0, height - _LABEL_PX / 2.0
+    for index in range(len(found)):
+        least = top if index == 0 else found[index - 1] + _LABEL_PX
+        found[index] = max(found[index], least)
+    for index in reversed(range(len(found))):
+        most = bottom if index == len(found) - 1 else found[index + 1] - _LABEL_PX
+        found[index] = min(found[index], most)
+    return found
+
+
+def _mark(
+    each: _Pose,
+    axes: tuple[int, int],
+    at: FloatArray,
+    label: tuple[float, float, str],
+    pixels_per_m: float,
+    turned: int,
+) -> SigmaMark:
+    direction = _forward(each.pose, axes)
+    ellipse, fan = None, ""
+    if each.position is not None and each.rotation is not None:
+        variances, vectors = np.linalg.eigh(each.position[np.ix_(axes, axes)])
+        half_axes = SIGMAS * pixels_per_m * np.sqrt(np.maximum(variances, 0.0))
+        angle = math.degrees(math.atan2(-vectors[1, 1], vectors[0, 1]))
+        ellipse = (round(float(half_axes[1]), 2), round(float(half_axes[0]), 2), round(angle, 1))
+        normal = 3 - sum(axes)
+        half_rad = turned * SIGMAS * math.sqrt(max(float(each.rotation[normal, normal]), 0.0))
+        fan = _sector(at, direction, half_rad)
+    x, y, anchor = label
+    return SigmaMark(
+        each.name,
+        _rounded(at),
+        _rounded(at + _FAN_PX * np.array([math.cos(direction), math.sin(direction)])),
+        ellipse,
+        fan,
+        (round(x, 1), round(y, 1)),
+        (round(x + (6.0 if anchor == "end" else -6.0), 1), round(y, 1)),
+        anchor,
+    )
+
+
+def _forward(pose: RigidTransform, axes: tuple[int, int]) -> float:
+    """Return the angle of the first axis of the LiDAR that is seen from its side, clockwise from the right."""
+    seen = pose.rotation[list(axes), :]
+    lengths = np.linalg.norm(seen, axis=0)
+    axis = next(index for index in range(3) if lengths[index] >= _LEVEL_AXIS)
+    return math.atan2(-float(seen[1, axis]), float(seen[0, axis]))
+
+
+def _sector(at: FloatArray, direction: float, half_rad: float) -> str:
+    """Return the SVG path of a sector around a direction."""
+    ends = [
+        at + _FAN_PX * np.array([math.cos(angle), math.sin(angle)])
+        for angle in (direction - half_rad, direction + half_rad)
+    ]
+    (x, y), (ax, ay), (bx, by) = (_rounded(point) for point in (at, *ends))
+    return f"M{x} {y}L{ax} {ay}A{_FAN_PX:g} {_FAN_PX:g} 0 0 1 {bx} {by}Z"
+
+
+def _rounded(point: FloatArray) -> tuple[float, float]:
+    return round(float(point[0]), 1), round(float(point[1]), 1)
