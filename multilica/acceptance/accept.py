@@ -127,7 +127,7 @@ def _weaknesses(best: Registration, distance_m: float, config: AcceptanceConfig)
     odds = f"(evidence {best.evidence:z.1f}, limit {config.min_evidence:g})"
     if distance_m > config.max_baseline_m:
         limit = f"limit {config.max_baseline_m:g} m (acceptance.max_baseline_m)"
-        return (Reason("too_far_apart", distance_m, config.max_baseline_m, f"{texts['too_far_apart']}; {limit}"),)
+        return (Reason("too_far_apart", distance_m, config.max_baseline_m, f"{texts['too_far_apart']}, {limit}"),)
     return tuple(
         Reason(code, best.evidence, config.min_evidence, f"{texts[code]} {odds}")
         for code in sorted(losses, key=lambda code: -losses[code])

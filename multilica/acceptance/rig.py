@@ -171,7 +171,7 @@ def _symmetry(pose: RigidTransform, competing: Registration, seen_by: PairRegist
     metres, radians = pose.distance_to(competing.T_target_source)
     text = (
         f"{seen_by.target} and {seen_by.source} see a scene that looks the same when turned by "
-        f"{np.rad2deg(radians):.0f} deg; the pose {metres:.2f} m away that follows is possible as well"
+        f"{np.rad2deg(radians):.0f} deg, so the pose {metres:.2f} m away that follows is possible as well"
     )
     return Reason("ambiguous", 1.0, 0.0, text, competing)
 
@@ -180,7 +180,7 @@ def _exclusion(pair: PairRegistration, implied: RigidTransform) -> Reason:
     metres, radians = pair.T_target_source.distance_to(implied)
     text = (
         f"with other accepted pairs it puts {implied.source} {metres:.2f} m and {np.rad2deg(radians):.0f} deg from "
-        f"where {implied.source} fits {implied.target}; one of the pairs is wrong"
+        f"where {implied.source} fits {implied.target}, so one of the pairs is wrong"
     )
     return Reason(_CODE, metres, 0.0, text)
 
@@ -189,6 +189,6 @@ def _contradiction(implied: RigidTransform, score: VisibilityScore) -> Reason:
     share = score.violation_share
     text = (
         f"with other accepted pairs it puts {implied.source} where {share:.1%} of the points shared with "
-        f"{implied.target} lie in proven-empty space; one of the pairs is wrong"
+        f"{implied.target} lie in proven-empty space, so one of the pairs is wrong"
     )
     return Reason(_CODE, share, 0.0, text)

@@ -36,7 +36,7 @@ WORDS: Mapping[Cause, str] = {
     "uncertain": "one pose fits, but its sigma is above the limit",
     "unexplained": "its best pose is too unlikely: surfaces do not match, or it is far off (a chance agreement)",
     "low_fitness": "too few of its points lie near those of other LiDARs",
-    "against_prior": "its pose contradicts the prior; the LiDAR or the prior may be turned the wrong way",
+    "against_prior": "its pose contradicts the prior, and one of the two may be turned the wrong way",
     "two_places": "two accepted pairs put it at different places",
     "not_in_rig": "it fits another LiDAR, but not the merged rig",
     "not_joined": "it is connected only to LiDARs that are not placed",
@@ -69,10 +69,11 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = {
     "moving_vehicle": (
         "record while the vehicle stands still, or choose another window with --start or --window auto",
     ),
-    "unfit_input": ("a recording with at least two LiDARs that have returns; see `multilica inspect`",),
+    "unfit_input": ("a recording with at least two LiDARs that have returns, as `multilica inspect` shows",),
     "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, PRIOR_ADVICE),
     "contradiction": (
-        "a scene where nothing moves; see the red points of the pair in the recording",
+        "a scene where nothing moves",
+        "a look at the red points of the pair in the recording",
         _MORE_OVERLAP,
         PRIOR_ADVICE,
     ),
@@ -96,7 +97,7 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = {
     ),
     "stopped_early": ("run again without --until",),
     "out_of_time": ("more time (--max-time), more --workers, or fewer --frames",),
-    "unfinished": ("run again; every finished stage is in the recording",),
+    "unfinished": ("run again", "see every finished stage in the recording"),
     "unknown": (_MORE_OVERLAP, _MORE_FRAMES),
 }
 

@@ -30,12 +30,12 @@ def decisive_pair(pair: PairEntry) -> DecisivePair:
     texts = {reason.code: _in_one_clause(reason.text) for reason in pair.verdict.reasons}
     first, *others = by_weight(texts) or ("",)
     found = texts.get(first, "the pair itself was accepted")
-    also = f"; also: {', '.join(REASON_WORDS.get(code, code) for code in others)}" if others else ""
-    return DecisivePair(pair.target, pair.source, tuple(texts), f"{_named(pair)}: {found}{also}.")
+    also = f" Also: {', '.join(REASON_WORDS.get(code, code) for code in others)}." if others else ""
+    return DecisivePair(pair.target, pair.source, tuple(texts), f"{_named(pair)}: {found}.{also}")
 
 
 def _named(pair: PairEntry) -> str:
-    return f"{pair.source} against {pair.target} (fitness {pair.fitness or 0.0:.2f})"
+    return f"{pair.source} against {pair.target} (pair fitness {pair.fitness or 0.0:.3f})"
 
 
 def contested_places(document: ResultDocument, lidar: str) -> tuple[DecisivePair, DecisivePair] | None:
@@ -58,7 +58,7 @@ def merge_refusal(document: ResultDocument, lidar: str) -> str:
     candidates = document.decisions[-1].candidates if document.decisions else ()
     reasons = (one.reason for one in candidates if len(one.names & members) == 1 and one.reason)
     reason = next(reasons, "")
-    return f"against the merged rig: {_in_one_clause(reason)}" if reason else ""
+    return f"Against the merged rig: {_in_one_clause(reason)}." if reason else ""
 
 
 def _in_one_clause(text: str) -> str:
@@ -68,10 +68,11 @@ def _in_one_clause(text: str) -> str:
 def next_best_sentence(pairs: Sequence[PairEntry]) -> str:
     """Describe the second pose of the decisive pair, else the next pair; empty if there is neither."""
     if pairs and len(pairs[0].registrations) > 1:
-        first, second = pairs[0].registrations[:2]
+        first, *others = pairs[0].registrations
+        second = max(others, key=lambda other: other.evidence or 0.0)
         return (
             f"another pose of {pairs[0].source} against {pairs[0].target} has an evidence of "
-            f"{second.evidence or 0.0:z.1f} (the decisive pose {first.evidence or 0.0:z.1f}); {second.agree:,} points "
-            f"agree, {second.violate:,} are in empty space."
+            f"{second.evidence or 0.0:z.1f} (the decisive pose {first.evidence or 0.0:z.1f}). At this pose "
+            f"{second.agree:,} points agree and {second.violate:,} lie in proven-empty space."
         )
     return decisive_pair(pairs[1]).sentence if len(pairs) > 1 else ""

@@ -34,7 +34,7 @@ def explain(document: ResultDocument) -> Explanation:
         return _without_places(document, progress_sentence(document), "unfinished", known_so_far(document))
     until, target = document.config.until, document.target
     if until in _BEFORE_PLACES:
-        headline = f"The run stopped after stage {until} (--until); no LiDAR is placed yet."
+        headline = f"The run stopped after stage {until} (--until). No LiDAR is placed yet."
         return _without_places(document, headline, "stopped_early", known_so_far(document))
     missing = tuple(_missing(document, name) for name, entry in document.lidars.items() if entry.status == "not_placed")
     uncertain = tuple(
@@ -108,7 +108,7 @@ def _missing(document: ResultDocument, name: str) -> Missing:
         return _missing_from_rig(document, name, pairs, decisive)
     if decisive is not None and name not in (decisive.target, decisive.source):
         other = decisive.source if decisive.source in group_of(document, name) else decisive.target
-        sentence = f"{name} fits {other}, which is not placed; {decisive.sentence}"
+        sentence = f"{name} fits {other}, which is not placed. {decisive.sentence}"
         cause = _sensor_fault(document, name) or "not_joined"
         return _missing_by(document, name, cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
     return _missing_by(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
@@ -131,10 +131,10 @@ def _missing_from_rig(
     refusal = merge_refusal(document, name)
     fault, places = _sensor_fault(document, name), contested_places(document, name)
     if places is not None:
-        missing = _missing_by(document, name, fault or "two_places", places[0], f"{refusal}." if refusal else "")
+        missing = _missing_by(document, name, fault or "two_places", places[0], refusal)
         return replace(missing, elsewhere=places[1])
     cause: Cause = "not_joined" if len(group_of(document, name)) > 1 else "not_in_rig" if refusal else "unknown"
-    sentence = f"{decisive.sentence.rstrip('.')}; {refusal}." if refusal else decisive.sentence
+    sentence = f"{decisive.sentence} {refusal}".rstrip()
     return _missing_by(document, name, fault or cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
 
 
@@ -173,8 +173,8 @@ def _time_warnings(document: ResultDocument) -> Iterator[str]:
     if document.time_limit is not None:
         not_reached = ", ".join(f"{one} - {other}" for one, other in document.time_limit.not_reached) or "none"
         yield (
-            f"the time was over (--max-time {document.time_limit.max_time_s:g} s) before the search was; pairs that "
-            f"were not reached: {not_reached}; an equal run may come farther or less far."
+            f"the time was over (--max-time {document.time_limit.max_time_s:g} s) before the search was. Pairs that "
+            f"were not reached: {not_reached}. An equal run may come farther or less far."
         )
 
 
@@ -192,7 +192,7 @@ def _warnings(document: ResultDocument) -> Iterator[str]:
     if document.accepted_by == "fitness" and len(document.placed) > 1:
         yield (
             "the placements were accepted by their fitness alone "
-            f"(preset {document.config.preset}, verify.enabled=false); a wrong pose can have a high fitness."
+            f"(preset {document.config.preset}, verify.enabled=false). A wrong pose can have a high fitness."
         )
     for name, entry in document.lidars.items():
         for reason in entry.health.reasons if entry.health is not None else ():
@@ -205,5 +205,5 @@ def _warnings(document: ResultDocument) -> Iterator[str]:
         if pair.weight < _OUTLIER_WEIGHT:
             yield (
                 f"the pair {pair.source} against {pair.target} contradicts the others by "
-                f"{pair.after_m or 0.0:.3f} m, {pair.after_deg or 0.0:.2f} deg; one of the two LiDARs may be misplaced."
+                f"{pair.after_m or 0.0:.3f} m, {pair.after_deg or 0.0:.2f} deg. One of the two LiDARs may be misplaced."
             )

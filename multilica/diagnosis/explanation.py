@@ -89,7 +89,7 @@ class Uncertain:
 
     Args:
         headline: the LiDAR with its figure, direction and limit, in one sentence.
-        direction: the one that exceeds its limit, such as "along x of top" or "about z of top".
+        direction: the one that exceeds its limit, such as "mostly along x of top".
         sigma_m, sigma_deg: standard deviations of position and rotation in their weakest directions.
         max_sigma_m, max_sigma_deg: the limits.
         advice: what would help, the most promising first.

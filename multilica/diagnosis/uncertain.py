@@ -13,10 +13,10 @@ def explain_uncertain(document: ResultDocument, name: str) -> Uncertain:
     limits = document.config.acceptance
     (sigma_m, along), (sigma_deg, about) = document.lidars[name].weakest_directions()
     if sigma_m > limits.max_sigma_m:
-        direction = f"along {along} of {document.target}"
+        direction = f"mostly along {along} of {document.target}"
         sigma, limit = f"{1e3 * sigma_m:.1f} mm", f"{1e3 * limits.max_sigma_m:g} mm"
     else:
-        direction = f"about {about} of {document.target}"
+        direction = f"mostly about {about} of {document.target}"
         sigma, limit = f"{sigma_deg:.3f} deg", f"{limits.max_sigma_deg:g} deg"
     return Uncertain(
         name,

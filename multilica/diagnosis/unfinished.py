@@ -14,7 +14,7 @@ def progress_sentence(document: ResultDocument) -> str:
     progress = document.progress
     after = f"after stage {progress.finished[-1]}" if progress and progress.finished else "before any stage finished"
     during = f", in stage {progress.running}" if progress and progress.running else ""
-    return f"The run was cut off {after}{during}; no LiDAR is placed yet."
+    return f"The run was cut off {after}{during}. No LiDAR is placed yet."
 
 
 def known_so_far(document: ResultDocument) -> Iterator[str]:
@@ -24,8 +24,9 @@ def known_so_far(document: ResultDocument) -> Iterator[str]:
             yield f"{pair.target} <- {pair.source}: {pair.verdict.outcome}, fitness {pair.fitness or 0.0:.2f}."
     elif document.stages is not None:
         yield from _last_figures(document.stages)
-        for step, figures in (document.stages.merge or {}).items():
-            yield f"merge {step}: merged {figures.chosen or 'nothing'}; groups {figures.groups}."
+        for step, figures in enumerate((document.stages.merge or {}).values(), start=1):
+            groups = figures.groups.replace("; ", ", ")
+            yield f"Merge step {step}: merged {figures.chosen or 'nothing'}. Groups: {groups}."
 
 
 def _last_figures(stages: StageFigures) -> Iterator[str]:
@@ -50,4 +51,4 @@ def _verified(figures: VerifyFigures) -> str:
     if not figures.distinct:
         return "no pose"
     best = f"{figures.agree} points agree, {figures.violate} are in empty space"
-    return f"{figures.distinct} distinct poses; at the best {best}"
+    return f"{figures.distinct} distinct poses, and at the best {best}"

@@ -176,7 +176,7 @@ def _estimates(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> 
 
 def _placed_by(placing: int, snapshots: int) -> str:
     if not placing:
-        return f"placed by pairs of several snapshots; none of {snapshots} snapshots places it alone"
+        return f"placed by pairs of several snapshots, though none of {snapshots} snapshots places it alone"
     return f"placed by {placing} of {snapshots} snapshots"
 
 
@@ -236,7 +236,7 @@ class _JointRig:
                 f"{first.angle_deg:.2f} deg apart relative to {first.lidars[1]}, without a majority of snapshots"
             )
         reasons = (self._why_not_in(name, result, lidar) for name, result in self.results.items())
-        return "; ".join(reason for reason in reasons if reason)
+        return ". ".join(reason for reason in reasons if reason)
 
     def _why_not_in(self, snapshot: str, result: CalibrationResult, lidar: str) -> str:
         placement = next((each for each in result.placements if each.lidar == lidar), None)
@@ -248,7 +248,7 @@ class _JointRig:
         if blamed:
             return f"{snapshot}: connected through pairs that contradict other snapshots on {blamed}"
         status = "uncertain" if placement.uncertain else "placed"
-        return f"{snapshot}: {status} relative to {result.target}; no accepted pair connects it to {self.target}"
+        return f"{snapshot}: {status} relative to {result.target}, but no accepted pair connects it to {self.target}"
 
     def report(self, run: SnapshotRun) -> SnapshotReport:
         deviations: dict[str, SnapshotDeviation] = {}

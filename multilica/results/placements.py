@@ -54,20 +54,21 @@ class GroundPlane:
 
     @property
     def text(self) -> str:
-        """The plane in one sentence, for people."""
+        """The plane in sentences for people, without the last full stop."""
         roll_deg, pitch_deg, _ = self.T_base_target.rpy_deg
         above = f"{self.T_base_target.source} is {self.offset_m:.3f} m above it"
         parts = [
-            f"{above}, roll {roll_deg:z.2f} deg, pitch {pitch_deg:z.2f} deg",
-            f"sigma {1e3 * self.sigma_z_m:.1f} mm, {self.sigma_roll_pitch_deg.max():.3f} deg",
+            f"{above}, with roll {roll_deg:z.2f} deg and pitch {pitch_deg:z.2f} deg",
+            f"Sigma is {1e3 * self.sigma_z_m:.1f} mm and {self.sigma_roll_pitch_deg.max():.3f} deg",
             f"{self.area_m2:.0f} m2 are seen, {1e3 * self.residual_m:.1f} mm from smooth",
         ]
         if self.T_base_target_rig is not None:
             off_m = self.T_base_target_rig.xyz_m[2] - self.offset_m
             up = self.T_base_target_rig.rotation[2]
             tilt_deg = np.rad2deg(2.0 * np.arcsin(min(1.0, float(np.linalg.norm(up - self.normal)) / 2.0)))
-            parts.append(f"the rig file is off by {1e3 * off_m:+.0f} mm, {tilt_deg:.2f} deg")
-        return f"{'; '.join(parts)}{f'; UNCERTAIN: {self.doubt}' if self.doubt else ''}"
+            parts.append(f"The rig file is off by {1e3 * off_m:+.0f} mm, {tilt_deg:.2f} deg")
+        parts += [f"UNCERTAIN: {self.doubt}"] if self.doubt else []
+        return ". ".join(parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

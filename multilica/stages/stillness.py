@@ -159,6 +159,6 @@ def explain_motion(motions: Mapping[str, Motion], source: str = "") -> str:
     )
     return (
         f"The vehicle moves{' in ' + source if source else ''}: {evidence} between its first and last frame "
-        f"({len(moving)} of {observable} LiDARs that can detect motion); record while it stands still, "
+        f"({len(moving)} of {observable} LiDARs that can detect motion). Record while it stands still, "
         "or choose another window with --start or --window auto."
     )

@@ -25,5 +25,5 @@ def choose_target(
             overlap[pair.source] += pair.fitness
     best = max(overlap, key=lambda name: (overlap[name], len(clouds[name].points_m)))
     if overlap[best] == 0.0:
-        return best, "most points; no pair was accepted"
-    return best, f"most overlap; the fitness of its pairs adds up to {overlap[best]:.2f}"
+        return best, "most points, as no pair was accepted"
+    return best, f"most overlap: the fitness of its pairs adds up to {overlap[best]:.2f}"

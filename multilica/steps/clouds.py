@@ -75,7 +75,7 @@ def _require_clouds(state: CalibrationState) -> None:
     if len(state.clouds) < 2:
         found = ", ".join(state.clouds) or "none"
         raise UnfitSnapshotError(
-            f"{where} {len(state.clouds)} LiDAR(s) with returns {span} ({found}); calibration needs at least two."
+            f"{where} {len(state.clouds)} LiDAR(s) with returns {span} ({found}). Calibration needs at least two."
         )
     if target and target not in state.clouds:
         raise UnfitSnapshotError(

@@ -116,7 +116,7 @@ def test_a_second_pose_of_the_decisive_pair_is_the_next_best(partial):
         other = pair["registrations"][0] | {"agree": 77, "violate": 3, "evidence": 4.12}
         pair["registrations"] = [pair["registrations"][0], other]
     assert "has an evidence of 4.1 (the decisive pose" in missing_of(partial).next_best
-    assert "77 points agree, 3 are in empty space" in missing_of(partial).next_best
+    assert "77 points agree and 3 lie in proven-empty space" in missing_of(partial).next_best
     for pair in partial["pairs"]:
         pair["registrations"][1]["evidence"] = -1e-12
     assert "has an evidence of 0.0 (the decisive pose" in missing_of(partial).next_best
@@ -135,7 +135,7 @@ def test_pairs_within_the_missing_group_decide_nothing():
         assert {missing.decisive.target, missing.decisive.source} == {"front left/1", "top"}
     told = {missing.lidar: missing for missing in explain(document).missing}
     assert (told["front left/1"].cause, told["rear"].cause) == ("no_overlap", "not_joined")
-    assert told["rear"].decisive.sentence.startswith("rear fits front left/1, which is not placed; ")
+    assert told["rear"].decisive.sentence.startswith("rear fits front left/1, which is not placed. ")
 
 
 def test_an_accepted_pair_of_a_group_that_was_not_joined(partial):
@@ -229,7 +229,7 @@ def _events_before_the_end_of(stage):
 
 def test_a_run_that_was_to_stop_early_did_what_was_asked():
     told = explain(made_document("complete", until="coarse"))
-    assert told.headline == "The run stopped after stage coarse (--until); no LiDAR is placed yet."
+    assert told.headline == "The run stopped after stage coarse (--until). No LiDAR is placed yet."
     assert told.known[0] == "front left/1 <- rear: 2 hypotheses."
 
 

@@ -49,13 +49,13 @@ def test_contested_pairs_are_named_with_the_distance(accepted):
     first, other = own_pairs(accepted)
     assert (missing.decisive.target, missing.decisive.source) == (first["target"], first["source"])
     assert (missing.elsewhere.target, missing.elsewhere.source) == (other["target"], other["source"])
-    assert missing.next_best == "against the merged rig: too little evidence."
+    assert missing.next_best == "Against the merged rig: too little evidence."
 
 
 def test_pair_refused_by_the_merge_gives_its_reason(accepted):
     missing = missing_of(accepted)
     assert missing.cause == "not_in_rig"
-    assert "the pair itself was accepted; against the merged rig: too little evidence." in missing.decisive.sentence
+    assert "the pair itself was accepted. Against the merged rig: too little evidence." in missing.decisive.sentence
     assert missing.elsewhere is None
 
 

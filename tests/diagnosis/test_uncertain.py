@@ -23,9 +23,9 @@ def test_the_sigma_above_its_limit_is_told_with_its_direction(document):
     (uncertain,) = told.uncertain
     assert told.missing == ()
     assert [one.lidar for one in told.placed] == ["front left/1"]
-    assert (uncertain.lidar, uncertain.cause, uncertain.direction) == (UNPLACED, "uncertain", "along x of top")
+    assert (uncertain.lidar, uncertain.cause, uncertain.direction) == (UNPLACED, "uncertain", "mostly along x of top")
     assert (uncertain.sigma_m, uncertain.max_sigma_m) == (pytest.approx(0.03), 0.02)
-    assert uncertain.headline == "rear is uncertain: sigma 30.0 mm along x of top, limit 20 mm."
+    assert uncertain.headline == "rear is uncertain: sigma 30.0 mm mostly along x of top, limit 20 mm."
     assert uncertain.advice == ADVICE["uncertain"]
     assert any("--max-sigma" in advice for advice in uncertain.advice)
 
@@ -34,7 +34,7 @@ def test_a_rotation_above_its_limit_is_told_in_degrees(document):
     covariance = np.diag(np.deg2rad([0.1, 0.1, 0.31]).tolist() + [1e-3] * 3) ** 2
     document["lidars"][UNPLACED]["covariance"] = covariance.tolist()
     (uncertain,) = explain(parsed(document)).uncertain
-    assert uncertain.headline == "rear is uncertain: sigma 0.310 deg about z of top, limit 0.2 deg."
+    assert uncertain.headline == "rear is uncertain: sigma 0.310 deg mostly about z of top, limit 0.2 deg."
 
 
 def test_the_headline_names_uncertain_and_missing_ones():

@@ -204,7 +204,7 @@ def test_what_one_snapshot_lacks_another_places():
     assert max(_errors_m(result)) < 0.015
     assert [deviation.lidar for deviation in result.snapshots[0].deviations] == ["A"]
     assert result["B"].spread.snapshots == 0
-    assert result["B"].reason == "placed by pairs of several snapshots; none of 3 snapshots places it alone"
+    assert result["B"].reason == "placed by pairs of several snapshots, though none of 3 snapshots places it alone"
 
 
 def test_refused_snapshots_are_left_out_and_named():
@@ -220,7 +220,7 @@ def test_refused_snapshots_are_left_out_and_named():
 def test_lidar_not_connected_to_the_target_names_its_root(status):
     apart = _run("a", 1, [("B", "C")], target="B", placed="C", status=status)
     result = _joined(apart, _run("b", 2, [("T", "A")]))
-    assert result["C"].reason == f"a: {status} relative to B; no accepted pair connects it to T; b: nothing in common"
+    assert result["C"].reason == f"a: {status} relative to B, but no accepted pair connects it to T. b: nothing in common"
 
 
 def test_a_joint_sigma_above_the_limit_is_uncertain():

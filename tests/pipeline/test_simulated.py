@@ -28,7 +28,7 @@ def test_in_a_symmetric_garage_nothing_is_placed():
     """The sides share nothing, and fit each other turned around; the top one sees that both poses are possible."""
     result = calibrate(simulate_snapshot("sides", "symmetric_garage", 3, frames=1).snapshot)
     assert result.status == "failed"
-    assert result.target_reason == "most points; no pair was accepted"
+    assert result.target_reason == "most points, as no pair was accepted"
     assert all("ambiguous" in pair.verdict.codes for pair in result.pairs)
 
 

@@ -25,7 +25,7 @@ def test_an_unknown_target_is_named_before_any_work():
 @pytest.mark.parametrize(
     ("names", "settings", "message"),
     [
-        (("top",), (), r"has 1 LiDAR\(s\) with returns \(top\); calibration needs at least two"),
+        (("top",), (), r"has 1 LiDAR\(s\) with returns \(top\)\. Calibration needs at least two"),
         ((), (), r"has 0 LiDAR\(s\) with returns \(none\)"),
         (("left", "top"), ("preprocess.min_range_m=99",), r"0 LiDAR\(s\) with returns between 99 m and 100 m .*two"),
     ],

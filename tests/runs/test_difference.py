@@ -100,7 +100,7 @@ def test_an_uncertain_lidar_is_neither_placed_nor_missing(other):
     found = differences(made_document(other), made_document("uncertain"))
     (change,) = found.statuses
     assert (change.lidar, change.after) == ("rear", "uncertain")
-    cause = "rear is uncertain: sigma 30.0 mm along x of top" if other == "complete" else "rear is uncertain"
+    cause = "rear is uncertain: sigma 30.0 mm mostly along x of top" if other == "complete" else "rear is uncertain"
     assert change.why.startswith(cause)
     assert not found.same
     assert found.neither == ()

@@ -75,7 +75,7 @@ def test_a_killed_run_gets_its_report(runs):
     text = report_of_run(runs["killed"])
     assert "The run was cut off" in text
     assert "ended early" in text
-    assert text.count("<img ") == 2  # as recorded, from above and from the side
+    assert text.count("<img ") == 3  # as recorded, from above, from the side and at an angle
 
 
 @pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1")

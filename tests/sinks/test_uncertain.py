@@ -149,7 +149,7 @@ def test_the_report_shows_status_pose_and_advice():
     assert outcome.headline == "2 of 3 LiDARs are placed; rear is uncertain."
     page = report_html(contents)
     assert '<span class="status uncertain">UNCERTAIN</span>' in page
-    assert "rear is uncertain: sigma 30.0 mm along x of top, limit 20 mm." in page
+    assert "rear is uncertain: sigma 30.0 mm mostly along x of top, limit 20 mm." in page
     assert 'class="edge merged uncertain"' in page
     assert 'class="node uncertain"' in page
     assert "rear (uncertain)" in page

@@ -76,8 +76,9 @@ def rig_figures(
     points_m = _all_points(after)
     size_px = (_WIDTH_PX, fitted_height_px(points_m, _WIDTH_PX, *_HEIGHT_SHARES))
     views = {"top": top_view(points_m, size_px), "side": side_view(points_m, _WIDTH_PX)}
+    lead = "Before: " if calibrated else "As recorded: "
     words = {
-        "before": ("as recorded", "Before: each cloud in the frame of its own LiDAR, all frames at the origin."),
+        "before": ("as recorded", f"{lead}each cloud in the frame of its own LiDAR, all frames at the origin."),
         "after": ("as placed", "After: each cloud at the pose of its LiDAR."),
     }
     for side, view in views.items():

@@ -170,6 +170,7 @@ def _template() -> Template:
         "sentences": _sentences,
         "short": _short,
         "snapshot_verdict": _snapshot_verdict,
+        "times": _times,
         "with_code": _with_code,
     }
     script = own_text(_PACKAGE, "page_actions.js") + own_text(_PACKAGE, "rig_view.js")
@@ -197,6 +198,10 @@ def _grouped(groups: Sequence[Sequence[str]]) -> str:
 def _sentences(text: str) -> str:
     """Begin with a capital letter and end with a full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
+
+
+def _times(enlarged: int) -> str:
+    return "true to size" if enlarged == 1 else f"{enlarged:,} times enlarged"
 
 
 def _snapshot_verdict(snapshot: SnapshotEntry) -> str:

@@ -15,16 +15,17 @@ from multilica.sinks.report.figures import QUARTER_TURN
 __all__ = ["RigDrawing", "SigmaMark", "SigmaView", "rig_drawing"]
 
 _WIDTH_PX, _LEAST_HEIGHT_PX = 560.0, 240.0
-_SIDE_PX = 175.0
+_SIDE_PX = 190.0
 """Width of each column of labels."""
 _GAP_PX = 53.0
 """Between the rig and the labels: fans and ellipses end there."""
-_MARGIN_PX = 60.0
+_MARGIN_PX = 78.0
 _LABEL_PX = 58.0
-_LARGEST_ELLIPSE_PX = 50.0
+_LARGEST_ELLIPSE_PX = 70.0
 _LARGEST_FAN_RAD = math.radians(35.0)
 _FAN_PX = 48.0
 _LEAST_SPAN_M = 0.5
+_LEAST_ELLIPSE_M = 1e-9
 _LEVEL_AXIS = 0.5
 _FACTORS = tuple(step * 10**power for power in (4, 3, 2, 1, 0) for step in (5, 2, 1))
 _TOP, _SIDE = (0, 1), (0, 2)
@@ -91,16 +92,18 @@ class _Pose:
 
 def rig_drawing(contents: ReportContents, level: RigidTransform) -> RigDrawing | None:
     """Lay out the rig from above and from the side; None if no LiDAR has a covariance."""
+    if all(contents.document.lidars[name].covariance is None for name in contents.poses()):
+        return None
     placed_m = np.array([(level @ pose).xyz_m for pose in contents.poses().values()])
     is_wide = bool(np.ptp(placed_m[:, 1]) > np.ptp(placed_m[:, 0]))
     poses = [_levelled(contents, name, QUARTER_TURN @ level if is_wide else level) for name in contents.poses()]
-    if all(each.position is None for each in poses):
-        return None
     xyz_m = np.array([each.pose.xyz_m for each in poses])
     spans_m = np.maximum(np.ptp(xyz_m, axis=0), _LEAST_SPAN_M)
     scale = (_WIDTH_PX - 2.0 * _SIDE_PX) / float(spans_m[0])
     scale = min(scale, 3.0 * _LEAST_HEIGHT_PX / float(spans_m[1:].max()))
-    enlarged = _factor(scale * _largest([each.position for each in poses]), _LARGEST_ELLIPSE_PX)
+    largest_m = _largest([each.position for each in poses])
+    scale = min(scale, _LARGEST_ELLIPSE_PX / max(largest_m, _LEAST_ELLIPSE_M))
+    enlarged = _factor(scale * largest_m, _LARGEST_ELLIPSE_PX)
     turned = _factor(_largest([each.rotation for each in poses]), _LARGEST_FAN_RAD)
     names = zip(("top", "side"), (_TOP, _SIDE), _ACROSS if is_wide else _ALONG, strict=True)
     views = tuple(_view(view, poses, xyz_m, scale, enlarged, turned) for view in names)

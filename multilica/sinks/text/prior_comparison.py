@@ -69,7 +69,9 @@ def surprise(placement: LidarPlacement, target: str, exchanged: tuple[str, str] 
     if axis and off_rad >= _HALF_TURN_RAD:
         cause = f"{placement.lidar} or {target} is mounted {_MOUNTED[axis]}, or the prior is wrong"
     if exchanged is not None:
-        cause = f"{exchanged[0]} and {exchanged[1]} have exchanged their names, here or in the prior; else all agrees"
+        cause = (
+            f"{exchanged[0]} and {exchanged[1]} have exchanged their names, here or in the prior, and all else agrees"
+        )
     turned = f"turned by {angle}{f' about its {axis} axis' if axis else ''} against its prior"
     if angle == _NO_ANGLE:
         difference = f"{distance} away from its prior"

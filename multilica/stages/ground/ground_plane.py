@@ -61,7 +61,7 @@ def estimate_ground(
     middle_m = np.zeros(3) if middle_m is None else middle_m
     points_m = thin(points_m[lengths(points_m - middle_m) <= config.ground.max_range_m], _CELL_M)
     if len(points_m) < _MIN_CELLS:
-        return None, f"{len(points_m)} points are too few for a plane; expected {_MIN_CELLS} and more"
+        return None, f"{len(points_m)} points are too few for a plane, which needs {_MIN_CELLS}"
     forward = np.array([1.0, 0.0, 0.0]) if known is None else known.rotation[0]
     wheels_m = _WHEELS_OF_ANY_HEADING_M if known is None else _WHEELS_M
     fitted = (
@@ -78,7 +78,7 @@ def estimate_ground(
         )
     found = max(surfaces, key=lambda each: each.score)
     if found.cells < _MIN_CELLS:
-        return None, f"too little ground is seen: {found.cells} cells of {_CELL_M} m; expected {_MIN_CELLS} and more"
+        return None, f"too little ground is seen: {found.cells} cells of {_CELL_M} m, of which {_MIN_CELLS} are needed"
     offset_m = found.offset_m - float(found.normal @ middle_m)
     a, b, c = found.normal
     x_m, y_m, yaw_rad = (0.0, 0.0, 0.0) if known is None else (*known.xyz_m[:2].tolist(), float(known.rpy_rad[2]))

@@ -106,8 +106,8 @@ def refinement() -> Refinement:
 def ground_sentence() -> str:
     roll_deg, pitch_deg, _ = GROUND_RPY_DEG
     return (
-        f"round, frame base: {TOP} is {GROUND_HEIGHT_M:.3f} m above it, roll {roll_deg:.2f} deg, "
-        f"pitch {pitch_deg:.2f} deg; sigma {GROUND_SIGMA_MM:.1f} mm, {max(GROUND_SIGMA_DEG):.3f} deg; "
+        f"round, frame base: {TOP} is {GROUND_HEIGHT_M:.3f} m above it, with roll {roll_deg:.2f} deg "
+        f"and pitch {pitch_deg:.2f} deg. Sigma is {GROUND_SIGMA_MM:.1f} mm and {max(GROUND_SIGMA_DEG):.3f} deg. "
         f"{GROUND_AREA_M2:.0f} m2 are seen, {GROUND_RESIDUAL_MM:.1f} mm from smooth"
     )
 

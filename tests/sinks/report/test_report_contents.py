@@ -131,9 +131,9 @@ def test_each_snapshot_of_a_joint_result_has_its_verdict(partial):
     outvoted = {**agrees, "name": "c", "outliers": ["rear"], "disputed": ["top"]}
     joint = with_values(partial, snapshots=[agrees, left_out, outvoted])
     assert [(verdict, *off) for _, verdict, *off, _ in rows(report_html(joint), "snapshots")[1:]] == [
-        ("agrees", "2.1", "0.050"),
-        ("left out: the vehicle moves", "-", "-"),
-        ("outvoted on rear; contradicts others on top (undecided)", "2.1", "0.050"),
+        ("Agrees.", "2.1", "0.050"),
+        ("Left out: the vehicle moves.", "-", "-"),
+        ("Outvoted on rear. Contradicts others on top (undecided).", "2.1", "0.050"),
     ]
     assert 'id="snapshots"' not in report_html(partial)
 
@@ -153,7 +153,7 @@ def test_the_matrix_has_each_pair_once_and_the_right_way_round(partial):
 
 def test_the_graph_marks_the_pairs_of_the_merge(partial):
     graph = report_html(partial).split('<svg class="graph"')[1].split("</svg>")[0]
-    edges = re.findall(r"([^.]+?) on ([^:]+): (\w+), fitness [\d.]+\. ", graph.split('id="graph-text">')[1])
+    edges = re.findall(r"([^.]+?) on ([^:]+): (\w+), pair fitness [\d.]+, evidence [-\d.]+\. ", graph.split('id="graph-text">')[1])
     outcomes = {frozenset(map(str.strip, lidars)): outcome for *lidars, outcome in edges}
     assert outcomes[frozenset(("top", "front left/1"))] == "merged"
     assert outcomes[frozenset(("top", "rear"))] == "reject"

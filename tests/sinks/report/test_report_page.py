@@ -58,7 +58,7 @@ def test_the_same_run_makes_the_same_page(partial, text):
 def test_it_can_be_read_without_seeing_it(text):
     outline = Outline(text)
     pictures = outline.all("img")
-    assert len(pictures) == 6
+    assert len(pictures) == 7
     assert all(len(picture["alt"]) > 20 for picture in pictures)
     levels = [int(tag[1]) for tag, _ in outline.elements if re.fullmatch("h[1-6]", tag)]
     assert levels[0] == 1
@@ -104,8 +104,10 @@ def test_everything_that_was_found_is_on_it(partial, text):
 def test_large_clouds_are_thinned_until_the_page_fits(partial, monkeypatch):
     large = {name: np.random.default_rng(1).uniform(-20.0, 20.0, (40_000, 3)) for name in partial.names}
     contents = ReportContents(partial.document, large)
-    without = len(report_html(ReportContents(partial.document, {name: np.empty((0, 3)) for name in partial.names})))
-    monkeypatch.setattr(page, "MAX_BYTES", without + 900_000)
+    with monkeypatch.context() as thinned:
+        thinned.setattr(page, "MAX_POINTS", 0)
+        without = len(report_html(contents))
+    monkeypatch.setattr(page, "MAX_BYTES", without + 500_000)
     text = report_html(contents)
     assert without < len(text.encode()) <= page.MAX_BYTES
     (shown,) = re.findall(r"Thinned at random to ([\d,]+) of 120,000 points", text)
@@ -144,5 +146,5 @@ def test_text_stands_out_from_its_ground(scheme, text, ground):
 def test_commands_in_advice_are_set_as_code_and_nothing_else_is(partial: ReportContents) -> None:
     refusal = {"code": "unfit_input", "text": "<b>empty</b>.mcap has `nothing`."}
     text = report_html(with_values(partial, refusal=refusal))
-    assert "see <code>multilica inspect</code></li>" in text
+    assert "as <code>multilica inspect</code> shows</li>" in text
     assert "&lt;b&gt;empty&lt;/b&gt;.mcap has `nothing`." in text

@@ -98,7 +98,7 @@ def test_lidars_beyond_the_baseline_are_rejected():
     assert far.outcome == "reject"
     assert far.codes == ("too_far_apart",)
     assert (far.reasons[0].value, far.reasons[0].limit) == pytest.approx((15.1, 15.0))
-    assert "15.1 m apart; limit 15 m (acceptance.max_baseline_m)" in far.text
+    assert "15.1 m apart, limit 15 m (acceptance.max_baseline_m)" in far.text
 
 
 def test_a_competing_pose_leaves_it_undecided():

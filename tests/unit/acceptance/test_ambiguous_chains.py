@@ -32,7 +32,7 @@ def test_the_weakest_pair_of_an_excluded_chain_is_doubted():
     doubted = check_ambiguous_chains([*_CHAIN, _undecided("d", "a")], _nothing_in_common, _CONFIG)
     assert [is_contradicted(pair) for pair in doubted] == [False, True, False, False]
     assert doubted[1].verdict.outcome == "undecided"
-    assert "178 deg from where a fits d; one of the pairs is wrong" in doubted[1].verdict.text
+    assert "178 deg from where a fits d, so one of the pairs is wrong" in doubted[1].verdict.text
 
 
 def test_pairs_are_doubted_until_no_chain_is_left():

@@ -21,7 +21,7 @@ def test_the_lidar_with_the_most_overlap_is_the_target():
         pair(pose("c", "a"), fitness=0.5),
         pair(pose("b", "c"), undecided("ambiguous"), fitness=0.9),
     ]
-    assert choose_target("", _CLOUDS, pairs) == ("a", "most overlap; the fitness of its pairs adds up to 0.90")
+    assert choose_target("", _CLOUDS, pairs) == ("a", "most overlap: the fitness of its pairs adds up to 0.90")
 
 
 def test_with_equal_overlap_the_most_points_decide():
@@ -30,4 +30,4 @@ def test_with_equal_overlap_the_most_points_decide():
 
 def test_without_an_accepted_pair_the_most_points_decide():
     pairs = [pair(pose("a", "c"), undecided("ambiguous"))]
-    assert choose_target("", _CLOUDS, pairs) == ("b", "most points; no pair was accepted")
+    assert choose_target("", _CLOUDS, pairs) == ("b", "most points, as no pair was accepted")
