@@ -73,7 +73,7 @@ ADVICE: Mapping[Cause, tuple[str, ...]] = {
     "no_overlap": (_MORE_OVERLAP, _MORE_FRAMES, PRIOR_ADVICE),
     "contradiction": (
         "a scene where nothing moves",
-        "a look at the red points of the pair in the recording",
+        "see the red points of the pair in the recording",
         _MORE_OVERLAP,
         PRIOR_ADVICE,
     ),

@@ -212,7 +212,7 @@ def test_a_run_that_was_cut_off_says_how_far_it_came(stage):
     count = _events_before_the_end_of(stage)
     told = explain(made_document("partial", stop_after=count))
     before, running = STAGES[STAGES.index(stage) - 1], "fine" if stage in PAIR_STAGES else stage
-    assert told.headline.startswith(f"The run was cut off after stage {before}, in stage {running}; no LiDAR")
+    assert told.headline.startswith(f"The run was cut off after stage {before}, in stage {running}. No LiDAR")
     assert told.cause == "unfinished"
     assert bool(told.known) == (stage != "preprocess")
 

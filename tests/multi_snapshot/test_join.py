@@ -220,7 +220,9 @@ def test_refused_snapshots_are_left_out_and_named():
 def test_lidar_not_connected_to_the_target_names_its_root(status):
     apart = _run("a", 1, [("B", "C")], target="B", placed="C", status=status)
     result = _joined(apart, _run("b", 2, [("T", "A")]))
-    assert result["C"].reason == f"a: {status} relative to B, but no accepted pair connects it to T. b: nothing in common"
+    assert (
+        result["C"].reason == f"a: {status} relative to B, but no accepted pair connects it to T. b: nothing in common"
+    )
 
 
 def test_a_joint_sigma_above_the_limit_is_uncertain():
@@ -237,7 +239,7 @@ def test_a_joint_sigma_above_the_limit_is_uncertain():
 
 def test_nothing_in_common_says_so_per_snapshot():
     result = _joined(_run("a", 1, []), _run("b", 2, [("T", "A")]))
-    assert result["B"].reason == "a: nothing in common; b: nothing in common"
+    assert result["B"].reason == "a: nothing in common. b: nothing in common"
 
 
 def test_target_has_most_overlap_in_most_snapshots():

@@ -12,7 +12,7 @@ from multilica import events
 from multilica.acceptance.rig import check_scene_symmetry
 from multilica.config import AcceptanceConfig, CalibrationConfig, VisibilityConfig
 from multilica.geometry import RigidTransform
-from multilica.results import PairRegistration, PreprocessedCloud, Reason, Registration, Verdict
+from multilica.results import BeamLabel, PairRegistration, PreprocessedCloud, Reason, Registration, Verdict
 from multilica.results import visibility_score as visibility
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.figures import pair_figures
@@ -98,13 +98,19 @@ def test_the_report_draws_both_poses(hall):
     figures = pair_figures(contents, ("hall", "back"), level, dict.fromkeys(hall.lidars, (200, 100, 50)))
     assert [figure.caption.split(",")[0] for figure in figures] == [
         "back on hall at the best pose",
-        "back on hall at a competing pose that fits about as well",
+        "back on hall at a competing pose that other pairs imply",
     ]
+    assert f"{other.agree:,} points agree" in figures[1].caption
+    labels = np.concatenate([other.labels, other.target_labels])
+    assert np.count_nonzero(labels == BeamLabel.AGREE) == other.agree > 0
 
 
 def test_the_picture_of_lidars_without_common_view_says_so(hall):
     contents = contents_of(hall)
-    chosen = replace(contents.scored["hall", "back"][0], labels=np.zeros(0, np.uint8), points_m=np.zeros((0, 3)))
+    none, nothing = np.zeros(0, np.uint8), np.zeros((0, 3))
+    chosen = replace(
+        contents.scored["hall", "back"][0], labels=none, points_m=nothing, target_labels=none, target_points_m=nothing
+    )
     unseen = replace(chosen, labels=np.zeros(5, np.uint8), points_m=wall(10.0)[:5])
     contents = replace(contents, scored={("hall", "back"): (chosen, unseen)})
     level = RigidTransform.identity("level", "hall")

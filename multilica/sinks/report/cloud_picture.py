@@ -4,7 +4,6 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from textwrap import shorten
 from typing import Self
 
 import numpy as np
@@ -23,6 +22,7 @@ __all__ = [
     "fitted_height_px",
     "is_upright",
     "png_bytes",
+    "short_name",
     "side_view",
     "top_view",
 ]
@@ -39,7 +39,7 @@ _NEARLY_ALL = (0.04, 0.96)
 _ENOUGH_POINTS = 20_000
 _REACH_M = 50.0
 _LEAST_WIDTH_M = 8.0
-_MAX_LABEL = 40
+_MAX_LABEL = 24
 _SCALES_M = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
@@ -155,6 +155,13 @@ def draw_clouds(view: View, layers: Sequence[Layer]) -> Image.Image:
     return image
 
 
+def short_name(name: str, letters: int) -> str:
+    """Return a name in one line without the middle of a long one: beginning and end tell LiDARs apart."""
+    name = " ".join(name.split())
+    half = (letters - 3) // 2
+    return name if len(name) <= letters else f"{name[:half]}...{name[-half:]}"
+
+
 def png_bytes(image: Image.Image) -> bytes:
     """Encode as PNG with a palette, which halves the size."""
     buffer = io.BytesIO()
@@ -216,7 +223,7 @@ def _draw_labels(pen: ImageDraw.ImageDraw, view: View, layers: Sequence[Layer]) 
     for row, index in enumerate(order):
         layer, y = labelled[index], top + row * spacing
         pen.line([tuple(places[index]), (column - 4, y)], fill=layer.colour, width=1)
-        text = shorten(layer.label, _MAX_LABEL)  # a name may have line breaks
+        text = short_name(layer.label, _MAX_LABEL)
         pen.text((column, y), text, layer.colour, font, anchor="lm", stroke_width=3, stroke_fill=GROUND_COLOUR)
 
 

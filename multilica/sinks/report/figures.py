@@ -150,7 +150,7 @@ def _competing_words(contents: ReportContents, pair: PairKey, scored: Sequence[S
     )
     if any(max(pose.distance_to(one.T_target_source)) < _SAME_POSE for one in scored[1:] for pose in own):
         return "at the next best pose"
-    return "at a competing pose, which other pairs imply"
+    return "at a competing pose that other pairs imply"
 
 
 def _pair_figure(

@@ -3,7 +3,7 @@
 
 import math
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -20,6 +20,7 @@ from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.run_files import REPORT_HTML
+from multilica.sinks.report.cloud_picture import short_name
 from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.extrinsics_texts import extrinsics_texts
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
@@ -37,7 +38,7 @@ MAX_BYTES = 8_000_000
 _MAX_PICTURED = 4
 _MAX_LABELLED = 15
 """Pairs of the graph with numbers at each edge."""
-_MAX_NAME = 14
+_MAX_NAME = 15
 """Letters of a name in a drawing."""
 _SLACK_BYTES = 20_000
 """Reserve for the text about thinning."""
@@ -168,7 +169,7 @@ def _template() -> Template:
         "figure": _figure,
         "grouped": _grouped,
         "sentences": _sentences,
-        "short": _short,
+        "short": partial(short_name, letters=_MAX_NAME),
         "snapshot_verdict": _snapshot_verdict,
         "times": _times,
         "with_code": _with_code,
@@ -179,11 +180,6 @@ def _template() -> Template:
 
 def _figure(value: float | None, scale: float, digits: int) -> str:
     return "-" if value is None else f"{scale * value:z.{digits}f}"
-
-
-def _short(name: str) -> str:
-    """Leave out the middle of a long name: the beginning and the end tell LiDARs apart."""
-    return name if len(name) <= _MAX_NAME else f"{name[: _MAX_NAME // 2 - 1]}…{name[-_MAX_NAME // 2 :]}"
 
 
 def _grouped(groups: Sequence[Sequence[str]]) -> str:

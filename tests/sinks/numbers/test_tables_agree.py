@@ -74,7 +74,11 @@ def test_pairs_of_the_report(page, numbered_run):
     found = {(pair.target, pair.source): pair for pair in numbered_run.result.pairs}
     for (target, source), fitness in made.PAIR_FITNESS.items():
         agree, violate, occluded, _ = made.PAIR_COUNTS[target, source]
-        expected = {"pair fitness": fitness, "evidence": found[target, source].evidence, "RMSE m": made.PAIR_RMSE_MM[target, source] / 1000.0}
+        expected = {
+            "pair fitness": fitness,
+            "evidence": found[target, source].evidence,
+            "RMSE m": made.PAIR_RMSE_MM[target, source] / 1000.0,
+        }
         counts = {"agree": agree, "violate": violate, "occluded": occluded}
         assert_figures(rows[f"{source} on {target}"], expected | counts)
 

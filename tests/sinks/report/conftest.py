@@ -18,6 +18,8 @@ from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import made_events
 
 HOSTILE = "</script><script>window.harmed = 1</script><img src=x onerror='window.harmed = 2'>"
+"""A name that tries to leave the text."""
+LONG = "lidar_points_with_a_name_that_has_no_space_" * 3
 STOPPED = "Stopped by SIGTERM."
 
 
@@ -34,12 +36,11 @@ def with_values(contents: ReportContents, **values: object) -> ReportContents:
     return replace(contents, document=ResultDocument.model_validate(document))
 
 
-def with_hostile_name(contents: ReportContents, lidar: str) -> ReportContents:
-    """The same run, had a LiDAR borne a name that tries to leave the text."""
-    inner = json.dumps(HOSTILE)[1:-1]
-    document = ResultDocument.model_validate_json(contents.document.model_dump_json().replace(lidar, inner))
-    clouds = {HOSTILE if name == lidar else name: cloud for name, cloud in contents.clouds.items()}
-    return ReportContents(document, clouds, notes=(HOSTILE,))
+def with_name(contents: ReportContents, lidar: str, name: str) -> ReportContents:
+    """The same run, had a LiDAR borne another name."""
+    text = contents.document.model_dump_json().replace(lidar, json.dumps(name)[1:-1])
+    clouds = {name if each == lidar else each: cloud for each, cloud in contents.clouds.items()}
+    return ReportContents(ResultDocument.model_validate_json(text), clouds, notes=(name,))
 
 
 def ended_early(directory: Path) -> None:
@@ -53,9 +54,10 @@ def ended_early(directory: Path) -> None:
 def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A page per kind of outcome."""
     folder = tmp_path_factory.mktemp("reports")
-    pages = {outcome: made_contents(outcome) for outcome in ("complete", "partial", "failed")}
+    pages = {outcome: made_contents(outcome) for outcome in ("complete", "partial", "uncertain", "failed")}
     pages["stopped"] = made_contents("complete", until="coarse")
-    pages["hostile"] = with_hostile_name(pages["partial"], "rear")
+    pages["hostile"] = with_name(pages["partial"], "rear", HOSTILE)
+    pages["long names"] = with_name(pages["uncertain"], "rear", LONG)
     for name, contents in pages.items():
         (folder / f"{name}.html").write_text(report_html(contents), encoding="utf-8")
     with pytest.raises(KeyboardInterrupt):

@@ -153,7 +153,9 @@ def test_the_matrix_has_each_pair_once_and_the_right_way_round(partial):
 
 def test_the_graph_marks_the_pairs_of_the_merge(partial):
     graph = report_html(partial).split('<svg class="graph"')[1].split("</svg>")[0]
-    edges = re.findall(r"([^.]+?) on ([^:]+): (\w+), pair fitness [\d.]+, evidence [-\d.]+\. ", graph.split('id="graph-text">')[1])
+    edges = re.findall(
+        r"([^.]+?) on ([^:]+): (\w+), pair fitness [\d.]+, evidence [-\d.]+\. ", graph.split('id="graph-text">')[1]
+    )
     outcomes = {frozenset(map(str.strip, lidars)): outcome for *lidars, outcome in edges}
     assert outcomes[frozenset(("top", "front left/1"))] == "merged"
     assert outcomes[frozenset(("top", "rear"))] == "reject"

@@ -118,6 +118,7 @@ def test_a_name_cannot_leave_the_text(open_report):
 def test_without_webgl_the_page_says_so(open_report):
     page = open_report("complete", before=NO_WEBGL)
     expect(page.locator(".fallback")).to_be_visible()
+    expect(page.locator(".still")).to_be_visible()
     expect(page.locator(".controls")).to_be_hidden()
 
 
@@ -129,19 +130,18 @@ def test_dark_and_light_follow_the_reader(open_report):
     assert brightness("dark") < 60.0
 
 
-def test_it_prints_with_pictures_and_unfolded_configuration(open_report):
+def test_it_prints_on_white_with_pictures_and_configuration(open_report):
     page = open_report("partial")
     assert page.locator("pre").evaluate(IS_PAINTED) is False
-    page.emulate_media(media="print")
-    expect(page.locator(".controls")).to_be_hidden()
+    expect(page.locator(".still")).to_be_hidden()
+    page.emulate_media(media="print", color_scheme="dark")
+    for hidden in (".controls", "canvas", "#copy"):
+        expect(page.locator(hidden)).to_be_hidden()
+    expect(page.locator(".still")).to_be_visible()
+    assert (pixels(page, "header")[0, 0] == 255).all()
+    assert np.median(pixels(page, ".still")) > 245  # the ground of a picture is white on paper
     assert page.locator("pre").evaluate(IS_PAINTED) is True
     printed = page.pdf(format="A4", print_background=True)
     assert printed.startswith(b"%PDF")
     assert len(re.findall(rb"/Type\s*/Page\b", printed)) >= 3
     assert len(re.findall(rb"/Subtype\s*/Image", printed)) >= 5
-
-
-def test_a_narrow_screen_needs_no_sideways_scrolling(open_report):
-    page = open_report("partial")
-    page.set_viewport_size({"width": 390, "height": 800})
-    assert page.evaluate("document.documentElement.scrollWidth") <= 390

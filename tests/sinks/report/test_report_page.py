@@ -14,7 +14,7 @@ import pytest
 from multilica.sinks.report import page
 from multilica.sinks.report.contents import ReportContents
 from multilica.sinks.report.page import report_html
-from tests.sinks.report.conftest import HOSTILE, made_contents, with_hostile_name, with_values
+from tests.sinks.report.conftest import HOSTILE, made_contents, with_name, with_values
 
 
 class Outline(HTMLParser):
@@ -78,7 +78,7 @@ def test_nothing_styles_or_scripts_itself_past_the_policy(text):
 
 
 def test_a_hostile_name_stays_a_name(partial):
-    text = report_html(with_hostile_name(partial, "rear"))
+    text = report_html(with_name(partial, "rear", HOSTILE))
     outline = Outline(text)
     assert [one for one in outline.all("img") if not one["src"].startswith("data:")] == []
     assert len(outline.all("script")) == 2

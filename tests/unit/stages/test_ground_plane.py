@@ -88,7 +88,7 @@ def test_x_y_and_yaw_are_those_of_the_rig_file():
     points_m = KNOWN.inverse().apply(_scene("flat"))
     plane, _ = estimate_ground("top", points_m, CalibrationConfig(), KNOWN.inverse().xyz_m, drawn)
     assert max(plane.T_base_target.distance_to(KNOWN)) < 0.005
-    assert "the rig file is off by -70 mm" in plane.text
+    assert "The rig file is off by -70 mm" in plane.text
     assert (plane.frame, plane.T_base_target_rig) == ("base_link", drawn)
 
 
