@@ -26,4 +26,4 @@ def choose_target(
     best = max(overlap, key=lambda name: (overlap[name], len(clouds[name].points_m)))
     if overlap[best] == 0.0:
         return best, "most points, as no pair was accepted"
-    return best, f"most overlap: the fitness of its pairs adds up to {overlap[best]:.2f}"
+    return best, f"most overlap, the fitness of its pairs adds up to {overlap[best]:.2f}"

@@ -21,7 +21,7 @@ def test_the_lidar_with_the_most_overlap_is_the_target():
         pair(pose("c", "a"), fitness=0.5),
         pair(pose("b", "c"), undecided("ambiguous"), fitness=0.9),
     ]
-    assert choose_target("", _CLOUDS, pairs) == ("a", "most overlap: the fitness of its pairs adds up to 0.90")
+    assert choose_target("", _CLOUDS, pairs) == ("a", "most overlap, the fitness of its pairs adds up to 0.90")
 
 
 def test_with_equal_overlap_the_most_points_decide():
