@@ -28,8 +28,8 @@ def require_two_lidars(snapshot: Snapshot) -> None:
     if len(with_returns) < 2:
         found = ", ".join(with_returns) or "none"
         raise UnfitSnapshotError(
-            f"{snapshot.source or 'The snapshot'} has {len(with_returns)} LiDAR(s) with returns ({found}); "
-            "calibration needs at least two."
+            f"{snapshot.source or 'The snapshot'} has {len(with_returns)} LiDAR(s) with returns ({found}). "
+            "Calibration needs at least two."
         )
 
 

@@ -58,7 +58,7 @@ def test_the_enlargement_keeps_every_ellipse_in_the_picture(sigma_m):
     assert drawing.enlarged == 1 or views[0]["rear"].ellipse[0] > 10.0 or sigma_m < 1e-5
 
 
-def test_a_fan_opens_by_three_enlarged_sigmas_of_the_turn_that_is_seen():
+def test_a_fan_opens_by_three_enlarged_sigmas_of_the_turn():
     drawing, (top, side) = marks_of(contents_with((0.01, 0.01, 0.01), (0.01, 0.05, 0.2)))
 
     def half_angle_deg(mark) -> float:
