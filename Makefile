@@ -10,7 +10,7 @@ SAMPLE := recordings/samples/edgar-street.mcap
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo test test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures format constraints clean
+.PHONY: help libraries pictures demo test test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -44,9 +44,12 @@ bench-tables: $(READY) ## Write docs/benchmark.md: the paper's tables on simulat
 sample: $(READY) ## Make the embedded sample anew.
 	$(BIN)/multilica simulate --rig edgar --scene street --seed 1 --frames 2 --keep-every 4 --out $(SAMPLE)
 
-docs: $(READY) ## Write docs/configuration.md and docs/result.schema.json from the models.
-	$(BIN)/multilica config --markdown > docs/configuration.md
-	$(BIN)/python -c "from multilica.results.document.result import schema_text; print(schema_text())" > docs/result.schema.json
+docs: $(READY) ## Write the pages of docs/reference that are made from the code.
+	$(BIN)/python -m docs.site.generated_pages
+
+site: $(READY) ## Build the documentation as a site, in build/site.
+	$(BIN)/sphinx-build -q -W --keep-going -n -b html -c docs/site docs build/site
+	@echo "open build/site/index.html"
 
 docs-pictures: $(READY) pictures node ## Draw docs/pictures anew and check the output that the pages quote; a few minutes.
 	$(BIN)/python -m tests.documentation_pictures
@@ -62,7 +65,7 @@ constraints: ## Write constraints.txt from a fresh environment with the newest v
 	&& "$$fresh/bin/python" -m pip freeze --exclude-editable > constraints.txt
 
 clean: ## Remove the environment and what tools cached.
-	rm -rf $(VENV) tests/node/node_modules tests/ros2/.venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) tests/node/node_modules tests/ros2/.venv .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache build
 
 libraries:
 	@$(PYTHON) .ci/system_libraries.py

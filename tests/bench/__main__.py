@@ -26,7 +26,7 @@ MEASUREMENTS = (
     "ingest",
     "recording",
 )
-ON_REQUEST = ("paper", "tables", "fuzz", "soak", "evidence", "fleet_scale")
+ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale")
 ROBUSTNESS = ("crash", "fuzz", "soak")
 FLEET = ("fleet_drift", "fleet_scale", "fleet_year")
 

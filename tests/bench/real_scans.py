@@ -17,25 +17,25 @@ from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 from tests.opencalib import CONFIG, DATA, MISSING, SOURCES, TRUTH, is_true, read_clouds, turned_snapshot, unturned
 
-__all__ = ["judged", "main"]
+__all__ = ["DRAWS", "STANDINGS", "drawn_rotations", "judged", "main"]
 
-_DRAWS = 60
-_STANDINGS = ("right", "beside", "wrong", "uncertain", "refused")
+DRAWS = 60
+STANDINGS = ("right", "beside", "wrong", "uncertain", "refused")
 
 
 def main() -> bool:
     """Print how many of either source are right, and each that is not."""
     if not DATA.is_dir():
         return print_claims([Claim("real scans from random orientations", "all right", MISSING, holds=False)])
-    rows = [row for found in run_all(_run, range(_DRAWS)) for row in found]
+    rows = [row for found in run_all(_run, range(DRAWS)) for row in found]
     counts = Counter((row[1], row[2]) for row in rows)
     print_table(
-        ("source", *_STANDINGS),
-        [(source, *(counts[source, standing] for standing in _STANDINGS)) for source in SOURCES],
+        ("source", *STANDINGS),
+        [(source, *(counts[source, standing] for standing in STANDINGS)) for source in SOURCES],
     )
     print_table(("draw", "source", "outcome", "why"), [row for row in rows if row[2] != "right"])
     right, wrong = (sum(counts[source, standing] for source in SOURCES) for standing in ("right", "wrong"))
-    total = _DRAWS * len(SOURCES)
+    total = DRAWS * len(SOURCES)
     return print_claims(
         [
             Claim("real scans from random orientations: right", f"all {total}", str(right), right == total),
@@ -46,10 +46,15 @@ def main() -> bool:
 
 def _run(draw: int) -> list[tuple[int, str, str, str]]:
     """Draw, source, outcome and reason."""
-    drawn = Rotation.random(len(SOURCES), random_state=np.random.default_rng([1001, draw])).as_matrix()
-    rotations = dict(zip(SOURCES, drawn, strict=True))
+    rotations = drawn_rotations(draw)
     result = calibrate(turned_snapshot(read_clouds(), rotations), CONFIG)
     return [(draw, source, *judged(result[source], rotations[source])) for source in SOURCES]
+
+
+def drawn_rotations(draw: int) -> dict[str, FloatArray]:
+    """The rotation (3, 3) by which each source is turned."""
+    drawn = Rotation.random(len(SOURCES), random_state=np.random.default_rng([1001, draw])).as_matrix()
+    return dict(zip(SOURCES, drawn, strict=True))
 
 
 def judged(placement: LidarPlacement, rotation: FloatArray) -> tuple[str, str]:

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from multilica.config import CalibrationConfig, known_keys, load_config, preset
-from multilica_cli.commands.config import configuration_page, parameters
+from multilica_cli.commands.config import parameters
 from multilica_cli.configuration import inline_toml, resolve_config, sigma_limits, topic_names
-from tests.cli.support import ROOT, Invoke
+from tests.cli.support import Invoke
 
 
 def test_every_key_is_listed_once() -> None:
@@ -77,8 +77,3 @@ def test_topic_texts_become_names() -> None:
 @pytest.mark.parametrize("value", [1, 1e-7, True, 'say "no"', "ö", [1.0, 2.5], {"a b": "/c"}, []])
 def test_inline_toml_reads_back(value: object) -> None:
     assert tomllib.loads(f"value = {inline_toml(value)}") == {"value": value}
-
-
-def test_the_page_of_the_documentation_is_up_to_date() -> None:
-    page = (ROOT / "docs" / "configuration.md").read_text(encoding="utf-8")
-    assert page == configuration_page(), "run `make docs`"

@@ -14,7 +14,7 @@ from multilica_cli.commands.demo import find_sample
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose
 
-SCHEMA = json.loads((ROOT / "docs" / "result.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((ROOT / "docs" / "reference" / "result.schema.json").read_text(encoding="utf-8"))
 WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "result.json", "result.mcap"}
 FEWER = ("--set", "fine.max_finalists=2")
 

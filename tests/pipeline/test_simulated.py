@@ -16,7 +16,7 @@ from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.steps.pairs import PAIR_STAGES
 from tests.pipeline.watched import GOOD_M, GOOD_RAD, assert_true, of, only, sides, watched
 
-_SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "result.schema.json").read_text())
+_SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "reference" / "result.schema.json").read_text())
 
 
 @pytest.fixture(scope="module")

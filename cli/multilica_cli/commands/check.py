@@ -30,7 +30,9 @@ _MaxRotation = Annotated[
 ]
 _TolerancesFile = Annotated[
     Path | None,
-    typer.Option("--tolerances", metavar="FILE", help="TOML with [default] and [lidars.NAME] that differ from these."),
+    typer.Option(
+        "--tolerances", metavar="FILE", help=r"TOML with \[default] and \[lidars.NAME] that differ from these."
+    ),
 ]
 _Junit = Annotated[
     Path | None, typer.Option("--junit", metavar="FILE", help="Also write a JUnit report.", callback=options.local_path)

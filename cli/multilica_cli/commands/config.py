@@ -44,7 +44,9 @@ def config(
     settings: Settings = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
     as_toml: Annotated[bool, typer.Option("--toml", help="Print a file for --config.")] = False,
-    as_markdown: Annotated[bool, typer.Option("--markdown", help="Print the page docs/configuration.md.")] = False,
+    as_markdown: Annotated[
+        bool, typer.Option("--markdown", help="Print the page docs/reference/configuration.md.")
+    ] = False,
 ) -> None:
     """Print all parameters with value, unit and meaning."""
     from rich import box

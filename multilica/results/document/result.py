@@ -145,7 +145,7 @@ class ResultDocument(Entry):
     timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
     input: InputEntry = Field(description="The snapshot that was calibrated.")
     config: Annotated[CalibrationConfig, WithJsonSchema({"type": "object"})] = Field(
-        description="The resolved configuration, see docs/configuration.md."
+        description="The resolved configuration, see docs/reference/configuration.md."
     )
     versions: Mapping[str, str] = Field(description="Version per package.")
     platform: str = Field(description="Operating system and processor.")
@@ -228,6 +228,6 @@ class UntitledSchema(GenerateJsonSchema):
 
 
 def schema_text() -> str:
-    """Return the text of `docs/result.schema.json`."""
+    """Return the text of `docs/reference/result.schema.json`."""
     schema = ResultDocument.model_json_schema(schema_generator=UntitledSchema)
     return json.dumps({"$schema": UntitledSchema.schema_dialect, **schema}, indent=1, ensure_ascii=False)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from docs.site.generated_pages import FOLDER, generated_pages
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import ROOT, Invoke
 
@@ -49,7 +50,6 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/concepts.md"])
-def test_exit_codes_are_documented(page: str) -> None:
-    text = (ROOT / page).read_text(encoding="utf-8")
-    assert [code for code in ExitCode if f"\n| {code.value} |" not in text] == []
+def test_generated_pages_are_up_to_date() -> None:
+    found = {name: (FOLDER / name).read_text(encoding="utf-8") for name in generated_pages()}
+    assert [name for name, text in generated_pages().items() if found[name] != text] == [], "run `make docs`"

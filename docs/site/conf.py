@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The documentation as a site; `make site` builds it from the Markdown pages, which are readable without it."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING
+
+import multilica
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+project = "multilica"
+author = "the authors of multilica"
+version = release = multilica.__version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["site"]
+
+myst_enable_extensions = ["colon_fence"]
+myst_heading_anchors = 4
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented_params"
+autoclass_content = "class"
+napoleon_use_param = True
+napoleon_use_rtype = False
+default_role = "code"
+# What the public names use of other packages, and of this one without being public, has no page.
+nitpick_ignore_regex = [("py:.*", r"(numpy|collections|pathlib|typing|pydantic|multilica)\..+")]
+
+html_theme = "pydata_sphinx_theme"
+html_title = "multilica"
+templates_path = ["templates"]
+html_sidebars = {"**": ["pages"]}
+html_static_path = ["style"]
+html_css_files = ["site.css"]
+html_show_sphinx = False
+html_show_copyright = False
+html_copy_source = False
+html_theme_options = {
+    "navbar_start": ["navbar-logo"],
+    "navbar_center": [],
+    "navbar_end": ["theme-switcher"],
+    "footer_start": [],
+    "footer_end": [],
+    "show_prev_next": False,
+    "secondary_sidebar_items": ["page-toc"],
+    "navigation_with_keys": False,
+}
+
+_ABOVE = {"README": "index", "CONTRIBUTING": "contributing", "CHANGELOG": "changelog"}
+
+
+def setup(app: Sphinx) -> None:
+    """Have links to pages above this folder lead to their places on the site."""
+    app.connect("source-read", _lead_into_the_site)
+    app.connect("include-read", lambda _app, _path, _page, source: _lead_into_the_site(_app, "", source))
+
+
+def _lead_into_the_site(_app: Sphinx, _page: str, source: list[str]) -> None:
+    for above, inside in _ABOVE.items():
+        source[0] = re.sub(rf"\]\((?:\.\./)*{above}\.md", f"](/{inside}.md", source[0])
