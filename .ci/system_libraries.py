@@ -41,6 +41,11 @@ def missing_browser() -> list[str]:
     return [] if any(map(shutil.which, BROWSERS)) else ["chromium-headless-shell"]
 
 
+def missing_jq() -> list[str]:
+    """The package with which commands of the documentation read JSON; their tests skip without it."""
+    return [] if shutil.which("jq") else ["jq"]
+
+
 def install(packages: list[str]) -> bool:
     """Install with apt; returns whether that worked."""
     prefix = privilege()
@@ -74,7 +79,9 @@ def main() -> None:
     """Install what is missing; exit with the command to run where that is not allowed."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
-        "--pictures", action="store_true", help="also what tests draw pictures with; never fails for want of it"
+        "--pictures",
+        action="store_true",
+        help="also what tests draw pictures and read JSON with; never fails for want of it",
     )
     pictures = parser.parse_args().pictures
     if sys.version_info < OLDEST_PYTHON:
@@ -87,8 +94,8 @@ def main() -> None:
             "These system packages are missing; install them, then run make again:\n  "
             + system_libraries.apt_command(packages)
         )
-    # One after the other: not every distribution has the browser.
-    for extra in (missing_for_pictures(), missing_browser()) if pictures else ():
+    # One after the other: not every distribution has each.
+    for extra in (missing_for_pictures(), missing_browser(), missing_jq()) if pictures else ():
         if extra and not install(extra):
             print("some tests are skipped; they need: sudo apt-get install", *extra)
 

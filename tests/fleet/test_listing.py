@@ -94,6 +94,13 @@ def test_a_manifest_gives_vehicle_and_time(folder, form):
     assert one.size_bytes > 0 == four.size_bytes
 
 
+def test_a_date_of_a_manifest_is_its_first_moment(folder):
+    path = folder / "manifest.csv"
+    path.write_text("source,time\nlogs/v1/a.mcap,2026-03-01\n")
+    (log,) = find_logs([str(path)])
+    assert log.time_ns == int(datetime(2026, 3, 1, tzinfo=UTC).timestamp()) * 10**9
+
+
 @pytest.mark.parametrize(
     ("pattern", "source", "vehicle", "time"),
     [

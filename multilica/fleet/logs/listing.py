@@ -8,7 +8,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime, time
 from glob import has_magic
 from pathlib import Path
 from typing import Any
@@ -256,10 +256,12 @@ def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
 
 
 def _time_ns(value: object, path: Path) -> int:
-    """Return a time of a manifest: a timestamp, a text in ISO 8601, or seconds or nanoseconds since the epoch."""
+    """Return a time of a manifest: a date or timestamp, a text in ISO 8601, or seconds or ns since the epoch."""
     try:
         if isinstance(value, str) and not re.fullmatch(r"[0-9.]+", value):
             value = datetime.fromisoformat(value)
+        if isinstance(value, date) and not isinstance(value, datetime):
+            value = datetime.combine(value, time())
         if isinstance(value, datetime):
             aware = value if value.tzinfo else value.replace(tzinfo=UTC)
             return round(aware.timestamp() * 10**6) * 1000

@@ -24,6 +24,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     monkeypatch.setattr(module, "privilege", lambda: None)
     monkeypatch.setattr(module, "missing_for_pictures", list)
     monkeypatch.setattr(module, "missing_browser", list)
+    monkeypatch.setattr(module, "missing_jq", list)
     monkeypatch.setattr(sys, "argv", [str(SCRIPT)])
     return module
 
@@ -71,10 +72,11 @@ def test_missing_pictures_are_no_failure(
 ) -> None:
     monkeypatch.setattr(script, "missing_for_pictures", lambda: ["libvulkan1"])
     monkeypatch.setattr(script, "missing_browser", lambda: ["chromium-headless-shell"])
+    monkeypatch.setattr(script, "missing_jq", lambda: ["jq"])
     monkeypatch.setattr(sys, "argv", [str(SCRIPT), "--pictures"])
     script.main()
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[-1] for line in lines] == ["libvulkan1", "chromium-headless-shell"]
+    assert [line.split()[-1] for line in lines] == ["libvulkan1", "chromium-headless-shell", "jq"]
 
 
 def test_an_old_python_is_refused(script: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
