@@ -44,10 +44,11 @@ OPERATORS = "|><&;"
 
 @dataclass(frozen=True)
 class Section:
-    """Commands of a page that are run one after the other in one folder."""
+    """Commands of a page that are run one after the other in one folder, then its examples in Python."""
 
     name: str
     commands: tuple[str, ...]
+    examples: tuple[str, ...] = ()
 
 
 def sections() -> Iterator[Section]:
@@ -57,17 +58,22 @@ def sections() -> Iterator[Section]:
         parts = text.split("\n## ") if name == SPLIT else [text]
         for part in parts:
             commands = tuple(commands_of(part))
-            if commands:
-                heading = part.partition("\n")[0].lstrip("# ")
-                yield Section(f"{name}: {heading}" if name == SPLIT else name, commands)
+            heading = part.partition("\n")[0].lstrip("# ")
+            examples = tuple(blocks(part, "python")) if name == SPLIT else ()
+            if commands or examples:
+                yield Section(f"{name}: {heading}" if name == SPLIT else name, commands, examples)
 
 
 def commands_of(text: str) -> Iterator[str]:
     """The commands of the console blocks without comments."""
-    for block in re.findall(r"^```console\n(.*?)^```", text, re.MULTILINE | re.DOTALL):
+    for block in blocks(text, "console"):
         for line in block.splitlines():
             assert line.startswith("$ "), f"a console block shows commands only: {line}"
             yield " ".join(words_of(line.removeprefix("$ ")))
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
 def words_of(line: str) -> list[str]:
@@ -81,7 +87,7 @@ def reason(command: str) -> str:
     return next((why for pattern, why in NOT_RUN.items() if re.match(pattern, command)), "")
 
 
-SECTIONS = [section for section in sections() if not all(map(reason, section.commands))]
+SECTIONS = [section for section in sections() if not (section.commands and all(map(reason, section.commands)))]
 
 
 @pytest.fixture(scope="session")
@@ -111,6 +117,9 @@ def test_commands_of_a_page_run(section: Section, place: Path, invoke: Invoke) -
             code, out, err = run(command, invoke)
             assert code == ENDS.get(command, 0), f"{command}\n{out}\n{err}"
             assert not (" jq " in command and out.strip() in {"", "null"}), f"{command} answers nothing"
+    names: dict[str, object] = {}
+    for example in section.examples:
+        exec(compile(example, section.name, "exec"), names)  # noqa: S102
 
 
 def run(command: str, invoke: Invoke) -> tuple[int, str, str]:
