@@ -65,9 +65,9 @@ def scenes() -> Iterator[Scene]:
 def quotes() -> list[str]:
     """The lines of output that the pages show."""
     found = re.findall(r"^> .*(?:\n> .*)*", FAILURES, re.MULTILINE)
-    for page in (ROOT / "README.md", ROOT / "docs" / "quickstart.md"):
-        blocks = re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-        found += [block for language, block in blocks if not language]
+    page = (ROOT / "docs" / "quickstart.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```(\w*)\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    found += [block for language, block in blocks if not language]
     return [line for quote in found for line in re.sub(r"\n> |^> ", " ", quote).replace("<br>", "\n").splitlines()]
 
 

@@ -122,6 +122,13 @@ def test_commands_of_a_page_run(section: Section, place: Path, invoke: Invoke) -
         exec(compile(example, section.name, "exec"), names)  # noqa: S102
 
 
+def test_the_readme_shows_what_the_demo_prints(invoke: Invoke) -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (shown,) = re.findall(r"\n\n```\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    printed = iter(line.rstrip() for line in invoke("demo").out.splitlines())
+    assert [line for line in shown.splitlines() if line and line not in printed] == []
+
+
 def run(command: str, invoke: Invoke) -> tuple[int, str, str]:
     """Run `multilica` in this process, and what its output goes to in a shell."""
     words = words_of(command)

@@ -18,7 +18,7 @@ from multilica.runs.evaluation import Comparison
 from multilica.runs.run_documents import SavedPlacement
 from tests import opencalib
 from tests.bench import __main__ as bench
-from tests.bench import harder, real_scans, repeat, scaling, simulated, speed
+from tests.bench import harder, peers, real_scans, repeat, scaling, simulated, speed
 from tests.bench.robustness import soak
 from tests.bench.support import cases
 from tests.bench.support.cases import Case, LidarOutcome
@@ -198,3 +198,7 @@ def test_turned_scans_have_the_truth_of_the_original_ones(y_m, yaw_deg, outcome)
     assert real_scans.judged(placement, rotation)[0] == outcome
     refused = LidarPlacement("left", "too little in common")
     assert real_scans.judged(refused, rotation) == ("refused", "too little in common")
+
+
+def test_standings_of_a_system_are_counted():
+    assert peers.row_of("kiss", ["right", "wrong", "refused", "wrong"]) == ("kiss", 4, 1, 0, 2, 0, 1)
