@@ -117,16 +117,19 @@ def test_commands_of_a_page_run(section: Section, place: Path, invoke: Invoke) -
             code, out, err = run(command, invoke)
             assert code == ENDS.get(command, 0), f"{command}\n{out}\n{err}"
             assert not (" jq " in command and out.strip() in {"", "null"}), f"{command} answers nothing"
+            if command == "multilica demo":
+                printed = iter(line.rstrip() for line in out.splitlines())
+                assert [line for line in shown_in_the_readme() if line not in printed] == [], "the README shows others"
     names: dict[str, object] = {}
     for example in section.examples:
         exec(compile(example, section.name, "exec"), names)  # noqa: S102
 
 
-def test_the_readme_shows_what_the_demo_prints(invoke: Invoke) -> None:
+def shown_in_the_readme() -> list[str]:
+    """The lines of output that the README shows for `multilica demo`."""
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (shown,) = re.findall(r"\n\n```\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
-    printed = iter(line.rstrip() for line in invoke("demo").out.splitlines())
-    assert [line for line in shown.splitlines() if line and line not in printed] == []
+    return [line for line in shown.splitlines() if line]
 
 
 def run(command: str, invoke: Invoke) -> tuple[int, str, str]:
