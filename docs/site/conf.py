@@ -1,15 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation as a site; `make site` builds it from the Markdown pages, which are readable without it."""
 
-from __future__ import annotations
-
-import re
-from typing import TYPE_CHECKING
-
 import multilica
-
-if TYPE_CHECKING:
-    from sphinx.application import Sphinx
 
 project = "multilica"
 author = "the authors of multilica"
@@ -17,7 +9,6 @@ version = release = multilica.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["site"]
 
-myst_enable_extensions = ["colon_fence"]
 myst_heading_anchors = 4
 
 autodoc_member_order = "bysource"
@@ -49,16 +40,3 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "navigation_with_keys": False,
 }
-
-_ABOVE = {"README": "index", "CONTRIBUTING": "contributing", "CHANGELOG": "changelog"}
-
-
-def setup(app: Sphinx) -> None:
-    """Have links to pages above this folder lead to their places on the site."""
-    app.connect("source-read", _lead_into_the_site)
-    app.connect("include-read", lambda _app, _path, _page, source: _lead_into_the_site(_app, "", source))
-
-
-def _lead_into_the_site(_app: Sphinx, _page: str, source: list[str]) -> None:
-    for above, inside in _ABOVE.items():
-        source[0] = re.sub(rf"\]\((?:\.\./)*{above}\.md", f"](/{inside}.md", source[0])
