@@ -19,7 +19,7 @@ napoleon_use_param = True
 napoleon_use_rtype = False
 default_role = "code"
 # What the public names use of other packages, and of this one without being public, has no page.
-nitpick_ignore_regex = [("py:.*", r"(numpy|collections|pathlib|typing|pydantic|multilica)\..+")]
+nitpick_ignore_regex = [("py:.*", r"(numpy|pd|collections|pathlib|typing|pydantic|multilica)\..+")]
 
 html_theme = "pydata_sphinx_theme"
 html_title = "multilica"
