@@ -89,8 +89,9 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
             return _merge_step(decision)
         case events.RigRefined(refinement):
             return _refined(refinement)
-        case events.SurfacesMatched():
-            return ()
+        case events.SurfacesMatched(matches):
+            pair = pair_label(matches.target, matches.source)
+            return _line(f"{pair}: {len(matches):,} points on surfaces of both at the final pose", "DEBUG")
         case events.ResidualsMeasured(residuals):
             return _residuals(residuals)
         case events.GroundEstimated():

@@ -8,14 +8,12 @@ from multilica.results import CalibrationResult, LidarPlacement
 from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.shapes import SIGMAS, ellipsoid_scale
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.markdown import escaped, markdown_table, thousandths
+from multilica.sinks.text.markdown import escaped, markdown_table
 
 __all__ = ["summary_markdown"]
 
-_PLACEMENT_HEADER = (
-    *("LiDAR", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg"),
-    *("sigma mm", "sigma deg", "fitness", "RMSE m"),
-)
+# As narrow as it can be: the viewer cuts what is wider than its pane.
+_PLACEMENT_HEADER = ("LiDAR", "x m", "y m", "z m", "roll °", "pitch °", "yaw °", "sigma mm", "sigma °")
 
 
 def summary_markdown(state: RunState, document: ResultDocument | None, ended_by: str = "") -> str:
@@ -85,7 +83,7 @@ def _result_parts(result: CalibrationResult | None) -> Iterator[str]:
 
 def _placement_row(place: LidarPlacement) -> Sequence[str]:
     if place.T_target_source is None:
-        return (place.lidar, *("-",) * 9, "not placed")
+        return (f"{place.lidar} (**not placed**)", *("-",) * 8)
     pose = place.T_target_source
     numbers = (*(f"{value:z.3f}" for value in pose.xyz_m), *(f"{value:z.2f}" for value in pose.rpy_deg))
     xyz_m, rotation_deg = place.sigma_xyz_m, place.sigma_rotation_deg
@@ -93,7 +91,7 @@ def _placement_row(place: LidarPlacement) -> Sequence[str]:
     if xyz_m is not None and rotation_deg is not None:
         sigmas = (f"{1e3 * xyz_m.max():.1f}", f"{rotation_deg.max():.3f}")
     name = f"{place.lidar} (**uncertain**)" if place.uncertain else place.lidar
-    return (name, *numbers, *sigmas, thousandths(place.fitness), thousandths(place.rmse_m))
+    return (name, *numbers, *sigmas)
 
 
 def _input_part(state: RunState) -> str:
