@@ -19,6 +19,7 @@ from multilica.stages.prior import require_usable
 from multilica.steps import clouds, outcome, rig, surfaces
 from multilica.steps.calibration_workers import open_calibration_workers
 from multilica.steps.pairs import PAIR_STAGES
+from multilica.steps.required_libraries import require_libraries
 from multilica.steps.search import search_pairs
 from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
@@ -73,6 +74,7 @@ def calibrate(
         WorkerDiedError: a worker process was killed or crashed.
     """
     config = config or CalibrationConfig()
+    require_libraries(config)
     clouds.require_two_lidars(snapshot)
     if config.target:
         snapshot[config.target]

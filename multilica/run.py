@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 
 from multilica import events
@@ -32,6 +33,7 @@ from multilica.snapshot import Snapshot
 from multilica.stages.base_frame import require_usable_rig
 from multilica.stages.prior import require_usable
 from multilica.steps.calibration_workers import open_calibration_workers
+from multilica.steps.required_libraries import require_libraries
 from multilica.workers import Workers
 
 __all__ = ["CalibrationRun", "default_directory", "run_calibration"]
@@ -83,7 +85,7 @@ def run_calibration(
 
     Args:
         sources: as `read_snapshot` takes them.
-        out: the run directory; None: `default_directory`.
+        out: the run directory, whose files are replaced; None: `default_directory`, where no run is.
         config: None: the default preset, with all frames of what `multilica record` took.
         prior: poses to try as well, as `read_prior` takes them.
         rig: as for `calibrate`.
@@ -103,6 +105,7 @@ def run_calibration(
     place = None if out is None else local_output(out, "out")
     files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
     config = config or CalibrationConfig(ingest=config_for(files))
+    require_libraries(config)
     deadline_s = deadline_of(config)
     found = find_snapshots(files, config=config.ingest)
     directory = default_directory(files, len(found)) if place is None else place
@@ -114,9 +117,18 @@ def run_calibration(
 
 
 def default_directory(sources: Sequence[PathLike], snapshots: int = 1) -> Path:
-    """Return ``recordings/runs/<source>``; a joint run never shares it with a run of its first snapshot alone."""
+    """Return ``recordings/runs/<source>``, or the next of ``<source>-2``, ``<source>-3``, ... that holds nothing yet.
+
+    A joint run never shares it with a run of its first snapshot alone.
+    """
     more = f"-and-{snapshots - 1}-more" if snapshots > 1 else ""
-    return Path("recordings") / "runs" / f"{stem_of(str(next(iter(sources), '')))}{more}"
+    name = f"{stem_of(str(next(iter(sources), '')))}{more}"
+    names = (name if number == 1 else f"{name}-{number}" for number in count(1))
+    return next(path for each in names if not _holds_files(path := Path("recordings") / "runs" / each))
+
+
+def _holds_files(path: Path) -> bool:
+    return any(path.iterdir()) if path.is_dir() else path.exists()
 
 
 def _read(source: SnapshotSource, config: CalibrationConfig, observe: RunObserver) -> Snapshot:

@@ -6,13 +6,14 @@ from __future__ import annotations
 import os
 import sys
 from enum import IntEnum
+from shutil import get_terminal_size
 from typing import TYPE_CHECKING
 
 import typer
 
 from multilica.errors import InputError, MultilicaError, UsageError
-from multilica_cli.signals import Interrupted, print_line
-from multilica_cli.terminal import printable
+from multilica_cli.signals import PREFIX, Interrupted, print_line
+from multilica_cli.terminal import printable, wrapped
 
 if TYPE_CHECKING:
     from multilica.run import CalibrationRun
@@ -55,7 +56,8 @@ def print_failure(failure: BaseException) -> int:
     """Print the failure on stderr and return the exit code."""
     code, sentence = describe_failure(failure)
     if sentence:
-        print_line(_shortened(printable(" ".join(sentence.split()))))
+        line = _shortened(printable(" ".join(sentence.split())))
+        print_line(wrapped(line, get_terminal_size().columns - len(PREFIX)) if sys.stderr.isatty() else line)
     if os.environ.get(DEBUG_VARIABLE) == "1":
         sys.excepthook(type(failure), failure, failure.__traceback__)
     return code

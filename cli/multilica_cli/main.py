@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import multilica
+from multilica_cli.app import App
 from multilica_cli.commands.calibrate import calibrate
 from multilica_cli.commands.check import accept, check, verify
 from multilica_cli.commands.config import config
@@ -24,7 +25,7 @@ from multilica_cli.signals import Interrupted, received
 
 __all__ = ["app", "run"]
 
-app = typer.Typer(
+app = App(
     name="multilica",
     no_args_is_help=True,
     add_completion=False,

@@ -72,7 +72,7 @@ WindowSeconds = Annotated[
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Fail if any part of the recording is unreadable.")]
 Preset = Annotated[
-    str | None, typer.Option("--preset", metavar="default|paper|paper-algorithm1", help="Set of parameters.")
+    str | None, typer.Option("--preset", metavar="NAME", help="Set of parameters: default, paper or paper-algorithm1.")
 ]
 PriorSource = Annotated[
     str | None,

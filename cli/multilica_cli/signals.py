@@ -7,7 +7,10 @@ import sys
 import time
 from types import FrameType
 
-__all__ = ["Interrupted", "end_on_signals", "print_line", "received", "unwind_on_signals"]
+__all__ = ["PREFIX", "Interrupted", "end_on_signals", "print_line", "received", "unwind_on_signals"]
+
+PREFIX = "multilica: "
+"""Start of each line of this program on stderr."""
 
 _NUMBERS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _GRACE_S = 5.0
@@ -79,7 +82,7 @@ def received() -> Interrupted | None:
 
 def print_line(text: str) -> None:
     """Print a line of this program on stderr."""
-    sys.stderr.write(f"multilica: {text}\n")
+    sys.stderr.write(f"{PREFIX}{text}\n")
 
 
 def _is_importing(frame: FrameType | None) -> bool:

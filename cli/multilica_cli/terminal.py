@@ -2,6 +2,7 @@
 """Consoles for text on stdout or stderr."""
 
 import json
+import textwrap
 from typing import Any
 
 import typer
@@ -10,14 +11,19 @@ from rich.text import Text
 
 from multilica.errors import escape_controls
 
-__all__ = ["print_json", "printable", "stderr_console", "stdout_console"]
+__all__ = ["print_json", "printable", "stderr_console", "stdout_console", "wrapped"]
 
 _WIDTH_OF_FILES = 160
-_LEAST_WIDTH = 100
 
 
 class _PlainConsole(Console):
-    """A rich console that prints control characters as escapes, also in cells of tables."""
+    """A rich console that prints control characters as escapes, also in cells of tables, and breaks no word."""
+
+    def print(self, *objects: Any, **options: Any) -> None:  # noqa: ANN401 - those of rich
+        """Print; a terminal's lines end between words, those of a file where the text does."""
+        if self.is_terminal:
+            objects = tuple(wrapped(each, self.width) if isinstance(each, str) else each for each in objects)
+        super().print(*objects, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:  # noqa: ANN401 - those of rich
         """Render text that has no style yet."""
@@ -35,11 +41,28 @@ def print_json(document: object) -> None:
     typer.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
+def wrapped(text: str, width: int) -> str:
+    """Break the lines of a text between words; what follows the first line of one that is too long is indented."""
+    return "\n".join(_wrapped_line(line, width) for line in text.split("\n"))
+
+
+def _wrapped_line(line: str, width: int) -> str:
+    indent = line[: len(line) - len(line.lstrip())]
+    parts = textwrap.wrap(
+        line,
+        max(width, 20),
+        subsequent_indent=f"{indent}  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+        replace_whitespace=False,
+        drop_whitespace=True,
+    )
+    return "\n".join(parts) if len(line) > width else line
+
+
 def stdout_console(*, quiet: bool = False) -> Console:
-    """Return a console for results that is at least 100 columns wide, so that tables keep their digits."""
-    console = _console(stderr=False, quiet=quiet)
-    console.width = max(console.width, _LEAST_WIDTH)
-    return console
+    """Return a console for results."""
+    return _console(stderr=False, quiet=quiet)
 
 
 def stderr_console(*, quiet: bool = False) -> Console:

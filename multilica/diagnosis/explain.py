@@ -66,13 +66,15 @@ def _without_places(document: ResultDocument, headline: str, cause: Cause, known
 def _headline(document: ResultDocument, missing: Sequence[Missing], uncertain: Sequence[Uncertain]) -> str:
     count = len(document.lidars)
     if not missing and not uncertain:
-        return f"All {count} LiDARs are placed; the target is {document.target}."
+        return f"All {count} LiDARs are placed. The target is {document.target}."
     sentences = []
     for found, status in ((missing, "not placed"), (uncertain, "uncertain")):
         causes = dict.fromkeys(one.cause for one in found)
-        parts = [f"{_listed(one.lidar for one in found if one.cause == cause)}: {WORDS[cause]}" for cause in causes]
         verb = "is" if len(found) == 1 else "are"
-        sentences += [f"{len(found)} of {count} LiDARs {verb} {status}. {'; '.join(parts)}."] if found else []
+        sentences += [f"{len(found)} of {count} LiDARs {verb} {status}."] if found else []
+        sentences += [
+            f"{_listed(one.lidar for one in found if one.cause == cause)}: {WORDS[cause]}." for cause in causes
+        ]
     return " ".join(sentences)
 
 

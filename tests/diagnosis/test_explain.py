@@ -60,7 +60,7 @@ def test_complete_run_has_headline_and_sigmas():
     document["lidars"]["rear"] |= {"sigma_xyz_m": [0.001, 0.0042, 0.002], "sigma_rotation_deg": [0.01, 0.02, 0.005]}
     document["lidars"]["front left/1"] |= {"sigma_xyz_m": None, "sigma_rotation_deg": None}
     told = explain(document)
-    assert told.headline == "All 3 LiDARs are placed; the target is top."
+    assert told.headline == "All 3 LiDARs are placed. The target is top."
     assert (told.missing, told.warnings, told.cause) == ((), (), None)
     assert [(one.lidar, one.sigma_m) for one in told.placed] == [("front left/1", None), ("rear", 0.0042)]
     assert told.placed[1].sentence == "rear is placed relative to top: sigma 4.2 mm, 0.020 deg."

@@ -146,7 +146,7 @@ def test_the_report_shows_status_pose_and_advice():
     contents = made_contents("uncertain")
     outcome = outcome_of(contents)
     assert (outcome.badge, outcome.failures) == ("partial", ())
-    assert outcome.headline == "2 of 3 LiDARs are placed; rear is uncertain."
+    assert outcome.headline == "1 of 3 LiDARs is uncertain. rear: one pose fits, but its sigma is above the limit."
     page = report_html(contents)
     assert '<span class="status uncertain">UNCERTAIN</span>' in page
     assert "rear is uncertain: sigma 30.0 mm mostly along x of top, limit 20 mm." in page

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from itertools import groupby
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from multilica.errors import UsageError
 from multilica_cli.configuration import inline_toml, resolve_config
@@ -49,9 +53,6 @@ def config(
     ] = False,
 ) -> None:
     """Print all parameters with value, unit and meaning."""
-    from rich import box
-    from rich.table import Table
-
     if as_json + as_toml + as_markdown > 1:
         raise UsageError("Found more than one of --json, --toml and --markdown; give one of them.")
     resolved = resolve_config(preset, config_file, {}, settings or ())
@@ -62,7 +63,25 @@ def config(
     if as_json:
         print_json([asdict(parameter) for parameter in rows])
         return
-    table = Table(title=f"preset {resolved.preset}", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    console = stdout_console()
+    if console.is_terminal:
+        _print_list(rows, resolved.preset, console)
+    else:
+        console.print(_table(rows, resolved.preset))
+
+
+def _print_list(rows: Sequence[Parameter], preset: str, console: Console) -> None:
+    """Print each parameter with its value, and its meaning below."""
+    console.print(f"preset {preset}")
+    for _, section in groupby(rows, key=lambda row: row.section):
+        console.print()
+        for row in section:
+            console.print(f"{row.key} = {inline_toml(row.value)} {row.unit}".rstrip())
+            console.print(f"    {row.meaning_with_limits}")
+
+
+def _table(rows: Sequence[Parameter], preset: str) -> Table:
+    table = Table(title=f"preset {preset}", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     table.add_column("key", no_wrap=True)
     table.add_column("value", overflow="fold")
     table.add_column("unit")
@@ -71,7 +90,7 @@ def config(
         for row in section:
             table.add_row(row.key, inline_toml(row.value), row.unit, row.meaning_with_limits)
         table.add_section()
-    stdout_console().print(table)
+    return table
 
 
 @dataclass(frozen=True, slots=True)

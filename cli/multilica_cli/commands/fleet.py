@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from multilica_cli import options
+from multilica_cli.app import App
 from multilica_cli.commands.fleet_report import report
 from multilica_cli.configuration import ingest_options, resolve_config
 from multilica_cli.exit_codes import ExitCode
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 __all__ = ["fleet"]
 
-fleet = typer.Typer(
+fleet = App(
     name="fleet",
     no_args_is_help=True,
     help="Turn many logs into one table of extrinsics over time.",
@@ -62,8 +63,8 @@ def run(
     calibrate: Annotated[
         Literal["when-needed", "always"],
         typer.Option(
-            metavar="when-needed|always",
-            help="when-needed: only where the vehicle's last accepted poses do not hold any more.",
+            metavar="WHEN",
+            help="always, or when-needed: only where the vehicle's last accepted poses do not hold any more.",
         ),
     ] = "when-needed",
     target: Annotated[

@@ -28,14 +28,18 @@ def explain(
     as_json: Json = False,
 ) -> None:
     """Explain a run: which LiDARs are placed and how accurately, which are not and why, and what would help."""
-    from multilica.runs.run_documents import explain_run
+    from multilica import diagnosis
+    from multilica.runs.run_documents import read_run_document
+    from multilica_cli.tables.result import print_placements
 
-    explanation = explain_run(run)
+    document = read_run_document(run).document
+    explanation = diagnosis.explain(document)
     if as_json:
         print_json(asdict(explanation))
         return
     console = stdout_console()
-    for line in explanation.lines:
+    print_placements(document, console)
+    for line in (explanation.headline, explanation.input, *explanation.known, *explanation.findings[1:]):
         console.print(line)
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import typer
 from rich.console import Console
 
-from multilica_cli.tables.result import plain_table
+from multilica_cli.tables.folding_table import FoldingTable
 
 if TYPE_CHECKING:
     from multilica.fleet.store.query import QueryAnswer
@@ -30,7 +30,7 @@ def print_answer(answer: QueryAnswer, form: Literal["table", "csv", "json"], con
         for line in answer_lines(answer.columns, answer.rows(), form):
             typer.echo(line, nl=False)
         return
-    table = plain_table("", [name.replace("_", " ") for name in answer.columns], numbers_from=len(answer.columns))
+    table = FoldingTable("", [name.replace("_", " ") for name in answer.columns], numbers_from=len(answer.columns))
     count = 0
     for row in answer.rows():
         count += 1

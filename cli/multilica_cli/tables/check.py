@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from multilica_cli.tables.result import plain_table
+from multilica_cli.tables.folding_table import FoldingTable
 
 if TYPE_CHECKING:
     from multilica.checks import LidarCheck, RigCheck
@@ -23,7 +23,7 @@ _COLUMNS = ("LiDAR", "verdict", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "s
 def print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Console) -> None:
     """Print a table per rig, the reasons of what is not within, and the outcome."""
     for rig in checks:
-        table = plain_table(f"{rig.name}, compared to {rig.root}", _COLUMNS, numbers_from=2)
+        table = FoldingTable(f"{rig.name}, compared to {rig.root}", _COLUMNS, numbers_from=2, keys=2)
         for each in rig.lidars:
             table.add_row(each.lidar, _WORDS[each.verdict], *_cells(each))
         console.print(table)

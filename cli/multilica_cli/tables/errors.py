@@ -11,9 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
 
-from multilica_cli.tables.result import plain_table
+from multilica_cli.tables.folding_table import FoldingTable
 
 if TYPE_CHECKING:
     from multilica.runs.difference import RunDifference
@@ -63,13 +62,13 @@ def _error_cells(error: PoseError | None) -> tuple[str, ...]:
     return *(f"{1e3 * value:z.1f}" for value in millimetres), *(f"{degrees(value):z.3f}" for value in angles)
 
 
-def _detail_table(evaluation: Evaluation) -> Table:
+def _detail_table(evaluation: Evaluation) -> FoldingTable:
     every = evaluation.comparisons
     shown = every if len(every) <= _MOST_ROWS else [one for one in every if one.outcome != "within"]
     title = "Error (found - true) in the target's axes"
     if len(shown) < len(every):
         title += f"; {len(every) - len(shown)} LiDARs within tolerance are not listed"
-    table = plain_table(title, ("run", "LiDAR", "outcome", *_ERROR_COLUMNS, "total\nsigma"), numbers_from=3)
+    table = FoldingTable(title, ("run", "LiDAR", "outcome", *_ERROR_COLUMNS, "total\nsigma"), numbers_from=3, keys=2)
     labels = short_names(evaluation.runs)
     for run, comparisons in groupby(shown, key=lambda one: one.run):
         label = labels[run]
@@ -92,8 +91,8 @@ def short_names(runs: tuple[str, ...]) -> dict[str, str]:
     return {run: str(Path(run).relative_to(shared)) for run in runs}
 
 
-def _statistics_table(evaluation: Evaluation) -> Table:
-    table = plain_table("Errors of all placed LiDARs", ("LiDAR", "", *_ERROR_COLUMNS), numbers_from=2)
+def _statistics_table(evaluation: Evaluation) -> FoldingTable:
+    table = FoldingTable("Errors of all placed LiDARs", ("LiDAR", "", *_ERROR_COLUMNS), numbers_from=2, keys=2)
     if len(evaluation.compared_runs) > 1:
         _add_per_lidar(table, evaluation, lambda summary: ("RMSE", *_error_cells(summary.rmse)))
     overall = evaluation.overall
@@ -103,7 +102,7 @@ def _statistics_table(evaluation: Evaluation) -> Table:
     return table
 
 
-def _outcome_table(evaluation: Evaluation) -> Table:
+def _outcome_table(evaluation: Evaluation) -> FoldingTable:
     from multilica.runs.evaluation import UNCERTAIN_SIGMA
 
     limits = evaluation.tolerances
@@ -112,13 +111,13 @@ def _outcome_table(evaluation: Evaluation) -> Table:
     wrong += f" or {limits.wrong_sigma:g} sigma"
     uncertain = tuple(f"uncertain\n{sign} {UNCERTAIN_SIGMA:g} sigma" for sign in ("<=", ">"))
     columns = ("LiDAR", "compared", within, "between", wrong, "false refuse\nnot placed", *uncertain)
-    table = plain_table("Outcomes", columns)
+    table = FoldingTable("Outcomes", columns)
     _add_per_lidar(table, evaluation, _counts)
     table.add_row("all", *_counts(evaluation.overall))
     return table
 
 
-def _add_per_lidar(table: Table, evaluation: Evaluation, cells: Callable[[Summary], tuple[str, ...]]) -> None:
+def _add_per_lidar(table: FoldingTable, evaluation: Evaluation, cells: Callable[[Summary], tuple[str, ...]]) -> None:
     """Add a row per LiDAR if there are several."""
     if len(evaluation.by_lidar) > 1:
         for lidar, summary in evaluation.by_lidar.items():
@@ -165,9 +164,9 @@ def _print_placed_by_neither(difference: RunDifference, console: Console) -> Non
         console.print(f"{', '.join(lidars)}: placed neither in A nor in B. {why}")
 
 
-def _moves_table(difference: RunDifference) -> Table:
+def _moves_table(difference: RunDifference) -> FoldingTable:
     title = f"Change (B - A) in the axes of {difference.target}"
-    table = plain_table(title, ("LiDAR", "", *_ERROR_COLUMNS, "sigma"), numbers_from=2)
+    table = FoldingTable(title, ("LiDAR", "", *_ERROR_COLUMNS, "sigma"), numbers_from=2, keys=2)
     for move in difference.moves:
         sigma = "-" if move.sigmas is None else f"{move.sigmas:.1f}"
         name = f"{move.lidar} (uncertain)" if move.uncertain else move.lidar

@@ -7,10 +7,9 @@ from math import degrees
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.table import Table
 
 from multilica_cli.tables.errors import print_left_out, short_names
-from multilica_cli.tables.result import plain_table
+from multilica_cli.tables.folding_table import FoldingTable
 
 if TYPE_CHECKING:
     from multilica.runs.evaluation import Tolerances
@@ -49,10 +48,12 @@ def _axis_error_cells(error: AxisError | None) -> tuple[str, ...]:
     return *(f"{1e3 * value:z.1f}" for value in error.translation_m), *(f"{degrees(value):z.3f}" for value in angles)
 
 
-def summary_table(title: str, keys: tuple[str, ...], limits: Tolerances) -> Table:
+def summary_table(title: str, keys: tuple[str, ...], limits: Tolerances) -> FoldingTable:
     """Create a table whose rows are keys, then `summary_cells`."""
     success = f"success\n{1e3 * limits.within_m:g} mm, {degrees(limits.within_rad):g} deg"
-    return plain_table(title, (*keys, "poses", "placed", success, *_AXIS_COLUMNS), numbers_from=len(keys))
+    return FoldingTable(
+        title, (*keys, "poses", "placed", success, *_AXIS_COLUMNS), numbers_from=len(keys), keys=len(keys)
+    )
 
 
 def summary_cells(summary: PaperSummary) -> tuple[str, ...]:
@@ -61,13 +62,13 @@ def summary_cells(summary: PaperSummary) -> tuple[str, ...]:
     return str(summary.poses), *counts, *_axis_error_cells(summary.rmse)
 
 
-def _scene_table(table: PaperTable) -> Table:
+def _scene_table(table: PaperTable) -> FoldingTable:
     every = table.to_target
     shown = every if len(every) <= _MOST_ROWS else tuple(one for one in every if not one.success)
     title = "Error (found - true) per scene and LiDAR"
     if len(shown) < len(every):
         title += f"; {len(every) - len(shown)} successes are not listed"
-    printed = plain_table(title, ("run", "LiDAR", "target", "outcome", *_AXIS_COLUMNS), numbers_from=4)
+    printed = FoldingTable(title, ("run", "LiDAR", "target", "outcome", *_AXIS_COLUMNS), numbers_from=4, keys=2)
     labels = short_names(table.evaluation.runs)
     for one in shown:
         printed.add_row(labels[one.run], one.source, one.target, _outcome(one), *_axis_error_cells(one.error))

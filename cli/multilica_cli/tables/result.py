@@ -7,39 +7,25 @@ from collections.abc import Iterable
 from math import degrees
 from typing import TYPE_CHECKING
 
-from rich import box
-from rich.table import Table
-
+from multilica_cli.tables.folding_table import FoldingTable
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
-    from multilica.results import CalibrationResult, LidarPlacement
+    from multilica.results import CalibrationResult
+    from multilica.results.document import LidarEntry, ResultDocument
+    from multilica.results.document.lidars import PriorEntry, SpreadEntry
     from multilica.run import CalibrationRun
 
-__all__ = ["POSE_COLUMNS", "plain_table", "pose_cells", "print_run"]
+__all__ = ["POSE_COLUMNS", "pose_cells", "print_placements", "print_run"]
 
 _PRIOR_COLUMNS = ("to prior\nmm", "to prior\ndeg")
 _STATUS = {"placed": "placed", "uncertain": "UNCERTAIN", "not_placed": "NOT PLACED"}
 _SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")
 POSE_COLUMNS = ("x\nm", "y\nm", "z\nm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg")
-
-
-def plain_table(title: str, columns: Iterable[str], *, numbers_from: int = 1) -> Table:
-    """Create a table without colours; columns from the given one on hold numbers."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        title_style="bold",
-        box=box.SIMPLE_HEAD,
-        header_style="bold",
-        pad_edge=False,
-        padding=(0, 1, 0, 0),
-    )
-    for index, column in enumerate(columns):
-        table.add_column(column, justify="right" if index >= numbers_from else "left", no_wrap=True)
-    return table
 
 
 def pose_cells(pose: RigidTransform | None) -> tuple[str, ...]:
@@ -51,10 +37,12 @@ def pose_cells(pose: RigidTransform | None) -> tuple[str, ...]:
 
 def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bool) -> None:
     """Print the extrinsics, the errors if the truth is known, the files, and why a LiDAR is missing or doubtful."""
-    from multilica.runs.run_documents import explain_run
+    from multilica.diagnosis import explain
+    from multilica.runs.run_documents import read_run_document
 
     console, result = stdout_console(quiet=quiet), run.result
-    console.print(_placements_table(result))
+    document = read_run_document(run.directory).document
+    print_placements(document, console)
     if any(place.T_target_source is not None and place.lidar != result.target for place in result.placements):
         console.print(f"target {result.target}: {result.target_reason}")
     if result.ground is not None:
@@ -65,34 +53,52 @@ def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bo
         console.print(f"snapshot {snapshot.name}: {snapshot.text}")
     for path in run.written:
         console.print(f"wrote {path}")
-    for line in explain_run(run.directory).findings:
+    for line in explain(document).findings:
         console.print(line)
 
 
-def _placements_table(result: CalibrationResult) -> Table:
-    """Tabulate the pose of each LiDAR in the target's frame."""
-    prior = any(placement.T_target_source_prior is not None for placement in result.placements)
+def print_placements(document: ResultDocument, console: Console) -> None:
+    """Tabulate the pose of each LiDAR in the target's frame; nothing before there are poses."""
+    lidars = document.lidars
+    if not any(entry.xyz_m for entry in lidars.values()):
+        return
+    prior = any(entry.prior is not None for entry in lidars.values())
     columns = ["LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness"]
     columns += _PRIOR_COLUMNS if prior else ()
-    columns += _SPREAD_COLUMNS if result.snapshots else ()
-    table = plain_table(f"T_target_source, target {result.target}", columns, numbers_from=2)
-    for placement in result.placements:
-        is_target = placement.lidar == result.target
-        status = "target" if is_target else _STATUS[placement.status]
+    columns += _SPREAD_COLUMNS if document.snapshots else ()
+    title = f"T_target_source, target {document.target}"
+    table = FoldingTable(title, columns, numbers_from=2, spare=("fitness",))
+    for name, entry in lidars.items():
+        is_target = name == document.target
+        status = "target" if is_target else _STATUS[entry.status]
         scores = ("-",) * 3
-        if placement.T_target_source is not None and not is_target:
-            sigmas = _largest(placement.sigma_xyz_m, placement.sigma_rotation_deg)
-            scores = (*sigmas, f"{placement.fitness:.3f}")
-        cells = (placement.lidar, status, *pose_cells(placement.T_target_source), *scores)
+        if entry.xyz_m is not None and not is_target:
+            fitness = "-" if entry.fitness is None else f"{entry.fitness:.3f}"
+            scores = (*_largest(entry.sigma_xyz_m, entry.sigma_rotation_deg), fitness)
+        cells = (name, status, *_pose_cells_of(entry), *scores)
         if prior:
-            cells += _distance_cells(None if is_target else placement.prior_deviation)
-        table.add_row(*cells, *(_spread(placement) if result.snapshots else ()))
-    return table
+            cells += _deviation(None if is_target else entry.prior)
+        table.add_row(*cells, *(_spread(entry.spread) if document.snapshots else ()))
+    console.print(table)
 
 
-def _truth_table(result: CalibrationResult, truth: Extrinsics) -> Table:
+def _pose_cells_of(entry: LidarEntry) -> tuple[str, ...]:
+    if entry.xyz_m is None or entry.rpy_deg is None:
+        return pose_cells(None)
+    return *(f"{value:z.3f}" for value in entry.xyz_m), *(f"{value:z.2f}" for value in entry.rpy_deg)
+
+
+def _deviation(prior: PriorEntry | None) -> tuple[str, str]:
+    if prior is None or prior.deviation_m is None or prior.deviation_deg is None:
+        return "-", "-"
+    return f"{1000.0 * prior.deviation_m:.1f}", f"{prior.deviation_deg:.3f}"
+
+
+def _truth_table(result: CalibrationResult, truth: Extrinsics) -> FoldingTable:
     """Tabulate each pose with its true pose and the distance between the two."""
-    table = plain_table("Ground truth", ("LiDAR", "", *POSE_COLUMNS, "error\nmm", "error\ndeg"), numbers_from=2)
+    table = FoldingTable(
+        "Ground truth", ("LiDAR", "", *POSE_COLUMNS, "error\nmm", "error\ndeg"), numbers_from=2, keys=2
+    )
     for placement in result.placements:
         if placement.lidar == result.target:
             continue
@@ -103,9 +109,8 @@ def _truth_table(result: CalibrationResult, truth: Extrinsics) -> Table:
     return table
 
 
-def _spread(placement: LidarPlacement) -> tuple[str, str, str]:
+def _spread(spread: SpreadEntry | None) -> tuple[str, str, str]:
     """Return the standard deviations over the snapshots of the worst axes, and the number of snapshots."""
-    spread = placement.spread
     return ("-", "-", "-") if spread is None else (*_largest(spread.xyz_m, spread.rotation_deg), str(spread.snapshots))
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from multilica_cli.tables.result import POSE_COLUMNS, plain_table, pose_cells
+from multilica_cli.tables.folding_table import FoldingTable
+from multilica_cli.tables.result import POSE_COLUMNS, pose_cells
 
 if TYPE_CHECKING:
     from multilica.ingest import SourceSummary, TakenSnapshot
@@ -49,19 +50,19 @@ def print_summary(summary: SourceSummary, console: Console) -> None:
     console.print(f"{summary.source}: {summary.format}{_span(summary)}")
     if summary.clouds:
         columns = ("LiDAR", "topic", "type", "frame", "scans", "Hz", "points\nper scan", "median\nm", "farthest\nm")
-        table = plain_table("Point clouds", columns, numbers_from=4)
+        table = FoldingTable("Point clouds", columns, numbers_from=4, keys=2)
         for cloud in summary.clouds:
             names = (cloud.lidar or "-", cloud.topic, cloud.message_type.rpartition("/")[2], cloud.frame_id)
             rate, *ranges = map(_number, (cloud.rate_hz, cloud.range_median_m, cloud.range_max_m))
             table.add_row(*names, str(cloud.frames), rate, str(cloud.points_median), *ranges)
         console.print(table)
     if summary.others:
-        table = plain_table("Other topics", ("topic", "type", "messages"), numbers_from=2)
+        table = FoldingTable("Other topics", ("topic", "type", "messages"), numbers_from=2, keys=2)
         for other in summary.others:
             table.add_row(other.topic, other.message_type, str(other.count))
         console.print(table)
     if summary.static_transforms:
-        table = plain_table("Static transforms", ("parent", "child", *POSE_COLUMNS), numbers_from=2)
+        table = FoldingTable("Static transforms", ("parent", "child", *POSE_COLUMNS), numbers_from=2, keys=2)
         for transform in summary.static_transforms:
             table.add_row(transform.target, transform.source, *pose_cells(transform))
         console.print(table)
@@ -113,7 +114,7 @@ def print_recorded(taken: TakenSnapshot, out: Path, console: Console) -> None:
     """Print the summary as a table."""
     snapshot = taken.snapshot
     columns = ("LiDAR", "topic", "frame", "scans", "over\ns", "points\nper scan")
-    table = plain_table(f"Recorded from {snapshot.source}", columns, numbers_from=3)
+    table = FoldingTable(f"Recorded from {snapshot.source}", columns, numbers_from=3, keys=1)
     for lidar in snapshot.lidars:
         scans = len(lidar.scans)
         over_s = (lidar.scans[-1].stamp_ns - lidar.scans[0].stamp_ns) / _NS_PER_S

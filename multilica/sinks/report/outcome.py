@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Outcome of a run for the top of the report."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
-from multilica.diagnosis import Cause, Explanation, Missing, Uncertain, explain
+from multilica.diagnosis import Cause, Missing, Uncertain, explain
 from multilica.results import PairKey
 from multilica.sinks.report.contents import ReportContents
 
@@ -72,28 +72,9 @@ def outcome_of(contents: ReportContents) -> Outcome:
     failures = tuple(UnplacedLidar(missing) for missing in explanation.missing)
     return Outcome(
         badge,
-        _headline(contents, explanation),
+        explanation.headline,
         details,
         explanation.warnings,
         failures=failures,
         uncertain=explanation.uncertain,
     )
-
-
-def _headline(contents: ReportContents, explanation: Explanation) -> str:
-    missing = [one.lidar for one in explanation.missing]
-    uncertain = [one.lidar for one in explanation.uncertain]
-    count = len(contents.names)
-    placed = count - len(missing) - len(uncertain)
-    if placed == count:
-        return f"All {count} LiDARs are placed."
-    clauses = [f"{placed} of {count} LiDARs are placed"]
-    if placed <= 1:
-        clauses = [f"No LiDAR is placed relative to {contents.target}"]
-    clauses += [f"{_they_are(uncertain)} uncertain"] if uncertain else []
-    clauses += [f"{_they_are(missing)} not"] if missing and len(missing) < count - 1 else []
-    return f"{'; '.join(clauses)}."
-
-
-def _they_are(names: Sequence[str]) -> str:
-    return f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'}"

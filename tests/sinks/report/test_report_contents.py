@@ -29,9 +29,13 @@ def partial():
 
 
 def test_success_and_failure_have_their_sentence(partial):
-    assert outcome_of(made_contents("complete")).headline == "All 3 LiDARs are placed."
-    assert outcome_of(partial).headline == "2 of 3 LiDARs are placed; rear is not."
-    assert outcome_of(made_contents("failed")).headline == "No LiDAR is placed relative to top."
+    assert outcome_of(made_contents("complete")).headline == "All 3 LiDARs are placed. The target is top."
+    assert outcome_of(partial).headline == (
+        "1 of 3 LiDARs is not placed. rear: it shares too few surfaces with the others (no overlap)."
+    )
+    assert outcome_of(made_contents("failed")).headline == (
+        "2 of 3 LiDARs are not placed. front left/1 and rear: it shares too few surfaces with the others (no overlap)."
+    )
 
 
 def test_a_failure_names_lidar_step_partner_and_reason(partial):

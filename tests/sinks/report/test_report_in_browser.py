@@ -101,7 +101,9 @@ def test_a_refused_pose_is_there_to_be_looked_at(open_report):
 def test_a_failure_is_told_on_the_first_screen(open_report):
     page = open_report("partial")
     page.set_viewport_size({"width": 1280, "height": 720})
-    expect(page.locator("h1")).to_have_text("2 of 3 LiDARs are placed; rear is not.")
+    expect(page.locator("h1")).to_have_text(
+        "1 of 3 LiDARs is not placed. rear: it shares too few surfaces with the others (no overlap)."
+    )
     for words in ("Step", "Against", "Decisive", "What helps"):
         expect(page.locator("dt", has_text=words)).to_be_in_viewport()
     expect(page.locator("article img").first).to_be_in_viewport()

@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables that keep their digits in a narrow terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from rich import box
+from rich.cells import cell_len
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
+from rich.table import Table
+
+__all__ = ["FoldingTable"]
+
+
+class FoldingTable:
+    """A table without colours that fits the width of the console.
+
+    What is too wide loses the spare gaps first, then the columns that are not needed. If that is not enough, the
+    columns continue in a further table below, which repeats the key columns. Only names that leave no room for numbers
+    are folded.
+
+    Args:
+        columns: headings.
+        numbers_from: columns from this one on hold numbers.
+        keys: number of leading columns that name a row.
+        spare: headings of columns that a narrow table leaves out.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        columns: Iterable[str],
+        *,
+        numbers_from: int = 1,
+        keys: int = 1,
+        spare: Sequence[str] = (),
+    ) -> None:
+        self.title = title
+        self._columns = tuple(columns)
+        self._numbers_from, self._keys = numbers_from, keys
+        self._spare = {self._columns.index(each) for each in spare}
+        self._rows: list[tuple[str, ...]] = []
+        self._section_ends: set[int] = set()
+
+    def add_row(self, *cells: str, end_section: bool = False) -> None:
+        """Add a row; missing cells at its end are empty."""
+        self._rows.append((*cells, *("",) * (len(self._columns) - len(cells))))
+        if end_section:
+            self.add_section()
+
+    def add_section(self) -> None:
+        """Draw a line after the last row."""
+        self._section_ends.add(len(self._rows) - 1)
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield the table, or the tables that it folds into."""
+        every = range(len(self._columns))
+        needed = [index for index in every if index not in self._spare]
+        for chosen, gap in ((every, 1), (every, 0), (needed, 0)):
+            table = self._table(chosen, gap, options.max_width)
+            if _width(table, console) <= options.max_width:
+                yield table
+                return
+        for title, block in self._blocks(console, options.max_width):
+            yield self._table(block, 0, options.max_width, title)
+
+    def _blocks(self, console: Console, width: int) -> list[tuple[str, list[int]]]:
+        """Return titles and columns of the tables that fit, each with the key columns."""
+        keys = list(range(self._keys))
+        blocks: list[list[int]] = [keys]
+        for index in range(self._keys, len(self._columns)):
+            wider = [*blocks[-1], index]
+            fits = _width(self._table(wider, 0, width), console) <= width
+            if fits or blocks[-1] == keys:
+                blocks[-1] = wider
+            else:
+                blocks.append([*keys, index])
+        return [(self.title if number == 0 else "", block) for number, block in enumerate(blocks)]
+
+    def _table(self, columns: Sequence[int], gap: int, width: int, title: str | None = None) -> Table:
+        table = Table(
+            title=self.title if title is None else title,
+            title_justify="left",
+            title_style="bold",
+            box=box.SIMPLE_HEAD,
+            header_style="bold",
+            pad_edge=False,
+            padding=(0, gap, 0, 0),
+        )
+        for index in columns:
+            is_text = index < self._numbers_from
+            wide = is_text and self._width_of(index) > width // 3
+            table.add_column(
+                self._columns[index],
+                justify="left" if is_text else "right",
+                no_wrap=not wide,
+                overflow="fold",
+                max_width=width // 3 if wide else None,
+            )
+        for number, row in enumerate(self._rows):
+            table.add_row(*(row[index] for index in columns), end_section=number in self._section_ends)
+        return table
+
+    def _width_of(self, column: int) -> int:
+        cells = [self._columns[column], *(row[column] for row in self._rows)]
+        return max(cell_len(line) for cell in cells for line in cell.split("\n"))
+
+
+def _width(table: Table, console: Console) -> int:
+    # A table on its own is as wide as its cells; the title does not count, it is wrapped.
+    title, table.title = table.title, None
+    try:
+        return Measurement.get(console, console.options.update_width(10_000), table).maximum
+    finally:
+        table.title = title

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+import pytest
+
+from multilica.config import CalibrationConfig, preset, with_overrides
+from multilica.errors import MissingDependencyError
+from multilica.pipeline import calibrate
+from multilica.steps import required_libraries
+from multilica.steps.required_libraries import require_libraries
+from tests.pipeline.watched import sides
+
+
+@pytest.fixture
+def without(monkeypatch):
+    """Pretends that libraries are not installed."""
+
+    def pretend(*modules):
+        monkeypatch.setattr("multilica.optional_libraries.is_found", lambda module: module not in modules)
+
+    return pretend
+
+
+def _config(*overrides):
+    return with_overrides(CalibrationConfig(), list(overrides))
+
+
+def test_the_default_preset_needs_none(without):
+    without("open3d", "networkx", "kiss_matcher", "teaserpp_python")
+    require_libraries(CalibrationConfig())
+
+
+@pytest.mark.parametrize(
+    ("config", "module", "said"),
+    [
+        (_config("coarse.solver=kiss_matcher"), "kiss_matcher", "The solver 'kiss_matcher' needs the library"),
+        (_config("coarse.solver=maximum_clique"), "networkx", "The solver 'maximum_clique' needs the library"),
+        (_config("coarse.solver=fgr"), "open3d", "The solver 'fgr' needs the library"),
+        (_config("features.engine=open3d"), "open3d", "The engine 'open3d' of features needs the library"),
+        (_config("fine.engine=open3d"), "open3d", "The engine 'open3d' of fine needs the library"),
+        (preset("paper"), "open3d", "needs the library"),
+    ],
+    ids=["kiss", "clique", "fgr", "features", "fine", "paper"],
+)
+def test_what_is_missing_is_told_with_the_command(without, config, module, said):
+    require_libraries(config)
+    without(module)
+    with pytest.raises(MissingDependencyError, match=said) as error:
+        require_libraries(config)
+    assert "pip install" in str(error.value)
+
+
+def test_a_stage_that_does_not_run_needs_nothing(without):
+    without("open3d", "kiss_matcher")
+    require_libraries(_config("until=preprocess", "features.engine=open3d", "coarse.solver=kiss_matcher"))
+    require_libraries(_config("until=coarse", "fine.engine=open3d"))
+
+
+def test_missing_system_libraries_are_told_with_their_command(monkeypatch):
+    monkeypatch.setattr(required_libraries, "missing_for_open3d", lambda: ["libgl1"])
+    monkeypatch.setattr("multilica.optional_libraries.missing_for_open3d", lambda: ["libgl1"])
+    with pytest.raises(MissingDependencyError, match=r"apt-get install libgl1"):
+        require_libraries(_config("fine.engine=open3d"))
+
+
+def test_it_is_told_before_the_first_event(without):
+    without("kiss_matcher")
+    seen = []
+    with pytest.raises(MissingDependencyError):
+        calibrate(sides().snapshot, _config("coarse.solver=kiss_matcher"), seen.append)
+    assert seen == []
