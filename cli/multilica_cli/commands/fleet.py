@@ -56,7 +56,7 @@ def run(
         str | None,
         typer.Option(
             metavar="PATTERN",
-            help="Vehicle and time in the paths of logs, such as {vehicle}/{time:%Y-%m-%d_%H%M%S}.",
+            help="Vehicle and time in the paths of logs, such as {vehicle}/{time:%Y-%m-%d}.",
             show_default="from the log's metadata, else its folder's name",
         ),
     ] = None,
