@@ -50,8 +50,8 @@ def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
     pole = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.2 + 0.8 * index]]
     name = rr.LineStrips3D([pole], colors=[scene.colour(lidar)], radii=rr.Radius.ui_points(1.0))
     tip = rr.Points3D([pole[1]], colors=[scene.colour(lidar)], labels=[lidar], radii=rr.Radius.ui_points(3.0))
-    scene.log(lidar_path(lidar, "name"), rr.CoordinateFrame(lidar_frame(lidar)), name)
-    scene.log(lidar_path(lidar, "name", "tip"), rr.CoordinateFrame(lidar_frame(lidar)), tip)
+    scene.log_in(lidar_frame(lidar), lidar_path(lidar, "name"), name)
+    scene.log_in(lidar_frame(lidar), lidar_path(lidar, "name", "tip"), tip)
 
 
 def log_preprocessed(scene: RerunScene, event: events.CloudPreprocessed) -> None:
@@ -62,7 +62,7 @@ def log_preprocessed(scene: RerunScene, event: events.CloudPreprocessed) -> None
     strips = shown_field_of_view(scene.state, cloud.lidar)
     if strips:
         lines = rr.LineStrips3D(strips, colors=[scene.colour(cloud.lidar)], radii=rr.Radius.ui_points(0.6))
-        scene.log(lidar_path(cloud.lidar, "field_of_view"), rr.CoordinateFrame(frame), lines)
+        scene.log_in(frame, lidar_path(cloud.lidar, "field_of_view"), lines)
     for reason, dropped_m in sorted(cloud.dropped_m.items()):
         finite_m = dropped_m[np.all(np.isfinite(dropped_m), axis=1)]
         path = lidar_path(cloud.lidar, "dropped", reason)
@@ -84,7 +84,7 @@ def log_features(scene: RerunScene, event: events.FeaturesComputed) -> None:
             colors=[MUTED],
             radii=rr.Radius.ui_points(0.5),
         )
-        scene.log(lidar_path(features.lidar, "features", "normals"), rr.CoordinateFrame(frame), normals)
+        scene.log_in(frame, lidar_path(features.lidar, "features", "normals"), normals)
 
 
 def log_dropped_table(scene: RerunScene) -> None:

@@ -66,4 +66,4 @@ def _log_lines(
     lines = match_lines(matches, chosen, pose, scene.limits.matches).astype(np.float32)
     strips = rr.LineStrips3D(lines, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
     path = pair_path(matches.target, matches.source, "matches", kind)
-    scene.log(path, rr.CoordinateFrame(lidar_frame(matches.target)), strips)
+    scene.log_in(lidar_frame(matches.target), path, strips)

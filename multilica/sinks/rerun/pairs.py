@@ -135,7 +135,7 @@ def _show_at(scene: RerunScene, pair: PairKey, start: str) -> None:
     if cloud is not None and path not in scene.shown:
         scene.log_points(path, frame, cloud.points_m, scene.colour(source), scene.limits.pair_points)
     else:
-        scene.log(path, rr.CoordinateFrame(frame))
+        scene.log_in(frame, path)
 
 
 def _show_scored(scene: RerunScene, pair: PairKey, scored: Registration) -> None:

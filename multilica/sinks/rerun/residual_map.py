@@ -25,4 +25,4 @@ def log_residuals(scene: RerunScene, event: events.ResidualsMeasured) -> None:
     rows = sample_indices(len(found.points_m), scene.limits.cloud_points)
     colours = heat_colours(_DARKEST + (1.0 - _DARKEST) * found.residual_m[rows] / RESIDUAL_SCALE_M)
     shown = rr.Points3D(found.points_m[rows].astype(np.float32), colors=colours, radii=rr.Radius.ui_points(2.0))
-    scene.log(lidar_path(found.lidar, "residual"), rr.CoordinateFrame(lidar_frame(found.lidar)), shown)
+    scene.log_in(lidar_frame(found.lidar), lidar_path(found.lidar, "residual"), shown)

@@ -120,7 +120,7 @@ def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement, scal
         labels=[ellipsoid_label(place, scale)] if place.uncertain else None,
         fill_mode=rr.components.FillMode.DenseWireframe,
     )
-    scene.log(lidar_path(place.lidar, "uncertainty"), rr.CoordinateFrame(lidar_frame(target)), shape)
+    scene.log_in(lidar_frame(target), lidar_path(place.lidar, "uncertainty"), shape)
 
 
 def log_ground(scene: RerunScene, event: events.GroundEstimated) -> None:
@@ -128,7 +128,7 @@ def log_ground(scene: RerunScene, event: events.GroundEstimated) -> None:
     if event.ground is None or not scene.state.target:
         return
     strips = rr.LineStrips3D(_grid(event.ground), colors=[MUTED], radii=rr.Radius.ui_points(0.5))
-    scene.log(GROUND, rr.CoordinateFrame(lidar_frame(scene.state.target)), strips)
+    scene.log_in(lidar_frame(scene.state.target), GROUND, strips)
 
 
 def _grid(ground: GroundPlane) -> npt.NDArray[np.float32]:

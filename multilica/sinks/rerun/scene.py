@@ -12,7 +12,7 @@ from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, Registration
 from multilica.sinks.drawing.clouds import sample_points
 from multilica.sinks.drawing.palette import Rgb, distinct_colours
-from multilica.sinks.rerun.entity_paths import LOG
+from multilica.sinks.rerun.entity_paths import DISPLAY_FRAME, LOG
 from multilica.sinks.rerun.record_limits import NO_LIMITS, RecordLimits
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
@@ -36,7 +36,7 @@ class RerunScene:
         state: after the current event.
         limits: set when the calibration starts.
         step: current position on the step timeline.
-        shown: paths of the clouds logged so far; later poses only move or relabel them.
+        shown: paths of the entities with a frame so far; later poses only move or relabel clouds.
         shown_at: per pose the step at which it is shown.
     """
 
@@ -57,6 +57,19 @@ class RerunScene:
         """Log at the current step."""
         self.stream.log(path, *parts)
 
+    def log_in(self, frame: str, path: str, *parts: rr.AsComponents) -> None:
+        """Log in a frame at the current step.
+
+        The viewer reports an error for an entity of a view that has no frame at the shown step, even if it is first
+        logged later. Therefore each is in the root frame from the first step on.
+        """
+        if path not in self.shown and self.step > 0:
+            self.stream.set_time(STEP_TIMELINE, sequence=0)
+            self.log(path, rr.CoordinateFrame(DISPLAY_FRAME))
+            self.stream.set_time(STEP_TIMELINE, sequence=self.step)
+        self.shown.add(path)
+        self.log(path, rr.CoordinateFrame(frame), *parts)
+
     def log_line(self, line: LogLine) -> None:
         """Add a line to the log."""
         self.log(LOG, rr.TextLog(line.text, level=line.level))
@@ -74,10 +87,9 @@ class RerunScene:
         """Log at most `limit` points of a cloud (N, 3) in that frame, in one colour: 12 bytes a point."""
         if limit == 0:
             return
-        self.shown.add(path)
         shown = sample_points(points_m, limit)
         points = rr.Points3D(shown, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
-        self.log(path, rr.CoordinateFrame(frame), points)
+        self.log_in(frame, path, points)
 
     def log_document(self, path: str, text: str) -> None:
         """Log markdown."""

@@ -51,7 +51,7 @@ def log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Regi
     moved_m = scored.T_target_source.with_target(pair[0]).apply(violations_m)
     points = np.concatenate([moved_m, target_violations_m]).astype(np.float32)
     shown = rr.Points3D(points, colors=[VIOLATE], radii=rr.Radius.ui_points(4.0))
-    scene.log(pair_path(*pair, "scored", "violations"), rr.CoordinateFrame(lidar_frame(pair[0])), shown)
+    scene.log_in(lidar_frame(pair[0]), pair_path(*pair, "scored", "violations"), shown)
 
 
 def _log_side(scene: RerunScene, path: str, frame: str, points_m: FloatArray, labels: npt.NDArray[np.uint8]) -> None:
@@ -59,8 +59,7 @@ def _log_side(scene: RerunScene, path: str, frame: str, points_m: FloatArray, la
     rows = sample_indices(len(points_m), scene.limits.scored_points)
     classes = labels[rows].astype(np.uint16)
     if path in scene.shown:
-        scene.log(path, rr.CoordinateFrame(frame), rr.Points3D.from_fields(class_ids=classes))
+        scene.log_in(frame, path, rr.Points3D.from_fields(class_ids=classes))
         return
-    scene.shown.add(path)
     shown = rr.Points3D(points_m[rows].astype(np.float32), class_ids=classes, radii=rr.Radius.ui_points(2.5))
-    scene.log(path, rr.CoordinateFrame(frame), shown)
+    scene.log_in(frame, path, shown)

@@ -55,7 +55,7 @@ def _log_label(scene: RerunScene, path: str, frame: str, label: str, outcome: st
     point = rr.Points3D(
         [(0.0, 0.0, 0.0)], colors=[VERDICT_COLOURS[outcome]], labels=[label], radii=rr.Radius.ui_points(7.0)
     )
-    scene.log(path, rr.CoordinateFrame(frame), point)
+    scene.log_in(frame, path, point)
 
 
 def _log_competing(scene: RerunScene, pair: PairKey, competing: Registration | None, words: str) -> None:
@@ -93,4 +93,4 @@ def _log_slide(scene: RerunScene, pair: PairKey, registration: PairRegistration,
         labels=[f"{word} is not constrained", ""] if weightiest else None,
         radii=0.06,
     )
-    scene.log(pair_path(*pair, "slide"), rr.CoordinateFrame(frame), arrows)
+    scene.log_in(frame, pair_path(*pair, "slide"), arrows)
