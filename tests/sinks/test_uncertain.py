@@ -114,10 +114,10 @@ def test_the_recording_shows_it_at_its_pose(recording):
     assert found.last("/lidars/rear/sensor", "Transform3D:parent_frame") == ["lidar/top"]
     translation = found.last("/lidars/rear/sensor", "Transform3D:translation")[0]
     np.testing.assert_allclose(translation, TRUTH[UNPLACED].xyz_m, atol=1e-5)
-    assert found.last("/lidars/rear/uncertainty", "Ellipsoids3D:labels") == [LABEL]
+    assert found.last("/lidars/rear/name/tip", "Points3D:labels") == [LABEL]
     sizes = found.last("/lidars/rear/uncertainty", "Ellipsoids3D:half_sizes")[0]
     assert max(sizes) == pytest.approx(IMPRECISE.value * 3.0 * 10.0, rel=1e-5)
-    assert not found.cells("/lidars/front\\ left\\/1/uncertainty", "Ellipsoids3D:labels")
+    assert found.last("/lidars/front\\ left\\/1/name/tip", "Points3D:labels") == ["front left/1"]
     assert "Result" in blueprint_names(recording)[-1]
     assert not any(name.startswith("Not placed") for name in blueprint_names(recording)[-1])
 

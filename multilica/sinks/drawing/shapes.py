@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from multilica.geometry import Float32Array, FloatArray, RigidTransform, fixed_sign, largest_index
-from multilica.results import BoolArray, Correspondences, Hypothesis, LidarPlacement
+from multilica.results import BoolArray, Correspondences, Hypothesis, LidarPlacement, PairKey
 from multilica.sinks.drawing.clouds import every_nth, sample_indices
 from multilica.sinks.run_state import RunState
 
@@ -16,6 +16,7 @@ __all__ = [
     "ellipsoid_label",
     "ellipsoid_scale",
     "field_of_view",
+    "kept_count",
     "kept_matches",
     "match_lines",
     "shown_field_of_view",
@@ -41,6 +42,14 @@ def kept_matches(state: RunState, matches: Correspondences, hypothesis: Hypothes
     bound_m = state.config.coarse.noise_bound_m if state.config is not None else 0.0
     moved_m = hypothesis.T_target_source.apply(matches.source_points_m)
     return np.asarray(np.linalg.norm(moved_m - matches.target_points_m, axis=1) <= bound_m)
+
+
+def kept_count(state: RunState, pair: PairKey) -> int:
+    """Return how many matches of a pair agree with its best hypothesis; none without one."""
+    coarse = state.coarse.get(pair)
+    if coarse is None or not coarse.hypotheses or pair not in state.matches:
+        return 0
+    return int(kept_matches(state, state.matches[pair], coarse.hypotheses[0]).sum())
 
 
 def match_lines(matches: Correspondences, chosen: BoolArray, pose: RigidTransform, limit: int) -> FloatArray:

@@ -8,7 +8,7 @@ import rerun as rr
 
 from multilica import events
 from multilica.config import CalibrationConfig
-from multilica.geometry import RigidTransform
+from multilica.geometry import Float32Array, RigidTransform
 from multilica.sinks.drawing.clouds import sample_indices, slot_offsets_m
 from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb
 from multilica.sinks.drawing.shapes import shown_field_of_view
@@ -19,11 +19,12 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 from multilica.sinks.text.markdown import markdown_table
 
-__all__ = ["log_dropped_table", "log_features", "log_input", "log_preprocessed"]
+__all__ = ["log_dropped_table", "log_features", "log_input", "log_preprocessed", "name_pole_m"]
 
 _DROP_COLOURS: dict[str, Rgb] = {"too_near": VIOLATE, "too_far": MUTED, "moving": UNDECIDED}
 _AXIS_LENGTH_M = 1.0
 _NORMAL_LENGTH_M = 0.4
+_NAME_HEIGHTS = 4
 
 
 def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
@@ -43,13 +44,25 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
         scene.log_points(path, frame, points_m, scene.colour(lidar.name), limit)
 
 
+def name_pole_m(index: int, *, top: bool = False, spacing_m: float = 1.2) -> Float32Array:
+    """Return the line (1, 2, 3) from a LiDAR to its name, in its own frame.
+
+    Names of neighbours differ in height, to be apart even if the sensors sit close together.
+
+    Args:
+        index: of the LiDAR.
+        top: above all others.
+    """
+    level = _NAME_HEIGHTS if top else index % _NAME_HEIGHTS
+    return np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, spacing_m * (1 + level)]]], dtype=np.float32)
+
+
 def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
     pose = rigid(lidar_frame(lidar), slot_frame(lidar))
     scene.log(lidar_path(lidar, "sensor"), pose, rr.TransformAxes3D(_AXIS_LENGTH_M))
-    # Poles of different heights keep the names apart when the sensors sit close together.
-    pole = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.2 + 0.8 * index]]
-    name = rr.LineStrips3D([pole], colors=[scene.colour(lidar)], radii=rr.Radius.ui_points(1.0))
-    tip = rr.Points3D([pole[1]], colors=[scene.colour(lidar)], labels=[lidar], radii=rr.Radius.ui_points(3.0))
+    pole_m = name_pole_m(index)
+    name = rr.LineStrips3D(pole_m, colors=[scene.colour(lidar)], radii=rr.Radius.ui_points(1.0))
+    tip = rr.Points3D(pole_m[0, 1:], colors=[scene.colour(lidar)], labels=[lidar], radii=rr.Radius.ui_points(3.0))
     scene.log_in(lidar_frame(lidar), lidar_path(lidar, "name"), name)
     scene.log_in(lidar_frame(lidar), lidar_path(lidar, "name", "tip"), tip)
 

@@ -13,7 +13,7 @@ from multilica.sinks.drawing.shapes import kept_matches, match_lines
 from multilica.sinks.rerun.entity_paths import lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene, rigid
 
-__all__ = ["log_matches", "log_verdict_on_matches"]
+__all__ = ["lift_m", "log_matches", "log_verdict_on_matches"]
 
 _LIFT_PER_RADIUS = 0.5
 
@@ -42,10 +42,14 @@ def log_verdict_on_matches(scene: RerunScene, matches: Correspondences, best: Hy
     _log_lines(scene, matches, "kept", kept, pose, KEPT, radius_pixels=1.2)
 
 
+def lift_m(matches: Correspondences) -> float:
+    """Return how far the source is moved along the target's z axis."""
+    return _LIFT_PER_RADIUS * shown_radius_m(matches.target_points_m)
+
+
 def _lifted(scene: RerunScene, matches: Correspondences, pose: RigidTransform) -> RigidTransform:
     """Log and return the pose, moved up the target's z axis."""
-    radius_m = shown_radius_m(matches.target_points_m)
-    xyz_m = pose.xyz_m + np.array([0.0, 0.0, _LIFT_PER_RADIUS * radius_m])
+    xyz_m = pose.xyz_m + np.array([0.0, 0.0, lift_m(matches)])
     lifted = RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
     frame = pair_frame(matches.target, matches.source, "lifted")
     path = pair_path(matches.target, matches.source, "matches", "lifted")

@@ -13,6 +13,7 @@ from multilica.sinks.drawing.palette import MUTED, VERDICT_COLOURS
 from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
 from multilica.sinks.drawing.shapes import ellipsoid_label, ellipsoid_scale, uncertainty_ellipsoid
 from multilica.sinks.rerun.entity_paths import GROUND, MERGE_GRAPH, MERGE_STEPS, lidar_frame, lidar_path, slot_frame
+from multilica.sinks.rerun.input import name_pole_m
 from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import decisions_markdown
@@ -24,6 +25,7 @@ _GRID_SPACING_M = 2.5
 _NODE_RADIUS = 12.0
 _LABEL_RADIUS = 4.0
 _CIRCLE_RADIUS = 160.0
+_SURE_LINE, _UNCERTAIN_LINE = 0.5, 2.0
 
 
 def log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
@@ -107,7 +109,7 @@ def log_outcome(scene: RerunScene, event: events.CalibrationFinished) -> None:
 
 
 def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement, scale: float) -> None:
-    """Log the enlarged ellipsoid of the position in the target's frame."""
+    """Log the enlarged ellipsoid of the position in the target's frame; the name of an uncertain LiDAR says so."""
     ellipsoid = uncertainty_ellipsoid(place)
     if ellipsoid is None:
         return
@@ -117,10 +119,15 @@ def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement, scal
         half_sizes=[scale * half_sizes_m],
         quaternions=[rr.Quaternion(xyzw=axes.quaternion_xyzw)],
         colors=[scene.colour(place.lidar)],
-        labels=[ellipsoid_label(place, scale)] if place.uncertain else None,
-        fill_mode=rr.components.FillMode.DenseWireframe,
+        line_radii=rr.Radius.ui_points(_UNCERTAIN_LINE if place.uncertain else _SURE_LINE),
+        fill_mode=rr.components.FillMode.MajorWireframe,
     )
     scene.log_in(lidar_frame(target), lidar_path(place.lidar, "uncertainty"), shape)
+    if place.uncertain:
+        pole_m = name_pole_m(0, top=True)
+        scene.log(lidar_path(place.lidar, "name"), rr.LineStrips3D.from_fields(strips=pole_m))
+        label = rr.Points3D.from_fields(positions=pole_m[0, 1:], labels=[ellipsoid_label(place, scale)])
+        scene.log(lidar_path(place.lidar, "name", "tip"), label)
 
 
 def log_ground(scene: RerunScene, event: events.GroundEstimated) -> None:

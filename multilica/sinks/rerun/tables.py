@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from multilica.geometry import FloatArray
 from multilica.results import PairRegistration
 from multilica.sinks.drawing.palette import VERDICT_COLOURS, heat_colours
 from multilica.sinks.files.result_document import run_document
@@ -23,9 +24,10 @@ from multilica.sinks.rerun.scene import RerunScene
 from multilica.sinks.text.pair_tables import coverage_of, hypotheses_markdown, pair_figures_markdown
 from multilica.sinks.text.run_summary import summary_markdown
 
-__all__ = ["log_pair_tables", "log_summary"]
+__all__ = ["log_pair_tables", "log_summary", "matrix_bounds"]
 
-_CELL_PIXELS = 20
+_CELL_PIXELS = np.array([60, 20])
+_LABEL_SHARE = 0.05
 
 Cells = dict[tuple[int, int], PairRegistration]
 """Registered pairs by row of the target and column of the source, in this order."""
@@ -58,6 +60,12 @@ def log_pair_tables(scene: RerunScene) -> None:
         _log_verdicts(scene, cells)
 
 
+def matrix_bounds(lidars: int) -> FloatArray:
+    """Return the upper left and the lower right corner (2, 2) in pixels of a picture of all pairs with its names."""
+    bounds: FloatArray = np.array([[-1.0, -1.0], [lidars, lidars + 0.1]]) * _CELL_PIXELS
+    return bounds
+
+
 def _log_shares(scene: RerunScene, path: str, cells: Cells, shares: list[float]) -> None:
     values = np.full((len(scene.state.lidars),) * 2, np.nan)
     values[tuple(zip(*cells, strict=True))] = shares
@@ -77,11 +85,14 @@ def _log_picture(
     scene: RerunScene, path: str, colours: npt.NDArray[np.uint8], cells: Cells, texts: Sequence[str]
 ) -> None:
     """Log a square per pair with its text, and the names along both sides."""
-    scene.log(f"{path}/picture", rr.Image(colours.repeat(_CELL_PIXELS, axis=0).repeat(_CELL_PIXELS, axis=1)))
+    width, height = _CELL_PIXELS
+    scene.log(f"{path}/picture", rr.Image(colours.repeat(height, axis=0).repeat(width, axis=1)))
     names = scene.state.lidars
     rows, columns = [(-1, row) for row in range(len(names))], [(column, -1) for column in range(len(names))]
     at = [(source, target) for target, source in cells] + rows + columns
-    positions = (np.array(at, dtype=np.float32) + 0.5) * _CELL_PIXELS
+    # The viewer draws a text below its point; the more rows, the larger it is beside a cell.
+    raised = min(0.45, _LABEL_SHARE * (len(names) + 1))
+    positions = (np.array(at, dtype=np.float32) + np.array([0.5, 0.5 - raised])) * _CELL_PIXELS
     labels = [*texts, *names, *names]
     points = rr.Points2D(positions, labels=labels, radii=[0.01], colors=[(255, 255, 255)], show_labels=True)
     scene.log(f"{path}/labels", points)

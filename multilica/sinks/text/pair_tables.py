@@ -63,7 +63,7 @@ def coverage_of(pair: PairRegistration) -> float:
 def pair_figures_markdown(state: RunState) -> str:
     """Tabulate the figures of every pair."""
     table = markdown_table(_FIGURES_HEADER, [_figures_row(state, pair) for pair in state.pairs])
-    return f"# Pairs\n\n{table}\n\n{_FIGURES_NOTE}"
+    return f"{table}\n\n{_FIGURES_NOTE}"
 
 
 def _figures_row(state: RunState, pair: PairKey) -> Sequence[str]:

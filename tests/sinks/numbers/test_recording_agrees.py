@@ -138,8 +138,10 @@ def test_matrices_have_the_target_in_rows(recording):
 
 def test_squares_of_the_matrices_lie_below_their_texts(recording):
     (picture,) = recording.last("/verdicts/picture", "Image:buffer")
-    side = round((len(picture) / 3) ** 0.5)
-    pixels = np.array(picture, dtype=np.uint8).reshape(side, side, 3)
+    ((width, height),) = (
+        [each["width"], each["height"]] for each in recording.last("/verdicts/picture", "Image:format")
+    )
+    pixels = np.array(picture, dtype=np.uint8).reshape(height, width, 3)
     labels = recording.last("/verdicts/labels", "Points2D:labels")
     places = recording.last("/verdicts/labels", "Points2D:positions")
     inside = [(text, tuple(pixels[int(y), int(x)])) for text, (x, y) in zip(labels, places, strict=True) if x > 0 < y]
@@ -147,7 +149,7 @@ def test_squares_of_the_matrices_lie_below_their_texts(recording):
     assert {*colours} == {"accept", "uncertain"}
     assert all(len(found) == 1 for found in colours.values())
     assert colours["accept"] != colours["uncertain"]
-    empty = tuple(pixels[side // 6, side // 6])
+    empty = tuple(pixels[height // 6, width // 6])
     assert not {empty} & set.union(*colours.values())
 
 

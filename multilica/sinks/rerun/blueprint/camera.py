@@ -16,9 +16,10 @@ _RADIUS_LIMITS_M = (6.0, 40.0)
 _ASIDE_M = 1.0
 
 
-def around_lidar(state: RunState, lidar: str, *, zoom: float = 1.0) -> rrb.EyeControls3D:
-    """Look at one LiDAR's cloud in its own frame; a smaller zoom shows more of the surroundings."""
+def around_lidar(state: RunState, lidar: str, *, zoom: float = 1.0, raised_m: float = 0.0) -> rrb.EyeControls3D:
+    """Look at one LiDAR's cloud in its own frame, or at a point above it; a smaller zoom shows more around it."""
     centre_m, radius_m = _extent_of(state, lidar)
+    centre_m = centre_m + np.array([0.0, 0.0, raised_m])
     return three_quarter(centre_m, radius_m / zoom, up_axis(state, lidar))
 
 

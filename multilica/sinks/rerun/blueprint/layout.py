@@ -2,7 +2,9 @@
 """Blueprints of the viewer."""
 
 import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
+from rerun.encodings import EntityPathLike
 
 from multilica.geometry import FloatArray
 from multilica.results import CalibrationResult
@@ -11,12 +13,16 @@ from multilica.sinks.rerun.blueprint.camera import around_rig, three_quarter, up
 from multilica.sinks.rerun.blueprint.residual_tab import residual_tab
 from multilica.sinks.rerun.blueprint.stage_tabs import stage_tab, stage_tabs
 from multilica.sinks.rerun.entity_paths import CONFIG, GROUND, MERGE_STEPS, lidar_frame, lidar_path, pair_path
+from multilica.sinks.rerun.input import name_pole_m
 from multilica.sinks.rerun.scene import STEP_TIMELINE
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.unplaced import Failure, decisive_failure, failures
 
 __all__ = ["final_blueprint", "stage_blueprint"]
+
+_RIG_MARGIN_M = 3.0
+_RIG_NAME_SPACING_M = 0.5
 
 
 def stage_blueprint(state: RunState) -> rrb.Blueprint:
@@ -96,14 +102,25 @@ def _result_tab(state: RunState) -> rrb.Container | None:
     eye = _rig_eye(result, up_axis(state, result.target))
     marks = [lidar_path(place.lidar, "uncertainty") for place in result.placements if place.uncertain]
     merged = views.scene_view("Merged cloud", frame, [*clouds, *sensors, *marks, GROUND], around_rig(state))
-    rig = views.scene_view("Rig", frame, [*sensors, *extents], eye, grid=True)
+    rig = views.scene_view("Rig", frame, [*sensors, *extents], eye, grid=True, overrides=_short_names(state, result))
     side = rrb.Vertical(views.summary_view(), rig, row_shares=[1, 1])
     return rrb.Horizontal(merged, side, column_shares=[3, 2], name="Result")
+
+
+def _short_names(state: RunState, result: CalibrationResult) -> dict[EntityPathLike, rr.Points3D | rr.LineStrips3D]:
+    """Lower the names for a view of the rig alone."""
+    lowered: dict[EntityPathLike, rr.Points3D | rr.LineStrips3D] = {}
+    uncertain = {place.lidar for place in result.placements if place.uncertain}
+    for index, lidar in enumerate(state.lidars):
+        pole_m = name_pole_m(index, top=lidar in uncertain, spacing_m=_RIG_NAME_SPACING_M)
+        lowered[lidar_path(lidar, "name")] = rr.LineStrips3D.from_fields(strips=pole_m)
+        lowered[lidar_path(lidar, "name", "tip")] = rr.Points3D.from_fields(positions=pole_m[0, 1:])
+    return lowered
 
 
 def _rig_eye(result: CalibrationResult, up: FloatArray) -> rrb.EyeControls3D:
     poses = [place.T_target_source for place in result.placements]
     origins_m = np.array([pose.xyz_m for pose in poses if pose is not None])
     centre_m = origins_m.mean(axis=0)
-    radius_m = 3.0 + float(np.linalg.norm(origins_m - centre_m, axis=1).max())
+    radius_m = _RIG_MARGIN_M + float(np.linalg.norm(origins_m - centre_m, axis=1).max())
     return three_quarter(centre_m, radius_m, up)

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tabs of the stages."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import rerun.blueprint as rrb
 
 from multilica.config import Stage
 from multilica.results import PairKey
+from multilica.sinks.drawing.shapes import kept_count
 from multilica.sinks.rerun import entity_paths
 from multilica.sinks.rerun.blueprint.camera import above_group
 from multilica.sinks.rerun.blueprint.views import (
@@ -18,8 +19,10 @@ from multilica.sinks.rerun.blueprint.views import (
     single_lidar_view,
 )
 from multilica.sinks.rerun.data import candidate_pairs
+from multilica.sinks.rerun.tables import matrix_bounds
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
+from multilica.sinks.unplaced import decisive_failure, failures
 
 __all__ = ["stage_tab", "stage_tabs"]
 
@@ -61,14 +64,35 @@ def _features_tab(state: RunState) -> Tab | None:
 
 
 def _shown_pairs(state: RunState) -> list[PairKey]:
-    """Return the pairs with the most evidence, at most as many as a person can look through."""
-    return sorted(sorted(state.pairs, key=state.progress_of, reverse=True)[:_MAX_PAIR_TABS])
+    """Return the decisive pairs and those with the most evidence, at most as many as a person can look through."""
+    decisive = {failure.pair for failure in failures(state)}
+    ranked = sorted(state.pairs, key=lambda pair: (pair in decisive, state.progress_of(pair)), reverse=True)
+    return sorted(ranked[:_MAX_PAIR_TABS])
+
+
+def _opened(state: RunState, pairs: Sequence[PairKey]) -> int:
+    """Return the index of the decisive pair of a LiDAR that is not placed, else of the weakest pair in use."""
+    decisive = decisive_failure(state)
+    failed = [failure.pair for failure in (decisive, *failures(state)) if failure is not None]
+    verdicts = {pair: state.registrations[pair].verdict for pair in pairs if pair in state.registrations}
+    used = [pair for pair, verdict in verdicts.items() if verdict.outcome in ("accept", "uncertain")]
+    used.sort(key=lambda pair: (verdicts[pair].outcome == "accept", state.registrations[pair].evidence))
+    return next((pairs.index(pair) for pair in (*failed, *used) if pair in pairs), 0)
+
+
+def _pair_tabs(state: RunState, pairs: Sequence[PairKey], tab: Callable[[RunState, PairKey], Tab], name: str) -> Tab:
+    return rrb.Tabs(*(tab(state, pair) for pair in pairs), active_tab=_opened(state, pairs), name=name)
 
 
 def _correspond_tab(state: RunState) -> Tab | None:
     pairs = [pair for pair in _shown_pairs(state) if pair in state.matches]
-    views = [matches_view(state, pair) for pair in pairs]
-    return rrb.Tabs(*views, name="Correspond") if views else None
+    return _pair_tabs(state, pairs, _matches_tab, "Correspond") if pairs else None
+
+
+def _matches_tab(state: RunState, pair: PairKey) -> rrb.Container:
+    """Show the matches that the best hypothesis agrees with; the rejected ones are a tab further."""
+    shown = (True, False) if kept_count(state, pair) else (False,)
+    return rrb.Tabs(*(matches_view(state, pair, kept_only=kept) for kept in shown), name=pair_label(*pair))
 
 
 def _coarse_tab(state: RunState) -> Tab | None:
@@ -85,25 +109,24 @@ def _coarse_tab(state: RunState) -> Tab | None:
         for pair in pairs
     ]
     table = document_view(entity_paths.HYPOTHESES_TABLE, "All pairs")
-    return rrb.Tabs(*tabs, table, name="Coarse + verify" if state.verified else "Coarse")
+    name = "Coarse + verify" if state.verified else "Coarse"
+    return rrb.Tabs(*tabs, table, active_tab=_opened(state, pairs), name=name)
 
 
 def _fine_tab(state: RunState) -> Tab | None:
     if not state.registrations:
         return None
-    matrices = [_matrix_view(path, name) for path, name in _MATRICES.items()]
+    matrices = [_matrix_view(state, path, name) for path, name in _MATRICES.items()]
     table = document_view(entity_paths.PAIRS_TABLE, "Pairs")
-    figures = rrb.Vertical(rrb.Horizontal(*matrices), table, row_shares=[3, 2], name="Matrices")
+    figures = rrb.Vertical(rrb.Tabs(*matrices), table, row_shares=[1, 1], name="Matrices")
     legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
     curves = [
         rrb.TimeSeriesView(origin=entity_paths.curve_path(quantity), name=title, plot_legend=legend)
         for quantity, title in entity_paths.CURVES.items()
     ]
     pairs = [pair for pair in _shown_pairs(state) if pair in state.registrations]
-    moved = [_before_and_after(state, pair) for pair in pairs]
-    return rrb.Tabs(
-        figures, rrb.Grid(*curves, grid_columns=2, name="GICP"), rrb.Tabs(*moved, name="Before and after"), name="Fine"
-    )
+    moved = _pair_tabs(state, pairs, _before_and_after, "Before and after")
+    return rrb.Tabs(figures, rrb.Grid(*curves, grid_columns=2, name="GICP"), moved, name="Fine")
 
 
 def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
@@ -117,8 +140,12 @@ def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
 _MATRICES = {entity_paths.FITNESS: "Fitness", entity_paths.COVERAGE: "Coverage", entity_paths.VERDICTS: "Verdicts"}
 
 
-def _matrix_view(path: str, name: str) -> rrb.View:
-    return rrb.Spatial2DView(origin=path, contents=["$origin/picture", "$origin/labels"], name=name)
+def _matrix_view(state: RunState, path: str, name: str) -> rrb.View:
+    (left, top), (right, bottom) = matrix_bounds(len(state.lidars))
+    bounds = rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
+    return rrb.Spatial2DView(
+        origin=path, contents=["$origin/picture", "$origin/labels"], name=name, visual_bounds=bounds
+    )
 
 
 def _merge_tab(state: RunState) -> Tab | None:

@@ -9,8 +9,10 @@ from rerun.encodings import EntityPathLike
 
 from multilica.results import PairKey
 from multilica.sinks.drawing.palette import distinct_colours
+from multilica.sinks.drawing.shapes import kept_count
 from multilica.sinks.rerun.blueprint.camera import around_lidar, beside_lidar
 from multilica.sinks.rerun.entity_paths import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
+from multilica.sinks.rerun.matches import lift_m
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
@@ -37,7 +39,7 @@ def scene_view(
     eye: rrb.EyeControls3D,
     *,
     grid: bool = False,
-    overrides: Mapping[EntityPathLike, rr.Points3D] | None = None,
+    overrides: Mapping[EntityPathLike, rr.Points3D | rr.LineStrips3D] | None = None,
 ) -> rrb.Spatial3DView:
     """Show entities in a frame."""
     return rrb.Spatial3DView(
@@ -58,10 +60,23 @@ def single_lidar_view(state: RunState, lidar: str, parts: Sequence[str], name: s
     return scene_view(name or lidar, lidar_frame(lidar), contents, around_lidar(state, lidar))
 
 
-def matches_view(state: RunState, pair: PairKey) -> rrb.Spatial3DView:
-    """Show the matches of a pair, from far enough to see both layers."""
+def matches_view(state: RunState, pair: PairKey, *, kept_only: bool = False) -> rrb.Spatial3DView:
+    """Show the matches of a pair, or only those kept, from far enough to see both layers."""
     contents = [lidar_path(pair[0], "features"), f"{pair_path(*pair, 'matches')}/**"]
-    return pair_view(state, pair, pair_label(*pair), contents, zoom=0.6)
+    hidden = [f"- {pair_path(*pair, 'matches', 'rejected')}"] if kept_only else []
+    name = _matches_legend(state, pair, kept_only=kept_only)
+    raised_m = lift_m(state.matches[pair]) / 2.0 if state.matches.get(pair) else 0.0
+    return pair_view(state, pair, name, [*contents, *hidden], zoom=0.6, raised_m=raised_m)
+
+
+def _matches_legend(state: RunState, pair: PairKey, *, kept_only: bool) -> str:
+    """Count the matches that the best hypothesis keeps and rejects, with their colours."""
+    total, kept = len(state.matches.get(pair, ())), kept_count(state, pair)
+    if pair not in state.coarse:
+        return f"{pair_label(*pair)}: {total:,} matches (grey)"
+    if kept_only:
+        return f"{pair_label(*pair)}: {kept:,} of {total:,} matches kept (green)"
+    return f"{pair_label(*pair)}: {kept:,} kept (green), {total - kept:,} rejected (red)"
 
 
 def scored_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Spatial3DView:
@@ -70,7 +85,7 @@ def scored_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Sp
     contents = [*clouds, f"{pair_path(*pair, 'scored')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
     colours, found = distinct_colours(state.lidars), state.registrations.get(pair)
     dimmed = {path: [int(_DIM * channel) for channel in colours[lidar]] for path, lidar in clouds.items()}
-    overrides: dict[EntityPathLike, rr.Points3D] = {
+    overrides: dict[EntityPathLike, rr.Points3D | rr.LineStrips3D] = {
         path: rr.Points3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.0))
         for path, colour in dimmed.items()
     }
@@ -86,11 +101,12 @@ def pair_view(
     contents: Sequence[str],
     *,
     zoom: float = 1.0,
+    raised_m: float = 0.0,
     wide: bool = False,
-    overrides: Mapping[EntityPathLike, rr.Points3D] | None = None,
+    overrides: Mapping[EntityPathLike, rr.Points3D | rr.LineStrips3D] | None = None,
 ) -> rrb.Spatial3DView:
     """Show entities of a pair in the target's frame; from the side in a `wide` view."""
-    eye = beside_lidar(state, pair[0]) if wide else around_lidar(state, pair[0], zoom=zoom)
+    eye = beside_lidar(state, pair[0]) if wide else around_lidar(state, pair[0], zoom=zoom, raised_m=raised_m)
     sensor = lidar_path(pair[0], "sensor")
     return scene_view(name, lidar_frame(pair[0]), [sensor, *contents], eye, overrides=overrides)
 
