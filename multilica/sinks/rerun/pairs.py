@@ -12,6 +12,7 @@ from multilica.sinks.rerun.matches import log_verdict_on_matches
 from multilica.sinks.rerun.scene import ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
 from multilica.sinks.rerun.scored_points import log_scored_points
 from multilica.sinks.rerun.verdict import log_verdict
+from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import pair_scores_markdown
 
@@ -22,6 +23,7 @@ __all__ = [
     "log_registration",
     "log_verified",
     "show_best_poses",
+    "starting_hypothesis",
 ]
 
 _AXIS_LENGTH_M = 0.5
@@ -146,14 +148,20 @@ def _show_scored(scene: RerunScene, pair: PairKey, scored: Registration) -> None
     _log_scores(scene, pair, scored)
 
 
+def starting_hypothesis(state: RunState, pair: PairKey, registration: PairRegistration) -> Hypothesis | None:
+    """Return the hypothesis from which GICP started; None if it started from a pose that other pairs imply."""
+    hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
+    return hypotheses[registration.hypothesis] if 0 <= registration.hypothesis < len(hypotheses) else None
+
+
 def _log_before(scene: RerunScene, pair: PairKey, registration: PairRegistration) -> None:
     """Log the source at the hypothesis from which GICP started."""
     target, source = pair
-    coarse, cloud = scene.state.coarse.get(pair), scene.state.clouds.get(source)
-    if coarse is None or cloud is None or not 0 <= registration.hypothesis < len(coarse.hypotheses):
+    hypothesis, cloud = starting_hypothesis(scene.state, pair, registration), scene.state.clouds.get(source)
+    if hypothesis is None or cloud is None:
         return
     frame, path = pair_frame(target, source, "before"), pair_path(target, source, "before")
-    pose = coarse.hypotheses[registration.hypothesis].T_target_source
+    pose = hypothesis.T_target_source
     scene.log(pair_path(target, source, "before", "pose"), rigid(frame, lidar_frame(target), pose))
     scene.log_points(path, frame, cloud.points_m, scene.colour(source), scene.limits.pair_points // 3)
 

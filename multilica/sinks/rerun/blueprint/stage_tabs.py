@@ -19,6 +19,7 @@ from multilica.sinks.rerun.blueprint.views import (
     single_lidar_view,
 )
 from multilica.sinks.rerun.data import candidate_pairs
+from multilica.sinks.rerun.pairs import starting_hypothesis
 from multilica.sinks.rerun.tables import matrix_bounds
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
@@ -130,10 +131,16 @@ def _fine_tab(state: RunState) -> Tab | None:
 
 
 def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
-    """Show a pair at the hypothesis from which GICP started, and at the pose of the step, last the registered one."""
-    target = entity_paths.lidar_path(pair[0], "preprocessed")
+    """Show a pair at the hypothesis from which GICP started, and at the pose of the step, last the registered one.
+
+    A pair that started from the pose that others imply has no hypothesis.
+    """
+    target, source = (entity_paths.lidar_path(pair[0], "preprocessed"), entity_paths.pair_path(*pair, "source"))
+    if starting_hypothesis(state, pair, state.registrations[pair]) is None:
+        after = pair_view(state, pair, "After GICP, which started from the implied pose", [target, source])
+        return rrb.Horizontal(after, name=pair_label(*pair))
     before = pair_view(state, pair, "Before GICP", [target, f"{entity_paths.pair_path(*pair, 'before')}/**"])
-    after = pair_view(state, pair, "After GICP", [target, entity_paths.pair_path(*pair, "source")])
+    after = pair_view(state, pair, "After GICP", [target, source])
     return rrb.Horizontal(before, after, name=pair_label(*pair))
 
 
