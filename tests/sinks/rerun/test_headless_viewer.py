@@ -151,4 +151,9 @@ def test_entities_without_a_first_frame_are_noticed(viewer, tmp_path, monkeypatc
     viewer.set_time("step", sequence=steps_of(viewer)[3], play_state="paused")
     viewer.take_screenshot(max_size=64)
     complaining = {view.name for view in viewer.get_state().views if view.reports}
-    assert {"Rig", "Before GICP", "rear <- top", "rear <- top, competing pose"} <= complaining
+    assert {
+        "Rig",
+        "Before GICP",
+        "rear <- top: 20 of 80 matches kept (green)",
+        "rear <- top, competing pose",
+    } <= complaining
