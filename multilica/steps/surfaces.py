@@ -13,7 +13,7 @@ from multilica.workers import Shared
 __all__ = ["compare_surfaces"]
 
 # Enough to see where a pair does not meet; `--record full` has all.
-_ENOUGH_POINTS = 3000
+_ENOUGH_POINTS = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)

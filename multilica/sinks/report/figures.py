@@ -26,10 +26,10 @@ from multilica.sinks.report.rig_scene import FIRST_VIEW_RAD
 
 __all__ = ["QUARTER_TURN", "Figure", "pair_figures", "rig_figures"]
 
-_WIDTH_PX = 1600
+_WIDTH_PX = 1280
 _HEIGHT_SHARES = (0.4, 0.625)
 """Least and most height of a view from above, as shares of the width."""
-_OBLIQUE_SIZE_PX = (1600, 900)
+_OBLIQUE_SIZE_PX = (1000, 562)
 _PAIR_SIZE_PX = (1200, 800)
 _RIG_DOT_PX = 2
 _SCORED_DOT_PX = 5
