@@ -8,6 +8,7 @@ import json
 import re
 
 import pytest
+import typer.rich_utils  # noqa: F401 - reads at its import whether to force colours, for the whole process
 from rich.cells import cell_len
 from rich.console import Console
 
