@@ -131,13 +131,12 @@ class Explanation:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """The explanation as plain text, a sentence per line, details indented."""
-        placed = (one.sentence for one in self.placed)
-        return (self.headline, self.input, *placed, *self.known, *self._findings())
+        """What a table of the placed LiDARs lacks as plain text, a sentence per line, details indented."""
+        return (self.headline, self.input, *self.known, *self._findings())
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """The lines that a table of the placed LiDARs lacks: headline, missing and uncertain LiDARs, warnings."""
+        """The same for a run whose input is known: headline, missing and uncertain LiDARs, warnings."""
         return (self.headline, *self._findings())
 
     def _findings(self) -> Iterator[str]:

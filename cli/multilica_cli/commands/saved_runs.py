@@ -39,7 +39,7 @@ def explain(
         return
     console = stdout_console()
     print_placements(document, console)
-    for line in (explanation.headline, explanation.input, *explanation.known, *explanation.findings[1:]):
+    for line in explanation.lines:
         console.print(line)
 
 
