@@ -55,7 +55,7 @@ class Recording:
 
     def cells(self, path: str, column: str, timeline: str = "step") -> list[tuple[int, Any]]:
         """(time, cell) of every row that has something in that column, in order."""
-        rows = [(row[timeline], row[column]) for row in self.rows[path] if row.get(column)]
+        rows = [(row[timeline], row[column]) for row in self.rows[path] if row.get(column) and timeline in row]
         return sorted(rows, key=lambda row: row[0])
 
     def last(self, path: str, column: str) -> Any:

@@ -18,7 +18,8 @@ from multilica.results.deviations import weakest_sigmas
 from multilica.sinks.drawing.clouds import sample_indices
 from multilica.sinks.rerun.data_tables import MERGE_COLUMNS, PAIR_COLUMNS, merge_rows, pair_rows
 from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, TIMINGS, pair_path
-from multilica.sinks.rerun.scene import RerunScene
+from multilica.sinks.rerun.input import log_in_slot
+from multilica.sinks.rerun.scene import CLOCK_TIMELINE, RerunScene
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import coverage_of
@@ -56,7 +57,10 @@ def log_timings(scene: RerunScene) -> None:
     times = (time.time_ns() + (1e9 * edges_s).astype(np.int64)).astype("datetime64[ns]")
     names = [stage for stage in known_s for _ in ("start", "end")]
     columns = rr.AnyValues.columns(stage=pa.array(names))
-    scene.stream.send_columns(TIMINGS, [rr.TimeColumn("log_time", timestamp=times)], columns)
+    scene.stream.send_columns(TIMINGS, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times)], columns)
+    if times[0] < np.datetime64(scene.started_ns, "ns"):  # then views need the frames of the LiDARs there, too
+        for lidar in scene.state.lidars:
+            log_in_slot(scene, lidar, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times[:1])])
 
 
 def _log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None:

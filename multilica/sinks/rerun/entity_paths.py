@@ -10,6 +10,7 @@ __all__ = [
     "DISPLAY_FRAME",
     "DROPPED_TABLE",
     "FITNESS",
+    "FRAMES",
     "GROUND",
     "HYPOTHESES_TABLE",
     "LOG",
@@ -20,6 +21,7 @@ __all__ = [
     "PAIRS_TABLE",
     "PAIR_TABLE",
     "RESULT",
+    "ROOT_FRAME",
     "SUMMARY",
     "TIMINGS",
     "VERDICTS",
@@ -48,8 +50,11 @@ PAIR_TABLE = "/tables/pairs"
 MERGE_TABLE = "/tables/merge"
 TIMINGS = "/timings"
 GROUND = "/ground"
+FRAMES = "/frames"
 
 DISPLAY_FRAME = "display"
+ROOT_FRAME = "tf#/"
+"""Rerun's own name for the frame of entities that no frame is logged for."""
 
 CURVES = {
     "fitness": "fitness within GICP's distance",

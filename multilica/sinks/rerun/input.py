@@ -13,13 +13,22 @@ from multilica.sinks.drawing.clouds import sample_indices, slot_offsets_m
 from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb
 from multilica.sinks.drawing.shapes import shown_field_of_view
 from multilica.sinks.files.calibration_toml import toml_text
-from multilica.sinks.rerun.entity_paths import CONFIG, DISPLAY_FRAME, DROPPED_TABLE, lidar_frame, lidar_path, slot_frame
-from multilica.sinks.rerun.scene import RerunScene, rigid
+from multilica.sinks.rerun.entity_paths import (
+    CONFIG,
+    DISPLAY_FRAME,
+    DROPPED_TABLE,
+    FRAMES,
+    ROOT_FRAME,
+    lidar_frame,
+    lidar_path,
+    slot_frame,
+)
+from multilica.sinks.rerun.scene import CLOCK_TIMELINE, ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 from multilica.sinks.text.markdown import markdown_table
 
-__all__ = ["log_dropped_table", "log_features", "log_input", "log_preprocessed", "name_pole_m"]
+__all__ = ["log_dropped_table", "log_features", "log_in_slot", "log_input", "log_preprocessed", "name_pole_m"]
 
 _DROP_COLOURS: dict[str, Rgb] = {"too_near": VIOLATE, "too_far": MUTED, "moving": UNDECIDED}
 _AXIS_LENGTH_M = 1.0
@@ -31,11 +40,14 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
     """Log the raw clouds side by side, and the configuration."""
     table = event.config.model_dump(mode="json")
     scene.log_document(CONFIG, f"```toml\n{toml_text(table)}```")
+    # Until an entity is logged, the viewer has it in a frame of its own below this one, and reports an error in each
+    # view that finds no path from there.
+    scene.stream.log(FRAMES, rigid(ROOT_FRAME, DISPLAY_FRAME), static=True)
     offsets_m = slot_offsets_m(event.snapshot)
     for lidar in event.snapshot.lidars:
         frame, offset_m = slot_frame(lidar.name), (0.0, offsets_m[lidar.name], 0.0)
         place = RigidTransform.from_xyz_rpy(DISPLAY_FRAME, frame, offset_m, (0.0, 0.0, 0.0))
-        scene.log(lidar_path(lidar.name, "slot"), rigid(frame, DISPLAY_FRAME, place))
+        scene.stream.log(lidar_path(lidar.name, "slot"), rigid(frame, DISPLAY_FRAME, place), static=True)
         _log_sensor(scene, lidar.name, event.snapshot.names.index(lidar.name))
         points_m, limit = lidar.points_m, scene.limits.raw_points
         if len(points_m) > limit:
@@ -58,13 +70,31 @@ def name_pole_m(index: int, *, top: bool = False, spacing_m: float = 1.2) -> Flo
 
 
 def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
-    pose = rigid(lidar_frame(lidar), slot_frame(lidar))
-    scene.log(lidar_path(lidar, "sensor"), pose, rr.TransformAxes3D(_AXIS_LENGTH_M))
+    start = [
+        rr.TimeColumn(STEP_TIMELINE, sequence=[0]),
+        rr.TimeColumn(ITERATION_TIMELINE, sequence=[0]),
+        rr.TimeColumn(CLOCK_TIMELINE, timestamp=[np.datetime64(scene.started_ns, "ns")]),
+    ]
+    log_in_slot(scene, lidar, start)
+    axes = rr.TransformAxes3D(_AXIS_LENGTH_M)
+    scene.stream.log(lidar_path(lidar, "sensor"), rr.CoordinateFrame(lidar_frame(lidar)), axes, static=True)
     pole_m = name_pole_m(index)
     name = rr.LineStrips3D(pole_m, colors=[scene.colour(lidar)], radii=rr.Radius.ui_points(1.0))
     tip = rr.Points3D(pole_m[0, 1:], colors=[scene.colour(lidar)], labels=[lidar], radii=rr.Radius.ui_points(3.0))
     scene.log_in(lidar_frame(lidar), lidar_path(lidar, "name"), name)
     scene.log_in(lidar_frame(lidar), lidar_path(lidar, "name", "tip"), tip)
+
+
+def log_in_slot(scene: RerunScene, lidar: str, times: Sequence[rr.TimeColumn]) -> None:
+    """Log the LiDAR's frame in its slot at one time, earlier than any other place of it."""
+    pose = RigidTransform.identity(slot_frame(lidar), lidar_frame(lidar))
+    columns = rr.Transform3D.columns(
+        translation=[pose.xyz_m],
+        quaternion=[rr.Quaternion(xyzw=pose.quaternion_xyzw)],
+        child_frame=[lidar_frame(lidar)],
+        parent_frame=[slot_frame(lidar)],
+    )
+    scene.stream.send_columns(lidar_path(lidar, "sensor"), times, columns)
 
 
 def log_preprocessed(scene: RerunScene, event: events.CloudPreprocessed) -> None:

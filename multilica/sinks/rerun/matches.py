@@ -22,12 +22,12 @@ def log_matches(scene: RerunScene, event: events.CorrespondencesMatched) -> None
     """Log all matches, before the coarse stage keeps or rejects them."""
     matches = event.correspondences
     target, source = matches.target, matches.source
+    pose = _lifted(scene, matches, RigidTransform.identity(target, source))
     features = scene.state.features.get(source)
     if features is not None:
         path = pair_path(target, source, "matches", "source")
         frame = pair_frame(target, source, "lifted")
         scene.log_points(path, frame, features.points_m, scene.colour(source), scene.limits.pair_points)
-    pose = _lifted(scene, matches, RigidTransform.identity(target, source))
     everything = np.ones(len(matches), dtype=np.bool_)
     _log_lines(scene, matches, "undecided", everything, pose, MUTED)
 

@@ -124,8 +124,9 @@ def _best_start(scene: RerunScene, pair: PairKey) -> str | None:
 
 def _log_pose(scene: RerunScene, pair: PairKey, start: str, T_target_source: RigidTransform) -> None:
     target, source = pair
-    pose = rigid(pair_frame(target, source, start), lidar_frame(target), T_target_source)
-    scene.log(pair_path(target, source, "poses", start), pose, rr.TransformAxes3D(_AXIS_LENGTH_M))
+    frame = pair_frame(target, source, start)
+    pose, axes = rigid(frame, lidar_frame(target), T_target_source), rr.TransformAxes3D(_AXIS_LENGTH_M)
+    scene.log(pair_path(target, source, "poses", start), rr.CoordinateFrame(frame), pose, axes)
     _show_at(scene, pair, start)
 
 

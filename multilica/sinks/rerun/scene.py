@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recording stream with its timelines."""
 
+import time
 from dataclasses import dataclass, field
 from itertools import combinations
 
@@ -12,15 +13,16 @@ from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, Registration
 from multilica.sinks.drawing.clouds import sample_points
 from multilica.sinks.drawing.palette import Rgb, distinct_colours
-from multilica.sinks.rerun.entity_paths import DISPLAY_FRAME, LOG
+from multilica.sinks.rerun.entity_paths import LOG
 from multilica.sinks.rerun.record_limits import NO_LIMITS, RecordLimits
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 
-__all__ = ["ITERATION_TIMELINE", "STEP_TIMELINE", "RerunScene", "rigid"]
+__all__ = ["CLOCK_TIMELINE", "ITERATION_TIMELINE", "STEP_TIMELINE", "RerunScene", "rigid"]
 
 STEP_TIMELINE = "step"
 ITERATION_TIMELINE = "iteration"
+CLOCK_TIMELINE = "log_time"
 
 _POINT_RADIUS_PIXELS = 1.25
 
@@ -36,6 +38,7 @@ class RerunScene:
         state: after the current event.
         limits: set when the calibration starts.
         step: current position on the step timeline.
+        started_ns: wall clock of the first event.
         shown: paths of the entities with a frame so far; later poses only move or relabel clouds.
         shown_at: per pose the step at which it is shown.
     """
@@ -44,11 +47,14 @@ class RerunScene:
     state: RunState
     limits: RecordLimits = NO_LIMITS
     step: int = -1
+    started_ns: int = 0
     shown: set[str] = field(default_factory=set)
     shown_at: dict[Hypothesis | Registration, int] = field(default_factory=dict)
 
     def advance(self, steps: int = 1) -> None:
         """Advance by a step, or by more to leave room for curves."""
+        if self.step < 0:
+            self.started_ns = time.time_ns()
         self.step += steps
         self.stream.set_time(STEP_TIMELINE, sequence=self.step)
         self.stream.set_time(ITERATION_TIMELINE, sequence=0)
@@ -58,15 +64,7 @@ class RerunScene:
         self.stream.log(path, *parts)
 
     def log_in(self, frame: str, path: str, *parts: rr.AsComponents) -> None:
-        """Log in a frame at the current step.
-
-        The viewer reports an error for an entity of a view that has no frame at the shown step, even if it is first
-        logged later. Therefore each is in the root frame from the first step on.
-        """
-        if path not in self.shown and self.step > 0:
-            self.stream.set_time(STEP_TIMELINE, sequence=0)
-            self.log(path, rr.CoordinateFrame(DISPLAY_FRAME))
-            self.stream.set_time(STEP_TIMELINE, sequence=self.step)
+        """Log at the current step in a frame that is known by then."""
         self.shown.add(path)
         self.log(path, rr.CoordinateFrame(frame), *parts)
 

@@ -11,14 +11,13 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-import rerun as rr
 from rerun.experimental import ViewerClient
 
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.rerun.recording import RerunRecording
-from multilica.sinks.rerun.scene import RerunScene
 from tests.sinks.conftest import record
 from tests.sinks.made_events import made_events
 
@@ -82,12 +81,21 @@ def show_every_view(viewer: ViewerClient) -> None:
     viewer.set_blueprint(kept | {f"/container/{root}": grid}, of="recording")
 
 
-def steps_of(viewer: ViewerClient) -> list[int]:
-    """Ten steps, the first and the last among them."""
+def times_of(viewer: ViewerClient, timeline: str) -> list[dict[str, Any]]:
+    """Ten times, the first and the last among them."""
     (recording,) = viewer.get_state().recordings
-    timeline = next(timeline for timeline in recording.timelines if timeline.name == "step")
-    assert timeline.end > STEPS
-    return [timeline.end * part // (STEPS - 1) for part in range(STEPS)]
+    found = next(each for each in recording.timelines if each.name == timeline)
+    length = found.end - found.start
+    assert length > STEPS
+    times = [found.start + length * part // (STEPS - 1) for part in range(STEPS)]
+    return [{"timestamp": np.datetime64(at, "ns")} if timeline == "log_time" else {"sequence": at} for at in times]
+
+
+def go_to(viewer: ViewerClient, timeline: str, at: dict[str, Any]) -> None:
+    viewer.set_time(timeline, **at, play_state="paused")
+    viewer.take_screenshot(max_size=64)
+    (recording,) = viewer.get_state().recordings
+    assert (recording.current_timeline, recording.current_time) == (timeline, int(next(iter(at.values()))))
 
 
 def lasting_complaints(viewer: ViewerClient) -> list[tuple[str, Any]]:
@@ -119,15 +127,20 @@ def test_no_view_of_any_tab_complains(viewer, recordings, outcome, first, timeli
     assert {"Coarse + verify", "rear <- top", "Merge", "Log"} <= set(shown)
 
 
-@pytest.mark.parametrize("outcome", ["complete", "uncertain", "partial", "failed", "cut off"])
-def test_no_view_complains_when_stepping_back(viewer, tmp_path, outcome):
+@pytest.mark.parametrize(
+    ("outcome", "timeline"),
+    [
+        *((outcome, "step") for outcome in ("complete", "uncertain", "partial", "failed", "cut off")),
+        *((outcome, "log_time") for outcome in ("partial", "cut off")),
+    ],
+)
+def test_no_view_complains_when_stepping_back(viewer, tmp_path, outcome, timeline):
     path = cut_off(tmp_path / "run.rrd") if outcome == "cut off" else record(tmp_path / "run.rrd", outcome)
     wait_until_shown(viewer, path)
     show_every_view(viewer)
-    for step in reversed(steps_of(viewer)):
-        viewer.set_time("step", sequence=step, play_state="paused")
-        viewer.take_screenshot(max_size=64)
-        assert not lasting_complaints(viewer), step
+    for at in reversed(times_of(viewer, timeline)):
+        go_to(viewer, timeline, at)
+        assert not lasting_complaints(viewer), at
 
 
 def cut_off(path: Path) -> Path:
@@ -140,16 +153,11 @@ def cut_off(path: Path) -> Path:
     return partial_path(path)
 
 
-def test_entities_without_a_first_frame_are_noticed(viewer, tmp_path, monkeypatch):
-    def log_late(scene: RerunScene, frame: str, path: str, *parts: rr.AsComponents) -> None:
-        scene.shown.add(path)
-        scene.log(path, rr.CoordinateFrame(frame), *parts)
-
-    monkeypatch.setattr(RerunScene, "log_in", log_late)
+def test_entities_without_a_path_are_noticed(viewer, tmp_path, monkeypatch):
+    monkeypatch.setattr("multilica.sinks.rerun.input.ROOT_FRAME", "elsewhere")
     wait_until_shown(viewer, record(tmp_path / "run.rrd", "partial"))
     show_every_view(viewer)
-    viewer.set_time("step", sequence=steps_of(viewer)[3], play_state="paused")
-    viewer.take_screenshot(max_size=64)
+    go_to(viewer, "step", times_of(viewer, "step")[3])
     complaining = {view.name for view in viewer.get_state().views if view.reports}
     assert {
         "Rig",

@@ -200,3 +200,28 @@ def test_every_event_type_is_in_the_made_runs():
     kinds = {kind for kind in vars(events).values() if isinstance(kind, type) and issubclass(kind, events.Event)}
     assert happened == kinds - {events.Event}
     assert all(dataclasses.is_dataclass(kind) for kind in happened)
+
+
+@pytest.mark.parametrize("outcome", ["complete", "partial", "failed"])
+def test_a_frame_is_known_before_something_is_in_it(recordings, outcome):
+    """On the wall clock each entity has a time of its own, so that the order shows."""
+    recording = Recording(recordings[outcome])
+    since = {child: at for at, child in times_of(recording, "Transform3D:child_frame")}
+    assert {f"lidar/{name}" for name in LIDARS} < set(since)
+    start = min(at for at in since.values() if at)
+    for needs in ("CoordinateFrame:frame", "Transform3D:parent_frame"):
+        late = {frame for at, frame in times_of(recording, needs) if since.get(frame, 0) > max(at, start)}
+        assert not late, needs
+    assert {"display"} == {frame for _, frame in times_of(recording, "Transform3D:parent_frame")} - set(since)
+
+
+def times_of(recording, column):
+    """(wall clock, 0 if static, and frame) of each frame in a column, the latest first."""
+    found = []
+    for chunk in recording.chunks:
+        batch = chunk.to_record_batch()
+        if column in batch.schema.names and ("log_time" in batch.schema.names or chunk.is_static):
+            times = [0] * batch.num_rows if chunk.is_static else batch.column("log_time").cast("int64").to_pylist()
+            cells = batch.column(column).to_pylist()
+            found += [(at, cell[0]) for at, cell in zip(times, cells, strict=True) if cell]
+    return sorted(found, reverse=True)
