@@ -108,18 +108,20 @@ def run_calibration(
     require_libraries(config)
     deadline_s = deadline_of(config)
     found = find_snapshots(files, config=config.ingest)
-    directory = default_directory(files, len(found)) if place is None else place
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
-            return _run_jointly(found, directory, request)
-        return _run_one(_read(found[0], config, observe), directory, request)
+            return _run_jointly(found, place or default_directory(files, len(found)), request)
+        snapshot = _read(found[0], config, observe)
+        # Chosen after reading: of runs that start together, each finds what the others write.
+        return _run_one(snapshot, place or default_directory(files), request)
 
 
 def default_directory(sources: Sequence[PathLike], snapshots: int = 1) -> Path:
     """Return ``recordings/runs/<source>``, or the next of ``<source>-2``, ``<source>-3``, ... that holds nothing yet.
 
-    A joint run never shares it with a run of its first snapshot alone.
+    Recordings of several vehicles often have one name, and only `out` says that an earlier run may go. A joint run
+    never shares the directory with a run of its first snapshot alone.
     """
     more = f"-and-{snapshots - 1}-more" if snapshots > 1 else ""
     name = f"{stem_of(str(next(iter(sources), '')))}{more}"

@@ -168,3 +168,12 @@ def test_a_directory_that_cannot_be_made_is_told(invoke: Invoke, two_lidars: Pat
     outcome = invoke("calibrate", two_lidars, "--out", "file/run", "--quiet")
     assert_one_sentence(outcome, ExitCode.USAGE)
     assert "file/run" in outcome.err
+
+
+def test_a_missing_library_names_the_command(invoke: Invoke, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("multilica.optional_libraries.is_found", lambda module: module != "kiss_matcher")
+    write_pcd(tmp_path / "scans" / "front.pcd", [[1.0, 2.0, 3.0]])
+    outcome = invoke("calibrate", "scans", "--set", "coarse.solver=kiss_matcher", "--workers", "1")
+    assert_one_sentence(outcome, ExitCode.BROKEN)
+    assert "`pip install 'multilica[kiss]'`" in outcome.err
+    assert not Path("recordings").exists()

@@ -12,16 +12,28 @@ import typer.rich_utils  # noqa: F401 - reads at its import whether to force col
 from rich.cells import cell_len
 from rich.console import Console
 
+from multilica.config import preset, with_overrides
+from multilica.fleet.fleet_run import LogFinished, LogsPlanned
+from multilica.fleet.units.unit_request import UnitSummary
+from multilica.run import run_calibration
 from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.fleet import fleet
+from multilica_cli.fleet_progress import show_fleet
 from multilica_cli.main import app
 from multilica_cli.tables.folding_table import FoldingTable
 from multilica_cli.terminal import wrapped
+from tests.fleet.support.made_store import made_store
 from tests.runs.made_runs import write_run, write_truth
 from tests.sinks.made_documents import made_document
 
 _OFF = ((0.004, -0.123, 0.002), (0.01, -0.2, 0.03))
+_CODES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 _WORD = re.compile(r"[^\s─│╭╮╰╯*•]+")
-_COMMANDS = [name for command in app.registered_commands if (name := command.name or command.callback.__name__)]
+_SAMPLE = find_sample()
+
+
+def _names_of(commands):
+    return [command.name or command.callback.__name__ for command in commands.registered_commands]
 
 
 @pytest.fixture
@@ -32,7 +44,7 @@ def shown(invoke, monkeypatch):
         monkeypatch.setenv("COLUMNS", str(width))
         monkeypatch.setenv("FORCE_COLOR", "1")
         done = invoke(*arguments)
-        return re.sub(r"\x1b\[[0-9;]*[A-Za-z]", "", done.out + done.err).splitlines()
+        return _CODES.sub("", done.out + done.err).splitlines()
 
     return run
 
@@ -48,7 +60,7 @@ def _assert_fits(shown, *arguments):
         assert lines
         too_long = [line for line in lines if cell_len(line.rstrip()) > width and len(line.split()) > 1]
         assert not too_long
-        long = [word for word in wide if len(word) > width // 3]
+        long = [word for word in wide if len(word) > 2 * width // 3]
         broken = {word for word in _words(lines) - wide if not any(word in each for each in long)}
         assert not broken
 
@@ -100,25 +112,104 @@ def test_comparisons_fit(shown, tmp_path):
 
 @pytest.mark.parametrize(
     "arguments",
-    [("inspect", find_sample().recording), ("config",), ("config", "--preset", "paper"), ("doctor",)],
+    [("inspect", _SAMPLE.recording), ("config",), ("config", "--preset", "paper"), ("doctor",)],
     ids=["inspect", "config", "paper", "doctor"],
 )
 def test_tables_of_other_commands_fit(shown, arguments):
     _assert_fits(shown, *arguments)
 
 
-@pytest.mark.parametrize("command", [*_COMMANDS, "fleet"])
+@pytest.mark.parametrize(
+    "command",
+    [(), ("fleet",), *((name,) for name in _names_of(app)), *(("fleet", name) for name in _names_of(fleet))],
+    ids=" ".join,
+)
 def test_help_fits_and_flags_have_no_type(shown, command):
-    _assert_fits(shown, command, "--help")
-    assert "<bool>" not in "\n".join(shown(80, command, "--help"))
+    _assert_fits(shown, *command, "--help")
+    assert "<bool>" not in "\n".join(shown(80, *command, "--help"))
+
+
+@pytest.fixture(scope="module")
+def calibrated(two_lidars, tmp_path_factory):
+    """A run of two LiDARs of the sample."""
+    config = with_overrides(preset("default"), ["target=left"])
+    return run_calibration(two_lidars, tmp_path_factory.mktemp("runs") / "street", config)
 
 
 @pytest.mark.parametrize(
-    "command", ["run", "query", "status", "failures", "show", "drift", "report", "compact", "prune"]
+    "command", [("calibrate", _SAMPLE.recording, "--workers", "1"), ("demo",)], ids=lambda it: it[0]
 )
-def test_help_of_the_fleet_fits(shown, command):
-    _assert_fits(shown, "fleet", command, "--help")
-    assert "<bool>" not in "\n".join(shown(80, "fleet", command, "--help"))
+def test_the_end_of_a_calibration_fits(shown, calibrated, command, monkeypatch):
+    monkeypatch.setattr("multilica.run.run_calibration", lambda *_, **__: calibrated)
+    _assert_fits(shown, *command)
+    assert any("right" in line and "placed" in line for line in shown(80, *command))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("check", "RUN", "--against", _SAMPLE.truth),
+        ("verify", _SAMPLE.recording, "--calibration", _SAMPLE.truth),
+        ("accept", "RUN", "--into", "reference.toml"),
+        ("export", "RUN", "--to", "urdf", "--out", "rig.urdf"),
+        ("record", _SAMPLE.recording, "--out", "taken.mcap"),
+        ("evaluate", "RUN", "--truth", _SAMPLE.truth),
+        ("diff", "RUN", _SAMPLE.truth),
+        ("report", "RUN", "--out", "page.html"),
+    ],
+    ids=lambda it: it[0],
+)
+def test_commands_on_runs_fit(shown, calibrated, arguments):
+    given = [calibrated.directory if each == "RUN" else each for each in arguments]
+    shown(80, *given)  # accept compares with the file that it wrote before
+    _assert_fits(shown, *given)
+
+
+@pytest.fixture(scope="module")
+def store(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fleet") / "store"
+    made_store(folder)
+    return folder
+
+
+@pytest.mark.parametrize(
+    "question",
+    [
+        ("status",),
+        ("failures",),
+        ("show", "v02"),
+        ("drift",),
+        ("query", "SELECT * FROM lidars ORDER BY ALL LIMIT 3"),
+        ("prune",),
+    ],
+    ids=lambda it: it[0],
+)
+def test_answers_of_the_fleet_fit(shown, store, question):
+    _assert_fits(shown, "fleet", *question, "--store", store)
+
+
+def test_each_row_that_goes_on_below_names_its_lidar(shown, store):
+    rows = [line for line in shown(80, "fleet", "show", "v02", "--store", store) if line.startswith(" 2026-")]
+    assert len(rows) == 3 * 30
+    assert all(row.split()[2] in ("front", "rear", "top") for row in rows)
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_progress_of_the_fleet_fits(capsys, monkeypatch, width):
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    told = "the file is damaged near its end and cannot be read any further than its first chunk"
+    summary = UnitSummary(
+        state="failed", reason="damaged", reason_text=told, calibration="", source_sha256="", lidars=0, placed=0
+    )
+    with show_fleet(quiet=False) as observe:
+        observe(LogsPlanned(12_000, 12_000))
+        for _ in range(2_000):
+            observe(LogFinished("truck-0123456789", "s3://bucket/truck/2026-03-01.mcap", summary))
+    text = _CODES.sub("", capsys.readouterr().err)
+    assert max(map(cell_len, text.splitlines())) <= width
+    assert set(told.split()) <= set(text.split())
+    assert "2000/12000" in text
 
 
 def test_an_error_fits(shown, monkeypatch):
@@ -156,6 +247,27 @@ def test_a_table_that_is_too_wide_goes_on_below():
     assert all(f"{index}.125" in text for index in range(6))
     assert sum(line.startswith(" front") for line in lines) == 3
     assert text.count("Title") == 1
+
+
+@pytest.mark.parametrize("width", [80, 120])
+def test_topics_stay_whole(width):
+    columns = ("LiDAR", "topic", "type", "frame", "scans", "Hz")
+    table = FoldingTable("Topics", columns, numbers_from=4, keys=2)
+    topics = [f"/sensing/lidar/{name}/pointcloud_raw_ex" for name in ("front_lower", "rear_upper")]
+    for topic in topics:
+        name = topic.split("/")[3]
+        table.add_row(name, topic, "PointCloud2", f"{name}/base_link", "10", "10.0")
+    lines = _lines_of(table, width)
+    assert max(map(len, lines)) <= width
+    assert {"front_lower", "rear_upper", "front_lower/base_link", *topics} <= _words(lines)
+
+
+def test_the_widest_name_is_broken_where_no_column_fits():
+    table = FoldingTable("Names", ("run", "LiDAR", "x"), numbers_from=2, keys=2)
+    table.add_row("a" * 70, "front", "-123.456")
+    lines = _lines_of(table, 40)
+    assert max(map(len, lines)) <= 40
+    assert {"front", "-123.456"} <= _words(lines)
 
 
 def test_text_ends_between_words_and_a_path_stays_whole():

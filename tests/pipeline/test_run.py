@@ -12,7 +12,7 @@ import pytest
 import multilica
 from multilica import events
 from multilica.config import with_overrides
-from multilica.errors import UnfitSnapshotError, UsageError
+from multilica.errors import MissingDependencyError, UnfitSnapshotError, UsageError
 from multilica.run import default_directory
 from multilica.sinks.mcap.reading import read_attached_document
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
@@ -165,6 +165,47 @@ def test_without_a_configuration_all_frames_are_taken(tmp_path: Path, monkeypatc
     ("source", "expected"),
     [("drive.mcap", "drive"), ("logs/bag_dir", "bag_dir"), ("a/b.c/x.pcd", "x"), ("s3://bucket/d.mcap?key=k", "d")],
 )
-def test_the_directory_is_named_after_the_source(source: str, expected: str) -> None:
+def test_the_directory_is_named_after_the_source(
+    source: str, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     assert default_directory([source, "other.pcd"]) == Path("recordings/runs") / expected
     assert default_directory([source, "other.pcd"], 2) == Path(f"recordings/runs/{expected}-and-1-more")
+
+
+def test_a_run_without_a_directory_leaves_earlier_ones(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    runs = Path("recordings") / "runs"
+    first = multilica.run_calibration(recordings / "first.mcap", config=EARLY)
+    before = {path.name: path.read_bytes() for path in first.directory.iterdir()}
+    later = [multilica.run_calibration(recordings / "first.mcap", config=EARLY).directory for _ in range(2)]
+    assert [first.directory, *later] == [runs / "first", runs / "first-2", runs / "first-3"]
+    assert {path.name: path.read_bytes() for path in first.directory.iterdir()} == before
+
+
+def test_runs_that_start_together_do_not_replace_one_another(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recording of the same name is calibrated while this one is read."""
+    monkeypatch.chdir(tmp_path)
+    meanwhile: list[Path] = []
+
+    def calibrate_another(event: events.RunEvent) -> None:
+        if event == events.StageStarted("ingest", 0) and not meanwhile:
+            meanwhile.append(multilica.run_calibration(recordings / "first.mcap", config=EARLY).directory)
+
+    own = multilica.run_calibration(recordings / "first.mcap", config=EARLY, observe=calibrate_another)
+    assert [*meanwhile, own.directory] == [Path("recordings/runs/first"), Path("recordings/runs/first-2")]
+
+
+def test_a_missing_library_is_told_before_anything_is_read(
+    recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("multilica.optional_libraries.is_found", lambda module: module != "kiss_matcher")
+    monkeypatch.setattr("multilica.run.find_snapshots", lambda *_, **__: pytest.fail("The source was opened."))
+    config = with_overrides(FAST, ["coarse.solver=kiss_matcher"])
+    with pytest.raises(MissingDependencyError, match="pip install"):
+        multilica.run_calibration(recordings / "first.mcap", tmp_path / "run", config)
+    assert names(tmp_path) == set()

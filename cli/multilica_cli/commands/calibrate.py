@@ -35,7 +35,7 @@ def calibrate(
         typer.Option(
             metavar="DIR",
             help="Directory for the results.",
-            show_default="recordings/runs/<source>",
+            show_default="recordings/runs/<source>, or <source>-2, ... if that is taken",
             callback=options.local_path,
         ),
     ] = None,

@@ -84,7 +84,7 @@ def check(
         typer.Option(
             metavar="DIR",
             help="Directory of the calibration.",
-            show_default="recordings/runs/<source>",
+            show_default="recordings/runs/<source>, or <source>-2, ... if that is taken",
             callback=options.local_path,
         ),
     ] = None,

@@ -198,7 +198,7 @@ def show(
     opened = _opened(store)
     questions.require_vehicle(opened, vehicle)
     with questions.vehicle_history(opened, vehicle) as answer:
-        print_answer(answer, form, stdout_console())
+        print_answer(answer, form, stdout_console(), keys=2)
 
 
 @fleet.command()

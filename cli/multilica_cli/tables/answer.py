@@ -24,13 +24,20 @@ __all__ = ["answer_lines", "print_answer"]
 _MOST_ROWS = 1000
 
 
-def print_answer(answer: QueryAnswer, form: Literal["table", "csv", "json"], console: Console) -> None:
-    """Print the rows: as a table for people, which ends after a thousand, or all as CSV or as JSON, a row per line."""
+def print_answer(
+    answer: QueryAnswer, form: Literal["table", "csv", "json"], console: Console, *, keys: int = 1
+) -> None:
+    """Print the rows: as a table for people, which ends after a thousand, or all as CSV or as JSON, a row per line.
+
+    Args:
+        keys: number of leading columns that name a row.
+    """
     if form != "table":
         for line in answer_lines(answer.columns, answer.rows(), form):
             typer.echo(line, nl=False)
         return
-    table = FoldingTable("", [name.replace("_", " ") for name in answer.columns], numbers_from=len(answer.columns))
+    columns = [name.replace("_", " ") for name in answer.columns]
+    table = FoldingTable("", columns, numbers_from=len(columns), keys=min(keys, len(columns)))
     count = 0
     for row in answer.rows():
         count += 1
@@ -75,6 +82,6 @@ def _cell(value: object) -> str:
         case datetime():
             return value.strftime("%Y-%m-%d %H:%M")
         case float():
-            return f"{value:.4g}"
+            return f"{value:z.4g}"
         case _:
             return str(value)

@@ -13,13 +13,15 @@ from rich.table import Table
 
 __all__ = ["FoldingTable"]
 
+_NARROWEST = 8
+
 
 class FoldingTable:
     """A table without colours that fits the width of the console.
 
     What is too wide loses the spare gaps first, then the columns that are not needed. If that is not enough, the
-    columns continue in a further table below, which repeats the key columns. Only names that leave no room for numbers
-    are folded.
+    columns continue in a further table below, which repeats the key columns. Texts wrap between words; a word is broken
+    only if it leaves no room for one column beside the keys.
 
     Args:
         columns: headings.
@@ -56,30 +58,30 @@ class FoldingTable:
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the table, or the tables that it folds into."""
-        every = range(len(self._columns))
+        every, limits = range(len(self._columns)), self._limits(options.max_width)
         needed = [index for index in every if index not in self._spare]
         for chosen, gap in ((every, 1), (every, 0), (needed, 0)):
-            table = self._table(chosen, gap, options.max_width)
+            table = self._table(chosen, gap, limits)
             if _width(table, console) <= options.max_width:
                 yield table
                 return
-        for title, block in self._blocks(console, options.max_width):
-            yield self._table(block, 0, options.max_width, title)
+        for title, block in self._blocks(console, options.max_width, limits):
+            yield self._table(block, 0, limits, title)
 
-    def _blocks(self, console: Console, width: int) -> list[tuple[str, list[int]]]:
+    def _blocks(self, console: Console, width: int, limits: Sequence[int]) -> list[tuple[str, list[int]]]:
         """Return titles and columns of the tables that fit, each with the key columns."""
         keys = list(range(self._keys))
         blocks: list[list[int]] = [keys]
         for index in range(self._keys, len(self._columns)):
             wider = [*blocks[-1], index]
-            fits = _width(self._table(wider, 0, width), console) <= width
+            fits = _width(self._table(wider, 0, limits), console) <= width
             if fits or blocks[-1] == keys:
                 blocks[-1] = wider
             else:
                 blocks.append([*keys, index])
         return [(self.title if number == 0 else "", block) for number, block in enumerate(blocks)]
 
-    def _table(self, columns: Sequence[int], gap: int, width: int, title: str | None = None) -> Table:
+    def _table(self, columns: Sequence[int], gap: int, limits: Sequence[int], title: str | None = None) -> Table:
         table = Table(
             title=self.title if title is None else title,
             title_justify="left",
@@ -91,21 +93,41 @@ class FoldingTable:
         )
         for index in columns:
             is_text = index < self._numbers_from
-            wide = is_text and self._width_of(index) > width // 3
+            wide = is_text and self._width_of(index) > limits[index]
             table.add_column(
                 self._columns[index],
                 justify="left" if is_text else "right",
                 no_wrap=not wide,
                 overflow="fold",
-                max_width=width // 3 if wide else None,
+                max_width=limits[index] if wide else None,
             )
         for number, row in enumerate(self._rows):
             table.add_row(*(row[index] for index in columns), end_section=number in self._section_ends)
         return table
 
+    def _limits(self, width: int) -> list[int]:
+        """Return how wide each column of text may be: a third, or its longest word if there is room for it."""
+        third = width // 3
+        every = range(len(self._columns))
+        wanted = [min(self._width_of(each), max(third, self._longest_word(each))) for each in every]
+        keys, others = wanted[: self._keys], wanted[self._keys :]
+        room = width - 1 - (min(third, max(others, default=0)) + 1)
+        if sum(keys) + len(keys) > room:
+            widest = keys.index(max(keys))
+            keys = [min(each, third) for each in keys]
+            keys[widest] = 0
+            keys[widest] = min(wanted[widest], max(_NARROWEST, room - sum(keys) - len(keys)))
+        beside = max(_NARROWEST, width - 2 - sum(keys) - len(keys))
+        return [*keys, *(min(each, beside) for each in others)]
+
+    def _longest_word(self, column: int) -> int:
+        return max((cell_len(word) for cell in self._cells_of(column) for word in cell.split()), default=0)
+
     def _width_of(self, column: int) -> int:
-        cells = [self._columns[column], *(row[column] for row in self._rows)]
-        return max(cell_len(line) for cell in cells for line in cell.split("\n"))
+        return max(cell_len(line) for cell in self._cells_of(column) for line in cell.split("\n"))
+
+    def _cells_of(self, column: int) -> list[str]:
+        return [self._columns[column], *(row[column] for row in self._rows)]
 
 
 def _width(table: Table, console: Console) -> int:

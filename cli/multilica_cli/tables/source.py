@@ -49,8 +49,8 @@ def print_summary(summary: SourceSummary, console: Console) -> None:
     """Print the topics and transforms as tables, then the LiDARs that would be used."""
     console.print(f"{summary.source}: {summary.format}{_span(summary)}")
     if summary.clouds:
-        columns = ("LiDAR", "topic", "type", "frame", "scans", "Hz", "points\nper scan", "median\nm", "farthest\nm")
-        table = FoldingTable("Point clouds", columns, numbers_from=4, keys=2)
+        columns = ("LiDAR", "topic", "type", "frame", "scans", "Hz", "points\nper scan", "median\nm", "max\nm")
+        table = FoldingTable("Point clouds", columns, numbers_from=4, keys=2, spare=("type",))
         for cloud in summary.clouds:
             names = (cloud.lidar or "-", cloud.topic, cloud.message_type.rpartition("/")[2], cloud.frame_id)
             rate, *ranges = map(_number, (cloud.rate_hz, cloud.range_median_m, cloud.range_max_m))
