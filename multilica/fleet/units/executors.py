@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
@@ -63,7 +63,7 @@ def _dask_client(scheduler: str) -> Iterator[Any]:
         from distributed.security import Security
     security = Security(require_encryption=True) if scheduler.startswith(("tls", "wss")) else None
     try:
-        client = Client(scheduler, timeout=_CONNECT_S, security=security, set_as_default=False)
+        client = _connected(lambda: Client(scheduler, timeout=_CONNECT_S, security=security, set_as_default=False))
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise SourceNotFoundError(
             f"No Dask scheduler answers at {scheduler} ({type(error).__name__}); check the address, and the "
@@ -71,3 +71,11 @@ def _dask_client(scheduler: str) -> Iterator[Any]:
         ) from error
     with client:
         yield client
+
+
+def _connected(connect: Callable[[], Any]) -> Any:  # noqa: ANN401 - a type of Dask
+    """Connect, once more if Dask's own thread did not start within the 10 s that it waits, on a busy machine."""
+    try:
+        return connect()
+    except AssertionError:
+        return connect()
