@@ -12,8 +12,15 @@ import subprocess
 import sys
 
 FOLDERS = [f"tests/{name}" for name in ("unit", "property", "pipeline", "sinks")]
-NEEDS_NO_CPU = "--ignore=tests/unit/project"
-PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *FOLDERS, NEEDS_NO_CPU]
+# The rules of the house, and what is drawn by a viewer or a browser.
+SAME_ON_ANY_CPU = (
+    "tests/unit/project",
+    "tests/sinks/rerun/test_headless_viewer.py",
+    "tests/sinks/report/test_report_in_browser.py",
+    "tests/sinks/mcap/test_foxglove_studio.py",
+)
+IGNORED = [f"--ignore={path}" for path in SAME_ON_ANY_CPU]
+PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *FOLDERS, *IGNORED]
 VARIABLES = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
 ALIASES = {"Katmai": "Prescott"}  # OpenBLAS has one kernel for both and reports the first name.
 
