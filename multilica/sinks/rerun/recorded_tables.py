@@ -8,9 +8,11 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from multilica.errors import UnreadableSourceError
 from multilica.results import PairKey
 from multilica.sinks.rerun.data_tables import MERGE_COLUMNS, PAIR_COLUMNS
 from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, TIMINGS, pair_path
+from multilica.sinks.rerun.reading import read_recorded_document
 from multilica.sinks.rerun.rrd_process import read_batches
 
 if TYPE_CHECKING:
@@ -25,9 +27,12 @@ def read_recorded_table(path: Path, name: str) -> pa.Table:
     """Read one of `TABLES` of a recording, also of one that was cut off; no rows if the run did not get there.
 
     Raises:
-        UnreadableSourceError: no recording, a damaged one, or one without these tables.
+        UnreadableSourceError: no recording, a damaged one, or one of a version that recorded no tables.
     """
-    return TABLES[name](path)
+    found = TABLES[name](path)
+    if found.num_rows == 0 and not read_batches(path, [PAIR_TABLE])[PAIR_TABLE] and read_recorded_document(path).pairs:
+        raise UnreadableSourceError(f"{path} has no tables: an earlier version of multilica wrote it; calibrate again.")
+    return found
 
 
 def _pairs(path: Path) -> pa.Table:

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 
 from multilica import events
+from multilica.errors import UnreadableSourceError
 from multilica.sinks.rerun.recorded_tables import TABLES, read_recorded_table
 from multilica.sinks.rerun.recording import RerunRecording
+from tests.sinks.conftest import record
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 from tests.sinks.made_surfaces import COUNT
 from tests.sinks.recording_reader import Recording
@@ -141,6 +143,14 @@ def test_a_recording_that_was_cut_off_has_the_tables_so_far(tmp_path, name):
             observe(event)
     rows = read_recorded_table(path.with_name("recording.partial.rrd"), name).num_rows
     assert rows == {"pairs": 3, "matches": 240, "surfaces": 0, "merge": 0, "timings": 0}[name]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_recording_of_an_earlier_version_is_refused(tmp_path, name, monkeypatch):
+    for log in ("log_data", "log_data_tables", "log_timings"):
+        monkeypatch.setattr(f"multilica.sinks.rerun.recording.{log}", lambda *_: None)
+    with pytest.raises(UnreadableSourceError, match=r"earlier version of multilica wrote it; calibrate again"):
+        read_recorded_table(record(tmp_path / "old.rrd", "partial"), name)
 
 
 def test_the_residual_map_goes_from_dark_to_bright(recordings):
