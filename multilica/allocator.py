@@ -4,8 +4,6 @@
 import ctypes
 from contextlib import suppress
 
-__all__ = ["keep_freed_memory"]
-
 # From malloc.h of glibc.
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
 _MIB = 1 << 20

@@ -14,22 +14,6 @@ from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
-__all__ = [
-    "LFS_POINTER",
-    "MAX_JSON_BYTES",
-    "MAX_LENGTH_M",
-    "MAX_TOML_BYTES",
-    "MAX_YAML_BYTES",
-    "DocumentError",
-    "first_problem",
-    "parse_json",
-    "parse_toml",
-    "parse_yaml",
-    "read_limited",
-    "require_length",
-    "shown",
-]
-
 LFS_POINTER = b"version https://git-lfs.github.com/spec/"
 """First bytes of the text that stands for a file in a checkout without Git LFS."""
 MAX_JSON_BYTES = 64 << 20

@@ -24,22 +24,6 @@ import difflib
 from collections.abc import Iterable
 from typing import Self
 
-__all__ = [
-    "ConfigError",
-    "InputError",
-    "MissingDependencyError",
-    "MultilicaError",
-    "SourceNotFoundError",
-    "UnfitPriorError",
-    "UnfitSnapshotError",
-    "UnknownNameError",
-    "UnreadableSourceError",
-    "UsageError",
-    "ViewerError",
-    "WorkerDiedError",
-    "escape_controls",
-]
-
 _MAX_MESSAGE = 500
 _TAIL = 150
 _MAX_COMPARED = 100

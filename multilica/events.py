@@ -10,38 +10,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.snapshot import Snapshot
 
-__all__ = [
-    "CalibrationFinished",
-    "CalibrationStarted",
-    "CloudPreprocessed",
-    "CorrespondencesMatched",
-    "Event",
-    "FeaturesComputed",
-    "GroundEstimated",
-    "GroupsRegistered",
-    "HypothesesFound",
-    "HypothesesVerified",
-    "InputNoted",
-    "LoopRegistered",
-    "MergeStepTaken",
-    "Observer",
-    "PairRegistered",
-    "ResidualsMeasured",
-    "RigRefined",
-    "RunEvent",
-    "RunObserver",
-    "SearchWidened",
-    "SnapshotRefused",
-    "SnapshotStarted",
-    "StageFinished",
-    "StageStarted",
-    "SurfacesMatched",
-    "TargetChosen",
-    "VerdictChanged",
-    "ignore",
-]
-
-
 class Event:
     """What `calibrate` reports."""
 

@@ -21,17 +21,6 @@ from multilica.documents import (
 from multilica.errors import InputError, SourceNotFoundError, UnknownNameError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 
-__all__ = [
-    "EXTRINSICS_SCHEMA",
-    "Extrinsics",
-    "ExtrinsicsTable",
-    "PoseTable",
-    "extrinsics_table",
-    "pose_values",
-    "read_extrinsics",
-    "require_metres",
-]
-
 EXTRINSICS_SCHEMA: Literal["multilica/extrinsics/1"] = "multilica/extrinsics/1"
 _MAX_RIG_M = 100.0
 """No vehicle is longer: such lengths are millimetres."""

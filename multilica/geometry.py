@@ -12,20 +12,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-__all__ = [
-    "LEVER_ARM_M",
-    "Float32Array",
-    "FloatArray",
-    "RigidTransform",
-    "fixed_sign",
-    "largest_index",
-    "lengths",
-    "read_only",
-    "rotation_angle_rad",
-    "rotation_vector_rad",
-    "skew",
-]
-
 LEVER_ARM_M = 10.0
 """Lever arm at which a rotation counts as a length: the usual distance of the structure that two LiDARs share."""
 

@@ -25,8 +25,6 @@ from multilica.system_libraries import (
     vulkan_drivers,
 )
 
-__all__ = ["CORE_LIBRARIES", "Installation", "Library", "Machine", "Viewer", "examine_installation"]
-
 CORE_LIBRARIES: Mapping[str, str] = {
     "apsw": "apsw",
     "defusedxml": "defusedxml",

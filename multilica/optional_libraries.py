@@ -10,9 +10,6 @@ from typing import NoReturn
 from multilica.errors import MissingDependencyError
 from multilica.system_libraries import OPEN3D, apt_command, missing_for_open3d
 
-__all__ = ["OPTIONAL_LIBRARIES", "OptionalLibrary", "is_found", "needed_for", "raise_missing", "require_library"]
-
-
 @dataclass(frozen=True, slots=True)
 class OptionalLibrary:
     """A library that multilica works without.

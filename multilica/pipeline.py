@@ -24,8 +24,6 @@ from multilica.steps.search import search_pairs
 from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
 
-__all__ = ["calibrate", "deadline_of"]
-
 _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (
     (("preprocess",), lambda state, _: clouds.preprocess_clouds(state)),
     (("features",), lambda state, _: clouds.prepare_lidars(state)),

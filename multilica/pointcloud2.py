@@ -11,19 +11,6 @@ import numpy.typing as npt
 
 from multilica.geometry import Float32Array
 
-__all__ = [
-    "DATATYPES",
-    "LIDAR_NAME_KEY",
-    "SNAPSHOT_METADATA_NAME",
-    "PointCloud2",
-    "PointField",
-    "decode_points",
-    "encode_points",
-    "finite_points",
-    "finite_records",
-    "point_dtype",
-]
-
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """`PointField.datatype` -> NumPy type without its byte order."""
 

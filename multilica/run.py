@@ -36,9 +36,6 @@ from multilica.steps.calibration_workers import open_calibration_workers
 from multilica.steps.required_libraries import require_libraries
 from multilica.workers import Workers
 
-__all__ = ["CalibrationRun", "default_directory", "run_calibration"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationRun:
     """A result with the files that hold it.

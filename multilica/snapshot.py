@@ -8,9 +8,6 @@ import numpy as np
 from multilica.errors import UnknownNameError
 from multilica.geometry import Float32Array, FloatArray, RigidTransform, read_only
 
-__all__ = ["Float32Array", "LidarScans", "Scan", "Snapshot"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
     """One frame of one LiDAR.

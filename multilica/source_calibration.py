@@ -13,9 +13,6 @@ from multilica.results import CalibrationResult
 from multilica.snapshot import Snapshot
 from multilica.workers import Workers
 
-__all__ = ["calibrate"]
-
-
 def calibrate(
     source: Snapshot | PathLike | Sequence[PathLike],
     config: CalibrationConfig | None = None,

@@ -10,16 +10,6 @@ import ctypes
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-__all__ = [
-    "OPEN3D",
-    "SOFTWARE_DRIVER",
-    "apt_command",
-    "loads",
-    "missing_for_open3d",
-    "missing_for_pictures",
-    "vulkan_drivers",
-]
-
 OPEN3D: Mapping[str, str] = {
     "libusb-1.0.so.0": "libusb-1.0-0",
     "libGL.so.1": "libgl1",

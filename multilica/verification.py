@@ -21,8 +21,6 @@ from multilica.steps.pairs import register_sides, score_implied
 from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
 
-__all__ = ["FoundRig", "find_near"]
-
 # Fewer points in common say nothing.
 _MIN_COMMON = 100
 # Verdicts on poses that stand alone.

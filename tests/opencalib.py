@@ -13,8 +13,6 @@ from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
-__all__ = ["CONFIG", "DATA", "MISSING", "SOURCES", "TRUTH", "is_true", "read_clouds", "turned_snapshot", "unturned"]
-
 DATA = Path(__file__).parents[2] / "shared" / "data" / "opencalib-0001"
 MISSING = "the real scans are not beside this checkout (../shared/data)"
 CONFIG = with_overrides(CalibrationConfig(), ["target=top"])

@@ -7,8 +7,6 @@ import sys
 
 from multilica_cli.signals import Interrupted, end_on_signals, print_line, unwind_on_signals
 
-__all__ = ["main"]
-
 _OBJECTS_BEFORE_COLLECTION = 500_000
 """More than the modules of all libraries have: a run leaves a thousand objects to collect, so collections, by default
 after each 700 new objects, take time for nothing."""

@@ -14,8 +14,6 @@ from multilica.errors import UsageError
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
-__all__ = ["ingest_options", "inline_toml", "resolve_config", "sigma_limits", "topic_names"]
-
 _LONGEST_LOG_S = 1e8
 """Three years; larger numbers of --start are seconds since 1970."""
 

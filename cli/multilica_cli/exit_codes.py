@@ -18,14 +18,6 @@ from multilica_cli.terminal import printable, wrapped
 if TYPE_CHECKING:
     from multilica.run import CalibrationRun
 
-__all__ = [
-    "DEBUG_VARIABLE",
-    "ExitCode",
-    "describe_failure",
-    "exit_code",
-    "print_failure",
-]
-
 DEBUG_VARIABLE = "MULTILICA_DEBUG"
 """Environment variable; 1 adds the traceback to each failure."""
 _LONGEST = 500

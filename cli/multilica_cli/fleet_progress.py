@@ -23,8 +23,6 @@ from multilica_cli.terminal import stderr_console
 if TYPE_CHECKING:
     from multilica.fleet.fleet_run import LogFinished, LogsPlanned
 
-__all__ = ["show_fleet"]
-
 _BAD = ("refused", "failed")
 
 

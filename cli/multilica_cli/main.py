@@ -23,8 +23,6 @@ from multilica_cli.commands.simulate import simulate
 from multilica_cli.exit_codes import print_failure
 from multilica_cli.signals import Interrupted, received
 
-__all__ = ["app", "run"]
-
 app = App(
     name="multilica",
     no_args_is_help=True,

@@ -8,29 +8,6 @@ import typer
 
 from multilica.errors import UsageError
 
-__all__ = [
-    "ConfigFile",
-    "FleetStore",
-    "Frames",
-    "Json",
-    "MaxSigma",
-    "McapEncoding",
-    "Preset",
-    "PriorSource",
-    "Quiet",
-    "Record",
-    "Settings",
-    "Sources",
-    "Start",
-    "Strict",
-    "Topics",
-    "Window",
-    "WindowSeconds",
-    "Workers",
-    "local_path",
-    "mcap_name",
-]
-
 Sources = Annotated[
     list[str],
     typer.Argument(

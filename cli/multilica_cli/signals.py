@@ -7,8 +7,6 @@ import sys
 import time
 from types import FrameType
 
-__all__ = ["PREFIX", "Interrupted", "end_on_signals", "print_line", "received", "unwind_on_signals"]
-
 PREFIX = "multilica: "
 """Start of each line of this program on stderr."""
 

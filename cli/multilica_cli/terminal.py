@@ -11,8 +11,6 @@ from rich.text import Text
 
 from multilica.errors import escape_controls
 
-__all__ = ["print_json", "printable", "stderr_console", "stdout_console", "wrapped"]
-
 _WIDTH_OF_FILES = 160
 
 

@@ -15,8 +15,6 @@ from multilica.results.document.result import schema_text
 from multilica.sinks.text.markdown import markdown_table
 from multilica_cli.commands.config import configuration_page
 
-__all__ = ["FOLDER", "generated_pages"]
-
 FOLDER = Path(__file__).resolve().parents[1] / "reference"
 _MADE = "<!-- Made by `make docs`. -->\n\n"
 _RESULT_HEAD = """# result.json

@@ -11,17 +11,6 @@ from multilica.geometry import FloatArray, largest_index
 from multilica.results import PairRegistration, Reason, Registration, Stability, Verdict, VisibilityScore
 from multilica.results.visibility_score import DISTANCE_WEIGHT, DISTINCTIVE_WEIGHT, HIDDEN_WEIGHT
 
-__all__ = [
-    "accept",
-    "accept_by_fitness",
-    "competing_poses",
-    "hopeless_below",
-    "imprecision",
-    "is_firm",
-    "is_hopeless",
-    "slides",
-]
-
 # A competing pose with the same attitude, this much of whose offset lies along the slide, is the end of a slide.
 _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9

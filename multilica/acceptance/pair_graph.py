@@ -7,9 +7,6 @@ from dataclasses import dataclass, field
 from multilica.geometry import RigidTransform
 from multilica.results import PairRegistration
 
-__all__ = ["PairGraph"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PairGraph:
     """LiDARs with the pairs that link them.

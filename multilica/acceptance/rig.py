@@ -15,8 +15,6 @@ from multilica.registration.poses import is_distinct, is_near
 from multilica.results import PairRegistration, Reason, Registration, Verdict, VisibilityScore
 from multilica.visibility.sensor_view import ScorePose
 
-__all__ = ["ScoreTurned", "check_ambiguous_chains", "check_cycles", "check_scene_symmetry", "is_contradicted"]
-
 _CODE = "cycle_contradicted"
 # A smaller turn is no symmetry of a building; halls and garages have those of 90 and 180 degrees.
 _TURNED_RAD = np.deg2rad(45.0)

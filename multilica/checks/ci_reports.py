@@ -12,8 +12,6 @@ from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, join
 from multilica.errors import escape_controls
 from multilica.sinks.files.atomic import atomic_file, write_text_atomically
 
-__all__ = ["code_quality_json", "github_annotations", "junit_xml", "summary_markdown", "write_reports"]
-
 _WORDS: dict[CheckVerdict, str] = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
 _BAR = 10
 # A bar ends at twice the tolerance.

@@ -14,8 +14,6 @@ from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import SavedPlacement, SavedRun
 
-__all__ = ["CheckVerdict", "LidarCheck", "RigCheck", "check_rig", "joint_verdict", "relative_covariance"]
-
 CheckVerdict = Literal["within", "outside", "undecided"]
 
 # A difference of less is explained by the uncertainty of the result: with correct covariances, one in 370 is larger.

@@ -8,8 +8,6 @@ from PIL import Image, ImageDraw, ImageFont
 
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck
 
-__all__ = ["check_png"]
-
 _WIDTH_PX, _ROW_PX, _MARGIN_PX, _NAME_PX, _FONT_PX = 960, 44, 24, 220, 16
 # The scale ends at twice the tolerance.
 _FULL_SHARE = 2.0

@@ -10,8 +10,6 @@ from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 
-__all__ = ["RigTolerances", "Tolerance", "read_tolerances"]
-
 _Metres = Annotated[float, Strict(), Field(gt=0.0, le=100.0)]
 _Degrees = Annotated[float, Strict(), Field(gt=0.0, le=180.0)]
 

@@ -11,9 +11,6 @@ from multilica.runs.run_documents import SavedPlacement, SavedRun
 from multilica.snapshot import Snapshot
 from multilica.verification import FoundRig, find_near
 
-__all__ = ["check_found", "decide_unplaced", "saved_rig", "verify_snapshot"]
-
-
 def verify_snapshot(
     snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances, config: CalibrationConfig | None = None
 ) -> RigCheck:

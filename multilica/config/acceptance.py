@@ -5,9 +5,6 @@ from pydantic import Field
 
 from multilica.config.section import NotNegative, Positive, PositiveMetres, Section
 
-__all__ = ["AcceptanceConfig"]
-
-
 class AcceptanceConfig(Section):
     """Limits that a registration has to keep, alone and against competing poses."""
 

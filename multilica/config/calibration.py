@@ -18,8 +18,6 @@ from multilica.config.runtime import RecordConfig, RuntimeConfig
 from multilica.config.section import Section
 from multilica.config.verify import VerifyConfig, VisibilityConfig
 
-__all__ = ["PRESETS", "STAGES", "CalibrationConfig", "Stage"]
-
 Stage = Literal[
     "ingest", "preprocess", "features", "correspond", "coarse", "verify", "fine", "merge", "refine", "ground"
 ]

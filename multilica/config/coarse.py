@@ -7,9 +7,6 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
-__all__ = ["CoarseConfig"]
-
-
 class CoarseConfig(Section):
     """Hypotheses from matches."""
 

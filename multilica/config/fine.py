@@ -7,9 +7,6 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
-__all__ = ["FineConfig"]
-
-
 class FineConfig(Section):
     """GICP of the finalists, and of the best of them on all points."""
 

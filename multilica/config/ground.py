@@ -5,9 +5,6 @@ from pydantic import Field
 
 from multilica.config.section import Count, PositiveMetres, Section
 
-__all__ = ["GroundConfig"]
-
-
 class GroundConfig(Section):
     """The plane under the vehicle."""
 

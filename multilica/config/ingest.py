@@ -8,9 +8,6 @@ from pydantic import Field, field_validator
 
 from multilica.config.section import Count, Positive, Section
 
-__all__ = ["IngestConfig"]
-
-
 class IngestConfig(Section):
     """Which part of the recording is read."""
 

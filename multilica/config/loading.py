@@ -15,8 +15,6 @@ from multilica.config.unused import leaf_keys, refuse_unused
 from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited, shown
 from multilica.errors import ConfigError, UnknownNameError
 
-__all__ = ["known_keys", "load_config", "preset", "read_config_table", "with_overrides"]
-
 _MAX_KEYS = 16
 """Parts of a key of a setting."""
 

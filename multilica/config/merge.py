@@ -7,9 +7,6 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section, Share
 
-__all__ = ["JointConfig", "MergeConfig", "RefineConfig"]
-
-
 class MergeConfig(Section):
     """Growth of the calibrated cloud."""
 

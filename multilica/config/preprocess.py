@@ -5,9 +5,6 @@ from pydantic import Field
 
 from multilica.config.section import Metres, Positive, PositiveMetres, Section, Share
 
-__all__ = ["HealthConfig", "PreprocessConfig", "StillnessConfig"]
-
-
 class StillnessConfig(Section):
     """Detection of moving objects and of a moving vehicle."""
 

@@ -7,9 +7,6 @@ from pydantic import Field
 
 from multilica.config.section import NotNegative, Positive, Section
 
-__all__ = ["RecordConfig", "RuntimeConfig"]
-
-
 class RuntimeConfig(Section):
     """Worker processes and random numbers."""
 

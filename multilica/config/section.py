@@ -7,8 +7,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
 
 from multilica.documents import require_length
 
-__all__ = ["Count", "Metres", "NotNegative", "Positive", "PositiveMetres", "Section", "Share"]
-
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
 Positive = Annotated[float, Strict(), Field(gt=0.0)]
 PositiveMetres = Annotated[float, Strict(), Field(gt=0.0), AfterValidator(require_length)]

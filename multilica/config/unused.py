@@ -7,8 +7,6 @@ from typing import Any
 from multilica.config.calibration import CalibrationConfig
 from multilica.errors import ConfigError
 
-__all__ = ["leaf_keys", "refuse_unused"]
-
 _TEASER = ("maximum_clique", "teaserpp")
 _USED_WITH: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "fine.rotation_epsilon_rad": ("fine.engine", ("small_gicp",)),

@@ -5,9 +5,6 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
-__all__ = ["VerifyConfig", "VisibilityConfig"]
-
-
 class VisibilityConfig(Section):
     """Scoring of a pose by free space: which points are tested, how near counts as equal."""
 

@@ -15,8 +15,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.stages.stillness import detect_motion
 
-__all__ = ["read_scenes"]
-
 _PERIOD_NS = 100_000_000
 """All four LiDARs scan at 10 Hz."""
 

@@ -17,8 +17,6 @@ from multilica.ingest.point_files.point_table import PointTable
 from multilica.pointcloud2 import PointField
 from multilica.snapshot import Scan
 
-__all__ = ["LIDARS", "ScanFiles", "find_scan_files", "find_sequence", "point_layout"]
-
 LIDARS = ("Ouster", "Velodyne", "Avia", "Aeva")
 """Names of the folders below ``LiDAR/``, the reference first."""
 LAST_SHORT_AEVA_NS = 1_691_936_557_946_849_179

@@ -15,8 +15,6 @@ from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
 from multilica.snapshot import LidarScans, Snapshot
 
-__all__ = ["AGREED", "read_scenes"]
-
 _PATHS_FILE = "lidar_cloud_path.txt"
 _TARGET = "top"
 _ENTRY = re.compile(r"device_id:[ \t]*(\d+)[ \t]*\r?\n[ \t]*path:[ \t]*(\S+)")

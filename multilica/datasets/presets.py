@@ -21,9 +21,6 @@ from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Snapshot
 
-__all__ = ["DatasetRuns", "PresetRuns", "run_presets"]
-
-
 @dataclass(slots=True, eq=False)
 class PresetRuns:
     """The runs of one preset, those with a truth beside it; `stages_s` are the times of the stages of each run."""

@@ -13,8 +13,6 @@ from multilica.geometry import RigidTransform
 from multilica.runs import SavedPlacement, SavedRun, Tolerances, Truth
 from multilica.runs.paper_table import PaperTable, paper_table
 
-__all__ = ["Published", "published"]
-
 _Pose = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 

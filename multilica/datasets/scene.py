@@ -10,9 +10,6 @@ from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.snapshot import Snapshot
 
-__all__ = ["DatasetScene", "Reader", "SceneRequest"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DatasetScene:
     """What a vehicle that stands still saw.

@@ -11,8 +11,6 @@ from multilica.geometry import FloatArray
 from multilica.snapshot import Scan
 from multilica.stages.stillness import detect_motion
 
-__all__ = ["ScanReader", "stops_by_poses", "stops_by_scans"]
-
 ScanReader = Callable[[Iterable[int]], Sequence[Scan]]
 """A function that reads the scans of those stamps."""
 _LOOKS_EVERY_NS = 2_000_000_000

@@ -11,8 +11,6 @@ from scipy.spatial.transform import Rotation, Slerp
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import FloatArray, RigidTransform
 
-__all__ = ["Stamps", "Trajectory", "read_trajectory"]
-
 Stamps = npt.NDArray[np.int64]
 
 

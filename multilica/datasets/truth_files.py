@@ -10,8 +10,6 @@ from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.extrinsics import Extrinsics, read_extrinsics
 from multilica.geometry import RigidTransform
 
-__all__ = ["MAIN_LIDAR", "find_truth", "read_truth"]
-
 MAIN_LIDAR = "main_lidar"
 """The reference LiDAR in the evaluation files that the paper's authors publish."""
 _NAMES = ("truth.toml", "truth.yaml", "config.yaml")

@@ -5,8 +5,6 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from multilica.diagnosis.explanation import Cause
 
-__all__ = ["ADVICE", "PRIOR_ADVICE", "REASON_WORDS", "WORDS", "by_weight", "cause_of_codes", "step_of"]
-
 _REASONS: Mapping[str, tuple[Cause, str]] = {
     "against_prior": ("against_prior", "contradicts the prior"),
     "too_little_evidence": ("no_overlap", "too little evidence"),

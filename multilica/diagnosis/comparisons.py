@@ -7,8 +7,6 @@ from multilica.diagnosis.causes import REASON_WORDS, by_weight
 from multilica.diagnosis.explanation import DecisivePair
 from multilica.results.document import PairEntry, ResultDocument
 
-__all__ = ["contested_places", "crossing_pairs", "decisive_pair", "group_of", "merge_refusal", "next_best_sentence"]
-
 _RANK = {"accept": 0, "uncertain": 1, "undecided": 2, "reject": 3}
 
 

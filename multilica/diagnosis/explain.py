@@ -19,8 +19,6 @@ from multilica.diagnosis.uncertain import explain_uncertain
 from multilica.diagnosis.unfinished import known_so_far, progress_sentence
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 
-__all__ = ["explain"]
-
 _BEFORE_PLACES = STAGES[: STAGES.index("merge")]
 _OUTLIER_WEIGHT = 0.5
 

@@ -5,8 +5,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Cause", "DecisivePair", "Explanation", "Missing", "Placed", "Uncertain"]
-
 Cause = Literal[
     "dead_sensor",
     "no_returns_in_range",

@@ -6,9 +6,6 @@ from collections.abc import Iterator
 from multilica.results.document import ResultDocument
 from multilica.results.document.stages import StageFigures, VerifyFigures
 
-__all__ = ["known_so_far", "progress_sentence"]
-
-
 def progress_sentence(document: ResultDocument) -> str:
     """Return where the run ended."""
     progress = document.progress

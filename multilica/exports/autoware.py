@@ -13,8 +13,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
-__all__ = ["autoware_yaml", "read_autoware", "updated_autoware"]
-
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 _WIDTH = 4096
 """Long lines stay as they are."""

@@ -12,8 +12,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
-__all__ = ["csv_text", "read_csv"]
-
 _XYZ, _QUATERNION, _ANGLES = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw"), ("roll_deg", "pitch_deg", "yaw_deg")
 _READ = ("target", "source", *_XYZ, *_QUATERNION)
 

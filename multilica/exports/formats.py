@@ -11,8 +11,6 @@ from typing import Any
 from multilica.errors import UnknownNameError, UsageError
 from multilica.extrinsics import Extrinsics
 
-__all__ = ["CLOUD_FORMATS", "FORMATS", "ExchangeFormat", "format_named"]
-
 Writer = Callable[[Extrinsics], str | bytes]
 Reader = Callable[[Path], Extrinsics]
 

@@ -7,8 +7,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import Joint
 
-__all__ = ["extrinsics_of_joints", "extrinsics_of_poses"]
-
 _MAX_LISTED = 3
 _MAX_FRAMES = 2000
 """Vehicles have a tenth of it."""

@@ -11,8 +11,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
-__all__ = ["MATRIX", "kalibr_yaml", "read_kalibr"]
-
 MATRIX = "T_base_lidar"
 
 

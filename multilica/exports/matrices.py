@@ -13,8 +13,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import MATRIX_FRAMES, child_poses, matrix_text, number_list
 
-__all__ = ["KITTI_LINE", "kitti_text", "matrix_text", "read_kitti", "read_matrices"]
-
 KITTI_LINE = re.compile(r"^Tr_(?P<source>\S{1,255}?)_to_(?P<target>\S{1,255}?): *(?P<numbers>.*)$", re.MULTILINE)
 
 

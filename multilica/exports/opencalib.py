@@ -12,8 +12,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import child_poses
 
-__all__ = ["opencalib_json", "read_opencalib"]
-
 _NAME = re.compile(r"(.+)-to-(.+)-extrinsic")
 _DOUBLE = 6
 """OpenCV's number of the type of 64-bit floats."""

@@ -15,8 +15,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.extrinsics import read_extrinsics as read_table
 from multilica.ingest.transforms.urdf import parse_xml
 
-__all__ = ["read_extrinsics"]
-
 _BY_SUFFIX: Mapping[str, str] = {
     ".toml": "toml",
     ".urdf": "urdf",

@@ -22,15 +22,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import child_poses
 
-__all__ = [
-    "command_lines",
-    "launch_python",
-    "launch_yaml",
-    "read_command_lines",
-    "read_launch_python",
-    "read_launch_yaml",
-]
-
 _PYTHON = """\
 from launch import LaunchDescription
 from launch_ros.actions import Node

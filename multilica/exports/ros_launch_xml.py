@@ -21,9 +21,6 @@ from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import parse_xml
 from multilica.sinks.text.extrinsics_text import child_poses
 
-__all__ = ["read_launch_xml", "ros1_launch_xml", "ros2_launch_xml"]
-
-
 def ros1_launch_xml(extrinsics: Extrinsics) -> str:
     """Return a launch file of ROS 1."""
     return _launch(extrinsics, "type", ros1_arguments)

@@ -16,8 +16,6 @@ from multilica.geometry import RigidTransform
 from multilica.results.document import ResultDocument
 from multilica.results.document.result import GroundEntry
 
-__all__ = ["FrameNames", "RunRig", "rig_of_run"]
-
 FrameNames = Literal["names", "ids"]
 
 

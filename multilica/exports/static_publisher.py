@@ -14,16 +14,6 @@ from multilica.exports.values import numbers, pose_of_quaternion, pose_of_rpy
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import number_text
 
-__all__ = [
-    "EXECUTABLE",
-    "PACKAGE",
-    "node_name",
-    "pose_of_arguments",
-    "ros1_arguments",
-    "ros2_arguments",
-    "split_arguments",
-]
-
 EXECUTABLE = "static_transform_publisher"
 PACKAGE = "tf2_ros"
 _LEGACY_PACKAGE = "tf"

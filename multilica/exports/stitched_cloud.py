@@ -17,8 +17,6 @@ from multilica.optional_libraries import needed_for
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.files.run_files import MCAP
 
-__all__ = ["StitchedCloud", "cloud_content", "read_stitched_cloud"]
-
 _LAS_SCALE_M = 1e-4
 
 

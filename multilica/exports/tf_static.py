@@ -12,9 +12,6 @@ from multilica.ingest.transforms.static_transforms import read_static_transforms
 from multilica.sinks.mcap.static_transforms_mcap import static_transforms_mcap
 from multilica.sinks.text.extrinsics_text import child_poses
 
-__all__ = ["read_tf_static", "tf_static_mcap"]
-
-
 def tf_static_mcap(extrinsics: Extrinsics) -> bytes:
     """Return a ROS 2 recording with `/tf_static`."""
     return static_transforms_mcap(child_poses(extrinsics))

@@ -7,9 +7,6 @@ from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.text.extrinsics_text import child_poses
 
-__all__ = ["read_toml", "toml_extrinsics"]
-
-
 def toml_extrinsics(extrinsics: Extrinsics) -> str:
     """Return the table with a pose per frame."""
     poses = {pose.source: pose for pose in child_poses(extrinsics)}

@@ -8,9 +8,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.ingest.transforms.urdf import read_urdf
 from multilica.sinks.text.extrinsics_text import urdf_text
 
-__all__ = ["read_urdf_extrinsics", "urdf_text"]
-
-
 def read_urdf_extrinsics(path: Path) -> Extrinsics:
     """Read the pose of every link in the root link.
 

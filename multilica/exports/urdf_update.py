@@ -14,8 +14,6 @@ from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import Joint, read_urdf
 from multilica.sinks.text.extrinsics_text import child_poses, number_list
 
-__all__ = ["updated_urdf"]
-
 _TAG = rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>"""
 _ATTRIBUTE = rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')"""
 

@@ -16,17 +16,6 @@ from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import MAX_ANGLE_RAD
 from multilica.sinks.text.extrinsics_text import number_list
 
-__all__ = [
-    "mapping_of",
-    "numbers",
-    "pose_of_matrix",
-    "pose_of_quaternion",
-    "pose_of_rpy",
-    "quoted",
-    "read_text",
-    "read_yaml",
-]
-
 _MAX_BYTES = 256 << 10
 """The poses of a hundred LiDARs take a tenth of it."""
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./-]*")

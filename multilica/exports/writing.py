@@ -16,8 +16,6 @@ from multilica.ingest.remote.address import local_output
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.files.atomic import atomic_file
 
-__all__ = ["RunExport", "export_extrinsics", "export_run"]
-
 _UPDATES: Mapping[str, Callable[[Path, Extrinsics], bytes]] = {"urdf": updated_urdf, "autoware": updated_autoware}
 
 

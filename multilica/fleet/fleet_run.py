@@ -21,8 +21,6 @@ from multilica.fleet.units.guard import UnitLimits, identify_guarded, run_guarde
 from multilica.fleet.units.unit_request import Calibrate, UnitRequest, UnitSummary
 from multilica.scratch import scratch_folder
 
-__all__ = ["FleetOptions", "FleetOutcome", "LogFinished", "LogsPlanned", "run_fleet"]
-
 # Units that wait at the executor for each that runs, so that none waits for the driver.
 _AHEAD = 2
 

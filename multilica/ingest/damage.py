@@ -6,8 +6,6 @@ from contextlib import contextmanager
 
 from multilica.errors import MultilicaError, UnreadableSourceError
 
-__all__ = ["DamagedRecordingError", "damage_named", "reason_of"]
-
 _REASONS = {
     "its records make no sense": "AssertionError AttributeError IndexError OSError TypeError UnicodeDecodeError error",
     "a checksum does not match its data": "CRCValidationError",

@@ -9,16 +9,6 @@ from isal.isal_zlib import crc32 as crc32_of
 
 from multilica.ingest.memory import memory_budget
 
-__all__ = [
-    "MAX_RECORDS",
-    "MAX_UNPACKED_BYTES",
-    "UNCOMPRESSED",
-    "ZSTD_MAGIC",
-    "require_checksum",
-    "unpack",
-    "unpack_zstd_message",
-]
-
 MAX_UNPACKED_BYTES = 512 << 20
 """Limit of a chunk or message; no real recording has larger ones."""
 MAX_RECORDS = 1 << 20

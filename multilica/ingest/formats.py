@@ -12,8 +12,6 @@ from multilica.errors import UnreadableSourceError
 from multilica.ingest.decompression import ZSTD_MAGIC
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["FORMATS", "Content", "FileFormat", "detect_format", "name_unpacked", "named_format", "require_format"]
-
 HEAD_BYTES = 1024
 
 

@@ -16,8 +16,6 @@ from multilica.ingest.point_files.cloud_files import FrameFiles
 from multilica.ingest.remote.address import require_readable, scheme_of
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 
-__all__ = ["PathLike", "Source", "find_source", "locate", "require_distinct"]
-
 PathLike = str | SourceFile
 
 _LISTED = 5

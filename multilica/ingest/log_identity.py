@@ -20,8 +20,6 @@ from multilica.ingest.recording import sanitize_text
 from multilica.ingest.remote.error_texts import ConnectionLostError
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["VEHICLE_KEYS", "LogIdentity", "identify_log"]
-
 VEHICLE_KEYS = ("vehicle", "vehicle_id", "vehicle_name", "robot", "robot_id")
 """Keys, in any metadata record of an MCAP file or in `custom_data` of a ROS 2 bag, of the vehicle's name."""
 

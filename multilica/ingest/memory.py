@@ -18,8 +18,6 @@ import numpy as np
 from multilica.config import IngestConfig
 from multilica.errors import InputError
 
-__all__ = ["MemoryBudget", "MemoryLimitError", "limited_memory", "memory_budget", "require_decodable"]
-
 _BYTES_PER_MB = 1_000_000
 _DECODED_PER_BYTE = 8
 """Text with a few digits per number, or one byte per coordinate; most points shrink when they are decoded."""

@@ -11,8 +11,6 @@ from importlib import import_module
 from multilica.ingest.formats import FORMATS, Content
 from multilica.optional_libraries import OPTIONAL_LIBRARIES
 
-__all__ = ["MESSAGE_TYPES", "OTHER_PACKETS", "OUSTER", "OUSTER_TURN", "MessageType", "is_installed", "is_packets"]
-
 OUSTER_TURN = "ouster"
 """Encoding of a message that holds the sensor's metadata and all packets of one turn."""
 OTHER_PACKETS = "ouster, no returns"

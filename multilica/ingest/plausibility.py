@@ -12,8 +12,6 @@ from multilica.ingest.transforms.prior import poses_from
 from multilica.ingest.transforms.urdf import Joint
 from multilica.snapshot import LidarScans, Scan
 
-__all__ = ["plausibility_notes"]
-
 _MAX_POINTS = 4000
 _MIN_POINTS = 200
 # The farthest LiDARs of vehicles reach 500 m, and half of the returns of any lie within a few tens of metres.

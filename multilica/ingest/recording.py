@@ -10,20 +10,6 @@ from typing import Protocol, TypeAlias
 
 from multilica.errors import escape_controls
 
-__all__ = [
-    "MessageObserver",
-    "Messages",
-    "RawMessage",
-    "Recording",
-    "Span",
-    "Topic",
-    "WrappedRecording",
-    "joint_span",
-    "joint_topics",
-    "normal_type",
-    "sanitize_text",
-]
-
 Span = tuple[int, int]
 """Log times of the first and the last message, in nanoseconds."""
 MessageObserver = Callable[[str, int], None]

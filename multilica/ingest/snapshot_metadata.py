@@ -17,8 +17,6 @@ from multilica.ingest.remote.address import is_live
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
 
-__all__ = ["SnapshotMetadata", "config_for", "frames_recorded", "notes_recorded"]
-
 _PREFIX = "When it was recorded: "
 _MAX_FRAMES = 1_000_000
 

@@ -25,15 +25,6 @@ from multilica.ingest.snapshot_metadata import config_for, notes_recorded
 from multilica.ingest.transforms.static_transforms import StaticTransforms, read_static_transforms
 from multilica.snapshot import LidarScans, Snapshot
 
-__all__ = [
-    "TakenSnapshot",
-    "assemble_snapshot",
-    "read_snapshot",
-    "sha256_of_files",
-    "take_snapshot",
-    "with_recorded_notes",
-]
-
 WHOLE_FILE_BYTES = 256 << 20
 """Of larger files, only the size, the beginning and the end are hashed."""
 _EDGE_BYTES = 64 << 20

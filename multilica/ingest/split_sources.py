@@ -17,9 +17,6 @@ from multilica.ingest.selection.window import collect_frames
 from multilica.ingest.snapshot_reader import assemble_snapshot
 from multilica.snapshot import Snapshot
 
-__all__ = ["SnapshotSource", "find_snapshots", "require_calibratable", "require_lidar"]
-
-
 @dataclass(frozen=True, slots=True)
 class SnapshotSource:
     """The sources of one snapshot, for `read_snapshot`.

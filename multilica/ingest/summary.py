@@ -24,8 +24,6 @@ from multilica.ingest.split_sources import require_calibratable
 from multilica.ingest.transforms.static_transforms import read_static_transforms
 from multilica.snapshot import Snapshot
 
-__all__ = ["CloudTopicSummary", "OtherTopicSummary", "SourceSummary", "inspect_source"]
-
 _NS_PER_S = 1e9
 
 

@@ -12,8 +12,6 @@ from multilica.config import CalibrationConfig
 from multilica.multi_snapshot.estimate import Estimate, estimate_pairs
 from multilica.results import PairKey, PairRegistration, connected
 
-__all__ = ["Dispute", "SnapshotPairs", "blamed_lidars", "resolve_disputes"]
-
 SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
 """Per snapshot, the registrations that determine its poses."""
 

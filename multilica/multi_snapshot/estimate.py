@@ -11,9 +11,6 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Spread
 from multilica.stages.refine import RefinedRig, refine
 
-__all__ = ["Estimate", "chained", "estimate_pairs", "estimate_poses", "scatter_ratio", "spread_of"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """A pose with its covariance (6, 6): rotation (rad), translation (m), along the axes of the pose's target."""

@@ -27,9 +27,6 @@ from multilica.results.deviations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
 from multilica.steps.outcome import contested_place
 
-__all__ = ["SnapshotRun", "choose_target", "join", "require_joinable"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SnapshotRun:
     """One snapshot with its own calibration.

@@ -20,9 +20,6 @@ from multilica.stages.ground import estimate_level
 from multilica.stages.preprocess import preprocess
 from multilica.steps.rig import ground_under
 
-__all__ = ["replay", "shown_snapshot"]
-
-
 def shown_snapshot(result: CalibrationResult) -> str:
     """Return the name of the first snapshot that agrees with the joint result on the most LiDARs."""
 

@@ -16,8 +16,6 @@ from multilica.geometry import FloatArray
 from multilica.registration.neighbours import smallest_principal
 from multilica.results import IndexArray
 
-__all__ = ["FPFH_BINS", "Neighbourhoods", "compute_fpfh", "estimate_normals"]
-
 FPFH_BINS = 33
 """Bins of a descriptor: 11 for each of the three angles of a pair of points."""
 

@@ -14,8 +14,6 @@ from multilica.registration.lazy_open3d import o3d
 from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.results import GicpStep, PairRegistration
 
-__all__ = ["fitness_and_rmse", "register", "register_narrower"]
-
 # Iterations between two recorded steps.
 _OBSERVED_ITERATIONS = 3
 

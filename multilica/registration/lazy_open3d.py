@@ -9,8 +9,6 @@ from typing import Any
 
 from multilica.optional_libraries import needed_for
 
-__all__ = ["o3d", "open3d_for"]
-
 _PLOTS = "open3d.visualization.draw_plotly"
 
 

@@ -11,8 +11,6 @@ from multilica.geometry import FloatArray, lengths
 from multilica.registration.lazy_open3d import o3d
 from multilica.results import IndexArray
 
-__all__ = ["MovedPoints", "PointTree", "Surface", "smallest_principal", "spread_and_normals", "thin", "thin_from_cloud"]
-
 # Along the longest side of a cloud: metres per cell, so that a grid costs less than the tree.
 _GRID_CELLS = 100
 

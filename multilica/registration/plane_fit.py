@@ -12,8 +12,6 @@ from multilica.registration.poses import moved
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.registration.stability import arc_between_m
 
-__all__ = ["fit_planes", "pose_information"]
-
 # Three matches per degree of freedom, rounded up.
 _MIN_MATCHES = 20
 

@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import Hypothesis, Registration
 
-__all__ = ["is_distinct", "is_near", "moved", "slid_hypotheses", "within_baseline"]
-
 # Poses as near as this lie in one basin of GICP.
 _SAME_POSE_M = 0.3
 _SAME_POSE_RAD = float(np.deg2rad(3.0))

@@ -12,8 +12,6 @@ from multilica.geometry import FloatArray
 from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import PointTree, Surface, thin, thin_from_cloud
 
-__all__ = ["RegistrationCloud", "prepare_registration_cloud"]
-
 # Growth of the voxels until the cloud is small enough: a step removes about a third of the points.
 _COARSER = 1.2
 

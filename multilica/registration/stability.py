@@ -11,15 +11,6 @@ from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import PairRegistration, Stability
 from multilica.results.deviations import weakest_sigmas
 
-__all__ = [
-    "arc_between_m",
-    "check_stability",
-    "pushed_ends",
-    "weakest_curvature",
-    "widened",
-]
-
-
 def weakest_curvature(registration: PairRegistration) -> float:
     """Return the smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by `LEVER_ARM_M`."""
     inliers = registration.steps[-1].inliers if registration.steps else 0

@@ -15,8 +15,6 @@ from multilica.geometry import FloatArray, lengths
 from multilica.registration.neighbours import PointTree, Surface
 from multilica.results import BoolArray
 
-__all__ = ["SEEN_SHIFT_M", "Structure", "Track", "explained_share", "register_frames", "track_frames"]
-
 _NEIGHBOURS = 15
 # A car at 50 km/h goes 1.4 m in a frame.
 _REACHES_M = (1.5, 0.75, 0.4)

@@ -17,8 +17,6 @@ from multilica.results.registrations import PairRegistration
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["LEVEL_FRAME", "CalibrationResult", "Refusal", "SnapshotDeviation", "SnapshotReport", "Status", "TimeLimit"]
-
 LEVEL_FRAME = "level"
 
 Status = Literal["complete", "partial", "failed"]

@@ -7,8 +7,6 @@ from dataclasses import dataclass, field, replace
 from multilica.geometry import Float32Array, FloatArray
 from multilica.results.registrations import Reason
 
-__all__ = ["FeatureCloud", "PreprocessedCloud", "SensorHealth"]
-
 _ENOUGH_RETURNS = 20_000
 
 

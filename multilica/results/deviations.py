@@ -5,9 +5,6 @@ import numpy as np
 
 from multilica.geometry import FloatArray
 
-__all__ = ["weakest_deviations", "weakest_sigmas"]
-
-
 def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:
     """Return `weakest_deviations` of a pose with that (6, 6) information; None where it has none."""
     if information is None:

@@ -10,18 +10,6 @@ import numpy.typing as npt
 
 from multilica.geometry import FloatArray, RigidTransform
 
-__all__ = [
-    "PRIOR",
-    "BoolArray",
-    "CoarseResult",
-    "Correspondences",
-    "Hypothesis",
-    "IndexArray",
-    "PairKey",
-    "hypothesis_label",
-    "pose_name",
-]
-
 IndexArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 PairKey = tuple[str, str]

@@ -8,9 +8,6 @@ from dataclasses import dataclass
 
 from multilica.geometry import RigidTransform
 
-__all__ = ["Group", "MergeCandidate", "MergeDecision", "PairResidual", "Refinement"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
     """LiDARs whose poses relative to each other are known.

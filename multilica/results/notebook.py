@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from multilica.results.calibration import CalibrationResult
     from multilica.results.placements import LidarPlacement
 
-__all__ = ["TABLE_COLUMNS", "html_table", "table_rows"]
-
 TABLE_COLUMNS: Mapping[str, str] = {
     "lidar": "name of the LiDAR",
     "target": "name of the target LiDAR, whose axes all poses refer to",

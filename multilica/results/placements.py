@@ -10,8 +10,6 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import PairKey
 from multilica.results.registrations import Registration
 
-__all__ = ["ContestedPlace", "GroundPlane", "LidarPlacement", "PlacementStatus", "SigmaOrigin", "Spread"]
-
 PlacementStatus = Literal["placed", "uncertain", "not_placed"]
 """Uncertain: one pose stands alone and uncontradicted, but its standard deviation is above the limit."""
 

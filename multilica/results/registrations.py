@@ -11,9 +11,6 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import hypothesis_label, pose_name
 from multilica.results.visibility_score import VisibilityScore
 
-__all__ = ["GicpStep", "PairRegistration", "Reason", "Registration", "Stability", "Verdict", "connected"]
-
-
 @dataclass(frozen=True, slots=True)
 class Stability:
     """How far a registered pose moves when it is disturbed. Rotations count as arcs at `LEVER_ARM_M`.

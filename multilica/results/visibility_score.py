@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from multilica.geometry import FloatArray
 
-__all__ = ["BeamLabel", "VisibilityScore"]
-
 PRIOR_LOG_ODDS = -8.3
 """Log-odds of a pose with nothing to be said for it or against it. This and the weights below are those of a logistic
 regression over registered poses of simulated rigs; see docs/decisions/0006-one-model-accepts.md."""

@@ -18,8 +18,6 @@ from multilica.runs.first_difference import Change, Parting, partings_of
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import RunDocument
 
-__all__ = ["DifferenceDocument", "RunDifference", "compare_poses", "compare_runs", "difference_document"]
-
 PlacementStatus = Literal["placed", "uncertain", "not placed", "missing"]
 
 

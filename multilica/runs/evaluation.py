@@ -15,20 +15,6 @@ from multilica.results.document.values import Entry
 from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
 from multilica.runs.run_documents import SavedPlacement, SavedRun
 
-__all__ = [
-    "UNCERTAIN_SIGMA",
-    "Comparison",
-    "Evaluation",
-    "LeftOut",
-    "Outcome",
-    "Summary",
-    "Tolerances",
-    "Truth",
-    "evaluate",
-    "summarise",
-    "truth_per_run",
-]
-
 Outcome = Literal["within", "between", "false_accept", "false_refuse", "uncertain_within", "uncertain_beyond"]
 
 UNCERTAIN_SIGMA = 3.0

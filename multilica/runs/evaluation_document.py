@@ -17,8 +17,6 @@ from multilica.runs.evaluation import Comparison, Evaluation, LeftOut, Outcome, 
 from multilica.runs.pose_error import PoseError
 from multilica.sinks.files.atomic import atomic_file
 
-__all__ = ["EvaluationDocument", "comparison_row", "evaluation_document", "require_table_name", "write_table"]
-
 _TABLE_SUFFIXES = (".parquet", ".csv")
 _TEXT_COLUMNS = frozenset({"run", "truth", "target", "lidar", "outcome", "reason"})
 

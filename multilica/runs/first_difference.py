@@ -12,8 +12,6 @@ from multilica.config import STAGES
 from multilica.results.document import ResultDocument
 from multilica.results.document.values import Entry
 
-__all__ = ["Change", "Parting", "changes_between", "partings_of"]
-
 # On another CPU equal runs agree to this.
 _SAME = 1e-6
 

@@ -11,9 +11,6 @@ from multilica.results.document.values import Entry, Number
 from multilica.runs.evaluation import LeftOut
 from multilica.runs.paper_table import AxisError, PaperSummary, PaperTable
 
-__all__ = ["PaperDocument", "paper_document"]
-
-
 class AxisErrorEntry(Entry):
     """Errors along the target's axes and about the source's; null if nothing was placed."""
 

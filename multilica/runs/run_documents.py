@@ -14,17 +14,6 @@ from multilica.geometry import FloatArray, RigidTransform, read_only
 from multilica.results.document import LidarEntry, ResultDocument, parse_result
 from multilica.sinks.files.result_files import RESULT_JSON
 
-__all__ = [
-    "RunDocument",
-    "SavedPlacement",
-    "SavedRun",
-    "explain_run",
-    "is_run",
-    "read_run",
-    "read_run_document",
-    "saved_run",
-]
-
 _RECORDINGS = ("recording.rrd", "recording.partial.rrd")
 _MCAPS = ("result.mcap", "result.partial.mcap")
 _OF_OPENCALIB = b'"sensor_calib"'

@@ -17,8 +17,6 @@ from multilica.sinks.rerun.reading import RecordedScores, read_recorded_clouds, 
 from multilica.sinks.rerun.viewer import viewer_picture
 from multilica.stages.ground import estimate_level
 
-__all__ = ["contents_of_run", "picture_of_run", "recording_of_run", "report_of_run"]
-
 _SIDE_PX = (64, 8192)
 _SAME_POSE = 1e-4
 """Metres and radians: a recording holds poses in single precision."""

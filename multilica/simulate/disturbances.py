@@ -15,19 +15,6 @@ from multilica.simulate.sensors import SensorModel, unit_directions
 from multilica.simulate.shapes.mesh import Mesh, merged
 from multilica.simulate.shapes.vehicles import pedestrian, truck
 
-__all__ = [
-    "DISTURBANCES",
-    "Walker",
-    "add_dirt",
-    "add_rain",
-    "blocked_beams",
-    "mask_ego",
-    "pedestrians",
-    "random_walkers",
-    "require_known",
-    "truck_beside",
-]
-
 DISTURBANCES: Mapping[str, str] = {
     "dead:<lidar>": "that LiDAR returns nothing",
     "dirty:<lidar>": "a connected half of that LiDAR's beams is blocked at its window",

@@ -14,8 +14,6 @@ from multilica.simulate.fleet_events import LEAST_LOGS, EventKind, PlannedEvent,
 from multilica.simulate.random_streams import random_stream
 from multilica.simulate.simulation import true_extrinsics
 
-__all__ = ["FleetPlan", "LogFault", "LogFormat", "PlannedLog", "plan_fleet"]
-
 LogFormat = Literal["snapshot", "ros2_mcap", "ros2_bag", "ros1_bag"]
 LogFault = Literal["truncated", "zeros", "empty", "text", "lfs_pointer"]
 

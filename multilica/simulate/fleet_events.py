@@ -10,8 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, RigidTransform
 
-__all__ = ["LEAST_LOGS", "EventKind", "PlannedEvent", "draw_event"]
-
 EventKind = Literal["jump", "creep", "dead"]
 
 _SIDE = 3

@@ -11,8 +11,6 @@ from multilica.registration.lazy_open3d import open3d_for
 from multilica.simulate.sensors import SensorModel
 from multilica.simulate.shapes.mesh import Mesh
 
-__all__ = ["Hits", "Surroundings", "measure", "nearer", "returned_points"]
-
 o3d = open3d_for("A simulation")
 
 

@@ -26,8 +26,6 @@ from multilica.simulate.scenes import SCENES
 from multilica.simulate.shapes.mesh import merged
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
-__all__ = ["Simulation", "simulate_snapshot", "true_extrinsics"]
-
 _FIRST_STAMP_NS = 1_767_225_600_000_000_000
 _FRAME_S = 0.1
 _SPEED_M_S = 3.0

@@ -9,8 +9,6 @@ from threading import Thread
 
 from multilica.events import Event, Observer
 
-__all__ = ["pass_aside"]
-
 # A signal that comes just before a wait does not wake it: its handler runs when the wait ends.
 _SIGNAL_CHECK_S = 0.2
 

@@ -29,9 +29,6 @@ from multilica.sinks.report.page import ReportFile
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
 
-__all__ = ["RunDirectory", "open_run"]
-
-
 class RunDirectory:
     """An observer that passes each event to every sink.
 

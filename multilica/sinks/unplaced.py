@@ -9,9 +9,6 @@ from multilica.results import PairKey
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 
-__all__ = ["Failure", "decisive_failure", "failures"]
-
-
 @dataclass(frozen=True, slots=True)
 class Failure:
     """A LiDAR that was not placed.

@@ -13,8 +13,6 @@ from multilica.solvers.consistency_graph import build_consistency_graph, grow_cl
 from multilica.solvers.robust_pose import align_points, robust_pose
 from multilica.solvers.solution import Solution
 
-__all__ = ["solve_by_cliques"]
-
 # Fewer points do not determine a pose.
 _MIN_MATCHES = 3
 # Several cliques lead to the same pose, so more are grown than hypotheses are asked for.

@@ -9,8 +9,6 @@ import numpy.typing as npt
 from multilica.geometry import FloatArray
 from multilica.results import BoolArray, Correspondences, IndexArray
 
-__all__ = ["build_consistency_graph", "grow_clique"]
-
 _Float32Array = npt.NDArray[np.float32]
 
 # Rows of the graph that are computed at once: as many as the processor's cache holds.

@@ -6,8 +6,6 @@ import numpy as np
 from multilica.config import CoarseConfig
 from multilica.geometry import FloatArray
 
-__all__ = ["decoupled_pose", "vote_translation"]
-
 # Far beyond it every weight is 0 or 1, so that it need not grow on until it overflows.
 _SHARPEST = 1e100
 

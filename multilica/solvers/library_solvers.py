@@ -12,8 +12,6 @@ from multilica.registration.lazy_open3d import open3d_for
 from multilica.results import Correspondences
 from multilica.solvers.solution import Solution
 
-__all__ = ["solve_by_fgr", "solve_by_kiss_matcher", "solve_by_ransac"]
-
 # As in the example of Open3D for FPFH matches, with ten times the iterations for more outliers.
 _RANSAC_ITERATIONS = 1_000_000
 _RANSAC_CONFIDENCE = 0.999

@@ -7,8 +7,6 @@ from scipy.sparse import csr_array
 from multilica.results import BoolArray, IndexArray
 from multilica.solvers.consistency_graph import grow_clique
 
-__all__ = ["maximum_clique"]
-
 # Greedy cliques from so many nodes with the most neighbours: one of them is nearly always as large as can be.
 _STARTS = 20
 # Share of the pairs of nodes that are connected.

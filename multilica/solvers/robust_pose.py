@@ -5,8 +5,6 @@ import numpy as np
 
 from multilica.geometry import FloatArray
 
-__all__ = ["align_points", "robust_pose"]
-
 # A larger factor takes fewer steps; twice is a compromise of Yang et al.'s 1.4 with time.
 _GNC_FACTOR = 2.0
 # Beyond it nearly every weight is 0 or 1.

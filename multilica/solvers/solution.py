@@ -5,9 +5,6 @@ from dataclasses import dataclass
 
 from multilica.geometry import RigidTransform
 
-__all__ = ["Solution"]
-
-
 @dataclass(frozen=True, slots=True)
 class Solution:
     """Poses that matches support.

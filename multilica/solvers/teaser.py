@@ -12,8 +12,6 @@ from multilica.solvers.decoupled_pose import decoupled_pose
 from multilica.solvers.maximum_clique import maximum_clique
 from multilica.solvers.solution import Solution
 
-__all__ = ["solve_by_maximum_clique", "solve_by_teaserpp"]
-
 # Rows of the graph that are computed at once, so that memory stays bounded.
 _BLOCK = 256
 

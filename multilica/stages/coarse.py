@@ -12,8 +12,6 @@ from multilica.registration.poses import is_distinct, is_near
 from multilica.results import PRIOR, CoarseResult, Correspondences, Hypothesis
 from multilica.solvers import SOLVERS, Solution, solver_in_use
 
-__all__ = ["find_hypotheses"]
-
 # Coarse poses as near as this converge to the same pose by GICP.
 _DISTINCT_M = 0.5
 _DISTINCT_RAD = float(np.deg2rad(5.0))

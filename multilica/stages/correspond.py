@@ -11,8 +11,6 @@ from multilica.registration.poses import is_near
 from multilica.results import Correspondences, FeatureCloud, IndexArray
 from multilica.solvers.cliques import solve_by_cliques
 
-__all__ = ["match_features", "pair_promise"]
-
 # From 1500 x 1500 to 8000 x 1500, the order of the pairs of 70 simulated snapshots was equally good within the noise.
 _PROMISE_TARGETS, _PROMISE_SOURCES = 1500, 1500
 

@@ -19,8 +19,6 @@ from multilica.results import Hypothesis, PairRegistration, Registration
 from multilica.results.deviations import weakest_sigmas
 from multilica.visibility.sensor_view import PlacedView, score_registration, score_visibility
 
-__all__ = ["Side", "prepare_side", "register_best", "select_finalists"]
-
 # A pose needs a test of stability unless this many times its sigma is below the limit.
 _SIGMA_MARGIN = 2.0
 # So many poses as likely as the best show that it slides: no constrained pose was found along the way.

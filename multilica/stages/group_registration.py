@@ -11,8 +11,6 @@ from multilica.registration.poses import is_distinct, is_near
 from multilica.registration.stability import arc_between_m
 from multilica.results import Group, Hypothesis, PairKey, PairRegistration, Registration, Verdict
 
-__all__ = ["RegisterGroups", "poses_between", "register_groups"]
-
 # A pose that slides moves farther when it is pushed.
 _STABLE_M = 0.05
 

@@ -9,8 +9,6 @@ from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct
 from multilica.results import PairKey, PairRegistration, Registration
 
-__all__ = ["choose_loops", "implied_poses", "is_open"]
-
 # The noise of a LiDAR's scan is the same in all its pairs, so more loops hardly improve its pose.
 _LOOPS_PER_LIDAR = 4
 

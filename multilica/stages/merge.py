@@ -9,9 +9,6 @@ from itertools import combinations
 
 from multilica.results import Group, MergeCandidate, MergeDecision, PairRegistration
 
-__all__ = ["MergeStep", "merge_along_graph", "merge_by_fitness", "merge_target_first"]
-
-
 RegisterGroups = Callable[[Group, Group, Sequence[PairRegistration]], PairRegistration | None]
 """Registers the second group against the first, given the registrations between members; None if impossible."""
 RegisterAgain = Callable[[Group, Group, PairRegistration], PairRegistration | None]

@@ -12,9 +12,6 @@ from multilica.results import PreprocessedCloud
 from multilica.snapshot import LidarScans
 from multilica.visibility.moving_points import drop_moving
 
-__all__ = ["preprocess"]
-
-
 def preprocess(
     lidar: LidarScans, config: PreprocessConfig, stillness: StillnessConfig | None = None
 ) -> PreprocessedCloud:

@@ -7,9 +7,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.snapshot import Snapshot
 
-__all__ = ["known_between", "require_usable"]
-
-
 def known_between(prior: Extrinsics | None, target: str, source: str) -> RigidTransform | None:
     """Return ``T_target_source`` by the prior; None if there is no prior or it lacks one of the LiDARs."""
     if prior is None or not {target, source} <= prior.members:

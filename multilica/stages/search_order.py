@@ -6,9 +6,6 @@ from itertools import combinations, permutations
 
 from multilica.results import PairKey
 
-__all__ = ["components", "next_round", "pairs_by_role"]
-
-
 def components(names: Iterable[str], pairs: Iterable[PairKey]) -> dict[str, str]:
     """Return per name the first name of the group that the pairs connect it to."""
     first = {name: name for name in names}

@@ -9,8 +9,6 @@ from multilica.geometry import FloatArray, lengths
 from multilica.results import BoolArray, IndexArray, Reason, SensorHealth
 from multilica.snapshot import LidarScans
 
-__all__ = ["examine_sensor"]
-
 # Wider than the gaps between beams of 16 channels (2 deg), so every cell in view has beams.
 _CELL_RAD = float(np.deg2rad(5.0))
 _ROWS, _COLUMNS = 36, 72

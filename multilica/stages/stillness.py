@@ -20,9 +20,6 @@ from multilica.registration.tracking import (
 )
 from multilica.snapshot import Scan
 
-__all__ = ["Motion", "detect_motion", "explain_motion"]
-
-
 @dataclass(frozen=True, slots=True)
 class Motion:
     """Motion of a LiDAR between its first and last frame.

@@ -12,9 +12,6 @@ from multilica.geometry import RigidTransform
 from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import IndexArray, SurfaceMatches, SurfaceResiduals
 
-__all__ = ["PairMatches", "match_surfaces", "residuals_of"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMatches:
     """Matches of a pair with the rows of the source's cloud that they belong to."""

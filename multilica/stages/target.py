@@ -5,9 +5,6 @@ from collections.abc import Mapping, Sequence
 
 from multilica.results import PairRegistration, PreprocessedCloud
 
-__all__ = ["choose_target"]
-
-
 def choose_target(
     asked_for: str, clouds: Mapping[str, PreprocessedCloud], pairs: Sequence[PairRegistration]
 ) -> tuple[str, str]:

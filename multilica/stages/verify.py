@@ -17,8 +17,6 @@ from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
 from multilica.visibility.sensor_view import SensorView, score_registration, score_visibility
 from multilica.visibility.symmetric_poses import symmetric_poses
 
-__all__ = ["RoughSide", "short_gicp", "verify_hypotheses"]
-
 # Coarse poses are off by about a voxel of the descriptors and a degree: the true one among them then scores best.
 _COARSE_TOLERANCE_M = 0.3
 _COARSE_TOLERANCE_DEG = 1.0

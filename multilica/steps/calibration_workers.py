@@ -6,8 +6,6 @@ from contextlib import AbstractContextManager
 from multilica.config import CalibrationConfig
 from multilica.workers import Workers, open_workers
 
-__all__ = ["open_calibration_workers"]
-
 # What tasks need, imported once for all workers.
 _MODULES = ("multilica.steps.worker_imports",)
 

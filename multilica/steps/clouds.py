@@ -15,9 +15,6 @@ from multilica.steps.prepared_lidar import PreparedLidar, prepare_lidar
 from multilica.steps.state import CalibrationState
 from multilica.workers import Shared
 
-__all__ = ["prepare_lidars", "preprocess_clouds", "require_two_lidars"]
-
-
 def require_two_lidars(snapshot: Snapshot) -> None:
     """Refuse a snapshot without two LiDARs that have returns.
 

@@ -25,9 +25,6 @@ from multilica.stages.refine import trusted_pairs
 from multilica.steps.state import CalibrationState
 from multilica.visibility.sensor_view import ScorePose
 
-__all__ = ["contested_place", "placement_of", "refused", "result_of"]
-
-
 def result_of(state: CalibrationState) -> CalibrationResult:
     """Return the outcome as far as the stages went."""
     target = state.target or state.config.target or state.snapshot.names[0]

@@ -17,17 +17,6 @@ from multilica.steps.prepared_lidar import PreparedLidar
 from multilica.visibility.sensor_view import score_pose
 from multilica.workers import Shared
 
-__all__ = [
-    "PAIR_STAGES",
-    "PairSearch",
-    "SearchRequest",
-    "promise_of",
-    "register_implied",
-    "register_sides",
-    "score_implied",
-    "search_pair",
-]
-
 PAIR_STAGES: tuple[Stage, ...] = ("correspond", "coarse", "verify", "fine")
 
 

@@ -14,8 +14,6 @@ from multilica.stages.fine import Side, prepare_side
 from multilica.stages.verify import RoughSide, short_gicp
 from multilica.visibility.sensor_view import SensorView, prepare_sensor_view
 
-__all__ = ["PreparedLidar", "prepare_lidar"]
-
 _NO_POINTS = np.empty((0, 3))
 
 

@@ -8,8 +8,6 @@ from multilica.optional_libraries import raise_missing, require_library
 from multilica.solvers import solver_in_use
 from multilica.system_libraries import missing_for_open3d
 
-__all__ = ["require_libraries"]
-
 _LIBRARY_OF_SOLVER = {
     "maximum_clique": "networkx",
     "kiss_matcher": "kiss_matcher",

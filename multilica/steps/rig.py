@@ -23,9 +23,6 @@ from multilica.steps.pairs import SearchRequest, register_sides, search_pair
 from multilica.steps.prepared_lidar import prepare_lidar
 from multilica.steps.state import CalibrationState
 
-__all__ = ["fit_ground", "ground_under", "merge_pairs", "refine_rig"]
-
-
 def merge_pairs(state: CalibrationState) -> None:
     """Choose the target, and merge accepted pairs into its group."""
     registrations, names, config = tuple(state.registrations.values()), tuple(state.clouds), state.config.merge

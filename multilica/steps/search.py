@@ -27,9 +27,6 @@ from multilica.steps.pairs import (
 )
 from multilica.steps.state import CalibrationState
 
-__all__ = ["search_pairs"]
-
-
 def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
     """Search the most promising pairs first, until accepted pairs link all LiDARs or none is left to search.
 

@@ -30,9 +30,6 @@ from multilica.steps.prepared_lidar import PreparedLidar
 from multilica.visibility.sensor_view import SensorView, score_pose, score_visibility
 from multilica.workers import Workers
 
-__all__ = ["CalibrationState"]
-
-
 @dataclass(slots=True)
 class CalibrationState:
     """Results of the stages so far."""

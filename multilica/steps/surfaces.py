@@ -10,8 +10,6 @@ from multilica.stages.surface_distances import PairMatches, match_surfaces, resi
 from multilica.steps.state import CalibrationState
 from multilica.workers import Shared
 
-__all__ = ["compare_surfaces"]
-
 # Enough to see where a pair does not meet; `--record full` has all.
 _ENOUGH_POINTS = 2000
 

@@ -2,5 +2,3 @@
 """What tasks use, imported once for all worker processes."""
 
 from multilica.steps import clouds, pairs, surfaces
-
-__all__ = ["clouds", "pairs", "surfaces"]

@@ -13,8 +13,6 @@ from multilica.geometry import FloatArray, lengths
 from multilica.results import BoolArray, IndexArray
 from multilica.snapshot import Scan
 
-__all__ = ["drop_moving"]
-
 # 0.2 deg, the usual step of spinning LiDARs.
 _FINEST_CELL_RAD = 0.0035
 # Bound on time.

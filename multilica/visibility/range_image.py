@@ -11,8 +11,6 @@ from scipy.spatial import Delaunay, cKDTree
 from multilica.geometry import Float32Array, FloatArray, largest_index, lengths
 from multilica.results import BeamLabel
 
-__all__ = ["RangeImage", "build_range_image", "label_points"]
-
 LabelArray = npt.NDArray[np.uint8]
 
 

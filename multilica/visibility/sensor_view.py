@@ -22,16 +22,6 @@ from multilica.results import (
 )
 from multilica.visibility.range_image import LabelArray, RangeImage, build_range_image, label_points
 
-__all__ = [
-    "PlacedView",
-    "ScorePose",
-    "SensorView",
-    "prepare_sensor_view",
-    "score_pose",
-    "score_registration",
-    "score_visibility",
-]
-
 # Height of the bands in which probes are ordered; any value gives the same scores.
 _BAND_RAD = 0.05
 # Twice the range noise of spinning LiDARs, so that neighbours span a surface and not its noise.

@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.visibility.sensor_view import SensorView
 
-__all__ = ["symmetric_poses"]
-
 # GICP corrects an error of one cell; 256 cells span the common view of two LiDARs.
 _CELL_M = 0.5
 _CELLS = 256

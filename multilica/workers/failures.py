@@ -6,9 +6,6 @@ import traceback
 from dataclasses import dataclass
 from typing import NoReturn
 
-__all__ = ["TaskFailure", "TaskTracebackError", "failure_of"]
-
-
 class TaskTracebackError(Exception):
     """The cause of an exception that was raised in another process: its traceback there, as text."""
 

@@ -4,8 +4,6 @@
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, NamedTuple
 
-__all__ = ["UNREADABLE", "Answer", "Forgotten", "Job"]
-
 UNREADABLE = -1
 """Number of the job in the answer to a message that a worker could not read."""
 

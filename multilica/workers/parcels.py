@@ -10,8 +10,6 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from mmap import ACCESS_READ, mmap
 
-__all__ = ["end", "pack", "take", "unpack"]
-
 # A parcel starts with a counter and the number of its sections; then come the lengths of the sections, and the
 # sections: a pickle, and the arrays that it refers to.
 _COUNTER = struct.Struct("=Q")

@@ -6,8 +6,6 @@ from typing import TypeVar
 
 from multilica.workers.shared import Shared
 
-__all__ = ["Workers"]
-
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 

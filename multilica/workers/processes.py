@@ -18,8 +18,6 @@ from multilica.workers.pool import Workers
 from multilica.workers.server import start_server
 from multilica.workers.shared import Shared
 
-__all__ = ["WorkerProcesses", "available_cores", "open_workers"]
-
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 

@@ -18,8 +18,6 @@ from multilica.workers.messages import UNREADABLE, Answer, Forgotten, Job
 from multilica.workers.parcels import pack, take, unpack
 from multilica.workers.shared import Shared
 
-__all__ = ["serve", "start_server"]
-
 # Read by OpenMP, OpenBLAS and MKL when they are loaded. OpenBLAS and MKL fall back to the first.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 

@@ -4,9 +4,6 @@
 from collections.abc import Collection, Iterable
 from typing import Any
 
-__all__ = ["Shared"]
-
-
 class Shared:
     """What all tasks of a pool can use; in a worker process, arrays are read-only."""
 

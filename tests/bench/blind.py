@@ -11,8 +11,6 @@ from tests.bench.support.cases import Case, LidarOutcome, run_case
 from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 
-__all__ = ["main"]
-
 _CASES = [Case("blind", SCENES[index % len(SCENES)], 1001 + index, target="front_left") for index in range(20)]
 
 

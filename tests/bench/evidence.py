@@ -30,8 +30,6 @@ from multilica.workers import Shared
 from tests.bench.support.claims import print_table
 from tests.bench.support.workers import run_all
 
-__all__ = ["PoseFigures", "fitted_weights", "main"]
-
 _RIGS = ("edgar", "helipr", "sides", "chain", "blind", "sectors8", "truck")
 _SCENES = ("street", "parking", "garage", "open_field")
 _SEEDS = (31, 32)

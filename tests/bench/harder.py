@@ -13,8 +13,6 @@ from tests.bench.support.cases import NEW_SEEDS, Case, LidarOutcome, run_case
 from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 
-__all__ = ["EXPECTED", "main"]
-
 _PLACED = "placed"
 
 

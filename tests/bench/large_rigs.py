@@ -8,8 +8,6 @@ from itertools import product
 from tests.bench.simulated import MASKS, report
 from tests.bench.support.cases import NEW_SEEDS, Case
 
-__all__ = ["RIGS", "SCENES", "main"]
-
 RIGS = ("ring6", "sectors8", "sectors20", "truck")
 SCENES = ("street", "parking", "garage")
 _SEEDS = NEW_SEEDS[:3]

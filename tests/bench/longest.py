@@ -13,8 +13,6 @@ from tests.bench.support.process_cost import Cost
 from tests.bench.support.recordings import ONE_WORKER, calibration_cost, record
 from tests.bench.support.workers import run_all
 
-__all__ = ["main"]
-
 _SCENES = ("street", "parking", "garage")
 _MOST_LIDARS = 8
 _LIMIT_S = 40.0

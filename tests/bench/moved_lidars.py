@@ -22,8 +22,6 @@ from tests.bench.support.cases import NEW_SEEDS
 from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 
-__all__ = ["main"]
-
 _RIGS = ("edgar", "helipr", "sides", "chain", "ring6", "sectors8", "truck")
 _SCENES = ("street", "parking", "garage")
 _CASES = 50

@@ -23,8 +23,6 @@ from tests.bench.support.recordings import ONE_WORKER, SAMPLE, calibration_cost
 from tests.bench.support.workers import run_all
 from tests.opencalib import DATA, TRUTH, read_clouds
 
-__all__ = ["SHIFTS", "main", "rate_claim"]
-
 SHIFTS = 20
 _REPEATS = 5
 _BARE, _STAGES = "tests.bench.support.paper_baseline", "tests.bench.support.paper_stages"

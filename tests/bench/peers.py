@@ -18,8 +18,6 @@ from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 from tests.opencalib import DATA, MISSING, SOURCES, read_clouds, turned_snapshot
 
-__all__ = ["KISS", "SYSTEMS", "main"]
-
 KISS = "kiss"
 SYSTEMS = ("default", "paper", KISS)
 

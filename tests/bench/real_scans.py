@@ -17,8 +17,6 @@ from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 from tests.opencalib import CONFIG, DATA, MISSING, SOURCES, TRUTH, is_true, read_clouds, turned_snapshot, unturned
 
-__all__ = ["DRAWS", "STANDINGS", "drawn_rotations", "judged", "main"]
-
 DRAWS = 60
 STANDINGS = ("right", "beside", "wrong", "uncertain", "refused")
 

@@ -20,8 +20,6 @@ from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
 from tests.bench.support.claims import Claim, print_claims, print_table
 
-__all__ = ["Turn", "claim", "main"]
-
 SAMPLE = Path(__file__).resolve().parents[2] / "recordings" / "samples" / "edgar-street.mcap"
 _DETAILS = ("full", "normal", "slim")
 _ROUNDS = 5

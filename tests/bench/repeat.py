@@ -17,8 +17,6 @@ from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 from tests.opencalib import DATA, read_clouds, turned_snapshot
 
-__all__ = ["claim", "main"]
-
 _REAL = "opencalib-0001"
 _SIMULATED = ("edgar/street", "helipr/parking", "chain/garage", "sides/open_field")
 _WORKERS = (1, 3)

@@ -11,8 +11,6 @@ from tests.bench.support.claims import Claim, at_most, print_claims, print_table
 from tests.bench.support.process_cost import Cost
 from tests.bench.support.recordings import SAMPLE, calibration_cost, record
 
-__all__ = ["Runs", "claims", "main"]
-
 _REPEATS = 3
 _RIGS = ("edgar", "blind", "chain", "sectors8", "sectors20")
 _TWO_WORKERS = ("sample", "sectors8")

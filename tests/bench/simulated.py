@@ -16,8 +16,6 @@ from tests.bench.support.cases import NEW_SEEDS, Case, LidarOutcome, run_case
 from tests.bench.support.claims import Claim, figure, print_claims, print_table
 from tests.bench.support.workers import run_all
 
-__all__ = ["COLUMNS", "MASKS", "RIGS", "SCENES", "claims", "figures", "main", "print_details", "report"]
-
 RIGS = ("edgar", "helipr", "sides", "chain")
 COLUMNS = (
     "LiDARs",

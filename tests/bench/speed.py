@@ -12,8 +12,6 @@ from tests.bench.support.claims import Claim, at_most, print_claims, print_table
 from tests.bench.support.process_cost import cost_of
 from tests.bench.support.recordings import ONE_WORKER, SAMPLE, calibration_cost, record, target_of
 
-__all__ = ["PEER", "Lap", "claim", "main"]
-
 PEER = "tests.bench.support.kiss_baseline"
 _REPEATS = 5
 _LIMIT = 2.0

@@ -7,8 +7,6 @@ from tests.bench.support.claims import at_most, print_claims
 from tests.bench.support.process_cost import cost_of
 from tests.bench.support.recordings import SAMPLE, calibration_cost
 
-__all__ = ["main"]
-
 _REPEATS = 7
 
 

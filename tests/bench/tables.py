@@ -29,8 +29,6 @@ from multilica.snapshot import Snapshot
 from tests.bench.support.cases import NEW_SEEDS, Case
 from tests.bench.support.workers import run_all
 
-__all__ = ["COLUMNS", "KISS", "PRESETS", "SYSTEMS", "TARGETS", "Outcome", "cells", "main", "page", "place_by_config"]
-
 KISS = "kiss"
 PRESETS = ("default", "paper")
 SYSTEMS = (*PRESETS, KISS)

@@ -1,4 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
 from tests.cli.conftest import invoke
-
-__all__ = ["invoke"]

@@ -20,8 +20,6 @@ from multilica_cli.main import run
 from tests.cli.support import ROOT, write_pcd
 from tests.ingest.support.recording_writers import write_ros1_bag
 
-__all__ = ["copy_files", "lose_a_lidar", "write_files"]
-
 LIDARS = ("front", "left", "rear")
 FRAMES = 140
 FEW_FRAMES = 12

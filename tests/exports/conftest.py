@@ -2,5 +2,3 @@
 """The command line, as its own tests call it."""
 
 from tests.cli.conftest import invoke
-
-__all__ = ["invoke"]

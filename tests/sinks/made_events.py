@@ -39,8 +39,6 @@ from multilica.steps.pairs import PAIR_STAGES
 from tests.sinks.made_scans import STAMP_NS, made_snapshot, made_street
 from tests.sinks.made_surfaces import made_surfaces
 
-__all__ = ["IMPRECISE", "LIDARS", "STAMP_NS", "TRUTH", "UNPLACED", "made_events"]
-
 LIDARS = ("front left/1", "rear", "top")
 TARGET = "top"
 UNPLACED = "rear"

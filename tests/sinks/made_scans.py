@@ -5,8 +5,6 @@ import numpy as np
 
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
-__all__ = ["STAMP_NS", "made_snapshot", "made_street"]
-
 STAMP_NS = 1_700_000_000_000_000_000
 
 

@@ -8,8 +8,6 @@ import numpy as np
 from multilica import events
 from multilica.results import SurfaceMatches, SurfaceResiduals
 
-__all__ = ["COUNT", "made_surfaces"]
-
 COUNT = 30
 
 

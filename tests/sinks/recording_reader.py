@@ -11,8 +11,6 @@ from typing import Any
 import pyarrow as pa
 from rerun.chunk import RrdReader
 
-__all__ = ["Recording", "blueprint_names"]
-
 FRAME_COLUMNS = ("CoordinateFrame:frame", "Transform3D:child_frame", "Transform3D:parent_frame")
 
 

@@ -16,9 +16,6 @@ from multilica_cli.exit_codes import exit_code
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
 
-__all__ = ["calibrate"]
-
-
 def calibrate(
     sources: options.Sources,
     *,

@@ -20,8 +20,6 @@ from multilica_cli.terminal import stdout_console
 if TYPE_CHECKING:
     from multilica.checks import RigCheck, RigTolerances
 
-__all__ = ["accept", "check", "verify"]
-
 _MaxTranslation = Annotated[
     float, typer.Option("--max-translation", metavar="M", min=1e-6, help="Largest distance that is no drift.")
 ]

@@ -21,8 +21,6 @@ from multilica_cli.terminal import print_json, stdout_console
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
-__all__ = ["Parameter", "config", "configuration_page", "parameters"]
-
 _UNITS = {"m": "m", "rad": "rad", "deg": "deg", "s": "s", "ns": "ns", "hz": "Hz", "voxels": "voxels"}
 _PAGE_HEAD = (
     "<!-- Made by `make docs` from the models in multilica/config: change those. -->",

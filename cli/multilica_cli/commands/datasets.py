@@ -11,9 +11,6 @@ from multilica_cli.configuration import topic_names
 from multilica_cli.options import Json, Quiet, Settings, local_path
 from multilica_cli.terminal import stdout_console
 
-__all__ = ["datasets"]
-
-
 def datasets(
     name: Annotated[Literal["helipr", "edgar", "opencalib"], typer.Argument(metavar="NAME", help="The data set.")],
     path: Annotated[

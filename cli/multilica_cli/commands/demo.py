@@ -10,8 +10,6 @@ import typer
 from multilica_cli.exit_codes import exit_code
 from multilica_cli.options import Quiet, local_path
 
-__all__ = ["SAMPLE_NAME", "Sample", "demo", "find_sample"]
-
 SAMPLE_NAME = "edgar-street"
 
 

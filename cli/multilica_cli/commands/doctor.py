@@ -15,8 +15,6 @@ from multilica_cli.terminal import print_json, stdout_console
 if TYPE_CHECKING:
     from multilica.installation import Installation, Library
 
-__all__ = ["doctor"]
-
 _WIDTH = 80
 _NAME, _VERSION = 17, 12
 _NO_BREAK = "\N{NO-BREAK SPACE}"

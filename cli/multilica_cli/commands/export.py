@@ -10,9 +10,6 @@ from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Quiet
 from multilica_cli.terminal import stderr_console, stdout_console
 
-__all__ = ["export"]
-
-
 def export(
     run: Annotated[
         Path,

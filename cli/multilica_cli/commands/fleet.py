@@ -19,8 +19,6 @@ from multilica_cli.terminal import print_json, stdout_console
 if TYPE_CHECKING:
     from multilica.fleet.store.store import Store
 
-__all__ = ["fleet"]
-
 fleet = App(
     name="fleet",
     no_args_is_help=True,

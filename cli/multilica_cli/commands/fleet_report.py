@@ -11,9 +11,6 @@ import typer
 from multilica_cli import options
 from multilica_cli.terminal import stdout_console
 
-__all__ = ["report"]
-
-
 def report(
     *,
     store: options.FleetStore,

@@ -9,9 +9,6 @@ import typer
 from multilica.errors import UsageError
 from multilica_cli.options import local_path
 
-__all__ = ["query"]
-
-
 def query(
     run: Annotated[
         Path,

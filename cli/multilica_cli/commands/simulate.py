@@ -11,8 +11,6 @@ from multilica.errors import UsageError
 from multilica_cli.options import local_path, mcap_name
 from multilica_cli.terminal import stdout_console
 
-__all__ = ["simulate"]
-
 _ONE, _FLEET = "A recording", "A fleet"
 _FRAMES, _VEHICLES, _LOGS = 5, 20, 200
 

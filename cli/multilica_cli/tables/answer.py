@@ -19,8 +19,6 @@ from multilica_cli.tables.folding_table import FoldingTable
 if TYPE_CHECKING:
     from multilica.fleet.store.query import QueryAnswer
 
-__all__ = ["answer_lines", "print_answer"]
-
 _MOST_ROWS = 1000
 
 

@@ -14,8 +14,6 @@ from multilica_cli.tables.folding_table import FoldingTable
 if TYPE_CHECKING:
     from multilica.checks import LidarCheck, RigCheck
 
-__all__ = ["print_check"]
-
 _WORDS = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
 _COLUMNS = ("LiDAR", "verdict", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
 

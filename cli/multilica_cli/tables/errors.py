@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from multilica.runs.first_difference import Change
     from multilica.runs.pose_error import PoseError
 
-__all__ = ["print_difference", "print_evaluation", "print_left_out", "short_names"]
-
 _ERROR_COLUMNS = ("x\nmm", "y\nmm", "z\nmm", "total\nmm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg", "total\ndeg")
 _WORDS = {
     "false_accept": "FALSE ACCEPT",

@@ -11,8 +11,6 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
 
-__all__ = ["FoldingTable"]
-
 _NARROWEST = 8
 
 

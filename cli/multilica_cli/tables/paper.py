@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from multilica.runs.evaluation import Tolerances
     from multilica.runs.paper_table import AxisError, PairError, PaperSummary, PaperTable
 
-__all__ = ["print_paper_table", "summary_cells", "summary_table"]
-
 _AXIS_COLUMNS = ("x\nmm", "y\nmm", "z\nmm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg", "angle\ndeg")
 _MOST_ROWS = 40
 

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from multilica.results.document.lidars import PriorEntry, SpreadEntry
     from multilica.run import CalibrationRun
 
-__all__ = ["POSE_COLUMNS", "pose_cells", "print_placements", "print_run"]
-
 _PRIOR_COLUMNS = ("to prior\nmm", "to prior\ndeg")
 _STATUS = {"placed": "placed", "uncertain": "UNCERTAIN", "not_placed": "NOT PLACED"}
 _SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")

@@ -16,8 +16,6 @@ from multilica_cli.tables.result import POSE_COLUMNS, pose_cells
 if TYPE_CHECKING:
     from multilica.ingest import SourceSummary, TakenSnapshot
 
-__all__ = ["print_recorded", "print_summary", "recorded_document", "summary_document"]
-
 _NS_PER_S = 1_000_000_000
 
 

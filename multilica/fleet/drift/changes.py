@@ -14,8 +14,6 @@ from multilica.fleet.drift.lidar_series import TO_LENGTHS
 from multilica.fleet.drift.segments import Period, PeriodFits, Thresholds, partition, place
 from multilica.geometry import FloatArray
 
-__all__ = ["ChangeKind", "PoseChange", "SeriesChanges", "find_changes"]
-
 ChangeKind = Literal["jump", "creep"]
 
 

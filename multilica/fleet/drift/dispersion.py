@@ -20,8 +20,6 @@ from scipy.stats import chi2
 from multilica.fleet.drift.lidar_series import TO_LENGTHS, IndexArray, LidarSeries
 from multilica.geometry import FloatArray
 
-__all__ = ["PRIOR_LOGS", "SHARED_COVARIANCE", "ScatteredPoses", "calibrate_scatter", "power_of", "robust_scatter"]
-
 PRIOR_LOGS = 12.0
 """Logs that the prior knowledge of a scatter is worth: the fleet's is right for a vehicle to about 30 %."""
 

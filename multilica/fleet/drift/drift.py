@@ -17,8 +17,6 @@ from multilica.fleet.drift.lidar_series import LidarSeries
 from multilica.fleet.drift.moved_part import MovedPart, Seen, find_moved_part
 from multilica.geometry import FloatArray, read_only
 
-__all__ = ["FALSE_ALARM_RATE", "DriftEvent", "describe_motion", "find_drift"]
-
 FALSE_ALARM_RATE = 1e-3
 """Share of LiDARs that never moved and are reported: of a thousand LiDARs, one in all their logs."""
 

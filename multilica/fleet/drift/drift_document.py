@@ -14,9 +14,6 @@ from multilica.fleet.drift.stored_series import Outage
 from multilica.fleet.store.records import moment
 from multilica.geometry import FloatArray
 
-__all__ = ["drift_document"]
-
-
 def drift_document(
     events: Sequence[DriftEvent], offsets: Sequence[FleetOffset], outages: Sequence[Outage]
 ) -> dict[str, Any]:

@@ -18,8 +18,6 @@ from multilica.fleet.drift.drift import FALSE_ALARM_RATE, describe_motion
 from multilica.fleet.drift.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray, RigidTransform
 
-__all__ = ["FleetOffset", "OffsetScope", "find_offsets"]
-
 OffsetScope = Literal["fleet", "vehicle", "fleet or vehicle"]
 
 _MIN_FLEET = 3

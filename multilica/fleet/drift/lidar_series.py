@@ -10,8 +10,6 @@ import numpy.typing as npt
 
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, read_only
 
-__all__ = ["TO_LENGTHS", "IndexArray", "LidarSeries"]
-
 IndexArray = npt.NDArray[np.int64]
 
 TO_LENGTHS = np.array([LEVER_ARM_M] * 3 + [1.0] * 3)

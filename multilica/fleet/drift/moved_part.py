@@ -12,8 +12,6 @@ from scipy.stats import chi2
 
 from multilica.geometry import FloatArray, skew
 
-__all__ = ["MovedPart", "PartVerdict", "Seen", "find_moved_part"]
-
 MovedPart = Literal["lidar", "target", "lidar or target"]
 
 # A common motion fits worse in one of a thousand cases.

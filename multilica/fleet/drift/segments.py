@@ -20,8 +20,6 @@ from scipy.stats import f as f_distribution
 from multilica.fleet.drift.dispersion import ScatteredPoses
 from multilica.geometry import FloatArray
 
-__all__ = ["MIN_LOGS", "Period", "PeriodFits", "Thresholds", "partition", "place"]
-
 MIN_LOGS = 2
 """Least logs of a period: a jump needs a second log that confirms it, or one bad pose would be two jumps."""
 _MIN_CREEP_LOGS = 4

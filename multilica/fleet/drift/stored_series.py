@@ -15,8 +15,6 @@ from multilica.fleet.store.query import ask
 from multilica.fleet.store.store import Store
 from multilica.geometry import RigidTransform
 
-__all__ = ["Outage", "find_outages", "read_series"]
-
 # One log without a pose is told by `fleet failures`; two in a row are no accident of the scene.
 _LEAST_LOGS = 2
 _SERIES = """

@@ -24,8 +24,6 @@ from multilica.ingest.remote.address import require_readable, scheme_of, without
 from multilica.ingest.remote.error_texts import remote_failures_named
 from multilica.ingest.remote.remote_file import open_file_system
 
-__all__ = ["LogPattern", "find_logs"]
-
 _MANIFESTS = (".csv", ".parquet")
 _BUCKETS = ("s3", "gs")
 _NEEDED, _OPTIONAL = "source", ("vehicle", "time")

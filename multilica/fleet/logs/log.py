@@ -11,8 +11,6 @@ from pathlib import Path
 import multilica
 from multilica.config import CalibrationConfig
 
-__all__ = ["FleetLog", "config_digest", "fingerprint_of", "unit_key"]
-
 _END_BYTES = 1 << 20
 # Settings that change no result.
 _INDIFFERENT = {"runtime": {"workers"}, "record": {"detail", "max_megabytes"}}

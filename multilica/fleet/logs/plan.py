@@ -24,8 +24,6 @@ from multilica.optional_libraries import needed_for
 with needed_for("`multilica fleet`", "duckdb"):
     import duckdb
 
-__all__ = ["Plan", "QueuedLog"]
-
 _BATCH = 2000
 _PARTS = 500
 _MEMORY = "256MB"

@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from multilica.geometry import FloatArray, read_only
 
-__all__ = ["EventKind", "FleetOverview", "LidarHistory", "PageEvent", "PageFailure", "PageVehicle"]
-
 EventKind = Literal["jump", "creep", "lost", "offset"]
 
 

@@ -14,8 +14,6 @@ from multilica.fleet.report.contents import LidarHistory
 from multilica.fleet.store.store import Store
 from multilica.geometry import FloatArray
 
-__all__ = ["read_histories"]
-
 _ROWS = """
 SELECT vehicle, lidar, target, CASE WHEN time < TIMESTAMPTZ '2262-01-01' THEN epoch_ns(time) END AS time_ns, how,
        status, source, x_m, y_m, z_m, qx, qy, qz, qw, covariance

@@ -22,8 +22,6 @@ from multilica.fleet.report.sparklines import HEIGHT_PX, WIDTH_PX, sparklines
 from multilica.fleet.report.time_axis import day_of
 from multilica.sinks.report.template import own_text, page_template
 
-__all__ = ["MAX_BYTES", "MAX_DRAWN", "drawn_vehicles", "fleet_page"]
-
 MAX_BYTES = 8_000_000
 """Limit of ticket systems and mail; texts of single logs are left out first, then plots."""
 MAX_DRAWN = 200

@@ -14,8 +14,6 @@ from multilica.fleet.report.contents import EventKind, LidarHistory, PageEvent
 from multilica.fleet.report.time_axis import TimeAxis, day_of
 from multilica.geometry import FloatArray
 
-__all__ = ["DriftPlot", "drift_plots", "number"]
-
 _WIDTH_PX, _LEFT_PX, _RIGHT_PX = 470.0, 82.0, 8.0
 _STRIP_PX, _GAP_PX, _BOTTOM_PX = 62.0, 13.0, 24.0
 _LABEL_ROW_PX = 17.0

@@ -13,8 +13,6 @@ from multilica.fleet.report.plots import number
 from multilica.fleet.report.time_axis import TimeAxis
 from multilica.geometry import FloatArray
 
-__all__ = ["Sparklines", "VehicleSparkline", "sparklines"]
-
 WIDTH_PX, HEIGHT_PX = 76, 26
 _MARGIN_PX = 2.5
 _TALLEST = 8.0

@@ -14,9 +14,6 @@ from multilica.fleet.report.page import drawn_vehicles, fleet_page
 from multilica.fleet.store import query
 from multilica.fleet.store.store import Store
 
-__all__ = ["store_report"]
-
-
 def store_report(store: Store, page: Path) -> str:
     """Render the report of a store.
 

@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from multilica.geometry import FloatArray
 
-__all__ = ["TimeAxis", "day_of"]
-
 _NS_PER_DAY = 86_400 * 10**9
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 _MOST_TICKS = 7

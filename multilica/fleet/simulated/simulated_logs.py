@@ -19,8 +19,6 @@ from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Snapshot
 from multilica.workers import Shared, open_workers
 
-__all__ = ["write_fleet"]
-
 _MODULES = ("multilica.fleet.simulated.simulated_logs", "multilica.registration.lazy_open3d")
 _ZEROS = 200_000
 _LARGEST_CUT = 1 << 16

@@ -11,8 +11,6 @@ from multilica.geometry import RigidTransform
 from multilica.simulate import FleetPlan, PlannedLog
 from multilica.simulate.fleet_events import PlannedEvent
 
-__all__ = ["FLEET_TRUTH_SCHEMA", "TRUTH_NAME", "fleet_truth", "fleet_truth_text"]
-
 FLEET_TRUTH_SCHEMA = "multilica/fleet-truth/1"
 TRUTH_NAME = "fleet.truth.json"
 

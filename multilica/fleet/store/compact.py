@@ -12,9 +12,6 @@ import pyarrow.parquet as pq
 
 from multilica.fleet.store.store import TABLES, Store, damaged_part
 
-__all__ = ["compact_store"]
-
-
 def compact_store(store: Store) -> tuple[int, int]:
     """Join the parts of each table, vehicle and month into one; return the number of parts before and after.
 

@@ -18,8 +18,6 @@ from multilica.optional_libraries import needed_for
 with needed_for("`multilica fleet`", "duckdb"):
     import duckdb
 
-__all__ = ["QueryAnswer", "ask", "failures", "open_tables", "require_vehicle", "status", "vehicle_history"]
-
 _LONGEST = 300
 _BATCH = 1000
 _DAMAGED = re.compile(r"Parquet input source '([^']+)'")

@@ -12,8 +12,6 @@ from multilica.errors import SourceNotFoundError
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.store import Store, folder_name
 
-__all__ = ["Pruned", "lay_out_catalog", "prune_recordings"]
-
 _LARGE = ("recording.rrd", "report.html", "result.mcap")
 _RUNS = """
 SELECT logs.vehicle, logs.time, logs.key, recording, finished_at,

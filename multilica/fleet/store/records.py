@@ -10,20 +10,6 @@ from typing import Any, Literal
 
 import pyarrow as pa
 
-__all__ = [
-    "LIDARS_SCHEMA",
-    "LOGS_SCHEMA",
-    "MEASURED",
-    "PASSING",
-    "SCHEMA_VERSION",
-    "LidarRow",
-    "LogRow",
-    "LogState",
-    "moment",
-    "month_of",
-    "table_of",
-]
-
 SCHEMA_VERSION = 1
 LogState = Literal["verified", "calibrated", "refused", "failed", "duplicate"]
 PASSING = ("network", "killed")

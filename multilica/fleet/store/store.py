@@ -50,8 +50,6 @@ from multilica.ingest.remote.remote_file import open_file_system
 from multilica.optional_libraries import needed_for
 from multilica.sinks.files.atomic import atomic_file
 
-__all__ = ["Store", "damaged_part", "folder_name", "open_store", "vehicle_name", "vehicle_of_part"]
-
 _LAYOUT = "fleet.json"
 _BUCKETS = {"s3": "s3fs", "gs": "gcsfs"}
 """Scheme of a bucket -> library that reads and writes it."""

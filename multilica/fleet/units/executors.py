@@ -12,8 +12,6 @@ from multilica.errors import SourceNotFoundError, UsageError
 from multilica.fleet.units.guard import allow_processes, end_processes
 from multilica.optional_libraries import needed_for
 
-__all__ = ["open_executor"]
-
 _SCHEMES = ("tcp://", "tls://", "ws://", "wss://")
 _CONNECT_S = 30
 

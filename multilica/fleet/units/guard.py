@@ -28,8 +28,6 @@ from multilica.fleet.store.store import open_store
 from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
 from multilica.ingest.log_identity import LogIdentity
 
-__all__ = ["UnitLimits", "allow_processes", "end_processes", "identify_guarded", "run_guarded"]
-
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")

@@ -31,8 +31,6 @@ from multilica.runs.run_documents import read_run_document
 from multilica.scratch import scratch_folder
 from multilica.snapshot import Snapshot
 
-__all__ = ["run_unit"]
-
 _REFERENCE = "reference.toml"
 _FILES = ("recording.rrd", "report.html", "result.mcap")
 _ALSO = ("result.json", "calibration.toml")

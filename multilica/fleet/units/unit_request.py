@@ -14,8 +14,6 @@ from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.fleet.store.records import LogRow
 
-__all__ = ["Calibrate", "UnitRequest", "UnitSummary", "failed_row"]
-
 Calibrate = Literal["when-needed", "always"]
 
 

@@ -19,9 +19,6 @@ from multilica.results.document import ResultDocument
 from multilica.snapshot import Snapshot
 from multilica.verification import find_near
 
-__all__ = ["calibrated_rows", "verified_rows"]
-
-
 def verified_rows(request: UnitRequest, snapshot: Snapshot, known: Extrinsics) -> list[LidarRow]:
     """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were."""
     found = find_near(snapshot, known, request.config)

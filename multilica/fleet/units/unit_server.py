@@ -16,8 +16,6 @@ import threading
 from pathlib import Path
 from typing import Any
 
-__all__ = ["main"]
-
 MAX_LINE_BYTES = 4 << 20
 
 

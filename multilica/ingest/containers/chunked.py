@@ -19,8 +19,6 @@ from multilica.ingest.decompression import UNCOMPRESSED, require_checksum, unpac
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.recording import Messages, RawMessage, Span, Topic
 
-__all__ = ["ChunkPlace", "ChunkedRecording", "PackedChunk"]
-
 _AHEAD = 1
 """Compressed chunks that are unpacked ahead; see docs/decisions/0005-chunks-unpacked-ahead.md."""
 _MAX_RATIO = 0.9

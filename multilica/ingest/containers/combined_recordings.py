@@ -14,8 +14,6 @@ from multilica.ingest.messages.cloud import decode_cloud, is_cloud
 from multilica.ingest.recording import Messages, RawMessage, Recording, Span, Topic, joint_span, joint_topics
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["JoinedRecording", "SplitRecording"]
-
 _MAX_TRIES = 4
 """Scans to try for the frame id; the first ones may be broken."""
 

@@ -11,9 +11,6 @@ from typing import Any, cast
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["EndOfFileError", "ExactReader", "unpack_head"]
-
-
 _FIRST_BLOCK_BYTES = 4 << 10
 _BLOCK_BYTES = 4 << 20
 _ZEROS = bytes(_BLOCK_BYTES)

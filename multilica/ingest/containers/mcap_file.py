@@ -28,8 +28,6 @@ from multilica.ingest.decompression import require_checksum
 from multilica.ingest.recording import RawMessage, Recording, Topic, joint_topics
 from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
 
-__all__ = ["open_file"]
-
 _FOOTER_BYTES = 20
 _CRC_BYTES = 4
 

@@ -17,8 +17,6 @@ from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.formats import FORMATS, named_format
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["mcap_metadata"]
-
 _MAX_BYTES = 1 << 20
 """Limit of a record; those of a vehicle or a snapshot take a few hundred bytes."""
 _MAX_RECORDS = 100

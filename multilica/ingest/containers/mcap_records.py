@@ -19,19 +19,6 @@ from multilica.ingest.formats import FORMATS
 from multilica.ingest.recording import RawMessage, Span, Topic, normal_type
 from multilica.pointcloud2 import LIDAR_NAME_KEY
 
-__all__ = [
-    "MAGIC",
-    "MESSAGE_HEAD",
-    "RECORD_HEAD",
-    "KnownChannels",
-    "chunk_claims",
-    "chunk_of",
-    "record_length",
-    "records_of",
-    "require_opcode",
-    "topic_of",
-]
-
 (MAGIC,) = FORMATS["mcap"].magic
 RECORD_HEAD = struct.Struct("<BQ")
 """Opcode, length of the content."""

@@ -30,8 +30,6 @@ from multilica.ingest.containers.unindexed import Part, Survey, UnindexedRecordi
 from multilica.ingest.damage import DamagedRecordingError, damage_named, reason_of
 from multilica.ingest.recording import Span
 
-__all__ = ["open_unindexed", "survey"]
-
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
 _BLOCK_BYTES = 1 << 20
 _BOUNDED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX)

@@ -17,8 +17,6 @@ from multilica.ingest.recording import Messages, RawMessage, Recording, Topic, W
 if TYPE_CHECKING:
     from multilica.ingest.messages.ouster_packets import Sensor
 
-__all__ = ["OusterRecording", "with_turns"]
-
 _METADATA_TYPE = "std_msgs/msg/String"
 _MAX_TRIES = 4
 """Messages of a topic to try; all have the same size, yet one may be broken."""

@@ -12,8 +12,6 @@ from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import Recording, WrappedRecording
 from multilica.scratch import scratch_folder
 
-__all__ = ["open_packed"]
-
 _BLOCK_BYTES = 1 << 20
 _MAX_RATIO = 200
 _ALWAYS_BYTES = 64 << 20

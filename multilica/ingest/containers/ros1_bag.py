@@ -28,8 +28,6 @@ from multilica.ingest.containers.unindexed import Part, UnindexedRecording
 from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.recording import RawMessage, Recording, Topic, joint_topics
 
-__all__ = ["open_file", "open_unindexed"]
-
 _OFFSET = struct.Struct("<Q")
 _COUNT = struct.Struct("<4sI")
 

@@ -13,21 +13,6 @@ from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.recording import RawMessage, Topic, normal_type
 
-__all__ = [
-    "CHUNK",
-    "CHUNK_INFO",
-    "CONNECTION",
-    "MAGIC_BYTES",
-    "RecordHeader",
-    "connection_topic",
-    "messages_of",
-    "packed_chunk",
-    "read_header",
-    "read_length",
-    "records_of",
-    "time_ns",
-]
-
 MAGIC_BYTES = len(b"#ROSBAG V2.0\n")
 CHUNK, CHUNK_INFO, CONNECTION = 5, 6, 7
 _MESSAGE = 2

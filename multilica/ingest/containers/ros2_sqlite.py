@@ -19,8 +19,6 @@ from multilica.ingest.decompression import MAX_UNPACKED_BYTES
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.recording import Messages, Recording, Span, Topic, joint_span, joint_topics, normal_type
 
-__all__ = ["open_file"]
-
 Tallies: TypeAlias = Mapping[int, tuple[int, int, int]]
 """Topic id of the database -> number of messages, first and last log time in nanoseconds."""
 

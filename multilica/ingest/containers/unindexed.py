@@ -11,8 +11,6 @@ from typing import cast
 from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.recording import Messages, RawMessage, Span, Topic, joint_span, joint_topics
 
-__all__ = ["Part", "Survey", "UnindexedRecording"]
-
 Part = tuple[int, Iterator[RawMessage]]
 """Position behind a record of the file, and the messages of the record, which may be a chunk."""
 

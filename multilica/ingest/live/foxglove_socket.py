@@ -28,8 +28,6 @@ with needed_for("Listening to a running vehicle", "websockets"):
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
 
-__all__ = ["Advertised", "ConnectionLost", "FoxgloveSocket", "Oddity", "Received", "Withdrawn"]
-
 _SUBPROTOCOLS = (Subprotocol("foxglove.sdk.v1"), Subprotocol("foxglove.websocket.v1"))
 """Of foxglove-sdk and foxglove_bridge 3 or newer, and of older bridges; the messages are the same."""
 _MESSAGE_HEAD = struct.Struct("<BIQ")

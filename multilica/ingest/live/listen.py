@@ -25,8 +25,6 @@ from multilica.ingest.selection.window import collect_frames
 from multilica.ingest.snapshot_reader import TakenSnapshot, assemble_snapshot
 from multilica.ingest.transforms.static_transforms import read_static_transforms
 
-__all__ = ["LiveRecording", "listen"]
-
 _FIRST_PAUSE_S = 0.1
 _LONGEST_PAUSE_S = 5.0
 _STATIC_S = 1.0

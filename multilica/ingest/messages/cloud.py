@@ -14,8 +14,6 @@ from multilica.ingest.message_types import MESSAGE_TYPES, OTHER_PACKETS, is_inst
 from multilica.ingest.recording import RawMessage, Topic
 from multilica.snapshot import Scan
 
-__all__ = ["Cloud", "decode_cloud", "is_cloud", "obstacle"]
-
 _MAX_NAME = 32
 _MAX_STAMP_NS = 1 << 64
 """Stamps beyond are no times, and overflow."""

@@ -17,8 +17,6 @@ from multilica.ingest.recording import RawMessage, sanitize_text
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan
 
-__all__ = ["decode_cloud"]
-
 _DATATYPES = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
 """Foxglove's number types -> those of `PointField`; Foxglove lists the unsigned ones first."""
 _DATA_KEY = re.compile(rb'"data"\s*:\s*"')

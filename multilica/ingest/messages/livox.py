@@ -9,8 +9,6 @@ from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import PointField, finite_records, point_dtype
 from multilica.snapshot import Scan
 
-__all__ = ["decode_cloud"]
-
 _FIELDS = (PointField("x", 4, 7), PointField("y", 8, 7), PointField("z", 12, 7), PointField("intensity", 16, 2))
 _POINT_BYTES = 19
 """offset_time, x, y, z, reflectivity, tag, line."""

@@ -16,8 +16,6 @@ from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan
 
-__all__ = ["Sensor", "decode_cloud", "join_packets", "sensor_of"]
-
 _FRAME_ID = "os_lidar"
 """Default frame of the driver's clouds, which is also in /tf_static."""
 _LENGTH = struct.Struct("<I")

@@ -17,8 +17,6 @@ from multilica.snapshot import Scan
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-__all__ = ["decode_cloud", "deserialize"]
-
 _MAX_FIELDS = 1024
 _OLD_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 _PACKET_BYTES = 1206

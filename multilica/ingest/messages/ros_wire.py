@@ -11,8 +11,6 @@ from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
 from multilica.ingest.memory import require_decodable
 from multilica.ingest.recording import RawMessage
 
-__all__ = ["WireReader", "message_bytes"]
-
 _layout = cache(struct.Struct)
 _CUT_OFF = "cannot be unpacked: it ends too early"
 _ENCAPSULATION_BYTES = 4

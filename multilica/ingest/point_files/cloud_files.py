@@ -14,8 +14,6 @@ from multilica.ingest.point_files.point_table import MAX_HEADER_BYTES
 from multilica.ingest.recording import Messages, RawMessage, Topic
 from multilica.ingest.remote.remote_file import SourceFile
 
-__all__ = ["CloudFiles", "FrameFiles"]
-
 _CLAIMED: Mapping[str, Callable[[bytes], int]] = {"pcd": pcd.claimed_bytes, "ply": ply.claimed_bytes}
 """Format -> function from the beginning of a file to the bytes that its header claims."""
 _MAX_FILE_BYTES = 1 << 30

@@ -27,8 +27,6 @@ from multilica.snapshot import Scan
 with needed_for("Reading LAS and LAZ files", "laspy"):
     import laspy
 
-__all__ = ["decode_cloud"]
-
 _POINTS_AND_RECORDS = struct.Struct("<II")
 _POINTS_AT = 96
 _RECORD_BYTES = 54

@@ -7,9 +7,6 @@ from io import BytesIO
 
 import lazrs
 
-__all__ = ["main"]
-
-
 def main(arguments: list[str]) -> int:
     """Read the file from standard input and write the unpacked records to standard output.
 

@@ -23,8 +23,6 @@ from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import DATATYPES, PointField, finite_points
 from multilica.snapshot import Scan
 
-__all__ = ["claimed_bytes", "decode_cloud"]
-
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _DATATYPE_OF = {name: datatype for datatype, name in DATATYPES.items()}
 _SIZES = struct.Struct("<II")

@@ -15,8 +15,6 @@ from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import DATATYPES, PointField, finite_points
 from multilica.snapshot import Scan
 
-__all__ = ["claimed_bytes", "decode_cloud"]
-
 _STORAGES = ("ascii", "binary_little_endian", "binary_big_endian")
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",

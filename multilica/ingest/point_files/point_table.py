@@ -12,8 +12,6 @@ import numpy as np
 from multilica.geometry import Float32Array
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points, finite_points, point_dtype
 
-__all__ = ["MAX_HEADER_BYTES", "PointTable", "Points", "row_count"]
-
 Points = tuple[Float32Array, Float32Array | None]
 """Finite points (N, 3), intensities (N,)."""
 

@@ -16,8 +16,6 @@ from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan
 
-__all__ = ["decode_cloud"]
-
 Table: TypeAlias = npt.NDArray[Any]
 
 _COLUMNS = {"kitti": 4, "nuscenes": 5}

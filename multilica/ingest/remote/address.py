@@ -7,8 +7,6 @@ from urllib.parse import urlsplit
 
 from multilica.errors import UsageError
 
-__all__ = ["is_live", "local_output", "require_readable", "require_valid", "scheme_of", "stem_of", "without_secrets"]
-
 _FILES = ("s3", "gs", "https", "http")
 _BUCKETS = ("s3", "gs")
 _LIVE = ("ws", "wss")

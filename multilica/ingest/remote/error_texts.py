@@ -7,8 +7,6 @@ from contextlib import contextmanager
 from multilica.errors import MultilicaError, SourceNotFoundError, UnreadableSourceError
 from multilica.optional_libraries import raise_missing
 
-__all__ = ["ConnectionLostError", "WithoutRangesError", "remote_failures_named"]
-
 _CREDENTIALS = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or AWS_PROFILE, or FSSPEC_S3_ANON=true for a public bucket",
     "gs": "run `gcloud auth application-default login`, or set FSSPEC_GS_TOKEN=anon for a public bucket",

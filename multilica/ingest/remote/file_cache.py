@@ -9,8 +9,6 @@ from threading import Lock
 from fsspec.caching import MMapCache
 from fsspec.spec import AbstractBufferedFile
 
-__all__ = ["BLOCK_BYTES", "CachedStream", "FileCache"]
-
 BLOCK_BYTES = 256 << 10
 """A request takes about as long as the transfer of this; larger blocks load more around a chunk than they save."""
 

@@ -26,8 +26,6 @@ from multilica.scratch import scratch_folder
 if TYPE_CHECKING:
     from multilica.ingest.remote.file_cache import FileCache
 
-__all__ = ["MAX_WHOLE_BYTES", "RemoteFile", "SourceFile", "open_file_system", "path_on_disk"]
-
 MAX_WHOLE_BYTES = 2 << 30
 """Limit of files that are downloaded as a whole."""
 

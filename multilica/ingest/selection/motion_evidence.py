@@ -21,8 +21,6 @@ from multilica.snapshot import Scan
 if TYPE_CHECKING:
     from multilica.stages.stillness import Motion
 
-__all__ = ["Evidence", "Samples", "by_clouds", "by_imu", "by_odometry"]
-
 Samples: TypeAlias = Sequence[tuple[int, bool | None]]
 """Log times in nanoseconds, and whether the vehicle stands still; None if unknown."""
 Evidence: TypeAlias = tuple[str, Samples] | None

@@ -9,8 +9,6 @@ from contextlib import closing
 from multilica.ingest.recording import RawMessage, Recording
 from multilica.ingest.selection.topic_frames import TopicFrames
 
-__all__ = ["PATIENCE_NS", "evenly", "sampled", "until_full"]
-
 PATIENCE_NS = 10 * 10**9
 """Drivers that start one after the other have started by then; later, the vehicle may be somewhere else."""
 _MIN_JUMP_NS = 2 * 10**9

@@ -12,8 +12,6 @@ from multilica.ingest.messages.cloud import is_cloud
 from multilica.ingest.recording import Recording, Span
 from multilica.ingest.selection.motion_evidence import Evidence, by_clouds, by_imu, by_odometry
 
-__all__ = ["TimeRange", "find_time_range", "parse_time_ns"]
-
 _NS_PER_S = 1_000_000_000
 _MAX_SPREAD_S = 30.0
 _MIN_NANOSECONDS = 10**17

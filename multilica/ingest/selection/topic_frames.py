@@ -13,8 +13,6 @@ from multilica.ingest.messages.cloud import Cloud, decode_cloud, is_cloud
 from multilica.ingest.recording import RawMessage
 from multilica.snapshot import Scan
 
-__all__ = ["TopicFrames", "clock_notes"]
-
 _MAX_CLOCK_OFFSET_S = 0.5
 """A scan takes a tenth of a second and logging a little more; a larger difference means that clocks are not set."""
 _MAX_BROKEN = 1000

@@ -13,9 +13,6 @@ from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled, un
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
 from multilica.ingest.selection.topic_frames import TopicFrames, clock_notes
 
-__all__ = ["Window", "collect_frames", "require_frames"]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
     """The collected frames.

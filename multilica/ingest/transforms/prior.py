@@ -13,8 +13,6 @@ from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import Joint, read_urdf
 from multilica.snapshot import Snapshot
 
-__all__ = ["STATIC_TRANSFORMS", "FramePose", "Prior", "poses_from", "read_prior"]
-
 STATIC_TRANSFORMS = "tf"
 _URDF_SUFFIXES = (".urdf", ".xml", ".xacro")
 _MAX_FRAMES = 12

@@ -14,8 +14,6 @@ from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.messages.ros_wire import WireReader
 from multilica.ingest.recording import RawMessage, Recording
 
-__all__ = ["StaticTransforms", "read_static_transforms"]
-
 StaticTransforms = tuple[tuple[RigidTransform, ...], tuple[str, ...]]
 """Transforms sorted by parent and child, notes on those that were left out."""
 

@@ -13,8 +13,6 @@ from multilica.documents import read_limited, require_length
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.geometry import RigidTransform
 
-__all__ = ["MAX_ANGLE_RAD", "Joint", "parse_xml", "read_urdf"]
-
 _MAX_BYTES = 4 << 20
 """A description without its meshes takes a few hundred kilobytes; as elements, each byte takes a hundred."""
 _MAX_DEPTH = 64

@@ -11,9 +11,6 @@ from multilica.results.document.pairs import ReasonEntry
 from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PoseEntry, Quaternion, Vector3
 from multilica.results.placements import PlacementStatus, SigmaOrigin
 
-__all__ = ["ContestedEntry", "HealthEntry", "LidarEntry", "PriorEntry", "SpreadEntry"]
-
-
 class PriorEntry(PoseEntry):
     """The pose that the prior gives, in the target frame."""
 

@@ -9,9 +9,6 @@ from pydantic import Field
 from multilica.geometry import RigidTransform
 from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry
 
-__all__ = ["CycleErrorEntry", "DecisionEntry", "PairEntry", "ReasonEntry", "RefinementEntry", "RegistrationEntry"]
-
-
 class ReasonEntry(Entry):
     """Why a registration was not accepted, or a sensor not trusted."""
 

@@ -18,18 +18,6 @@ from multilica.results.document.pairs import DecisionEntry, PairEntry, Refinemen
 from multilica.results.document.stages import StageFigures
 from multilica.results.document.values import Entry, Matrix4, Number, Vector3
 
-__all__ = [
-    "RESULT_SCHEMA",
-    "GroundEntry",
-    "InputEntry",
-    "InputLidarEntry",
-    "ProgressEntry",
-    "ResultDocument",
-    "SnapshotEntry",
-    "parse_result",
-    "schema_text",
-]
-
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
 
 

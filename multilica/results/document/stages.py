@@ -8,20 +8,6 @@ from pydantic import Field
 
 from multilica.results.document.values import Entry, Number, Vector3
 
-__all__ = [
-    "CoarseFigures",
-    "CorrespondFigures",
-    "FeatureFigures",
-    "FineFigures",
-    "GroundFigures",
-    "IngestFigures",
-    "MergeFigures",
-    "PoseFigures",
-    "PreprocessFigures",
-    "StageFigures",
-    "VerifyFigures",
-]
-
 FiguresT = TypeVar("FiguresT")
 
 

@@ -3,8 +3,6 @@
 
 from multilica.simulate.sensors import RasterPattern, RosettePattern, SensorModel, SpinningPattern
 
-__all__ = ["AERIES_II", "AVIA", "FALCON", "NARROW", "OS1_64", "OS1_128", "OS2_128", "ROOF_64", "SIDE_32", "VLP_16"]
-
 OS1_64 = SensorModel(SpinningPattern(64, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-64
 OS1_128 = SensorModel(SpinningPattern(128, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-128
 OS2_128 = SensorModel(SpinningPattern(128, 1024, (-11.25, 11.25)), 120.0, 0.8)  # Ouster OS2-128

@@ -9,8 +9,6 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.simulate.sensors import SensorModel
 from multilica.simulate.shapes.mesh import Mesh
 
-__all__ = ["BASE", "Mount", "Rig", "as_built", "misjudged"]
-
 BASE = "base"
 _BUILD_SIGMA_M, _BUILD_SIGMA_RAD = 0.02, float(np.deg2rad(1.0))
 _DRAWING_SIGMA_M, _DRAWING_SIGMA_RAD = 0.05, float(np.deg2rad(2.0))

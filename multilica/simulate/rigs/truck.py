@@ -5,8 +5,6 @@ from multilica.simulate.rigs.bodies import articulated_truck
 from multilica.simulate.rigs.lidars import FALCON, OS1_128, SIDE_32
 from multilica.simulate.rigs.rig import Mount, Rig
 
-__all__ = ["TRUCK"]
-
 # 32-channel LiDARs on the mirrors, 128-channel ones on both roofs, 120-degree solid-state ones on the trailer's walls.
 TRUCK = Rig(
     "truck",

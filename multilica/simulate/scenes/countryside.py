@@ -9,8 +9,6 @@ from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged
 from multilica.simulate.shapes.street_objects import bush, fence, hay_bale, post_fence, sign, tree
 from multilica.simulate.shapes.vehicles import random_car
 
-__all__ = ["fence_field", "open_field"]
-
 _SECTORS = 12
 
 

@@ -11,9 +11,6 @@ from multilica.errors import UsageError
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.simulate.shapes.mesh import Mesh, facing_quads, merged, reaches_into
 
-__all__ = ["FLAT", "Scene", "Terrain", "Wave", "rolling_waves"]
-
-
 Wave = tuple[float, float, float, float]
 """Amplitude (m), kx, ky (rad/m) and phase (rad) of ``amplitude * sin(kx * x + ky * y + phase)``."""
 

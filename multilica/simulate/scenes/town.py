@@ -20,8 +20,6 @@ from multilica.simulate.shapes.street_objects import (
 )
 from multilica.simulate.shapes.vehicles import random_car
 
-__all__ = ["parking", "street"]
-
 _REACH_M = 110.0
 _KERB_M = 0.13
 _SLOT_M = 2.5

@@ -9,8 +9,6 @@ from multilica.simulate.scenes.scene import FLAT, Scene
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, extrusion, quads, tube
 from multilica.simulate.shapes.vehicles import random_car
 
-__all__ = ["garage", "symmetric_garage", "tunnel"]
-
 _TUNNEL_HALF_LENGTH_M = 250.0
 
 

@@ -8,9 +8,6 @@ import numpy as np
 from multilica.geometry import FloatArray
 from multilica.simulate.shapes.mesh import Mesh, box, merged, quads, tube
 
-__all__ = ["FacadeStyle", "building", "shed"]
-
-
 @dataclass(frozen=True, slots=True)
 class FacadeStyle:
     """Sizes of a facade; storeys are measured from floor to floor, windows by width and height."""

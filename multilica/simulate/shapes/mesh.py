@@ -12,20 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from multilica.geometry import FloatArray, RigidTransform, read_only
 
-__all__ = [
-    "Mesh",
-    "box",
-    "cylinder",
-    "extrusion",
-    "facing_quads",
-    "merged",
-    "quads",
-    "reaches_into",
-    "sphere",
-    "tapered_box",
-    "tube",
-]
-
 IndexArray = npt.NDArray[np.int64]
 Point = Sequence[float]
 Rectangle = tuple[float, float, float, float]

@@ -6,21 +6,6 @@ import numpy as np
 from multilica.geometry import FloatArray
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged, tube
 
-__all__ = [
-    "bench",
-    "bush",
-    "fence",
-    "hay_bale",
-    "hedge",
-    "lamp_post",
-    "post_fence",
-    "refuse_bin",
-    "sign",
-    "tree",
-    "trolley_shelter",
-]
-
-
 def lamp_post(height_m: float, arm_m: float) -> Mesh:
     """Build a tapering post whose arm with the lamp reaches along x."""
     post = cylinder(0.09, -0.3, height_m, top_radius_m=0.05)

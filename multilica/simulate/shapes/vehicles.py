@@ -7,9 +7,6 @@ import numpy as np
 
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged, sphere, tapered_box, tube
 
-__all__ = ["CAR_SHAPES", "CarShape", "car", "pedestrian", "random_car", "truck"]
-
-
 @dataclass(frozen=True, slots=True)
 class CarShape:
     """Proportions of a car body; the greenhouse has x of rear and front at the belt (`cabin_m`) and at the roof."""

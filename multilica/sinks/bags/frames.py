@@ -5,9 +5,6 @@ from collections.abc import Iterator
 
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
-__all__ = ["frames_in_order", "topic_of"]
-
-
 def frames_in_order(snapshot: Snapshot) -> Iterator[tuple[LidarScans, Scan]]:
     """Yield each frame with its LiDAR, by stamp, then by name of the LiDAR."""
     frames = [(lidar, scan) for lidar in snapshot.lidars for scan in lidar.scans]

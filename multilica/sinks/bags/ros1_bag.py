@@ -16,8 +16,6 @@ from multilica.pointcloud2 import encode_points
 from multilica.sinks.bags.frames import frames_in_order, topic_of
 from multilica.snapshot import Scan, Snapshot
 
-__all__ = ["write_ros1_bag"]
-
 _POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 
 

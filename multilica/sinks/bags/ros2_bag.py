@@ -15,8 +15,6 @@ from multilica.sinks.bags.frames import frames_in_order, topic_of
 from multilica.sinks.mcap import ros2_types as ros2
 from multilica.snapshot import Snapshot
 
-__all__ = ["write_ros2_bag"]
-
 _VERSION: Final = 9
 
 

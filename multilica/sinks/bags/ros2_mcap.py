@@ -14,8 +14,6 @@ from multilica.sinks.mcap import ros2_types as ros2
 from multilica.sinks.mcap.messages import McapMessage, MessageWriter
 from multilica.snapshot import Snapshot
 
-__all__ = ["write_ros2_mcap"]
-
 _METADATA_NAME = "log"
 
 

@@ -7,8 +7,6 @@ import numpy.typing as npt
 from multilica.geometry import Float32Array
 from multilica.snapshot import Snapshot
 
-__all__ = ["every_nth", "sample_indices", "sample_points", "shown_radius_m", "slot_offsets_m"]
-
 _RADIUS_SAMPLE = 10_000
 
 

@@ -6,23 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "AGREE",
-    "KEPT",
-    "MUTED",
-    "OCCLUDED",
-    "REJECTED",
-    "UNCERTAIN",
-    "UNDECIDED",
-    "UNSEEN",
-    "VERDICT_COLOURS",
-    "VIOLATE",
-    "Rgb",
-    "distinct_colours",
-    "heat_colours",
-    "hex_colour",
-]
-
 Rgb = tuple[int, int, int]
 
 # After Okabe and Ito's set; its vermillion is kept for what is wrong.

@@ -8,8 +8,6 @@ import numpy as np
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.sinks.drawing.palette import Rgb
 
-__all__ = ["EDGE_LABEL_SHARE", "Drawing", "Ellipsoid", "Label", "Lines", "segments_along"]
-
 EDGE_LABEL_SHARE = 0.4
 """Position of labels along the edges of graphs; off the middle, where the diagonals of a square meet."""
 

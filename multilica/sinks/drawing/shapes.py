@@ -11,18 +11,6 @@ from multilica.results import BoolArray, Correspondences, Hypothesis, LidarPlace
 from multilica.sinks.drawing.clouds import every_nth, sample_indices
 from multilica.sinks.run_state import RunState
 
-__all__ = [
-    "SIGMAS",
-    "ellipsoid_label",
-    "ellipsoid_scale",
-    "field_of_view",
-    "kept_count",
-    "kept_matches",
-    "match_lines",
-    "shown_field_of_view",
-    "uncertainty_ellipsoid",
-]
-
 SIGMAS = 3.0
 """Half axes, in standard deviations."""
 

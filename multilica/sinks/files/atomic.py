@@ -10,9 +10,6 @@ from glob import escape
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = ["atomic_file", "begun_files", "partial_path", "write_text_atomically"]
-
-
 @contextmanager
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the name `path` when the block ends.

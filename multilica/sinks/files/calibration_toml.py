@@ -12,8 +12,6 @@ from multilica.extrinsics import Extrinsics, extrinsics_table, pose_values
 from multilica.results.document import LidarEntry, ResultDocument
 from multilica.results.document.result import GroundEntry
 
-__all__ = ["calibration_toml", "toml_text"]
-
 _NUMBERS = re.compile(r"\[\n([-+\d.eE,\s]+?),?\s*\]")
 _HEADER = """\
 # Extrinsics of the LiDARs of one rig.

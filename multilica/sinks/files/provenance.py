@@ -11,8 +11,6 @@ import multilica
 from multilica.results.document.result import InputEntry, InputLidarEntry
 from multilica.snapshot import Snapshot
 
-__all__ = ["Provenance", "collect_versions", "provenance_of"]
-
 _PACKAGES = {"open3d-cpu": "open3d", "small-gicp": "small_gicp", "kiss-matcher": "kiss_matcher", "rerun-sdk": "rerun"}
 _DISTRIBUTIONS = ("numpy", "scipy", "open3d", "open3d-cpu", "small-gicp", "kiss-matcher", "rerun-sdk", "mcap")
 

@@ -9,8 +9,6 @@ from multilica.sinks.files.calibration_toml import calibration_toml
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 
-__all__ = ["CALIBRATION_TOML", "RESULT_JSON", "ResultFiles"]
-
 RESULT_JSON = "result.json"
 CALIBRATION_TOML = "calibration.toml"
 

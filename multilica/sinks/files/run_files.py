@@ -14,22 +14,6 @@ from multilica.errors import UsageError
 from multilica.sinks.files.atomic import begun_files, partial_path, write_text_atomically
 from multilica.sinks.files.result_files import CALIBRATION_TOML, RESULT_JSON
 
-__all__ = [
-    "ATTACHED",
-    "CONFIG_HEADER",
-    "CONFIG_TOML",
-    "MCAP",
-    "RECORDING",
-    "REPORT_HTML",
-    "UNFINISHED",
-    "locked",
-    "outputs",
-    "place_for_run",
-    "prepare",
-    "publish",
-    "remove_outputs",
-]
-
 CONFIG_TOML = "config.toml"
 RECORDING = "recording.rrd"
 MCAP = "result.mcap"

@@ -32,8 +32,6 @@ from multilica.sinks.drawing.primitives import Drawing, Ellipsoid, Label, Lines
 from multilica.sinks.mcap.messages import McapMessage, MessageSchema
 from multilica.sinks.text.log_lines import LogLine
 
-__all__ = ["FoxgloveEncoding"]
-
 _LINE_PIXELS = 2.0
 _TEXT_PIXELS = 14.0
 _OPACITY = 0.6

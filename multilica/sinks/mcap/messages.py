@@ -6,9 +6,6 @@ from dataclasses import dataclass, field
 
 from mcap.writer import Writer
 
-__all__ = ["McapMessage", "MessageSchema", "MessageWriter"]
-
-
 @dataclass(frozen=True, slots=True)
 class MessageSchema:
     """Schema of a message.

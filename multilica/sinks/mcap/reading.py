@@ -12,8 +12,6 @@ from multilica.results.document import ResultDocument, parse_result
 if TYPE_CHECKING:
     from mcap.records import Attachment
 
-__all__ = ["read_attached_document"]
-
 _RESULT_JSON = "result.json"
 _MAX_RECORD_BYTES = 4 * MAX_JSON_BYTES
 """Limit of a record of the file; only attachments and the summary are loaded."""

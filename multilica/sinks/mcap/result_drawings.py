@@ -30,8 +30,6 @@ from multilica.sinks.drawing.shapes import (
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
-__all__ = ["DRAWING_TOPICS", "cloud_frames", "foxglove_layout", "result_drawings"]
-
 DRAWING_TOPICS = ("/matches", "/merge_graph", "/fields_of_view", "/uncertainty")
 
 _MAX_MATCHES = 500

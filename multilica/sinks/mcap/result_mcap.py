@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
     from multilica.sinks.mcap.ros2_messages import Ros2Encoding
 
-__all__ = ["ResultMcap"]
-
 _ENCODINGS = ("foxglove", "ros2")
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000

@@ -17,8 +17,6 @@ from multilica.sinks.mcap import ros2_types as ros2
 from multilica.sinks.mcap.messages import McapMessage
 from multilica.sinks.text.log_lines import LogLine
 
-__all__ = ["Ros2Encoding"]
-
 _LEVELS = {"DEBUG": 10, "INFO": 20, "WARN": 30, "ERROR": 40}
 _SPHERE, _LINE_LIST, _TEXT = 2, 5, 9
 _LINE_WIDTH_M = 0.03

@@ -14,23 +14,6 @@ from multilica.geometry import Float32Array, RigidTransform
 from multilica.pointcloud2 import encode_points
 from multilica.sinks.mcap.messages import MessageSchema
 
-__all__ = [
-    "POINT_CLOUD",
-    "ROS_END_NS",
-    "TRANSFORMS",
-    "hash_of",
-    "header",
-    "made",
-    "offered_qos",
-    "point_cloud",
-    "pose_of",
-    "schema_of",
-    "serialised",
-    "time_of",
-    "transforms",
-    "xyz_of",
-]
-
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 ROS_END_NS = 2**31 * 10**9

@@ -15,8 +15,6 @@ from multilica.sinks.files.atomic import atomic_file
 from multilica.sinks.mcap import ros2_types as ros2
 from multilica.snapshot import LidarScans, Snapshot
 
-__all__ = ["window_metadata", "write_snapshot_mcap"]
-
 _CHUNK_BYTES = 4 << 20
 _LATEST_NS = 2**64 - 1
 

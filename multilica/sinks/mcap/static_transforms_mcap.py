@@ -12,8 +12,6 @@ from multilica.geometry import RigidTransform
 from multilica.sinks.mcap import ros2_types as ros2
 from multilica.sinks.mcap.messages import McapMessage, MessageWriter
 
-__all__ = ["static_transforms_mcap"]
-
 _STAMP_NS = 10**9
 """Readers treat zero as unset; the time of a static transform has no meaning."""
 

@@ -14,19 +14,6 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.sinks.drawing.clouds import every_nth
 from multilica.sinks.drawing.palette import Rgb
 
-__all__ = [
-    "GROUND_COLOUR",
-    "Layer",
-    "View",
-    "draw_clouds",
-    "fitted_height_px",
-    "is_upright",
-    "png_bytes",
-    "short_name",
-    "side_view",
-    "top_view",
-]
-
 GROUND_COLOUR: Rgb = (15, 19, 25)
 _TEXT_COLOUR: Rgb = (232, 236, 241)
 _AXIS_COLOURS: tuple[Rgb, ...] = ((255, 120, 110), (120, 220, 130), (120, 170, 255))

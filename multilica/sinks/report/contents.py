@@ -16,8 +16,6 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.prior_comparison import surprises
 from multilica.snapshot import LidarScans
 
-__all__ = ["ReportContents", "ScoredPoints", "contents_of"]
-
 _RAW_SAMPLE = 60_000
 
 

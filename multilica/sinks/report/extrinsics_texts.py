@@ -11,9 +11,6 @@ from multilica.results.document import ResultDocument
 from multilica.sinks.files.calibration_toml import calibration_toml
 from multilica.sinks.text.extrinsics_text import matrix_text, urdf_text
 
-__all__ = ["ExtrinsicsText", "extrinsics_texts"]
-
-
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsText:
     """A text with its format: `key` for programs, `label` for people, `title` for what it holds."""

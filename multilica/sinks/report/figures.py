@@ -24,8 +24,6 @@ from multilica.sinks.report.cloud_picture import (
 from multilica.sinks.report.contents import ReportContents, ScoredPoints
 from multilica.sinks.report.rig_scene import FIRST_VIEW_RAD
 
-__all__ = ["QUARTER_TURN", "Figure", "pair_figures", "rig_figures"]
-
 _WIDTH_PX = 1280
 _HEIGHT_SHARES = (0.4, 0.625)
 """Least and most height of a view from above, as shares of the width."""

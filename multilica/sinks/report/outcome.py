@@ -9,9 +9,6 @@ from multilica.diagnosis import Cause, Missing, Uncertain, explain
 from multilica.results import PairKey
 from multilica.sinks.report.contents import ReportContents
 
-__all__ = ["Outcome", "UnplacedLidar", "outcome_of"]
-
-
 @dataclass(frozen=True, slots=True)
 class UnplacedLidar:
     """A LiDAR that is not placed."""

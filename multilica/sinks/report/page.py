@@ -30,8 +30,6 @@ from multilica.sinks.report.rig_uncertainty import rig_drawing
 from multilica.sinks.report.template import own_text, page_template
 from multilica.sinks.run_state import RunState
 
-__all__ = ["MAX_BYTES", "ReportFile", "report_html"]
-
 MAX_BYTES = 8_000_000
 """Limit of ticket systems and mail; the clouds of the 3-D view are thinned until the page fits."""
 

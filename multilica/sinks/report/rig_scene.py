@@ -12,8 +12,6 @@ from multilica.sinks.drawing.clouds import every_nth, sample_points
 from multilica.sinks.drawing.palette import Rgb
 from multilica.sinks.report.contents import ReportContents
 
-__all__ = ["BYTES_PER_POINT", "FIRST_VIEW_RAD", "MAX_POINTS", "refused_poses", "rig_scene"]
-
 MAX_POINTS = 300_000
 """More make the view slow on machines without a graphics card."""
 

@@ -12,8 +12,6 @@ from multilica.sinks.drawing.shapes import SIGMAS
 from multilica.sinks.report.contents import ReportContents
 from multilica.sinks.report.figures import QUARTER_TURN
 
-__all__ = ["RigDrawing", "SigmaMark", "SigmaView", "rig_drawing"]
-
 _WIDTH_PX, _LEAST_HEIGHT_PX = 560.0, 240.0
 _SIDE_PX = 190.0
 """Width of each column of labels."""

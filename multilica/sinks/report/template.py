@@ -15,9 +15,6 @@ from markupsafe import Markup
 
 from multilica.errors import escape_controls
 
-__all__ = ["own_text", "page_template"]
-
-
 def own_text(package: str, name: str) -> str:
     """Return a text file of a package."""
     return files(package).joinpath(name).read_text(encoding="utf-8")

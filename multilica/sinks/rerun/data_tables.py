@@ -12,8 +12,6 @@ from multilica.results.deviations import weakest_sigmas
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.pair_tables import coverage_of
 
-__all__ = ["MERGE_COLUMNS", "PAIR_COLUMNS", "merge_rows", "pair_rows"]
-
 _TEXT, _COUNT, _NUMBER, _FLAG = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 

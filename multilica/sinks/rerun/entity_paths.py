@@ -3,36 +3,6 @@
 
 import rerun as rr
 
-__all__ = [
-    "CONFIG",
-    "COVERAGE",
-    "CURVES",
-    "DISPLAY_FRAME",
-    "DROPPED_TABLE",
-    "FITNESS",
-    "FRAMES",
-    "GROUND",
-    "HYPOTHESES_TABLE",
-    "LOG",
-    "MERGE_GRAPH",
-    "MERGE_STEPS",
-    "MERGE_TABLE",
-    "PAIRS",
-    "PAIRS_TABLE",
-    "PAIR_TABLE",
-    "RESULT",
-    "ROOT_FRAME",
-    "SUMMARY",
-    "TIMINGS",
-    "VERDICTS",
-    "curve_path",
-    "lidar_frame",
-    "lidar_path",
-    "pair_frame",
-    "pair_path",
-    "slot_frame",
-]
-
 LOG = "/log"
 SUMMARY = "/summary"
 CONFIG = "/config"

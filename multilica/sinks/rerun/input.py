@@ -28,8 +28,6 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 from multilica.sinks.text.markdown import markdown_table
 
-__all__ = ["log_dropped_table", "log_features", "log_in_slot", "log_input", "log_preprocessed", "name_pole_m"]
-
 _DROP_COLOURS: dict[str, Rgb] = {"too_near": VIOLATE, "too_far": MUTED, "moving": UNDECIDED}
 _AXIS_LENGTH_M = 1.0
 _NORMAL_LENGTH_M = 0.4

@@ -13,8 +13,6 @@ from multilica.sinks.drawing.shapes import kept_matches, match_lines
 from multilica.sinks.rerun.entity_paths import lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene, rigid
 
-__all__ = ["lift_m", "log_matches", "log_verdict_on_matches"]
-
 _LIFT_PER_RADIUS = 0.5
 
 

@@ -16,16 +16,6 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import pair_scores_markdown
 
-__all__ = [
-    "log_changed_verdict",
-    "log_group_registration",
-    "log_hypotheses",
-    "log_registration",
-    "log_verified",
-    "show_best_poses",
-    "starting_hypothesis",
-]
-
 _AXIS_LENGTH_M = 0.5
 
 

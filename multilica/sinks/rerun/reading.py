@@ -16,8 +16,6 @@ from multilica.results.document import ResultDocument, parse_result
 from multilica.sinks.rerun.entity_paths import RESULT, lidar_path, pair_path
 from multilica.sinks.rerun.rrd_process import read_batches
 
-__all__ = ["RecordedScores", "read_recorded_clouds", "read_recorded_document", "read_recorded_scores"]
-
 _TEXT = "TextDocument:text"
 _POSITIONS = "Points3D:positions"
 _CLASSES = "Points3D:class_ids"

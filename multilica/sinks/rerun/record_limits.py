@@ -9,9 +9,6 @@ from dataclasses import dataclass, fields
 from multilica.config import RecordConfig
 from multilica.snapshot import Snapshot
 
-__all__ = ["NO_LIMITS", "RecordLimits", "limits_for"]
-
-
 @dataclass(frozen=True, slots=True)
 class RecordLimits:
     """Maximum counts in a recording.

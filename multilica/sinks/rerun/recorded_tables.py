@@ -18,8 +18,6 @@ from multilica.sinks.rerun.rrd_process import read_batches
 if TYPE_CHECKING:
     import pyarrow as pa
 
-__all__ = ["TABLES", "read_recorded_table"]
-
 _STEP = "step"
 
 

@@ -26,8 +26,6 @@ from multilica.sinks.rerun.verdict import log_contested_places
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, cause_of_end, log_end, log_lines
 
-__all__ = ["RerunRecording"]
-
 _NAME = "multilica"
 _FLUSH_TIMEOUT_S = 60.0
 _FLUSH_TICK_S = 7 * 86_400.0

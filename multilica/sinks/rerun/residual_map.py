@@ -10,8 +10,6 @@ from multilica.sinks.drawing.palette import heat_colours
 from multilica.sinks.rerun.entity_paths import lidar_frame, lidar_path
 from multilica.sinks.rerun.scene import RerunScene
 
-__all__ = ["RESIDUAL_SCALE_M", "log_residuals"]
-
 RESIDUAL_SCALE_M = 0.05
 """Residual with the brightest colour: a few times the range noise of vehicle LiDARs."""
 

@@ -18,8 +18,6 @@ from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import decisions_markdown
 
-__all__ = ["log_ground", "log_merge_step", "log_outcome"]
-
 _GRID_HALF_SIZE_M = 15.0
 _GRID_SPACING_M = 2.5
 _NODE_RADIUS = 12.0

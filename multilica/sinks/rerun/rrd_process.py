@@ -17,8 +17,6 @@ from typing import Any, BinaryIO
 from multilica.errors import UnreadableSourceError
 from multilica.scratch import scratch_folder
 
-__all__ = ["main", "read_batches"]
-
 # An RRD file is a head, then messages: kind and length, 64 bits each, little-endian, then so many bytes. A message of
 # kind 0 ends the stream; the reader refuses a file that ends within a message.
 _MAGIC = b"RRF2"

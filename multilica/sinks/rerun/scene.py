@@ -18,8 +18,6 @@ from multilica.sinks.rerun.record_limits import NO_LIMITS, RecordLimits
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 
-__all__ = ["CLOCK_TIMELINE", "ITERATION_TIMELINE", "STEP_TIMELINE", "RerunScene", "rigid"]
-
 STEP_TIMELINE = "step"
 ITERATION_TIMELINE = "iteration"
 CLOCK_TIMELINE = "log_time"

@@ -12,8 +12,6 @@ from multilica.sinks.drawing.palette import AGREE, OCCLUDED, UNSEEN, VIOLATE
 from multilica.sinks.rerun.entity_paths import PAIRS, lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene
 
-__all__ = ["log_scored_points"]
-
 _COLOURS = {
     BeamLabel.UNSEEN: UNSEEN,
     BeamLabel.AGREE: AGREE,

@@ -5,9 +5,6 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun_bindings as bindings
 
-__all__ = ["end_threads", "send_blueprint"]
-
-
 def send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
     """Send a blueprint as `stream.send_blueprint` does, and disconnect the stream that it is made with.
 

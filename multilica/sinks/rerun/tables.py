@@ -24,8 +24,6 @@ from multilica.sinks.rerun.scene import RerunScene
 from multilica.sinks.text.pair_tables import coverage_of, hypotheses_markdown, pair_figures_markdown
 from multilica.sinks.text.run_summary import summary_markdown
 
-__all__ = ["log_pair_tables", "log_summary", "matrix_bounds"]
-
 _CELL_PIXELS = np.array([60, 20])
 _LABEL_SHARE = 0.05
 

@@ -13,8 +13,6 @@ from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.unplaced import failures
 
-__all__ = ["log_contested_places", "log_verdict"]
-
 _ARROW_M = 4.0
 
 

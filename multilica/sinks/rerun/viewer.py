@@ -21,8 +21,6 @@ from multilica.system_libraries import apt_command
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
 
-__all__ = ["serve_catalog", "show_recording", "viewer_picture"]
-
 _COMMAND = (sys.executable, "-m", "rerun")
 # The viewer also listens for data.
 _LOOPBACK = ("--bind", "127.0.0.1")

@@ -8,8 +8,6 @@ from xml.sax.saxutils import quoteattr
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 
-__all__ = ["MATRIX_FRAMES", "child_poses", "matrix_text", "number_list", "number_text", "urdf_text"]
-
 MATRIX_FRAMES = "# T_target_source "
 """Start of the line above a matrix, before its target and source."""
 

@@ -19,8 +19,6 @@ from multilica.results import (
 )
 from multilica.sinks.text.prior_comparison import surprises
 
-__all__ = ["LogLevel", "LogLine", "cause_of_end", "log_end", "log_lines", "pair_label"]
-
 LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
 
 _OUTLIER_WEIGHT = 0.5

@@ -4,9 +4,6 @@
 import math
 from collections.abc import Iterable, Sequence
 
-__all__ = ["escaped", "markdown_table", "thousandths"]
-
-
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Format a table; cells may hold any text."""
     lines = [header, ["---"] * len(header), *rows]

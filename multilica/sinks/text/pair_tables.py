@@ -16,15 +16,6 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.markdown import markdown_table, thousandths
 
-__all__ = [
-    "candidate_label",
-    "coverage_of",
-    "decisions_markdown",
-    "hypotheses_markdown",
-    "pair_figures_markdown",
-    "pair_scores_markdown",
-]
-
 Shown = Registration | Hypothesis
 
 _SHOWN_HYPOTHESES = 3

@@ -9,8 +9,6 @@ import numpy as np
 from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad, rotation_vector_rad
 from multilica.results import CalibrationResult, LidarPlacement
 
-__all__ = ["exchanged_names", "surprise", "surprises"]
-
 _MOUNT_PLAY_M = 0.3
 _MOUNT_PLAY_RAD = float(np.deg2rad(10.0))
 _HALF_TURN_RAD = float(np.deg2rad(150.0))

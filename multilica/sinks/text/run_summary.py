@@ -10,8 +10,6 @@ from multilica.sinks.drawing.shapes import SIGMAS, ellipsoid_scale
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.markdown import escaped, markdown_table
 
-__all__ = ["summary_markdown"]
-
 # As narrow as it can be: the viewer cuts what is wider than its pane.
 _PLACEMENT_HEADER = ("LiDAR", "x m", "y m", "z m", "roll °", "pitch °", "yaw °", "sigma mm", "sigma °")
 

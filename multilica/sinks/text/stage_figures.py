@@ -27,8 +27,6 @@ from multilica.results.document.values import Entry
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
-__all__ = ["stage_figures"]
-
 _DIGEST_CHARACTERS = 16
 
 

@@ -12,8 +12,6 @@ from multilica.registration.neighbours import thin
 from multilica.results import LEVEL_FRAME, GroundPlane
 from multilica.stages.ground.ground_surface import NEAR_M, GroundSurface, axes_of, fit_surface, nearness_of
 
-__all__ = ["estimate_ground", "estimate_level", "middle_of"]
-
 # One point per cell, so that points count by the area that they cover, not by the density of the beams.
 _CELL_M = 0.3
 _MIN_CELLS = 100

@@ -8,8 +8,6 @@ import numpy.typing as npt
 
 from multilica.geometry import FloatArray, lengths, read_only
 
-__all__ = ["NEAR_M", "GroundSurface", "axes_of", "fit_surface", "nearness_of"]
-
 # At this distance a point counts half, or a quarter: what is near is more likely to be what the wheels stand on.
 NEAR_M = 5.0
 _BELOW_DISTANCES = 4.0

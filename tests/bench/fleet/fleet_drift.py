@@ -15,8 +15,6 @@ from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.bench.support.workers import run_all
 from tests.fleet.made_series import Motion, Noise, made_fleet, made_vehicle, random_times, with_wrong_logs
 
-__all__ = ["main"]
-
 _RATE = 0.01
 # A true rate equal to the stated one exceeds the limit in one of a thousand measurements.
 _CHANCE = 1e-3

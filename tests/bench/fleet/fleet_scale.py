@@ -20,8 +20,6 @@ from multilica.fleet.units.guard import UnitLimits
 from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
 from tests.bench.support.claims import at_most, print_claims, print_table
 
-__all__ = ["main"]
-
 _FEW, _MANY = 10_000, 100_000
 _LOGS_PER_VEHICLE = 500
 _UNIT_S = 0.001

@@ -26,8 +26,6 @@ from multilica.fleet.store.records import MEASURED
 from multilica.fleet.store.store import Store, open_store
 from tests.bench.support.claims import Claim, print_claims
 
-__all__ = ["main"]
-
 _FEW_VEHICLES = 6
 _LEAST_SPEED_UP = 1.8
 _KILLS_EVERY_S = (5.0, 15.0)

@@ -7,9 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
-__all__ = ["Claim", "at_most", "figure", "print_claims", "print_table"]
-
-
 @dataclass(frozen=True, slots=True)
 class Claim:
     """One line of the table that must be seen to hold."""

@@ -15,8 +15,6 @@ from tests.bench.support.claims import print_table
 from tests.bench.support.workers import run_all
 from tests.bench.tables import COLUMNS, TARGETS, cells, place_by_config
 
-__all__ = ["CLAUSES", "main"]
-
 CLAUSES = {
     "default": (),
     "normals not oriented": ("features.orient_normals=false",),

@@ -17,8 +17,6 @@ from multilica.snapshot import Snapshot
 from tests.bench.support.claims import Claim, print_table
 from tests.ingest.support.recording_writers import make_snapshot, write_mcap, write_ros1_bag, write_ros2_bag
 
-__all__ = ["claims_on_tails"]
-
 LEAST_MB_S = 200.0
 MOST_READ_OF_HOLE = 150e6
 """The hash of a source reads parts of 134 MB together."""

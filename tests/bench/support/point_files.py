@@ -11,8 +11,6 @@ import open3d as o3d
 from multilica.snapshot import Scan, Snapshot
 from tests.ingest.support.format_writers import POINT_WRITERS
 
-__all__ = ["POINT_FILES"]
-
 FRAMES = 3
 
 Writer = Callable[[Scan, Path], None]

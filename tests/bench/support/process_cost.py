@@ -18,8 +18,6 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 
-__all__ = ["Cost", "cost_of"]
-
 _SET_CHILD_SUBREAPER = 36
 _PYTHON = (sys.executable, "-m")
 

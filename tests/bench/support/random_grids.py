@@ -14,8 +14,6 @@ from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features
 from multilica.stages.features import compute_features
 
-__all__ = ["right_coarse_poses"]
-
 # As in the reference: what is left out, the noise, and from where GICP ends right.
 _DROPPED_SHARE, _NOISE_M = 0.02, 0.002
 _RIGHT_M, _RIGHT_RAD = 2.5, float(np.deg2rad(16.0))

@@ -10,8 +10,6 @@ from pathlib import Path
 from tests.bench.support.cases import NEW_SEEDS
 from tests.bench.support.process_cost import Cost, cost_of
 
-__all__ = ["ONE_WORKER", "SAMPLE", "calibration_cost", "record", "target_of"]
-
 SAMPLE = Path(__file__).resolve().parents[3] / "recordings" / "samples" / "edgar-street.mcap"
 ONE_WORKER = ("--workers", 1)
 _PROGRAM = "multilica_cli"

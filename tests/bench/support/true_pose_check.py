@@ -18,8 +18,6 @@ from multilica.results import Hypothesis, PairRegistration, PreprocessedCloud
 from multilica.stages.fine import Side, prepare_side, register_best
 from multilica.visibility.sensor_view import prepare_sensor_view
 
-__all__ = ["Members", "Trial", "Watch", "is_borne_out", "try_truth"]
-
 Members = tuple[str, ...]
 
 # Points, hidden structure and distance are weighed against each other: each of them may cost a true pose most.

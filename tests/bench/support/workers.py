@@ -13,8 +13,6 @@ from typing import TypeVar
 
 from multilica.workers import processes
 
-__all__ = ["run_all"]
-
 _MOST_WORKERS = 2
 _Case = TypeVar("_Case")
 _Outcome = TypeVar("_Outcome")

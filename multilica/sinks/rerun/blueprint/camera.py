@@ -8,8 +8,6 @@ from multilica.geometry import FloatArray
 from multilica.sinks.drawing.clouds import sample_points, shown_radius_m, slot_offsets_m
 from multilica.sinks.run_state import RunState
 
-__all__ = ["above_group", "around_lidar", "around_rig", "beside_lidar", "sampled_cloud", "three_quarter", "up_axis"]
-
 _SAMPLE = 20_000
 _FAR_SHARE = 75.0
 _RADIUS_LIMITS_M = (6.0, 40.0)

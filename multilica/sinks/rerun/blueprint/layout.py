@@ -19,8 +19,6 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.unplaced import Failure, decisive_failure, failures
 
-__all__ = ["final_blueprint", "stage_blueprint"]
-
 _RIG_MARGIN_M = 3.0
 _RIG_NAME_SPACING_M = 0.5
 

@@ -25,8 +25,6 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.unplaced import decisive_failure, failures
 
-__all__ = ["stage_tab", "stage_tabs"]
-
 _MAX_PAIR_TABS = 15
 
 Tab = rrb.Container | rrb.View

@@ -16,17 +16,6 @@ from multilica.sinks.rerun.matches import lift_m
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
-__all__ = [
-    "document_view",
-    "log_view",
-    "matches_view",
-    "pair_view",
-    "scene_view",
-    "scored_view",
-    "single_lidar_view",
-    "summary_view",
-]
-
 _DARK = (13, 16, 17)
 _DIM = 0.45
 _SCORED_LEGEND = ": green agrees, red lies in proven-empty space, grey is occluded"
