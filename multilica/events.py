@@ -10,6 +10,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.snapshot import Snapshot
 
+
 class Event:
     """What `calibrate` reports."""
 

@@ -10,6 +10,7 @@ from typing import NoReturn
 from multilica.errors import MissingDependencyError
 from multilica.system_libraries import OPEN3D, apt_command, missing_for_open3d
 
+
 @dataclass(frozen=True, slots=True)
 class OptionalLibrary:
     """A library that multilica works without.

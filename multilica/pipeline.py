@@ -12,16 +12,16 @@ from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
+from multilica.orchestration import clouds, outcome, rig, surfaces
+from multilica.orchestration.calibration_workers import open_calibration_workers
+from multilica.orchestration.pairs import PAIR_STAGES
+from multilica.orchestration.required_libraries import require_libraries
+from multilica.orchestration.search import search_pairs
+from multilica.orchestration.state import CalibrationState
 from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
 from multilica.stages.base_frame import require_usable_rig
 from multilica.stages.prior import require_usable
-from multilica.steps import clouds, outcome, rig, surfaces
-from multilica.steps.calibration_workers import open_calibration_workers
-from multilica.steps.pairs import PAIR_STAGES
-from multilica.steps.required_libraries import require_libraries
-from multilica.steps.search import search_pairs
-from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
 
 _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (

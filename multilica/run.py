@@ -25,6 +25,8 @@ from multilica.ingest.locate import PathLike, locate
 from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.snapshot_metadata import config_for
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
+from multilica.orchestration.calibration_workers import open_calibration_workers
+from multilica.orchestration.required_libraries import require_libraries
 from multilica.pipeline import calibrate, deadline_of
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
@@ -32,9 +34,8 @@ from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
 from multilica.stages.base_frame import require_usable_rig
 from multilica.stages.prior import require_usable
-from multilica.steps.calibration_workers import open_calibration_workers
-from multilica.steps.required_libraries import require_libraries
 from multilica.workers import Workers
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationRun:

@@ -8,6 +8,7 @@ import numpy as np
 from multilica.errors import UnknownNameError
 from multilica.geometry import Float32Array, FloatArray, RigidTransform, read_only
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
     """One frame of one LiDAR.

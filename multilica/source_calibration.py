@@ -13,6 +13,7 @@ from multilica.results import CalibrationResult
 from multilica.snapshot import Snapshot
 from multilica.workers import Workers
 
+
 def calibrate(
     source: Snapshot | PathLike | Sequence[PathLike],
     config: CalibrationConfig | None = None,

@@ -12,13 +12,13 @@ from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration import clouds
+from multilica.orchestration.pairs import register_sides, score_implied
+from multilica.orchestration.state import CalibrationState
 from multilica.results import Hypothesis, PairKey, PairRegistration, Registration
 from multilica.snapshot import Snapshot
 from multilica.stages.prior import require_usable
 from multilica.stages.refine import refine
-from multilica.steps import clouds
-from multilica.steps.pairs import register_sides, score_implied
-from multilica.steps.state import CalibrationState
 from multilica.workers import Workers
 
 # Fewer points in common say nothing.
@@ -48,7 +48,7 @@ class FoundRig:
     contradicted: frozenset[str] = frozenset()
 
 
-def find_near(
+def register_from_known(
     snapshot: Snapshot,
     known: Extrinsics,
     config: CalibrationConfig | None = None,
@@ -94,7 +94,7 @@ def _register(state: CalibrationState, known: Extrinsics) -> FoundRig:
     root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
     rig = refine(root, graph.poses(root), accepted, state.config.refine)
     lost = {name: _why(name, rig.poses, scores, found) for name in state.snapshot.names if name not in rig.poses}
-    limit = state.config.acceptance.min_lead
+    limit = state.config.acceptance.min_log_odds_margin
     contradicted = {
         name
         for pair, score in scores.items()

@@ -7,6 +7,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+
 def _without_types(params: list[Any]) -> list[Any]:
     """Leave out the type of flags, which take no value, and of arguments, whose help tells what they are."""
     for param in params:

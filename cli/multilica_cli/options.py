@@ -45,7 +45,7 @@ Window = Annotated[
     typer.Option("--window", metavar="start|auto", help="auto: use the longest standstill of the vehicle."),
 ]
 WindowSeconds = Annotated[
-    float | None, typer.Option("--over", metavar="S", help="Spread the frames over this many seconds.")
+    float | None, typer.Option("--duration", metavar="S", help="Spread the frames over this many seconds.")
 ]
 Strict = Annotated[bool, typer.Option("--strict", help="Fail if any part of the recording is unreadable.")]
 Preset = Annotated[

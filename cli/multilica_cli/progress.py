@@ -16,6 +16,7 @@ from multilica_cli.terminal import printable, stderr_console
 if TYPE_CHECKING:
     from multilica.ingest.recording import MessageObserver
 
+
 @contextmanager
 def show_progress(*, quiet: bool) -> Iterator[events.RunObserver]:
     """Show the stages of a run on stderr: as bars on a terminal, else as a line per finished stage."""

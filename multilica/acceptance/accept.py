@@ -68,31 +68,35 @@ def imprecision(
     return None
 
 
-def is_firm(score: VisibilityScore, config: AcceptanceConfig) -> bool:
+def is_well_constrained(score: VisibilityScore, config: AcceptanceConfig) -> bool:
     """Tell whether so many points constrain every direction that no pose beside it needs to be tested."""
-    return score.min_information_eigenvalue >= config.firm_eigenvalue
+    return score.min_information_eigenvalue >= config.min_well_constrained_eigenvalue
 
 
-def is_hopeless(evidence: float, config: AcceptanceConfig) -> bool:
+def cannot_be_accepted(evidence: float, config: AcceptanceConfig) -> bool:
     """Tell whether a roughly registered pose has too little evidence to be accepted after the fine registration."""
     return evidence < config.min_evidence - _ROUGH_MARGIN
 
 
-def hopeless_below(best_evidence: float, config: AcceptanceConfig) -> float:
+def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> float:
     """Return the evidence below which a roughly registered pose will not compete with the best."""
-    return best_evidence if is_hopeless(best_evidence, config) else best_evidence - config.min_lead - _ROUGH_MARGIN
+    return (
+        best_evidence
+        if cannot_be_accepted(best_evidence, config)
+        else best_evidence - config.min_log_odds_margin - _ROUGH_MARGIN
+    )
 
 
 def competing_poses(registrations: Sequence[Registration], config: AcceptanceConfig) -> list[Registration]:
     """Select the poses beside the best that are nearly as likely, the likeliest first."""
     best, *others = registrations
-    near = [other for other in others if other.evidence > best.evidence - config.min_lead]
+    near = [other for other in others if other.evidence > best.evidence - config.min_log_odds_margin]
     return sorted(near, key=lambda each: -each.evidence)
 
 
 def slides(found: Stability, config: AcceptanceConfig) -> bool:
     """Tell whether a pose stays where it is pushed, or ends elsewhere with fewer points."""
-    return max(found.pushed_off_m, found.thinned_off_m) > config.max_return_m
+    return max(found.perturbed_offset_m, found.thinned_offset_m) > config.max_perturbed_offset_m
 
 
 def _weaknesses(best: Registration, distance_m: float, config: AcceptanceConfig) -> tuple[Reason, ...]:
@@ -135,26 +139,26 @@ def _competition(registrations: Sequence[Registration], config: AcceptanceConfig
     along_m = float(np.abs(shift_m @ best.visibility.slide_direction))
     lead = best.evidence - other.evidence
     evidence = f"evidence {other.evidence:z.1f} against {best.evidence:z.1f}"
-    fits = f"fits as well ({evidence}, which needs {config.min_lead:g} more)"
+    fits = f"fits as well ({evidence}, which needs {config.min_log_odds_margin:g} more)"
     if radians < _SLID_RAD and along_m > _SLID_SHARE * metres:
         direction = _axis_text(np.concatenate([np.zeros(3), shift_m]), best.T_target_source.target)
         text = f"the scene does not constrain the pose {direction}: a pose {metres:.2f} m away {fits}"
-        return Reason("not_observable", lead, config.min_lead, text)
+        return Reason("not_observable", lead, config.min_log_odds_margin, text)
     text = f"a pose {metres:.2f} m and {np.rad2deg(radians):.0f} deg away {fits}"
-    return Reason("ambiguous", lead, config.min_lead, text, other)
+    return Reason("ambiguous", lead, config.min_log_odds_margin, text, other)
 
 
 def _slide(best: Registration, config: AcceptanceConfig) -> Reason | None:
     found = best.stability
     if found is None or not slides(found, config):
         return None
-    text = f"with fewer points it ends {found.thinned_off_m:.2f} m away"
-    if found.pushed_off_m > config.max_return_m:
-        text = f"pushed by {found.push_m:g} m it ends {found.pushed_off_m:.2f} m away"
-    off_m = max(found.pushed_off_m, found.thinned_off_m)
+    text = f"with fewer points it ends {found.thinned_offset_m:.2f} m away"
+    if found.perturbed_offset_m > config.max_perturbed_offset_m:
+        text = f"pushed by {found.perturbation_m:g} m it ends {found.perturbed_offset_m:.2f} m away"
+    off_m = max(found.perturbed_offset_m, found.thinned_offset_m)
     direction = _axis_text(best.visibility.weakest_direction, best.T_target_source.target)
-    text = f"the scene does not constrain the pose {direction} ({text}, limit {config.max_return_m:g} m)"
-    return Reason("not_observable", off_m, config.max_return_m, text)
+    text = f"the scene does not constrain the pose {direction} ({text}, limit {config.max_perturbed_offset_m:g} m)"
+    return Reason("not_observable", off_m, config.max_perturbed_offset_m, text)
 
 
 def _axis_text(motion: FloatArray, target: str) -> str:

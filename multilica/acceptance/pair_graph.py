@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from multilica.geometry import RigidTransform
 from multilica.results import PairRegistration
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PairGraph:
     """LiDARs with the pairs that link them.

@@ -58,7 +58,10 @@ def _turned(
                     continue
                 competing = score_pose(turned)
                 against = competing.visibility.contradiction
-                if against < config.min_lead and against + score_turned(symmetry).contradiction < config.min_lead:
+                if (
+                    against < config.min_log_odds_margin
+                    and against + score_turned(symmetry).contradiction < config.min_log_odds_margin
+                ):
                     return replace(pair, verdict=Verdict("undecided", (_symmetry(pose, competing, other),)))
     return pair
 
@@ -98,7 +101,7 @@ def check_cycles(
             cycle = [loop, *graph.path(loop.target, loop.source)]
             least = min(pair.evidence for pair in cycle)
             for pair in cycle:
-                if pair.evidence < least + config.min_lead:
+                if pair.evidence < least + config.min_log_odds_margin:
                     doubts.setdefault(id(pair), _exclusion(loop, implied))
     known = {pair.lidars for pair in accepted}
     for target, source in combinations(names, 2):
@@ -160,7 +163,7 @@ def _is_ambiguous(pair: PairRegistration, config: AcceptanceConfig) -> bool:
 
 def _allows(pair: PairRegistration, implied: RigidTransform, score_pose: ScorePose, config: AcceptanceConfig) -> bool:
     """Tell whether the implied pose is one of the pair's own, or scores as well."""
-    needed = pair.evidence - config.min_lead
+    needed = pair.evidence - config.min_log_odds_margin
     own = [each.T_target_source for each in pair.registrations if each.evidence > needed]
     return not is_distinct(implied, own) or score_pose(implied).evidence > needed
 

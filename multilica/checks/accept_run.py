@@ -12,6 +12,7 @@ from multilica.runs.run_documents import SavedRun, read_run
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.result_files import CALIBRATION_TOML
 
+
 def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigCheck | None:
     """Write the `calibration.toml` of a run, with its provenance, where the accepted extrinsics are kept.
 

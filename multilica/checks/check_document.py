@@ -9,6 +9,7 @@ from pydantic import Field
 from multilica.checks.comparison import CheckVerdict, LidarCheck, RigCheck, joint_verdict
 from multilica.results.document.values import Entry, Number, Vector3
 
+
 class LidarCheckEntry(Entry):
     """One LiDAR against its reference; found - reference pose along the axes of the root, null where not known."""
 

@@ -10,6 +10,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.runs.run_documents import is_run, read_run_document
 
+
 def poses_of(path: Path) -> Extrinsics:
     """Read the poses of the placed LiDARs of a run, or of any file that `read_extrinsics` takes.
 

@@ -9,7 +9,8 @@ from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.runs.run_documents import SavedPlacement, SavedRun
 from multilica.snapshot import Snapshot
-from multilica.verification import FoundRig, find_near
+from multilica.verification import FoundRig, register_from_known
+
 
 def verify_snapshot(
     snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances, config: CalibrationConfig | None = None
@@ -24,11 +25,11 @@ def verify_snapshot(
         UnfitSnapshotError: fewer than two LiDARs have returns in range, or the vehicle moves.
         UsageError: the poses lack two of the LiDARs, or a tolerance is for none of them.
     """
-    return check_found(find_near(snapshot, known, config), snapshot, known, tolerances)
+    return check_found(register_from_known(snapshot, known, config), snapshot, known, tolerances)
 
 
 def check_found(rig: FoundRig, snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances) -> RigCheck:
-    """Compare the poses that `find_near` found in a snapshot with the known ones.
+    """Compare the poses that `register_from_known` found in a snapshot with the known ones.
 
     Raises:
         UsageError: a tolerance is for none of the LiDARs.
@@ -38,7 +39,7 @@ def check_found(rig: FoundRig, snapshot: Snapshot, known: Extrinsics, tolerances
 
 
 def saved_rig(rig: FoundRig, snapshot: Snapshot) -> SavedRun:
-    """Return the poses that `find_near` found in a snapshot as those of a run whose target is the root."""
+    """Return the poses that `register_from_known` found in a snapshot as those of a run whose target is the root."""
     placements = tuple(
         SavedPlacement(name, rig.poses.get(name), None, rig.reasons.get(name, ""), rig.covariances.get(name))
         for name in snapshot.names

@@ -5,13 +5,14 @@ from pydantic import Field
 
 from multilica.config.section import NotNegative, Positive, PositiveMetres, Section
 
+
 class AcceptanceConfig(Section):
     """Limits that a registration has to keep, alone and against competing poses."""
 
     min_evidence: float = Field(
         2.3, description="log-odds that a pose needs to be taken for the true one: 10 to 1; see docs/concepts.md"
     )
-    min_lead: Positive = Field(
+    min_log_odds_margin: Positive = Field(
         4.6, description="log-odds that it needs against every other pose, and against the rig as a whole: 100 to 1"
     )
     max_sigma_m: PositiveMetres = Field(
@@ -21,13 +22,15 @@ class AcceptanceConfig(Section):
     max_baseline_m: PositiveMetres = Field(
         15.0, description="largest distance between two LiDARs of one vehicle; every stage drops poses beyond it"
     )
-    push_m: PositiveMetres = Field(0.3, description="push along the weakest direction; rotations count as arcs at 10 m")
-    max_return_m: PositiveMetres = Field(
+    perturbation_m: PositiveMetres = Field(
+        0.3, description="push along the weakest direction; rotations count as arcs at 10 m"
+    )
+    max_perturbed_offset_m: PositiveMetres = Field(
         0.15,
         description="a pose slides if a pushed or thinned registration ends farther away than this: half the push",
     )
-    firm_eigenvalue: NotNegative = Field(
+    min_well_constrained_eigenvalue: NotNegative = Field(
         8.0,
-        description="a pose is firm if the smallest eigenvalue of its information (points, 10 m arm) reaches this; "
-        "for others more poses are tested",
+        description="a pose is well constrained if the smallest eigenvalue of its information (points, 10 m arm) "
+        "reaches this; for others more poses are tested",
     )

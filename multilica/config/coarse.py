@@ -7,6 +7,7 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
+
 class CoarseConfig(Section):
     """Hypotheses from matches."""
 

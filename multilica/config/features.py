@@ -7,6 +7,7 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
+
 class FeaturesConfig(Section):
     """FPFH descriptors."""
 
@@ -15,7 +16,7 @@ class FeaturesConfig(Section):
         description="implementation of FPFH; open3d: slower, and its voxel grid begins at the cloud, not at the sensor",
     )
     voxel_size_m: PositiveMetres = Field(0.35, description="voxel grid on which descriptors are computed")
-    further_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
+    retry_voxel_sizes_m: tuple[PositiveMetres, ...] = Field(
         (0.5, 0.25),
         description="voxel grids of further searches between LiDARs that no accepted pair connects, one after another",
     )
@@ -24,8 +25,8 @@ class FeaturesConfig(Section):
     feature_radius_voxels: Positive = Field(5.0, le=10.0, description="neighbourhood of a descriptor, in voxels")
     feature_neighbours: Count = Field(100, description="largest number of neighbours of a descriptor")
     max_range_m: PositiveMetres = Field(40.0, description="farther returns get no descriptor")
-    range_shape: Literal["ball", "box"] = Field(
-        "ball", description="what max_range_m limits; ball: the distance; box: each coordinate in the LiDAR's frame"
+    range_shape: Literal["sphere", "box"] = Field(
+        "sphere", description="what max_range_m limits; sphere: the distance; box: each coordinate in the LiDAR's frame"
     )
     orient_normals: bool = Field(default=True, description="orient normals towards the sensor that saw the surface")
 
@@ -34,8 +35,9 @@ class CorrespondConfig(Section):
     """Matching of descriptors."""
 
     mutual: bool = Field(default=True, description="keep a match only if each is the other's nearest neighbour")
-    engine: Literal["blocks", "kd_tree"] = Field(
-        "blocks", description="search of the nearest; blocks: in single precision; kd_tree: in double precision"
+    engine: Literal["brute_force", "kd_tree"] = Field(
+        "brute_force",
+        description="search of the nearest; brute_force: in single precision; kd_tree: in double precision",
     )
     max_keypoints: int = Field(
         8000, ge=0, description="descriptors per LiDAR that are matched; more are drawn evenly; 0: all"

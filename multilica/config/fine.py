@@ -7,6 +7,7 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
+
 class FineConfig(Section):
     """GICP of the finalists, and of the best of them on all points."""
 

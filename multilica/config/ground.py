@@ -5,6 +5,7 @@ from pydantic import Field
 
 from multilica.config.section import Count, PositiveMetres, Section
 
+
 class GroundConfig(Section):
     """The plane under the vehicle."""
 

@@ -8,6 +8,7 @@ from pydantic import Field, field_validator
 
 from multilica.config.section import Count, Positive, Section
 
+
 class IngestConfig(Section):
     """Which part of the recording is read."""
 

@@ -7,6 +7,7 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section, Share
 
+
 class MergeConfig(Section):
     """Growth of the calibrated cloud."""
 

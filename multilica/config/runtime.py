@@ -7,6 +7,7 @@ from pydantic import Field
 
 from multilica.config.section import NotNegative, Positive, Section
 
+
 class RuntimeConfig(Section):
     """Worker processes and random numbers."""
 

@@ -5,6 +5,7 @@ from pydantic import Field
 
 from multilica.config.section import Count, Positive, PositiveMetres, Section
 
+
 class VisibilityConfig(Section):
     """Scoring of a pose by free space: which points are tested, how near counts as equal."""
 
@@ -37,10 +38,14 @@ class VerifyConfig(Section):
     max_iterations: Count = Field(
         10, description="iterations of each run of the short GICP, and of a finalist that can no longer win"
     )
-    settled_after: Count = Field(6, ge=2, description="distinct poses after which the search may stop early")
-    settled_after_firm: Count = Field(2, ge=2, description="as settled_after, if the best is firm")
+    early_stop_poses: Count = Field(6, ge=2, description="distinct poses after which the search may stop early")
+    early_stop_poses_constrained: Count = Field(
+        2, ge=2, description="as early_stop_poses, if the best is well constrained"
+    )
     max_symmetric_poses: int = Field(6, ge=0, description="poses turned by right angles that are tested as well")
     slide_step_m: PositiveMetres = Field(
-        1.0, description="step along the weakest direction at which poses are tested if the best is not firm or slides"
+        1.0,
+        description="step along the weakest direction at which poses are tested if the best is not well constrained "
+        "or slides",
     )
     slide_steps: int = Field(6, ge=0, description="number of such steps to either side: repeating facades look alike")

@@ -12,6 +12,7 @@ from multilica.results.document.values import Entry, Number
 from multilica.runs import Tolerances
 from multilica.runs.paper_document import PaperDocument, paper_document
 
+
 class PresetEntry(Entry):
     """One preset on all scenes; `table` is null if no scene has a truth."""
 

@@ -16,6 +16,7 @@ from multilica.ingest import read_snapshot
 from multilica.ingest.formats import Content, named_format
 from multilica.ingest.locate import find_source
 
+
 def read_scenes(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
     """Yield a scene per recording or folder of point files, in name order.
 

@@ -21,6 +21,7 @@ from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Snapshot
 
+
 @dataclass(slots=True, eq=False)
 class PresetRuns:
     """The runs of one preset, those with a truth beside it; `stages_s` are the times of the stages of each run."""

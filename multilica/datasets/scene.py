@@ -10,6 +10,7 @@ from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.snapshot import Snapshot
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DatasetScene:
     """What a vehicle that stands still saw.

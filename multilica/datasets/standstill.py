@@ -34,7 +34,7 @@ def stops_by_poses(trajectory: Trajectory, length_ns: int) -> list[int]:
             break
         shift_m: FloatArray = np.linalg.norm(trajectory.xyz_m[step:] - trajectory.xyz_m[:-step], axis=1)
         turn_rad = (trajectory.rotations[:-step].inv() * trajectory.rotations[step:]).magnitude()
-        moved = (shift_m > limits.max_shift_m) | (turn_rad > np.deg2rad(limits.max_turn_deg))
+        moved = (shift_m > limits.max_shift_m) | (turn_rad > np.deg2rad(limits.max_rotation_deg))
         still[:-step] &= ~(inside & moved)
     return _middles(stamps_ns, still)
 

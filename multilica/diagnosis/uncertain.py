@@ -5,6 +5,7 @@ from multilica.diagnosis.causes import ADVICE
 from multilica.diagnosis.explanation import Uncertain
 from multilica.results.document import ResultDocument
 
+
 def explain_uncertain(document: ResultDocument, name: str) -> Uncertain:
     """Name the standard deviation of an uncertain LiDAR that is above its limit, with its direction."""
     limits = document.config.acceptance

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from multilica.results.document import ResultDocument
 from multilica.results.document.stages import StageFigures, VerifyFigures
 
+
 def progress_sentence(document: ResultDocument) -> str:
     """Return where the run ended."""
     progress = document.progress

@@ -11,7 +11,7 @@ from multilica.exports.frame_tree import extrinsics_of_poses
 from multilica.exports.values import pose_of_matrix, read_text
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.sinks.text.extrinsics_text import MATRIX_FRAMES, child_poses, matrix_text, number_list
+from multilica.sinks.text.extrinsics_text import MATRIX_FRAMES, child_poses, number_list
 
 KITTI_LINE = re.compile(r"^Tr_(?P<source>\S{1,255}?)_to_(?P<target>\S{1,255}?): *(?P<numbers>.*)$", re.MULTILINE)
 

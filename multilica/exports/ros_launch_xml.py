@@ -21,6 +21,7 @@ from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import parse_xml
 from multilica.sinks.text.extrinsics_text import child_poses
 
+
 def ros1_launch_xml(extrinsics: Extrinsics) -> str:
     """Return a launch file of ROS 1."""
     return _launch(extrinsics, "type", ros1_arguments)

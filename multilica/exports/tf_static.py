@@ -12,6 +12,7 @@ from multilica.ingest.transforms.static_transforms import read_static_transforms
 from multilica.sinks.mcap.static_transforms_mcap import static_transforms_mcap
 from multilica.sinks.text.extrinsics_text import child_poses
 
+
 def tf_static_mcap(extrinsics: Extrinsics) -> bytes:
     """Return a ROS 2 recording with `/tf_static`."""
     return static_transforms_mcap(child_poses(extrinsics))

@@ -7,6 +7,7 @@ from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
 from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.text.extrinsics_text import child_poses
 
+
 def toml_extrinsics(extrinsics: Extrinsics) -> str:
     """Return the table with a pose per frame."""
     poses = {pose.source: pose for pose in child_poses(extrinsics)}

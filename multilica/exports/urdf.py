@@ -6,7 +6,7 @@ from pathlib import Path
 from multilica.exports.frame_tree import extrinsics_of_joints
 from multilica.extrinsics import Extrinsics
 from multilica.ingest.transforms.urdf import read_urdf
-from multilica.sinks.text.extrinsics_text import urdf_text
+
 
 def read_urdf_extrinsics(path: Path) -> Extrinsics:
     """Read the pose of every link in the root link.

@@ -16,15 +16,15 @@ from multilica.fleet.logs.listing import LogPattern, find_logs
 from multilica.fleet.logs.log import config_digest
 from multilica.fleet.logs.plan import Plan, QueuedLog
 from multilica.fleet.store.store import Store, vehicle_name
-from multilica.fleet.units.executors import open_executor
-from multilica.fleet.units.guard import UnitLimits, identify_guarded, run_guarded
-from multilica.fleet.units.unit_request import Calibrate, UnitRequest, UnitSummary
+from multilica.fleet.tasks.executors import open_executor
+from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, run_guarded
+from multilica.fleet.tasks.log_task import Calibrate, LogTask, LogTaskSummary
 from multilica.scratch import scratch_folder
 
-# Units that wait at the executor for each that runs, so that none waits for the driver.
+# Tasks that wait at the executor for each that runs, so that none waits for the driver.
 _AHEAD = 2
 
-RunUnit = Callable[[UnitRequest, UnitLimits], UnitSummary]
+RunLogTask = Callable[[LogTask, LogTaskLimits], LogTaskSummary]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +46,7 @@ class LogFinished:
 
     vehicle: str
     source: str
-    summary: UnitSummary
+    summary: LogTaskSummary
 
 
 FleetObserver = Callable[[LogsPlanned | LogFinished], None]
@@ -57,12 +57,12 @@ class FleetOptions:
     """What is done with each log, and where.
 
     Args:
-        config: of reading and calibration; each unit uses one thread.
+        config: of reading and calibration; each task uses one thread.
         tolerances: within which a log verifies the vehicle's last accepted poses.
         calibrate: ``when-needed``: only where verification fails or there are no poses yet.
         pattern: vehicle and time in the paths of logs.
         newest_first: whether the newest logs of each vehicle come first.
-        workers: units at once on this machine.
+        workers: tasks at once on this machine.
         scheduler: address of a Dask scheduler instead.
     """
 
@@ -73,7 +73,7 @@ class FleetOptions:
     newest_first: bool = False
     workers: int = 1
     scheduler: str = ""
-    limits: UnitLimits = field(default_factory=UnitLimits)
+    limits: LogTaskLimits = field(default_factory=LogTaskLimits)
 
 
 @dataclass(slots=True)
@@ -96,7 +96,7 @@ def run_fleet(
     store: Store,
     options: FleetOptions,
     observe: FleetObserver = lambda _: None,
-    run_unit: RunUnit = run_guarded,
+    run_log_task: RunLogTask = run_guarded,
 ) -> FleetOutcome:
     """Verify or calibrate every log that the store does not have, and write rows and files of it into the store.
 
@@ -107,7 +107,7 @@ def run_fleet(
     Args:
         logs: as `find_logs` takes them.
         observe: called in this thread.
-        run_unit: run in a thread of this process or of a Dask worker.
+        run_log_task: run in a thread of this process or of a Dask worker.
 
     Raises:
         MultilicaError: as `find_logs` and `open_executor`.
@@ -125,14 +125,16 @@ def run_fleet(
         outcome.skipped = outcome.found - to_do
         observe(LogsPlanned(outcome.found, to_do))
         chains = (_Chain(plan.logs_of(vehicle), store, options, digest) for vehicle in plan.vehicles())
-        for log, summary in _run_chains(chains, executor, _AHEAD * slots, options.limits, run_unit):
+        for log, summary in _run_chains(chains, executor, _AHEAD * slots, options.limits, run_log_task):
             outcome.states[summary.state] = outcome.states.get(summary.state, 0) + 1
             observe(LogFinished(log.vehicle, log.source, summary))
     outcome.elapsed_s = time.monotonic() - start_s
     return outcome
 
 
-def _identified(executor: Executor, addresses: Sequence[str], limits: UnitLimits) -> Iterator[tuple[str, int | None]]:
+def _identified(
+    executor: Executor, addresses: Sequence[str], limits: LogTaskLimits
+) -> Iterator[tuple[str, int | None]]:
     waiting: deque[Future[tuple[str, int | None]]] = deque()
     for address in addresses:
         waiting.append(executor.submit(_identify, address, limits))
@@ -140,7 +142,7 @@ def _identified(executor: Executor, addresses: Sequence[str], limits: UnitLimits
         yield waiting.popleft().result()
 
 
-def _identify(address: str, limits: UnitLimits) -> tuple[str, int | None]:
+def _identify(address: str, limits: LogTaskLimits) -> tuple[str, int | None]:
     found = identify_guarded(address, limits)
     return (vehicle_name(found.vehicle) if found.vehicle else ""), found.time_ns
 
@@ -152,7 +154,7 @@ class _Chain:
         self._logs, self._store, self._options, self._config_sha256 = logs, store, options, config_sha256
         self._reference = ""
 
-    def next(self) -> UnitRequest | None:
+    def next(self) -> LogTask | None:
         """Return what is to be done next; None at the end."""
         for log in self._logs:
             if not log.finished:
@@ -160,12 +162,12 @@ class _Chain:
             self._reference = log.accepted or self._reference
         return None
 
-    def take(self, summary: UnitSummary) -> None:
+    def take(self, summary: LogTaskSummary) -> None:
         self._reference = summary.calibration or self._reference
 
-    def _request(self, log: QueuedLog) -> UnitRequest:
+    def _request(self, log: QueuedLog) -> LogTask:
         options = self._options
-        return UnitRequest(
+        return LogTask(
             key=log.key,
             address=log.address,
             source=log.source,
@@ -183,17 +185,17 @@ class _Chain:
 
 
 def _run_chains(
-    chains: Iterable[_Chain], executor: Executor, most: int, limits: UnitLimits, run_unit: RunUnit
-) -> Iterator[tuple[UnitRequest, UnitSummary]]:
+    chains: Iterable[_Chain], executor: Executor, most: int, limits: LogTaskLimits, run_log_task: RunLogTask
+) -> Iterator[tuple[LogTask, LogTaskSummary]]:
     """Run one log of each of several vehicles at a time; yield each with its outcome as it ends."""
-    running: dict[Future[UnitSummary], tuple[_Chain, UnitRequest]] = {}
+    running: dict[Future[LogTaskSummary], tuple[_Chain, LogTask]] = {}
     waiting = iter(chains)
 
     def start(chain: _Chain) -> bool:
         request = chain.next()
         if request is None:
             return False
-        running[executor.submit(run_unit, request, limits)] = chain, request
+        running[executor.submit(run_log_task, request, limits)] = chain, request
         return True
 
     while True:

@@ -15,6 +15,7 @@ from multilica.ingest.point_files.cloud_files import CloudFiles
 from multilica.ingest.recording import Recording
 from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
 
+
 def open_source(source: Source) -> Recording:
     """Open the files of a source as one recording; raise UnreadableSourceError if none can be read."""
     if source.frames:

@@ -17,6 +17,7 @@ from multilica.ingest.selection.window import collect_frames
 from multilica.ingest.snapshot_reader import assemble_snapshot
 from multilica.snapshot import Snapshot
 
+
 @dataclass(frozen=True, slots=True)
 class SnapshotSource:
     """The sources of one snapshot, for `read_snapshot`.

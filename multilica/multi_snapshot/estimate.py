@@ -11,6 +11,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Spread
 from multilica.stages.refine import RefinedRig, refine
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """A pose with its covariance (6, 6): rotation (rad), translation (m), along the axes of the pose's target."""

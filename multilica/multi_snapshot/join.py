@@ -12,9 +12,10 @@ from multilica.acceptance.accept import imprecision
 from multilica.config import STAGES, AcceptanceConfig, CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
-from multilica.multi_snapshot.disputes import Dispute, SnapshotPairs, blamed_lidars, resolve_disputes
 from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses, scatter_ratio, spread_of
+from multilica.multi_snapshot.pose_conflicts import PoseConflict, SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
+from multilica.orchestration.outcome import contested_place
 from multilica.results import (
     CalibrationResult,
     LidarPlacement,
@@ -25,7 +26,7 @@ from multilica.results import (
 )
 from multilica.results.deviations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
-from multilica.steps.outcome import contested_place
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SnapshotRun:
@@ -90,7 +91,7 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         raise UnfitSnapshotError(f"None of {len(runs)} snapshots can be used: {refusals}.")
     lidars = sorted({placement.lidar for result in results.values() for placement in result.placements})
     given: SnapshotPairs = {name: result.trusted for name, result in results.items()}
-    kept, disputes = resolve_disputes(given, config)
+    kept, conflicts = resolve_conflicts(given, config)
     target, reason = choose_target(kept, lidars, config.target)
     joint = _JointRig(
         target,
@@ -99,7 +100,7 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         _rig(target, kept, config),
         _estimates(target, given, config),
         _estimates(target, kept, config),
-        {name: blamed_lidars([each for each in disputes if each.snapshot == name], target) for name in results},
+        {name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results},
         config.acceptance,
     )
     result = CalibrationResult(
@@ -185,7 +186,7 @@ class _JointRig:
         kept: per snapshot, its registrations without contradicting ones.
         alone: per snapshot and LiDAR, the pose by that snapshot alone.
         agreed: the same by the kept registrations.
-        blamed: per snapshot, its disputes; the first LiDAR of each is to blame.
+        inconsistent: per snapshot, its conflicts; the first LiDAR of each is to blame.
     """
 
     target: str
@@ -194,7 +195,7 @@ class _JointRig:
     rig: RefinedRig
     alone: Mapping[str, Mapping[str, Estimate]]
     agreed: Mapping[str, Mapping[str, Estimate]]
-    blamed: Mapping[str, tuple[Dispute, ...]]
+    inconsistent: Mapping[str, tuple[PoseConflict, ...]]
     limits: AcceptanceConfig
 
     def placement(self, lidar: str) -> LidarPlacement:
@@ -223,11 +224,11 @@ class _JointRig:
         )
 
     def _why_not_placed(self, lidar: str) -> str:
-        disputes = [
-            each for own in self.blamed.values() for each in own if each.lidars[0] == lidar and not each.outvoted
+        conflicts = [
+            each for own in self.inconsistent.values() for each in own if each.lidars[0] == lidar and not each.outvoted
         ]
-        if disputes:
-            first = disputes[0]
+        if conflicts:
+            first = conflicts[0]
             return (
                 f"{first.snapshot} and {', '.join(first.others)} place it {first.distance_m:.3f} m and "
                 f"{first.angle_deg:.2f} deg apart relative to {first.lidars[1]}, without a majority of snapshots"
@@ -241,9 +242,9 @@ class _JointRig:
             return ""
         if placement.T_target_source is None:
             return f"{snapshot}: {placement.reason}"
-        blamed = ", ".join(dispute.lidars[0] for dispute in self.blamed[snapshot])
-        if blamed:
-            return f"{snapshot}: connected through pairs that contradict other snapshots on {blamed}"
+        inconsistent = ", ".join(conflict.lidars[0] for conflict in self.inconsistent[snapshot])
+        if inconsistent:
+            return f"{snapshot}: connected through pairs that contradict other snapshots on {inconsistent}"
         status = "uncertain" if placement.uncertain else "placed"
         return f"{snapshot}: {status} relative to {result.target}, but no accepted pair connects it to {self.target}"
 
@@ -253,16 +254,16 @@ class _JointRig:
             if lidar in self.rig.covariances:
                 distance_m, angle_rad = estimate.pose.distance_to(self.rig.poses[lidar])
                 deviations[lidar] = SnapshotDeviation(lidar, distance_m, float(np.rad2deg(angle_rad)))
-        for dispute in self.blamed.get(run.name, ()):
-            if dispute.outvoted:
-                lidar = dispute.lidars[0]
-                found = deviations.get(lidar, SnapshotDeviation(lidar, dispute.distance_m, dispute.angle_deg))
+        for conflict in self.inconsistent.get(run.name, ()):
+            if conflict.outvoted:
+                lidar = conflict.lidars[0]
+                found = deviations.get(lidar, SnapshotDeviation(lidar, conflict.distance_m, conflict.angle_deg))
                 deviations[lidar] = replace(found, outlier=True)
         return SnapshotReport(
             name=run.name,
             source=run.source,
             source_sha256=run.source_sha256,
             deviations=tuple(deviations[lidar] for lidar in sorted(deviations)),
-            disputed=tuple(each.lidars[0] for each in self.blamed.get(run.name, ()) if not each.outvoted),
+            disputed=tuple(each.lidars[0] for each in self.inconsistent.get(run.name, ()) if not each.outvoted),
             refusal=run.refusal,
         )

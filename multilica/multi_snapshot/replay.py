@@ -14,11 +14,12 @@ from multilica import events
 from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
+from multilica.orchestration.rig import ground_under
 from multilica.results import CalibrationResult, GroundPlane, PreprocessedCloud, Refinement, SnapshotReport
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.stages.ground import estimate_level
 from multilica.stages.preprocess import preprocess
-from multilica.steps.rig import ground_under
+
 
 def shown_snapshot(result: CalibrationResult) -> str:
     """Return the name of the first snapshot that agrees with the joint result on the most LiDARs."""

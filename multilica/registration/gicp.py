@@ -10,8 +10,8 @@ import small_gicp
 
 from multilica.config import FineConfig
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.gicp_cloud import GicpCloud, prepare_gicp_cloud
 from multilica.registration.lazy_open3d import o3d
-from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
 from multilica.results import GicpStep, PairRegistration
 
 # Iterations between two recorded steps.
@@ -25,7 +25,7 @@ _MIN_POINTS = 20
 
 
 def register(
-    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: FineConfig
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, config: FineConfig
 ) -> PairRegistration:
     """Run GICP (Segal et al., RSS 2009) from coarse to fine correspondence distances.
 
@@ -61,7 +61,7 @@ def register(
 
 
 def register_narrower(
-    first: RegistrationCloud, second: RegistrationCloud, T_first_second: RigidTransform, config: FineConfig
+    first: GicpCloud, second: GicpCloud, T_first_second: RigidTransform, config: FineConfig
 ) -> PairRegistration:
     """Register the cloud with fewer points, as the source, to the other.
 
@@ -74,7 +74,7 @@ def register_narrower(
 
 
 def fitness_and_rmse(
-    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, distance_m: float
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, distance_m: float
 ) -> tuple[float, float, int]:
     """Return the share of source points with a target point within the distance, their RMS distance and number.
 
@@ -123,20 +123,18 @@ class _Gicp:
 
 
 def _within_reach(
-    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: FineConfig
-) -> RegistrationCloud:
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, config: FineConfig
+) -> GicpCloud:
     reach_m = _REACH * max(config.max_correspondence_distances_m)
     near, _ = target.tree.nearest_within(T_target_source.apply(source.points_m), reach_m)
     if len(near) < _MIN_POINTS:
         near = np.union1d(near, np.arange(min(_MIN_POINTS, len(source.points_m))))
     if len(near) > _WORTH_CROPPING * len(source.points_m):
         return source
-    return prepare_registration_cloud(source.name, source.points_m[near], config)
+    return prepare_gicp_cloud(source.name, source.points_m[near], config)
 
 
-def _run_small_gicp(
-    state: _Gicp, target: RegistrationCloud, source: RegistrationCloud, distance_m: float, config: FineConfig
-) -> _Gicp:
+def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: float, config: FineConfig) -> _Gicp:
     """Run a few iterations at a time, so that progress can be recorded."""
     for start in range(0, config.max_iterations, _OBSERVED_ITERATIONS):
         result = small_gicp.align(
@@ -160,9 +158,7 @@ def _run_small_gicp(
     return state
 
 
-def _run_open3d(
-    state: _Gicp, target: RegistrationCloud, source: RegistrationCloud, distance_m: float, config: FineConfig
-) -> _Gicp:
+def _run_open3d(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: float, config: FineConfig) -> _Gicp:
     registration = o3d.pipelines.registration
     result = registration.registration_generalized_icp(
         source.engine_cloud,

@@ -7,9 +7,9 @@ import numpy as np
 
 from multilica.config import RefineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
+from multilica.registration.gicp_cloud import GicpCloud
 from multilica.registration.neighbours import MovedPoints
 from multilica.registration.poses import moved
-from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.registration.stability import arc_between_m
 
 # Three matches per degree of freedom, rounded up.
@@ -39,7 +39,7 @@ class _Overlap:
     `placed` finds their neighbours in the target.
     """
 
-    target: RegistrationCloud
+    target: GicpCloud
     points_m: FloatArray
     normals: FloatArray
     distance_m: float
@@ -81,7 +81,7 @@ class _Residuals:
 
 
 def fit_planes(
-    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: RefineConfig
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, config: RefineConfig
 ) -> tuple[RigidTransform, FloatArray | None]:
     """Refine a pose by point-to-plane registration (Chen and Medioni, 1992) on planar surroundings only.
 
@@ -109,7 +109,7 @@ def fit_planes(
 
 
 def pose_information(
-    target: RegistrationCloud, source: RegistrationCloud, T_target_source: RigidTransform, config: RefineConfig
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, config: RefineConfig
 ) -> FloatArray | None:
     """Compute the information (inverse covariance) of a registered pose.
 
@@ -138,9 +138,7 @@ def _information(overlap: _Overlap, pose: RigidTransform, config: RefineConfig) 
     return np.asarray(floored @ np.linalg.pinv(spread, hermitian=True) @ floored)
 
 
-def _overlap(
-    target: RegistrationCloud, source: RegistrationCloud, pose: RigidTransform, config: RefineConfig
-) -> _Overlap:
+def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, config: RefineConfig) -> _Overlap:
     """Select the points that may match, thinned evenly to the number allowed."""
     reach_m = 1.5 * config.distance_m
     near, _ = target.tree.nearest_within(pose.apply(source.points_m), reach_m)

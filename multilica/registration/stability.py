@@ -6,10 +6,11 @@ import numpy as np
 from multilica.config import FineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import register
+from multilica.registration.gicp_cloud import GicpCloud
 from multilica.registration.poses import moved
-from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import PairRegistration, Stability
 from multilica.results.deviations import weakest_sigmas
+
 
 def weakest_curvature(registration: PairRegistration) -> float:
     """Return the smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by `LEVER_ARM_M`."""
@@ -20,26 +21,26 @@ def weakest_curvature(registration: PairRegistration) -> float:
     return float(np.linalg.eigvalsh(registration.hessian * np.outer(scale, scale) / inliers)[0])
 
 
-def pushed_ends(
-    clouds: tuple[RegistrationCloud, RegistrationCloud],
+def perturbed_ends(
+    clouds: tuple[GicpCloud, GicpCloud],
     pose: RigidTransform,
     weakest_direction: FloatArray,
-    push_m: float,
+    perturbation_m: float,
     fine: FineConfig,
 ) -> tuple[RigidTransform, RigidTransform]:
     """Register target and source from both sides of the pose, pushed along `VisibilityScore.weakest_direction`."""
-    pushes = (side * push_m * weakest_direction for side in (-1.0, 1.0))
+    pushes = (side * perturbation_m * weakest_direction for side in (-1.0, 1.0))
     starts = (moved(pose, push[:3] / LEVER_ARM_M, push[3:]) for push in pushes)
     back, forth = (register(*clouds, start, fine).T_target_source for start in starts)
     return back, forth
 
 
 def check_stability(
-    thinned: tuple[RegistrationCloud, RegistrationCloud] | None,
+    thinned: tuple[GicpCloud, GicpCloud] | None,
     pose: RigidTransform,
     information: FloatArray | None,
     ends: tuple[RigidTransform, RigidTransform],
-    push_m: float,
+    perturbation_m: float,
     fine: FineConfig,
 ) -> Stability:
     """Measure how far a registered pose moves when it is pushed, and when points are removed.
@@ -50,14 +51,14 @@ def check_stability(
     Args:
         thinned: target and source with fewer points; None where they have few anyway.
         pose: where GICP ended.
-        ends: of `pushed_ends` for that pose.
+        ends: of `perturbed_ends` for that pose.
     """
     of_fewer = pose if thinned is None else register(*thinned, pose, fine).T_target_source
     return Stability(
         *weakest_sigmas(information),
-        push_m,
-        pushed_off_m=max(arc_between_m(pose, end) for end in ends),
-        thinned_off_m=arc_between_m(pose, of_fewer),
+        perturbation_m,
+        perturbed_offset_m=max(arc_between_m(pose, end) for end in ends),
+        thinned_offset_m=arc_between_m(pose, of_fewer),
     )
 
 

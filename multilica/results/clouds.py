@@ -17,14 +17,14 @@ class SensorHealth:
     Args:
         returns: finite returns over all frames.
         near_share: share of them that is too near to use: the vehicle's body, or dirt.
-        soiled_share: share of the field of view that ends on the window.
+        blockage_ratio: share of the field of view that ends on the window.
         reasons: `dead` or `dirty`; none for a healthy LiDAR.
     """
 
     lidar: str
     returns: int
     near_share: float
-    soiled_share: float
+    blockage_ratio: float
     reasons: tuple[Reason, ...] = ()
 
 

@@ -5,6 +5,7 @@ import numpy as np
 
 from multilica.geometry import FloatArray
 
+
 def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:
     """Return `weakest_deviations` of a pose with that (6, 6) information; None where it has none."""
     if information is None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from multilica.geometry import RigidTransform
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Group:
     """LiDARs whose poses relative to each other are known.

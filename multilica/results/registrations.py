@@ -11,6 +11,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import hypothesis_label, pose_name
 from multilica.results.visibility_score import VisibilityScore
 
+
 @dataclass(frozen=True, slots=True)
 class Stability:
     """How far a registered pose moves when it is disturbed. Rotations count as arcs at `LEVER_ARM_M`.
@@ -18,16 +19,16 @@ class Stability:
     Args:
         sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where
             too few points match.
-        push_m: how far the pose was pushed along its weakest direction, to both sides.
-        pushed_off_m: how far from the pose the registration ends when it starts from there.
-        thinned_off_m: how far from the pose the registration of fewer points ends.
+        perturbation_m: how far the pose was pushed along its weakest direction, to both sides.
+        perturbed_offset_m: how far from the pose the registration ends when it starts from there.
+        thinned_offset_m: how far from the pose the registration of fewer points ends.
     """
 
     sigma_m: float | None
     sigma_rad: float | None
-    push_m: float
-    pushed_off_m: float
-    thinned_off_m: float
+    perturbation_m: float
+    perturbed_offset_m: float
+    thinned_offset_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from multilica.geometry import FloatArray, RigidTransform
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMatches:
     """Nearest neighbours of a pair's clouds, as GICP matches them, at the pair's final pose.

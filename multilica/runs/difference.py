@@ -14,7 +14,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray
 from multilica.results.document import ResultDocument
 from multilica.results.document.values import Entry, Number, Vector3
-from multilica.runs.first_difference import Change, Parting, partings_of
+from multilica.runs.first_difference import Change, StageDifference, stage_differences
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import RunDocument
 
@@ -65,7 +65,7 @@ class RunDifference:
         moves: per LiDAR of which both have a pose, in name order, without the target.
         statuses: per LiDAR that they do not agree on.
         neither: per LiDAR that none of them placed, in name order.
-        partings: steps at which the runs differ, in order.
+        stage_differences: steps at which the runs differ, in order.
         notes: what could not be compared.
     """
 
@@ -75,7 +75,7 @@ class RunDifference:
     moves: tuple[Move, ...]
     statuses: tuple[StatusChange, ...]
     neither: tuple[PlacedByNeither, ...]
-    partings: tuple[Parting, ...]
+    stage_differences: tuple[StageDifference, ...]
     notes: tuple[str, ...]
 
     @property
@@ -158,7 +158,7 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
             for name, statuses in found.items()
             if statuses == ("not placed", "not placed")
         ),
-        partings=partings_of(first, second),
+        stage_differences=stage_differences(first, second),
         notes=_notes(before, after),
     )
 
@@ -193,7 +193,7 @@ def compare_poses(
             for name in sorted(compared - {*common})
         ),
         neither=(),
-        partings=(),
+        stage_differences=(),
         notes=(),
     )
 
@@ -269,6 +269,6 @@ def difference_document(difference: RunDifference) -> DifferenceDocument:
         },
         placed_by_neither={each.lidar: each for each in difference.neither},
         statuses={change.lidar: change for change in difference.statuses},
-        first_difference=difference.partings[0].step if difference.partings else None,
-        differences={parting.step: parting.changes for parting in difference.partings},
+        first_difference=difference.stage_differences[0].step if difference.stage_differences else None,
+        differences={difference.step: difference.changes for difference in difference.stage_differences},
     )

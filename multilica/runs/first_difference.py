@@ -25,16 +25,16 @@ class Change(Entry):
 
 
 @dataclass(frozen=True, slots=True)
-class Parting:
+class StageDifference:
     """A step at which two runs differ: `input`, `config`, `versions`, or a stage."""
 
     step: str
     changes: tuple[Change, ...]
 
 
-def partings_of(before: ResultDocument, after: ResultDocument) -> tuple[Parting, ...]:
+def stage_differences(before: ResultDocument, after: ResultDocument) -> tuple[StageDifference, ...]:
     """Return every step at which two runs differ, in order; stages are compared if both have figures of them."""
-    return tuple(Parting(step, changes) for step, changes in _steps(before, after) if changes)
+    return tuple(StageDifference(step, changes) for step, changes in _steps(before, after) if changes)
 
 
 def _steps(before: ResultDocument, after: ResultDocument) -> Iterator[tuple[str, tuple[Change, ...]]]:

@@ -11,6 +11,7 @@ from multilica.results.document.values import Entry, Number
 from multilica.runs.evaluation import LeftOut
 from multilica.runs.paper_table import AxisError, PaperSummary, PaperTable
 
+
 class AxisErrorEntry(Entry):
     """Errors along the target's axes and about the source's; null if nothing was placed."""
 

@@ -17,6 +17,7 @@ from multilica.geometry import FloatArray, RigidTransform, read_only, rotation_a
 from multilica.runs.evaluation import Evaluation, Tolerances, Truth, evaluate, truth_per_run
 from multilica.runs.run_documents import SavedPlacement, SavedRun
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisError:
     """The error of ``T_target_source`` as the paper computes it, or the root mean square of many.

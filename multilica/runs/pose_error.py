@@ -12,6 +12,7 @@ from scipy.special import ndtri_exp
 
 from multilica.geometry import FloatArray, RigidTransform, read_only, rotation_angle_rad
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseError:
     """The error of a pose, or a statistic of many errors.

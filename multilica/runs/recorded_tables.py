@@ -13,6 +13,7 @@ from multilica.sinks.rerun.recorded_tables import read_recorded_table
 if TYPE_CHECKING:
     import pyarrow as pa
 
+
 def table_of_run(path: Path, name: str) -> pa.Table:
     """Read a table from the recording of a run directory, or from a recording, complete or not.
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from multilica.geometry import FloatArray
 
+
 def unit_directions(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:
     """Compute unit vectors (N, 3) from angles of a common shape."""
     azimuth, elevation = np.broadcast_arrays(azimuth_rad, elevation_rad)

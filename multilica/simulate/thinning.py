@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from multilica.snapshot import LidarScans, Snapshot
 
+
 def thinned(snapshot: Snapshot, keep_every: int) -> Snapshot:
     """Keep only every Nth return; the first one differs from frame to frame, so that together they cover all beams."""
     return replace(snapshot, lidars=tuple(_thinned(lidar, keep_every) for lidar in snapshot.lidars))

@@ -29,6 +29,7 @@ from multilica.sinks.report.page import ReportFile
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
 
+
 class RunDirectory:
     """An observer that passes each event to every sink.
 

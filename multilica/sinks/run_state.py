@@ -23,6 +23,7 @@ from multilica.results.document.values import Entry
 from multilica.sinks.files.provenance import Provenance, provenance_of
 from multilica.snapshot import Snapshot
 
+
 @dataclass(slots=True, eq=False)
 class RunState:
     """Accumulated events of a run, from which sinks draw.

@@ -9,6 +9,7 @@ from multilica.results import PairKey
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 
+
 @dataclass(frozen=True, slots=True)
 class Failure:
     """A LiDAR that was not placed.

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from multilica.geometry import RigidTransform
 
+
 @dataclass(frozen=True, slots=True)
 class Solution:
     """Poses that matches support.

@@ -7,6 +7,7 @@ from multilica.extrinsics import Extrinsics, require_metres
 from multilica.geometry import RigidTransform
 from multilica.snapshot import LidarScans, Snapshot
 
+
 def known_in_base(rig: Extrinsics, base: str, lidar: LidarScans) -> RigidTransform | None:
     """Return ``T_base_lidar`` by name, else by frame id; None if the rig lacks it."""
     frame = next((name for name in (lidar.name, lidar.frame_id.removeprefix("/")) if name in rig.members), None)

@@ -21,14 +21,14 @@ _BLOCK = 64
 def match_features(target: FeatureCloud, source: FeatureCloud, config: CorrespondConfig) -> Correspondences:
     """Match each descriptor of the source with the nearest of the target, the closest matches first.
 
-    With `mutual`, a match is kept only if each is the other's nearest neighbour in descriptor space. Engine `blocks`
-    finds neighbours in single precision, so that of several nearly identical descriptors any may be taken for the
-    nearest. Without a limit the matches keep the order of the source's points.
+    With `mutual`, a match is kept only if each is the other's nearest neighbour in descriptor space. Engine
+    `brute_force` finds neighbours in single precision, so that any of several nearly identical descriptors may count
+    as the nearest. Without a limit the matches keep the order of the source's points.
     """
     return _match(target, source, config, config.max_keypoints, config.max_keypoints)
 
 
-def pair_promise(target: FeatureCloud, source: FeatureCloud, config: CoarseConfig, max_baseline_m: float) -> float:
+def pair_priority(target: FeatureCloud, source: FeatureCloud, config: CoarseConfig, max_baseline_m: float) -> float:
     """Estimate from few descriptors how likely two LiDARs overlap enough to be registered.
 
     Returns:

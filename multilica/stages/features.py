@@ -10,6 +10,7 @@ from multilica.registration.lazy_open3d import o3d
 from multilica.registration.neighbours import thin, thin_from_cloud
 from multilica.results import FeatureCloud, PreprocessedCloud
 
+
 def compute_features(cloud: PreprocessedCloud, config: FeaturesConfig) -> FeatureCloud:
     """Compute FPFH descriptors (Rusu et al., ICRA 2009) on a voxel grid, with normals that point to the sensor.
 

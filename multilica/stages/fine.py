@@ -7,14 +7,21 @@ from functools import cached_property
 
 import numpy as np
 
-from multilica.acceptance.accept import competing_poses, hopeless_below, imprecision, is_firm, is_hopeless, slides
+from multilica.acceptance.accept import (
+    cannot_be_accepted,
+    competing_poses,
+    imprecision,
+    is_well_constrained,
+    min_competing_evidence,
+    slides,
+)
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import FloatArray
 from multilica.registration.gicp import fitness_and_rmse, register
+from multilica.registration.gicp_cloud import GicpCloud, prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
 from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
-from multilica.registration.registration_cloud import RegistrationCloud, prepare_registration_cloud
-from multilica.registration.stability import arc_between_m, check_stability, pushed_ends, widened
+from multilica.registration.stability import arc_between_m, check_stability, perturbed_ends, widened
 from multilica.results import Hypothesis, PairRegistration, Registration
 from multilica.results.deviations import weakest_sigmas
 from multilica.visibility.sensor_view import PlacedView, score_registration, score_visibility
@@ -28,7 +35,7 @@ _SAME_END_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Side:
+class RegistrationCloud:
     """One side of a registration: a LiDAR, or a group with known poses.
 
     Args:
@@ -37,29 +44,36 @@ class Side:
         finalist_gicp: how `thinned` is prepared and registered.
     """
 
-    cloud: RegistrationCloud
+    cloud: GicpCloud
     views: tuple[PlacedView, ...]
     finalist_gicp: FineConfig
 
     @cached_property
-    def thinned(self) -> RegistrationCloud:
+    def thinned(self) -> GicpCloud:
         """The cloud with fewer points, enough to compare finalists."""
         if len(self.cloud.points_m) <= self.finalist_gicp.max_points:
             return self.cloud
-        return prepare_registration_cloud(self.cloud.name, self.cloud.points_m, self.finalist_gicp)
+        return prepare_gicp_cloud(self.cloud.name, self.cloud.points_m, self.finalist_gicp)
 
 
-def prepare_side(name: str, points_m: FloatArray, views: Sequence[PlacedView], config: CalibrationConfig) -> Side:
+def prepare_registration_cloud(
+    name: str, points_m: FloatArray, views: Sequence[PlacedView], config: CalibrationConfig
+) -> RegistrationCloud:
     """Prepare the points (N, 3) of a LiDAR or a group, given in the frame of that name, for GICP."""
     fine = config.fine
-    cloud = prepare_registration_cloud(name, points_m, fine)
+    cloud = prepare_gicp_cloud(name, points_m, fine)
     iterations = min(config.verify.max_iterations, fine.max_iterations)
     finalist_gicp = fine.model_copy(update={"max_points": fine.finalist_max_points, "max_iterations": iterations})
-    return Side(cloud, tuple(views), finalist_gicp)
+    return RegistrationCloud(cloud, tuple(views), finalist_gicp)
 
 
 def register_best(
-    target: Side, source: Side, hypotheses: Sequence[Hypothesis], config: CalibrationConfig, *, fit: bool = True
+    target: RegistrationCloud,
+    source: RegistrationCloud,
+    hypotheses: Sequence[Hypothesis],
+    config: CalibrationConfig,
+    *,
+    fit: bool = True,
 ) -> PairRegistration:
     """Register the finalists by GICP, and the one with the most evidence on all points.
 
@@ -73,8 +87,8 @@ def register_best(
 
     Returns:
         The narrower side is the source; where verification is off, the roles are as given. `registrations` holds the
-        distinct finalists, the best first. Its stability is tested if it has enough evidence, and is not firm, or is
-        uncertain, or has a competing pose.
+        distinct finalists, the best first. Its stability is tested if it has enough evidence, and is not well
+        constrained, or is uncertain, or has a competing pose.
     """
     if not target.views:
         return _register_first(target, source, hypotheses[0], config)
@@ -83,7 +97,7 @@ def register_best(
         hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
     pair = _Pair(target, source, config, fit)
     finalists = pair.finalists(hypotheses)
-    thinned = len(finalists) > 1 or pair.is_hopeless(finalists[0])
+    thinned = len(finalists) > 1 or pair.cannot_be_accepted(finalists[0])
     registered = pair.register_thinned(finalists) if thinned else [pair.register(finalists[0])]
     best = pair.best_of(registered, thinned=thinned)
     found, verify, stability = best.registrations[0], config.verify, best.registrations[0].stability
@@ -104,7 +118,7 @@ def select_finalists(evidence: Sequence[float], config: AcceptanceConfig, most: 
     ranked = sorted(range(len(evidence)), key=lambda index: -evidence[index])[:most]
     if not ranked:
         return []
-    needed = hopeless_below(evidence[ranked[0]], config)
+    needed = min_competing_evidence(evidence[ranked[0]], config)
     return [index for index in ranked if index == ranked[0] or evidence[index] > needed]
 
 
@@ -113,7 +127,9 @@ def _start_of(found: Registration) -> Hypothesis:
     return Hypothesis(found.T_target_source, origin=found.origin, index=found.hypothesis, derivation=found.derivation)
 
 
-def _register_first(target: Side, source: Side, first: Hypothesis, config: CalibrationConfig) -> PairRegistration:
+def _register_first(
+    target: RegistrationCloud, source: RegistrationCloud, first: Hypothesis, config: CalibrationConfig
+) -> PairRegistration:
     """Register the first hypothesis only, as the paper does."""
     found = register(target.cloud, source.cloud, first.T_target_source, config.fine)
     information = None
@@ -126,13 +142,13 @@ def _register_first(target: Side, source: Side, first: Hypothesis, config: Calib
 class _Pair:
     """Both sides of a registration with the configuration."""
 
-    target: Side
-    source: Side
+    target: RegistrationCloud
+    source: RegistrationCloud
     config: CalibrationConfig
     fit: bool
 
     @property
-    def clouds(self) -> tuple[RegistrationCloud, RegistrationCloud]:
+    def clouds(self) -> tuple[GicpCloud, GicpCloud]:
         return self.target.cloud, self.source.cloud
 
     def finalists(self, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
@@ -147,9 +163,9 @@ class _Pair:
         kept = select_finalists(evidence, self.config.acceptance, self.config.fine.max_finalists)
         return [distinct[index] for index in kept]
 
-    def is_hopeless(self, hypothesis: Hypothesis) -> bool:
+    def cannot_be_accepted(self, hypothesis: Hypothesis) -> bool:
         """Tell whether the hypothesis is known to have too little evidence."""
-        return hypothesis.evidence is not None and is_hopeless(hypothesis.evidence, self.config.acceptance)
+        return hypothesis.evidence is not None and cannot_be_accepted(hypothesis.evidence, self.config.acceptance)
 
     def _evidence(self, hypothesis: Hypothesis) -> float:
         if hypothesis.evidence is not None:
@@ -169,7 +185,7 @@ class _Pair:
         """
         clouds = self.target.thinned, self.source.thinned
         begun = [self._register(*clouds, hypothesis, self.target.finalist_gicp) for hypothesis in hypotheses]
-        needed = hopeless_below(max(each.evidence for each in (*begun, *beside)), self.config.acceptance)
+        needed = min_competing_evidence(max(each.evidence for each in (*begun, *beside)), self.config.acceptance)
         kept: list[PairRegistration] = []
         for hypothesis, start in zip(hypotheses, begun, strict=True):
             found = start
@@ -185,7 +201,7 @@ class _Pair:
         return self._register(*self.clouds, hypothesis, self.config.fine)
 
     def _register(
-        self, target: RegistrationCloud, source: RegistrationCloud, hypothesis: Hypothesis, gicp: FineConfig
+        self, target: GicpCloud, source: GicpCloud, hypothesis: Hypothesis, gicp: FineConfig
     ) -> PairRegistration:
         found = register(target, source, hypothesis.T_target_source, gicp)
         return self._scored(replace(found, hypothesis=hypothesis.index), hypothesis)
@@ -200,7 +216,7 @@ class _Pair:
         found = within_baseline([each.registrations[0] for each in registered], acceptance.max_baseline_m)
         best, *others = sorted(found, key=lambda each: -each.evidence)
         result = next(each for each in registered if each.registrations[0] is best)
-        if thinned and not is_hopeless(best.evidence, acceptance):
+        if thinned and not cannot_be_accepted(best.evidence, acceptance):
             result = self.register(_start_of(best))
             best = result.registrations[0]
         if best.evidence >= acceptance.min_evidence:
@@ -223,11 +239,11 @@ class _Pair:
         return self._scored(fitted, replace(_start_of(found.registrations[0]), T_target_source=pose))
 
     def _needs_stability(self, found: PairRegistration, best: Registration, others: Sequence[Registration]) -> bool:
-        """Tell whether the pose may slide: not firm, uncertain, or with a competing pose."""
+        """Tell whether the pose may slide: not well constrained, uncertain, or with a competing pose."""
         acceptance = self.config.acceptance
         sigma_m, sigma_rad = weakest_sigmas(found.information)
         uncertain = imprecision(sigma_m, sigma_rad, acceptance, _SIGMA_MARGIN) is not None
-        loose = not is_firm(best.visibility, acceptance)
+        loose = not is_well_constrained(best.visibility, acceptance)
         return loose or uncertain or bool(competing_poses([best, *others], acceptance))
 
     def _with_stability(self, by_gicp: PairRegistration, fitted: PairRegistration) -> PairRegistration:
@@ -238,19 +254,19 @@ class _Pair:
         """
         thinned_clouds = (self.target.thinned, self.source.thinned)
         thinned = None if thinned_clouds == self.clouds else thinned_clouds
-        fine, push_m = self.config.fine, self.config.acceptance.push_m
+        fine, perturbation_m = self.config.fine, self.config.acceptance.perturbation_m
         for last in (False, True):
             best, pose = by_gicp.registrations[0], by_gicp.T_target_source
-            ends = pushed_ends(self.clouds, pose, best.visibility.weakest_direction, push_m, fine)
-            stability = check_stability(thinned, pose, fitted.information, ends, push_m, fine)
+            ends = perturbed_ends(self.clouds, pose, best.visibility.weakest_direction, perturbation_m, fine)
+            stability = check_stability(thinned, pose, fitted.information, ends, perturbation_m, fine)
             apart = arc_between_m(*ends) > _SAME_END_M
-            if last or stability.pushed_off_m <= _SAME_END_M or apart or is_distinct(ends[0], [pose]):
+            if last or stability.perturbed_offset_m <= _SAME_END_M or apart or is_distinct(ends[0], [pose]):
                 break
             further = self.register(replace(_start_of(best), T_target_source=ends[0]))
             if further.evidence < best.evidence:
                 break
             by_gicp, fitted = further, self._fitted(further) if self.fit else further
-        information = widened(fitted.information, best.visibility.weakest_direction, stability.pushed_off_m)
+        information = widened(fitted.information, best.visibility.weakest_direction, stability.perturbed_offset_m)
         sigma_m, sigma_rad = weakest_sigmas(information)
         stability = replace(stability, sigma_m=sigma_m, sigma_rad=sigma_rad)
         scored = replace(fitted.registrations[0], stability=stability)

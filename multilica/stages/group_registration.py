@@ -87,7 +87,7 @@ def _is_constrained_by(found: PairRegistration, accepted: Sequence[RigidTransfor
     if found.verdict.codes != ("not_observable",) or len(found.registrations) != 1:
         return False
     stability = found.registrations[0].stability
-    if stability is None or stability.pushed_off_m > _STABLE_M:
+    if stability is None or stability.perturbed_offset_m > _STABLE_M:
         return False
     pose = found.T_target_source.with_target(accepted[0].target)
     return min(arc_between_m(pose, known) for known in accepted) <= _STABLE_M

@@ -12,6 +12,7 @@ from multilica.results import PreprocessedCloud
 from multilica.snapshot import LidarScans
 from multilica.visibility.moving_points import drop_moving
 
+
 def preprocess(
     lidar: LidarScans, config: PreprocessConfig, stillness: StillnessConfig | None = None
 ) -> PreprocessedCloud:

@@ -7,6 +7,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.snapshot import Snapshot
 
+
 def known_between(prior: Extrinsics | None, target: str, source: str) -> RigidTransform | None:
     """Return ``T_target_source`` by the prior; None if there is no prior or it lacks one of the LiDARs."""
     if prior is None or not {target, source} <= prior.members:

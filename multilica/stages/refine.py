@@ -12,6 +12,7 @@ from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.registration.poses import moved
 from multilica.results import PairRegistration, PairResidual, Refinement, connected
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedRig:
     """Poses of a rig after the joint refinement.

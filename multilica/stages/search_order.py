@@ -6,6 +6,7 @@ from itertools import combinations, permutations
 
 from multilica.results import PairKey
 
+
 def components(names: Iterable[str], pairs: Iterable[PairKey]) -> dict[str, str]:
     """Return per name the first name of the group that the pairs connect it to."""
     first = {name: name for name in names}
@@ -19,7 +20,7 @@ def next_round(
     names: Sequence[str],
     accepted: Iterable[PairKey],
     tried: Collection[PairKey],
-    promise: Mapping[PairKey, float],
+    priority: Mapping[PairKey, float],
 ) -> list[PairKey]:
     """Choose the pairs to search next: of each group that accepted pairs connect, the most promising way out of it.
 
@@ -28,14 +29,14 @@ def next_round(
 
     Args:
         tried: pairs that were searched before.
-        promise: of each pair; the larger, the sooner it is searched.
+        priority: of each pair; the larger, the sooner it is searched.
 
     Returns:
-        In the order of the promise; empty if all LiDARs are connected or nothing is left to try.
+        In the order of the priority; empty if all LiDARs are connected or nothing is left to try.
     """
     group = components(names, accepted)
     chosen: dict[str, PairKey] = {}
-    ranked = sorted(promise, key=lambda pair: (-promise[pair], pair))
+    ranked = sorted(priority, key=lambda pair: (-priority[pair], pair))
     for pair in ranked:
         groups = {group[name] for name in pair}
         if pair in tried or len(groups) == 1:

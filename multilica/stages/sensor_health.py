@@ -21,7 +21,7 @@ _SURFACE_M = 0.06
 def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> SensorHealth:
     """Measure the share of a LiDAR's field of view that ends on its own window.
 
-    The field of view is the directions of all returns, in cells of 5 degrees. A cell is soiled if no beam in it gets
+    The field of view is the directions of all returns, in cells of 5 degrees. A cell is blocked if no beam in it gets
     farther than `near_m` and its near echoes lie on no surface (the vehicle's own body is a surface, dirt is not).
     Only blocks of at least 2 x 2 cells count. Directions without returns are ignored: the sky has none, and drivers
     cut out the vehicle's body.
@@ -40,15 +40,15 @@ def examine_sensor(lidar: LidarScans, near_m: float, config: HealthConfig) -> Se
     cells = _cells(points_m, range_m)
     seen = np.bincount(cells, minlength=_ROWS * _COLUMNS) > 0
     through = np.bincount(cells[~near], minlength=_ROWS * _COLUMNS) > 0
-    soiled = _blocks(_off_surfaces(points_m[near] / range_m[near, None], range_m[near], cells[near]) & ~through)
-    soiled_share = float(_solid_angle(soiled & seen) / _solid_angle(seen))
-    limit = config.max_soiled_share
+    blocked = _blocks(_off_surfaces(points_m[near] / range_m[near, None], range_m[near], cells[near]) & ~through)
+    blockage_ratio = float(_solid_angle(blocked & seen) / _solid_angle(seen))
+    limit = config.max_blockage_ratio
     text = (
-        f"{soiled_share:.0%} of its field of view ends in scattered echoes nearer than {near_m:g} m, as from dirt on "
+        f"{blockage_ratio:.0%} of its field of view ends in scattered echoes nearer than {near_m:g} m, as from dirt on "
         f"the window (limit {limit:.0%})"
     )
-    reasons = (Reason("dirty", soiled_share, limit, text),) if soiled_share > limit else ()
-    return SensorHealth(lidar.name, len(points_m), float(np.mean(near)), soiled_share, reasons)
+    reasons = (Reason("dirty", blockage_ratio, limit, text),) if blockage_ratio > limit else ()
+    return SensorHealth(lidar.name, len(points_m), float(np.mean(near)), blockage_ratio, reasons)
 
 
 def _cells(points_m: FloatArray, range_m: FloatArray) -> IndexArray:

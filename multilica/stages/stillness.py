@@ -20,6 +20,7 @@ from multilica.registration.tracking import (
 )
 from multilica.snapshot import Scan
 
+
 @dataclass(frozen=True, slots=True)
 class Motion:
     """Motion of a LiDAR between its first and last frame.
@@ -136,7 +137,7 @@ def _motion(result: small_gicp.RegistrationResult, pose: FloatArray, config: Sti
     shown_m = constrained @ (constrained.T @ twist_m)
     turn_rad, shown_shift_m = float(np.linalg.norm(shown_m[:3])) / LEVER_ARM_M, float(np.linalg.norm(shown_m[3:]))
     significance = float(np.sqrt(shown_m @ hessian @ shown_m))
-    large = bool(shown_shift_m > config.max_shift_m or turn_rad > np.deg2rad(config.max_turn_deg))
+    large = bool(shown_shift_m > config.max_shift_m or turn_rad > np.deg2rad(config.max_rotation_deg))
     moving = large and significance > _MIN_SIGNIFICANCE
     return Motion(shown_shift_m, turn_rad, significance, moving or constrained.shape[1] == 6, moving)
 

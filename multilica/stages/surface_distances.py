@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.geometry import RigidTransform
-from multilica.registration.registration_cloud import RegistrationCloud
+from multilica.registration.gicp_cloud import GicpCloud
 from multilica.results import IndexArray, SurfaceMatches, SurfaceResiduals
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMatches:
@@ -21,7 +22,7 @@ class PairMatches:
 
 
 def match_surfaces(
-    target: RegistrationCloud, source: RegistrationCloud, pose: RigidTransform, distance_m: float, most: int
+    target: GicpCloud, source: GicpCloud, pose: RigidTransform, distance_m: float, most: int
 ) -> PairMatches:
     """Match each source point with the nearest target point within a distance, as fitness counts them.
 
@@ -48,7 +49,7 @@ def match_surfaces(
     return PairMatches(matches, rows[near])
 
 
-def residuals_of(source: RegistrationCloud, found: Iterable[PairMatches]) -> SurfaceResiduals:
+def residuals_of(source: GicpCloud, found: Iterable[PairMatches]) -> SurfaceResiduals:
     """Return the residual at each point of a LiDAR that any of the others saw: the smallest to any of them."""
     residual_m = np.full(len(source.points_m), np.inf)
     for each in found:

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 
 from multilica.results import PairRegistration, PreprocessedCloud
 
+
 def choose_target(
     asked_for: str, clouds: Mapping[str, PreprocessedCloud], pairs: Sequence[PairRegistration]
 ) -> tuple[str, str]:

@@ -7,12 +7,12 @@ from functools import partial
 
 import numpy as np
 
-from multilica.acceptance.accept import hopeless_below, is_firm, is_hopeless
+from multilica.acceptance.accept import cannot_be_accepted, is_well_constrained, min_competing_evidence
 from multilica.config import CalibrationConfig, FineConfig, VerifyConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register_narrower
+from multilica.registration.gicp_cloud import GicpCloud
 from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
-from multilica.registration.registration_cloud import RegistrationCloud
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
 from multilica.visibility.sensor_view import SensorView, score_registration, score_visibility
 from multilica.visibility.symmetric_poses import symmetric_poses
@@ -32,7 +32,7 @@ class RoughSide:
     """One LiDAR's view with its cloud as prepared for `short_gicp`."""
 
     view: SensorView
-    cloud: RegistrationCloud
+    cloud: GicpCloud
 
 
 def short_gicp(config: VerifyConfig, fine: FineConfig) -> FineConfig:
@@ -59,7 +59,7 @@ def verify_hypotheses(
     A beam that returned from 20 m proves that the 20 m before it are empty: points that a pose puts there violate it,
     points on measured surfaces agree, points behind surfaces prove nothing. Hypotheses near an earlier result are
     skipped, and so is the rest once one pose is clearly correct. Poses that may compete with the best are tested as
-    well: turned by right angles, and shifted along its weakest direction if it is not firm.
+    well: turned by right angles, and shifted along its weakest direction if it is not well constrained.
 
     The prior does not influence which hypotheses are tested: in a symmetric scene a wrong prior could otherwise end
     the search before the true pose is tested.
@@ -88,7 +88,7 @@ def verify_hypotheses(
             continue
         rough = score_visibility(target.view.alone, source.view.alone, pose, *tolerances)
         best = max(each.evidence for each in within_baseline(found, max_baseline_m))
-        if rough.evidence(float(np.linalg.norm(pose.xyz_m))) > hopeless_below(best, config.acceptance):
+        if rough.evidence(float(np.linalg.norm(pose.xyz_m))) > min_competing_evidence(best, config.acceptance):
             found = _joined(found, _register(target, source, hypothesis, settings, config))
     return tuple(sorted(within_baseline(found, max_baseline_m), key=lambda each: -each.evidence))
 
@@ -125,7 +125,7 @@ def _joined(found: Sequence[Registration], further: Registration) -> list[Regist
 def _competing_hypotheses(
     target: SensorView, source: SensorView, found: Sequence[Registration], gicp: FineConfig, config: CalibrationConfig
 ) -> list[tuple[Hypothesis, FineConfig]]:
-    """Return poses that may score as well as the best, with their GICP: turned, or slid if it is not firm.
+    """Return poses that may score as well as the best, with their GICP: turned, or slid if it is not well constrained.
 
     A pose that only points in empty space speak against may be turned or slid from the true one. A pose of the prior
     is turned even if nothing speaks for it: a LiDAR may be drawn the wrong way round.
@@ -138,14 +138,14 @@ def _competing_hypotheses(
     if best is None:
         return []
     uncontradicted = best.evidence + best.visibility.contradiction
-    if is_hopeless(uncontradicted, acceptance) and best.origin != PRIOR:
+    if cannot_be_accepted(uncontradicted, acceptance) and best.origin != PRIOR:
         return []
     pose, up = best.T_target_source, best.visibility.commonest_normal
     near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
     turned = symmetric_poses(target, source, pose, up, max_baseline_m, verify.max_symmetric_poses)
     start = Hypothesis(pose, origin=best.origin, index=best.hypothesis)
     along: list[Hypothesis] = []
-    if not is_firm(best.visibility, acceptance):
+    if not is_well_constrained(best.visibility, acceptance):
         direction = best.visibility.slide_direction
         along = slid_hypotheses(start, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
     return [
@@ -171,7 +171,7 @@ def _registered(
         return [far]
     nearest = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[-1:]})
     near = _register(target, source, hypothesis, nearest, config)
-    better = near.evidence > far.evidence and not is_hopeless(near.evidence, config.acceptance)
+    better = near.evidence > far.evidence and not cannot_be_accepted(near.evidence, config.acceptance)
     return [near, far] if better else [far]
 
 
@@ -192,9 +192,9 @@ def _is_settled(found: Sequence[Registration], config: CalibrationConfig) -> boo
     if len(found) < 2:
         return False
     best, second = sorted(found, key=lambda each: -each.evidence)[:2]
-    firm = is_firm(best.visibility, acceptance)
+    constrained = is_well_constrained(best.visibility, acceptance)
     return (
-        len(found) >= (verify.settled_after_firm if firm else verify.settled_after)
+        len(found) >= (verify.early_stop_poses_constrained if constrained else verify.early_stop_poses)
         and best.evidence >= acceptance.min_evidence
-        and second.evidence <= hopeless_below(best.evidence, acceptance)
+        and second.evidence <= min_competing_evidence(best.evidence, acceptance)
     )

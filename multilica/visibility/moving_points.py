@@ -85,7 +85,7 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
     frames = [_frame(each, grid) for each in returns]
     references = sorted(set(np.linspace(0, len(frames) - 1, _REFERENCE_FRAMES).astype(int).tolist()))
     moving = [
-        _proven_empty(frame, [frames[other] for other in references if other != index], config.beyond_m)
+        _proven_empty(frame, [frames[other] for other in references if other != index], config.moving_clearance_m)
         for index, frame in enumerate(frames)
     ]
     dropped = [scan.points_m[gone] for scan, gone in zip(scans, moving, strict=True)]
@@ -93,11 +93,11 @@ def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[S
     return kept, np.concatenate(dropped).astype(np.float64)
 
 
-def _proven_empty(frame: _FrameImage, others: Sequence[_FrameImage], beyond_m: float) -> BoolArray:
+def _proven_empty(frame: _FrameImage, others: Sequence[_FrameImage], moving_clearance_m: float) -> BoolArray:
     own = frame.filled[frame.cells]
     empty = np.zeros(len(frame.cells), dtype=np.bool_)
     for other in others:
-        passed = np.flatnonzero(other.nearest_m[frame.cells] > frame.range_m + beyond_m)
+        passed = np.flatnonzero(other.nearest_m[frame.cells] > frame.range_m + moving_clearance_m)
         cells = frame.cells[passed]
         empty[passed] |= np.isfinite(other.nearest_m[cells]) & (other.filled[cells] >= _MIN_FILLED * own[passed])
     moving = np.zeros(len(frame.usable), dtype=np.bool_)

@@ -6,6 +6,7 @@ import traceback
 from dataclasses import dataclass
 from typing import NoReturn
 
+
 class TaskTracebackError(Exception):
     """The cause of an exception that was raised in another process: its traceback there, as text."""
 

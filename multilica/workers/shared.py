@@ -4,6 +4,7 @@
 from collections.abc import Collection, Iterable
 from typing import Any
 
+
 class Shared:
     """What all tasks of a pool can use; in a worker process, arrays are read-only."""
 

@@ -12,6 +12,9 @@ from scipy.optimize import minimize
 
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray
+from multilica.orchestration.clouds import clean_lidar
+from multilica.orchestration.pairs import SearchRequest, search_pair
+from multilica.orchestration.prepared_lidar import prepare_lidar
 from multilica.results import Registration
 from multilica.results.visibility_score import (
     DISTANCE_WEIGHT,
@@ -23,9 +26,6 @@ from multilica.results.visibility_score import (
     VIOLATION_WEIGHT,
 )
 from multilica.simulate import simulate_snapshot
-from multilica.steps.clouds import clean_lidar
-from multilica.steps.pairs import SearchRequest, search_pair
-from multilica.steps.prepared_lidar import prepare_lidar
 from multilica.workers import Shared
 from tests.bench.support.claims import print_table
 from tests.bench.support.workers import run_all
@@ -85,7 +85,7 @@ def main() -> bool:
         ("false pose", "evidence", "lead"),
         [(" ".join(pose.pair), f"{pose.evidence:.1f}", f"{pose.lead:.1f}") for pose in false[:_SHOWN]],
     )
-    print_table(("min_lead", "true refused", "false accepted"), _lead_curve(best))
+    print_table(("min_log_odds_margin", "true refused", "false accepted"), _lead_curve(best))
     return True
 
 

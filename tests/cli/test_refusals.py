@@ -122,7 +122,7 @@ def test_inspect_refuses_what_cannot_be_read(make: object, invoke: Invoke, tmp_p
         (["--frames", "0"], "ingest.frames"),
         (["--topic", "/lidar_*"], "left.pcd"),
         (["--window", "best"], "--window"),
-        (["--over", "-1"], "ingest.window_s"),
+        (["--duration", "-1"], "ingest.window_s"),
         (["--frames", "ten"], "--frames"),
         (["--workers", "-1"], "runtime.workers"),
         (["--mcap-encoding", "ros3"], "ros3"),

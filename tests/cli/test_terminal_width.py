@@ -14,7 +14,7 @@ from rich.console import Console
 
 from multilica.config import preset, with_overrides
 from multilica.fleet.fleet_run import LogFinished, LogsPlanned
-from multilica.fleet.units.unit_request import UnitSummary
+from multilica.fleet.tasks.log_task import LogTaskSummary
 from multilica.run import run_calibration
 from multilica_cli.commands.demo import find_sample
 from multilica_cli.commands.fleet import fleet
@@ -199,7 +199,7 @@ def test_progress_of_the_fleet_fits(capsys, monkeypatch, width):
     monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setenv("FORCE_COLOR", "1")
     told = "the file is damaged near its end and cannot be read any further than its first chunk"
-    summary = UnitSummary(
+    summary = LogTaskSummary(
         state="failed", reason="damaged", reason_text=told, calibration="", source_sha256="", lidars=0, placed=0
     )
     with show_fleet(quiet=False) as observe:

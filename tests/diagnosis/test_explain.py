@@ -14,7 +14,7 @@ from multilica.diagnosis import Cause
 from multilica.diagnosis import explain as explain_document
 from multilica.diagnosis.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
 from multilica.events import PairRegistered, StageFinished
-from multilica.steps.pairs import PAIR_STAGES
+from multilica.orchestration.pairs import PAIR_STAGES
 from tests.sinks.made_documents import made_document, parsed
 from tests.sinks.made_events import UNPLACED, made_events
 
@@ -30,7 +30,7 @@ def reason(code, text):
 
 
 def health(*reasons):
-    return {"returns": 9, "near_share": 0.0, "soiled_share": 0.0, "reasons": list(reasons)}
+    return {"returns": 9, "near_share": 0.0, "blockage_ratio": 0.0, "reasons": list(reasons)}
 
 
 def prior_of(entry, surprise=None):

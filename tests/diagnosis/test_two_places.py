@@ -62,7 +62,12 @@ def test_pair_refused_by_the_merge_gives_its_reason(accepted):
 def test_sensor_fault_comes_before_contested_places(accepted):
     contest(accepted)
     dirty = {"code": "dirty", "value": 0.48, "limit": 0.1, "text": "48% of it"}
-    accepted["lidars"][UNPLACED]["health"] = {"returns": 9, "near_share": 0.0, "soiled_share": 0.5, "reasons": [dirty]}
+    accepted["lidars"][UNPLACED]["health"] = {
+        "returns": 9,
+        "near_share": 0.0,
+        "blockage_ratio": 0.5,
+        "reasons": [dirty],
+    }
     assert missing_of(accepted).cause == "dirty_sensor"
 
 

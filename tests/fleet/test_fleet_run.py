@@ -10,12 +10,12 @@ from multilica.fleet.store.compact import compact_store
 from multilica.fleet.store.query import ask, failures, status
 from multilica.fleet.store.records import MEASURED, LidarRow
 from multilica.fleet.store.store import open_store
-from multilica.fleet.units.unit_request import UnitSummary, failed_row
+from multilica.fleet.tasks.log_task import LogTaskSummary, failed_row
 
 FLEET = {"v1": 5, "v2": 3, "v3": 4}
 
 
-class Units:
+class Tasks:
     """Units without calibration: the first log of a vehicle and those with `moved` are calibrated."""
 
     def __init__(self, *, failing=(), stop_after=None):
@@ -43,7 +43,7 @@ class Units:
         open_store(request.store, create=False).finish(row, lidars)
         with self._lock:
             self.running[request.vehicle] -= 1
-        return UnitSummary.of(row)
+        return LogTaskSummary.of(row)
 
 
 @pytest.fixture
@@ -64,21 +64,21 @@ def table(store, name="logs"):
         return [tuple(row[index] for index in kept) for row in answer.rows()]
 
 
-def run(manifest, store, units, **options):
+def run(manifest, store, tasks, **options):
     events = []
-    return run_fleet([manifest], store, FleetOptions(**options), events.append, units), events
+    return run_fleet([manifest], store, FleetOptions(**options), events.append, tasks), events
 
 
 @pytest.mark.parametrize("workers", [1, 4])
 def test_logs_run_by_time_from_the_last_accepted_poses(tmp_path, manifest, workers):
-    store, units = open_store(tmp_path / "store", create=True), Units()
-    outcome, events = run(manifest, store, units, workers=workers)
+    store, tasks = open_store(tmp_path / "store", create=True), Tasks()
+    outcome, events = run(manifest, store, tasks, workers=workers)
     assert (outcome.found, outcome.skipped, outcome.states) == (12, 0, {"calibrated": 6, "verified": 6})
     assert events[0] == LogsPlanned(12, 12)
     assert len(events) == 13
-    assert units.most == 1
+    assert tasks.most == 1
     for vehicle, days in FLEET.items():
-        own = [source for source in units.done if f"/{vehicle}/" in source]
+        own = [source for source in tasks.done if f"/{vehicle}/" in source]
         assert own == sorted(own)
         assert len(own) == days
     with ask(store, "SELECT source, reference, calibration FROM logs WHERE vehicle = 'v1' ORDER BY time") as answer:
@@ -90,17 +90,17 @@ def test_logs_run_by_time_from_the_last_accepted_poses(tmp_path, manifest, worke
 
 
 def test_newest_first_goes_back_in_time(tmp_path, manifest):
-    store, units = open_store(tmp_path / "store", create=True), Units()
-    run(manifest, store, units, newest_first=True)
-    own = [source for source in units.done if "/v1/" in source]
+    store, tasks = open_store(tmp_path / "store", create=True), Tasks()
+    run(manifest, store, tasks, newest_first=True)
+    own = [source for source in tasks.done if "/v1/" in source]
     assert own == sorted(own, reverse=True)
 
 
 @pytest.mark.parametrize("after", [0, 1, 5, 11])
 def test_an_interrupted_run_goes_on_and_ends_alike(tmp_path, manifest, after):
     whole, broken = (open_store(tmp_path / name, create=True) for name in ("whole", "broken"))
-    run(manifest, whole, Units())
-    first, second = Units(stop_after=after), Units()
+    run(manifest, whole, Tasks())
+    first, second = Tasks(stop_after=after), Tasks()
     with pytest.raises(KeyboardInterrupt):
         run(manifest, broken, first)
     outcome, _ = run(manifest, broken, second)
@@ -108,18 +108,18 @@ def test_an_interrupted_run_goes_on_and_ends_alike(tmp_path, manifest, after):
     assert not {*first.done} & {*second.done}
     assert table(broken) == table(whole)
     assert table(broken, "lidars") == table(whole, "lidars")
-    outcome, _ = run(manifest, broken, units := Units())
-    assert (outcome.skipped, units.done) == (12, [])
+    outcome, _ = run(manifest, broken, tasks := Tasks())
+    assert (outcome.skipped, tasks.done) == (12, [])
 
 
 def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest):
     store, offline = open_store(tmp_path / "store", create=True), "s3://logs/v2/1.mcap"
-    outcome, _ = run(manifest, store, Units(failing=[offline]))
+    outcome, _ = run(manifest, store, Tasks(failing=[offline]))
     assert outcome.without_result == 1
     with failures(store) as answer:
         assert [row[2:7] for row in answer.rows()] == [(offline, "", "failed", "network", "lost")]
-    outcome, _ = run(manifest, store, units := Units())
-    assert units.done == [offline]
+    outcome, _ = run(manifest, store, tasks := Tasks())
+    assert tasks.done == [offline]
     assert outcome.without_result == 0
     with failures(store) as answer:
         assert list(answer.rows()) == []
@@ -127,8 +127,8 @@ def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest):
 
 def test_two_drivers_on_one_store_do_no_harm(tmp_path, manifest):
     alone, shared = (open_store(tmp_path / name, create=True) for name in ("alone", "shared"))
-    run(manifest, alone, Units())
-    drivers = [threading.Thread(target=run, args=(manifest, shared, Units())) for _ in range(2)]
+    run(manifest, alone, Tasks())
+    drivers = [threading.Thread(target=run, args=(manifest, shared, Tasks())) for _ in range(2)]
     for driver in drivers:
         driver.start()
     for driver in drivers:
@@ -139,11 +139,11 @@ def test_two_drivers_on_one_store_do_no_harm(tmp_path, manifest):
 
 def test_new_logs_go_on_from_what_the_store_has(tmp_path, manifest):
     store = open_store(tmp_path / "store", create=True)
-    run(manifest, store, Units())
+    run(manifest, store, Tasks())
     more = tmp_path / "more.csv"
     more.write_text("source,vehicle,time\ns3://logs/v1/new.mcap,v1,2026-12-01T00:00:00Z\n")
-    outcome, _ = run(str(more), store, units := Units())
-    assert (outcome.found, units.done) == (1, ["s3://logs/v1/new.mcap"])
+    outcome, _ = run(str(more), store, tasks := Tasks())
+    assert (outcome.found, tasks.done) == (1, ["s3://logs/v1/new.mcap"])
     with ask(store, "SELECT state, reference FROM logs WHERE source LIKE '%new%'") as answer:
         ((state, reference),) = answer.rows()
     with ask(store, "SELECT calibration FROM logs WHERE source = 's3://logs/v1/2-moved.mcap'") as answer:
@@ -153,8 +153,8 @@ def test_new_logs_go_on_from_what_the_store_has(tmp_path, manifest):
 
 def test_another_configuration_does_all_again_and_stands_once(tmp_path, manifest):
     store = open_store(tmp_path / "store", create=True)
-    run(manifest, store, Units())
-    outcome, _ = run(manifest, store, Units(), calibrate="always")
+    run(manifest, store, Tasks())
+    outcome, _ = run(manifest, store, Tasks(), calibrate="always")
     assert outcome.skipped == 0
     assert len(table(store)) == 12
     assert len(list(store.parts("logs"))) == 24
@@ -162,18 +162,18 @@ def test_another_configuration_does_all_again_and_stands_once(tmp_path, manifest
 
 def test_joined_parts_hold_the_same_rows(tmp_path, manifest):
     store = open_store(tmp_path / "store", create=True)
-    run(manifest, store, Units())
+    run(manifest, store, Tasks())
     before = table(store), table(store, "lidars")
     assert compact_store(store) == (24, 14)
     assert (table(store), table(store, "lidars")) == before
-    outcome, _ = run(manifest, store, units := Units())
-    assert (outcome.skipped, units.done) == (12, [])
+    outcome, _ = run(manifest, store, tasks := Tasks())
+    assert (outcome.skipped, tasks.done) == (12, [])
     assert compact_store(store) == (14, 14)
 
 
 def test_a_compaction_that_was_killed_leaves_no_row_twice(tmp_path, manifest, monkeypatch):
     store = open_store(tmp_path / "store", create=True)
-    run(manifest, store, Units())
+    run(manifest, store, Tasks())
     before = table(store), table(store, "lidars")
     monkeypatch.setattr(type(store), "remove", _killed)
     with pytest.raises(InterruptedError):
@@ -191,7 +191,7 @@ def _killed(*_):
 
 def test_the_status_counts_per_vehicle(tmp_path, manifest):
     store = open_store(tmp_path / "store", create=True)
-    run(manifest, store, Units())
+    run(manifest, store, Tasks())
     with status(store) as answer:
         rows = [dict(zip(answer.columns, row, strict=True)) for row in answer.rows()]
     assert [(row["vehicle"], row["logs"], row["verified"], row["calibrated"]) for row in rows] == [

@@ -5,16 +5,16 @@ from concurrent.futures import CancelledError
 import pytest
 
 from multilica.fleet.store.store import open_store
-from multilica.fleet.units import guard
-from multilica.fleet.units.guard import UnitLimits, identify_guarded, run_guarded
+from multilica.fleet.tasks import guard
+from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, run_guarded
 from tests.fleet.support.requests import request
 
-LIMITS = UnitLimits(time_s=60.0, memory_mb=500.0, retries=2)
+LIMITS = LogTaskLimits(time_s=60.0, memory_mb=500.0, retries=2)
 
 
 @pytest.fixture(autouse=True)
 def _failing_units(monkeypatch):
-    monkeypatch.setattr(guard, "_SERVER", "tests.fleet.support.failing_units")
+    monkeypatch.setattr(guard, "_SERVER", "tests.fleet.support.failing_tasks")
     monkeypatch.setattr(guard, "_PAUSES_S", (0.0,))
     guard.allow_processes()
     yield

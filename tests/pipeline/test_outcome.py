@@ -5,9 +5,9 @@ import pytest
 from multilica.config import CalibrationConfig
 from multilica.events import ignore
 from multilica.extrinsics import Extrinsics
+from multilica.orchestration.outcome import contested_place, placement_of
+from multilica.orchestration.state import CalibrationState
 from multilica.results import Group, MergeCandidate, MergeDecision
-from multilica.steps.outcome import contested_place, placement_of
-from multilica.steps.state import CalibrationState
 from multilica_cli.configuration import resolve_config, sigma_limits
 from tests.unit.made_pairs import pair, pose, registration, undecided
 

@@ -9,12 +9,12 @@ import pytest
 from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
+from multilica.orchestration import pairs as pair_steps
+from multilica.orchestration import search
 from multilica.pipeline import calibrate
 from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
 from multilica.stages.coarse import find_hypotheses
-from multilica.steps import pairs as pair_steps
-from multilica.steps import search
 from tests.pipeline.watched import assert_true, of, only, sides, watched
 
 _PAIRS = {frozenset(pair) for pair in (("left", "right"), ("left", "top"), ("right", "top"))}
@@ -68,7 +68,7 @@ def test_a_pair_that_leaves_its_implied_pose_is_searched(monkeypatch):
 
 def test_without_links_all_pairs_are_searched(monkeypatch):
     monkeypatch.setattr(pair_steps, "accept", lambda *_: Verdict("undecided", (Reason("ambiguous", 0.0, 1.0, "made"),)))
-    result, seen = watched(sides().snapshot, "features.further_voxel_sizes_m=[]")
+    result, seen = watched(sides().snapshot, "features.retry_voxel_sizes_m=[]")
     assert sorted(map(sorted, _searched(seen))) == sorted(map(sorted, _PAIRS))
     assert result.status == "failed"
 
@@ -106,7 +106,7 @@ def test_unconnected_lidars_are_searched_again(monkeypatch, further):
         return replace(found, hypotheses=()) if missed else found
 
     monkeypatch.setattr(pair_steps, "find_hypotheses", without_right_at_first)
-    result, seen = watched(sides().snapshot, f"features.further_voxel_sizes_m={[0.3] if further else []}")
+    result, seen = watched(sides().snapshot, f"features.retry_voxel_sizes_m={[0.3] if further else []}")
     assert {frozenset(pair) for pair in calls[:3]} == _PAIRS
     widened = of(events.SearchWidened, seen)
     if not further:
@@ -149,7 +149,7 @@ def test_an_accepted_pair_constrains_the_registration_of_groups(monkeypatch, cod
         return doubt if registrations[0].hypothesis == -1 else accept(registrations, *limits)
 
     monkeypatch.setattr(pair_steps, "accept", doubtful_in_groups)
-    settings = "acceptance.firm_eigenvalue=1e6", "merge.mode=algorithm1"
+    settings = "acceptance.min_well_constrained_eigenvalue=1e6", "merge.mode=algorithm1"
     result, _ = watched(sides().snapshot, *settings)
     assert (result.status == "complete") is placed
     if placed:

@@ -15,7 +15,7 @@ from multilica.results import PRIOR
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
-_NO_DESCRIPTORS = ("features.voxel_size_m=3", "features.further_voxel_sizes_m=[]")
+_NO_DESCRIPTORS = ("features.voxel_size_m=3", "features.retry_voxel_sizes_m=[]")
 _SAME_M, _SAME_RAD = 0.002, np.deg2rad(0.02)
 
 

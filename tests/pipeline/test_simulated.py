@@ -8,12 +8,12 @@ import pytest
 
 from multilica import events
 from multilica.config import STAGES, CalibrationConfig, preset, with_overrides
+from multilica.orchestration.pairs import PAIR_STAGES
 from multilica.pipeline import calibrate
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.files.provenance import provenance_of
 from multilica.sinks.files.result_document import result_document
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from multilica.steps.pairs import PAIR_STAGES
 from tests.pipeline.watched import GOOD_M, GOOD_RAD, assert_true, of, only, sides, watched
 
 _SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "reference" / "result.schema.json").read_text())

@@ -11,7 +11,7 @@ from multilica.config import STAGES
 from multilica.errors import InputError
 from multilica.geometry import RigidTransform
 from multilica.runs.difference import DifferenceDocument, compare_runs, difference_document
-from multilica.runs.first_difference import changes_between, partings_of
+from multilica.runs.first_difference import changes_between, stage_differences
 from multilica.runs.run_documents import RunDocument
 from tests.sinks.made_documents import made_document, parsed
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH
@@ -38,7 +38,7 @@ def moved(document, lidar, shift_m):
 def test_a_run_does_not_differ_from_itself():
     found = differences(made_document(), made_document())
     assert found.same
-    assert found.partings == ()
+    assert found.stage_differences == ()
     assert [move.lidar for move in found.moves] == ["front left/1", "rear"]
     assert all(move.error.distance_m == 0.0 for move in found.moves)
 
@@ -121,8 +121,8 @@ def test_the_first_stage_that_differs_is_named():
     after["stages"]["correspond"]["front left/1 <- rear"]["matches"] += 1
     after["stages"]["merge"]["step 0"]["fitness"] *= 1.5
     found = differences(made_document(), after)
-    assert [parting.step for parting in found.partings] == ["correspond", "merge"]
-    (change,) = found.partings[0].changes
+    assert [difference.step for difference in found.stage_differences] == ["correspond", "merge"]
+    (change,) = found.stage_differences[0].changes
     assert (change.what, change.after - change.before) == ("front left/1 <- rear.matches", 1)
 
 
@@ -133,9 +133,9 @@ def test_every_stage_has_figures_in_which_runs_can_differ(stage):
     for key in figures:
         changed = made_document()
         changed["stages"][stage][name][key] = altered(figures[key])
-        (parting,) = partings_of(parsed(before), parsed(changed))
-        (change,) = parting.changes
-        assert parting.step == stage
+        (difference,) = stage_differences(parsed(before), parsed(changed))
+        (change,) = difference.changes
+        assert difference.step == stage
         assert change.what.startswith(f"{name}.{key}")
 
 
@@ -152,13 +152,17 @@ def test_input_and_configuration_come_before_the_stages():
     after["input"]["sha256"] = "other"
     after["config"]["fine"]["max_iterations"] = 7
     after["stages"]["fine"] = {}
-    assert [parting.step for parting in differences(made_document(), after).partings] == ["input", "config", "fine"]
+    assert [difference.step for difference in differences(made_document(), after).stage_differences] == [
+        "input",
+        "config",
+        "fine",
+    ]
 
 
 def test_the_same_bytes_under_another_name_are_the_same_input():
     after = made_document()
     after["input"]["source"] = "copy.mcap"
-    assert differences(made_document(), after).partings == ()
+    assert differences(made_document(), after).stage_differences == ()
 
 
 @pytest.mark.parametrize(
@@ -182,7 +186,7 @@ def test_runs_without_figures_are_compared_as_far_as_that_goes():
     before = made_document()
     del before["stages"]
     found = differences(before, made_document())
-    assert found.partings == ()
+    assert found.stage_differences == ()
     assert "A has no figures per stage" in found.notes[0]
 
 

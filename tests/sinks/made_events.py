@@ -14,6 +14,7 @@ from multilica import events
 from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
+from multilica.orchestration.pairs import PAIR_STAGES
 from multilica.results import (
     PRIOR,
     CalibrationResult,
@@ -35,8 +36,7 @@ from multilica.results import (
     Verdict,
 )
 from multilica.results.visibility_score import VisibilityScore
-from multilica.steps.pairs import PAIR_STAGES
-from tests.sinks.made_scans import STAMP_NS, made_snapshot, made_street
+from tests.sinks.made_scans import made_snapshot, made_street
 from tests.sinks.made_surfaces import made_surfaces
 
 LIDARS = ("front left/1", "rear", "top")

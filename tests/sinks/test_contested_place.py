@@ -10,6 +10,7 @@ import pytest
 
 from multilica import events
 from multilica.geometry import RigidTransform
+from multilica.orchestration.outcome import contested_place
 from multilica.results import Verdict
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.report.contents import contents_of
@@ -19,7 +20,6 @@ from multilica.sinks.rerun.entity_paths import pair_path
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
 from multilica.sinks.unplaced import failures
-from multilica.steps.outcome import contested_place
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
 from tests.sinks.recording_reader import Recording, blueprint_names
 

@@ -34,7 +34,7 @@ def pair(T_target_source, verdict=ACCEPTED, fitness=0.5, registrations=()):
     )
 
 
-def registration(T_target_source, pushed_off_m=0.0):
+def registration(T_target_source, perturbed_offset_m=0.0):
     score = VisibilityScore(200, 0, 0, 0, np.eye(6), np.zeros(0, dtype=np.uint8))
-    stability = Stability(0.005, 1e-3, 0.3, pushed_off_m, 0.0)
+    stability = Stability(0.005, 1e-3, 0.3, perturbed_offset_m, 0.0)
     return Registration(-1, T_target_source, score, 0.5, 0.05, 1.0, np.zeros((0, 3)), stability=stability)

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from multilica.config import FineConfig, RefineConfig, StillnessConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration import plane_fit
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.registration.poses import moved
-from multilica.registration.registration_cloud import prepare_registration_cloud
 from multilica.registration.stability import arc_between_m
 from multilica.results import PairRegistration
 from multilica.results.visibility_score import VisibilityScore
@@ -131,7 +131,7 @@ def _rooms(turn_rad, seed=0):
     truth = _pose("t", "s", turn_rad, rng)
     source_m = truth.inverse().apply(walls_m + rng.normal(scale=0.01, size=walls_m.shape))
     target, source = (
-        prepare_registration_cloud(name, cloud_m, FineConfig()) for name, cloud_m in (("t", walls_m), ("s", source_m))
+        prepare_gicp_cloud(name, cloud_m, FineConfig()) for name, cloud_m in (("t", walls_m), ("s", source_m))
     )
     return target, source, truth
 

@@ -10,7 +10,7 @@ from multilica import read_snapshot
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics, read_extrinsics
 from multilica.geometry import RigidTransform
-from multilica.verification import FoundRig, find_near
+from multilica.verification import FoundRig, register_from_known
 from multilica_cli.commands.demo import find_sample
 
 MOVED, MISSING = "left", "rear"
@@ -26,7 +26,7 @@ def found(truth: Extrinsics) -> FoundRig:
     poses = {name: pose for name, pose in truth.T_target_source.items() if name != MISSING}
     moved = RigidTransform.from_xyz_rpy(truth.target, truth.target, (3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     known = Extrinsics(truth.target, {**poses, MOVED: moved @ poses[MOVED]})
-    return find_near(read_snapshot(find_sample().recording), known)
+    return register_from_known(read_snapshot(find_sample().recording), known)
 
 
 def test_lidars_at_their_known_poses_are_found(found: FoundRig, truth: Extrinsics) -> None:
@@ -52,4 +52,4 @@ def test_lidars_without_a_pose_have_the_reason(found: FoundRig) -> None:
 def test_poses_of_other_lidars_are_refused() -> None:
     other = Extrinsics("a", {"a": RigidTransform.identity("a", "a"), "b": RigidTransform.identity("a", "b")})
     with pytest.raises(UsageError):
-        find_near(read_snapshot(find_sample().recording), other)
+        register_from_known(read_snapshot(find_sample().recording), other)

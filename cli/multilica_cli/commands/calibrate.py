@@ -16,6 +16,7 @@ from multilica_cli.exit_codes import exit_code
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
 
+
 def calibrate(
     sources: options.Sources,
     *,
@@ -83,7 +84,7 @@ def calibrate(
 
     Several recordings of the same LiDARs are several snapshots of one rig: each is calibrated alone, then all jointly.
     """
-    from multilica.steps.calibration_workers import open_calibration_workers
+    from multilica.orchestration.calibration_workers import open_calibration_workers
 
     known = None
     if rig is not None:

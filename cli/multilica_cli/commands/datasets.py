@@ -11,6 +11,7 @@ from multilica_cli.configuration import topic_names
 from multilica_cli.options import Json, Quiet, Settings, local_path
 from multilica_cli.terminal import stdout_console
 
+
 def datasets(
     name: Annotated[Literal["helipr", "edgar", "opencalib"], typer.Argument(metavar="NAME", help="The data set.")],
     path: Annotated[

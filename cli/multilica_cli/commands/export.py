@@ -10,6 +10,7 @@ from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Quiet
 from multilica_cli.terminal import stderr_console, stdout_console
 
+
 def export(
     run: Annotated[
         Path,

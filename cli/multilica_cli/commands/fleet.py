@@ -115,7 +115,7 @@ def run(
     from multilica.fleet.fleet_run import FleetOptions, run_fleet
     from multilica.fleet.logs.listing import LogPattern
     from multilica.fleet.store.store import open_store
-    from multilica.fleet.units.guard import UnitLimits
+    from multilica.fleet.tasks.guard import LogTaskLimits
     from multilica_cli.fleet_progress import show_fleet
 
     given = {**ingest_options(topics, frames, None, window, None, strict=False), "target": target}
@@ -128,7 +128,7 @@ def run(
         newest_first,
         workers or len(os.sched_getaffinity(0)),
         scheduler,
-        UnitLimits(time_s=max_log_time_s, memory_mb=max_log_memory_mb, retries=retries),
+        LogTaskLimits(time_s=max_log_time_s, memory_mb=max_log_memory_mb, retries=retries),
     )
     store = open_store(out, create=True)
     with show_fleet(quiet=quiet or as_json) as observe:

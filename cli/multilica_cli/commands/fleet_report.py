@@ -11,6 +11,7 @@ import typer
 from multilica_cli import options
 from multilica_cli.terminal import stdout_console
 
+
 def report(
     *,
     store: options.FleetStore,

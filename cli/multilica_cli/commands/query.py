@@ -9,6 +9,7 @@ import typer
 from multilica.errors import UsageError
 from multilica_cli.options import local_path
 
+
 def query(
     run: Annotated[
         Path,

@@ -12,6 +12,7 @@ from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Frames, Json, Quiet, Sources, Start, Strict, Topics, Window, WindowSeconds, mcap_name
 from multilica_cli.terminal import print_json, stderr_console, stdout_console
 
+
 def inspect(
     sources: Sources,
     *,

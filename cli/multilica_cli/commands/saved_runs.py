@@ -13,6 +13,7 @@ from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Json, Quiet, local_path
 from multilica_cli.terminal import print_json, stdout_console
 
+
 def _run(meaning: str, metavar: str = "RUN") -> Any:  # noqa: ANN401 - typer's own type is private
     return typer.Argument(metavar=metavar, help=meaning, show_default=False)
 

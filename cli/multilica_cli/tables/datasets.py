@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from multilica.runs import Tolerances
     from multilica.runs.paper_table import PaperSummary, PaperTable
 
+
 def print_dataset(dataset: str, found: DatasetRuns, known: Published, limits: Tolerances, console: Console) -> None:
     """Print the paper's tables of each preset with what is published, then times and what was left out."""
     tables = {each.preset: table for each in found.presets if (table := each.table(limits)) is not None}

@@ -148,7 +148,7 @@ def print_difference(difference: RunDifference, console: Console) -> None:
         console.print(f"note: the target is {difference.targets[0]} in A and {difference.targets[1]} in B")
     for note in difference.notes:
         console.print(f"note: {note}")
-    _print_partings(difference, console)
+    _print_stage_differences(difference, console)
     console.print(_verdict(difference))
 
 
@@ -172,18 +172,18 @@ def _moves_table(difference: RunDifference) -> FoldingTable:
     return table
 
 
-def _print_partings(difference: RunDifference, console: Console) -> None:
-    if not difference.partings:
+def _print_stage_differences(difference: RunDifference, console: Console) -> None:
+    if not difference.stage_differences:
         console.print("The runs do not differ at any step.")
         return
-    first, *later = difference.partings
+    first, *later = difference.stage_differences
     console.print(f"The runs first differ at: {first.step}")
     for change in first.changes[:_MOST_CHANGES]:
         console.print(f"  {change.what}: {_shown(change)}")
     if len(first.changes) > _MOST_CHANGES:
         console.print(f"  and {len(first.changes) - _MOST_CHANGES} more, see --json")
     if later:
-        console.print(f"after it: {', '.join(parting.step for parting in later)}")
+        console.print(f"after it: {', '.join(difference.step for difference in later)}")
 
 
 def _shown(change: Change) -> str:

@@ -14,6 +14,7 @@ from multilica.fleet.drift.stored_series import Outage
 from multilica.fleet.store.records import moment
 from multilica.geometry import FloatArray
 
+
 def drift_document(
     events: Sequence[DriftEvent], offsets: Sequence[FleetOffset], outages: Sequence[Outage]
 ) -> dict[str, Any]:

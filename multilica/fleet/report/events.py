@@ -15,6 +15,7 @@ from multilica.fleet.report.time_axis import day_of
 from multilica.fleet.store.store import Store
 from multilica.geometry import FloatArray
 
+
 def read_events(store: Store) -> list[PageEvent]:
     """Find what `fleet drift` reports without nominal poses: motions, lost LiDARs, vehicles unlike the others."""
     series = list(read_series(store))

@@ -14,6 +14,7 @@ from multilica.fleet.report.page import drawn_vehicles, fleet_page
 from multilica.fleet.store import query
 from multilica.fleet.store.store import Store
 
+
 def store_report(store: Store, page: Path) -> str:
     """Render the report of a store.
 

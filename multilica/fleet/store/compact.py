@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from multilica.fleet.store.store import TABLES, Store, damaged_part
 
+
 def compact_store(store: Store) -> tuple[int, int]:
     """Join the parts of each table, vehicle and month into one; return the number of parts before and after.
 

@@ -14,6 +14,7 @@ from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan
 
+
 def decode_cloud(message: RawMessage) -> Cloud:
     """Decode one turn of a Velodyne, whose model is in the packets."""
     scan = deserialize(message)

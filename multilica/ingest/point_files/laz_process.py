@@ -7,6 +7,7 @@ from io import BytesIO
 
 import lazrs
 
+
 def main(arguments: list[str]) -> int:
     """Read the file from standard input and write the unpacked records to standard output.
 

@@ -10,6 +10,7 @@ from multilica.ingest.message_types import is_packets
 from multilica.ingest.messages.cloud import is_cloud, obstacle
 from multilica.ingest.recording import Recording, Topic, normal_type
 
+
 def choose_topics(
     recording: Recording, asked_for: Mapping[str, str], label: str, only: Sequence[str] = ()
 ) -> dict[str, str]:

@@ -13,6 +13,7 @@ from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled, un
 from multilica.ingest.selection.time_range import TimeRange, find_time_range
 from multilica.ingest.selection.topic_frames import TopicFrames, clock_notes
 
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
     """The collected frames.

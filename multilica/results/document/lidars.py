@@ -11,6 +11,7 @@ from multilica.results.document.pairs import ReasonEntry
 from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PoseEntry, Quaternion, Vector3
 from multilica.results.placements import PlacementStatus, SigmaOrigin
 
+
 class PriorEntry(PoseEntry):
     """The pose that the prior gives, in the target frame."""
 
@@ -32,7 +33,7 @@ class HealthEntry(Entry):
 
     returns: int = Field(description="Number of returns.")
     near_share: Number = Field(description="Share of the returns that are nearer than the minimum range.")
-    soiled_share: Number = Field(description="Share of the field of view behind a dirty or covered window.")
+    blockage_ratio: Number = Field(description="Share of the field of view behind a dirty or covered window.")
     reasons: tuple[ReasonEntry, ...] = Field(description="Why the sensor is not trusted; empty if it is.")
 
 

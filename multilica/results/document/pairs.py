@@ -9,6 +9,7 @@ from pydantic import Field
 from multilica.geometry import RigidTransform
 from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry
 
+
 class ReasonEntry(Entry):
     """Why a registration was not accepted, or a sensor not trusted."""
 
@@ -37,9 +38,13 @@ class StabilityEntry(Entry):
 
     sigma_m: Number = Field(description="Standard deviation of the position in its weakest direction.")
     sigma_rad: Number = Field(description="Standard deviation of the attitude in its weakest direction.")
-    push_m: Number = Field(description="How far the pose was pushed along its weakest direction.")
-    pushed_off_m: Number = Field(description="Distance from the pose to the end of the registration after the push.")
-    thinned_off_m: Number = Field(description="Distance from the pose to the end of the registration of fewer points.")
+    perturbation_m: Number = Field(description="How far the pose was displaced along its weakest direction.")
+    perturbed_offset_m: Number = Field(
+        description="Distance from the pose to the end of the registration after the push."
+    )
+    thinned_offset_m: Number = Field(
+        description="Distance from the pose to the end of the registration of fewer points."
+    )
 
 
 class RegistrationEntry(Entry):

@@ -13,6 +13,7 @@ from typing_extensions import TypeAliasType
 from multilica.documents import require_length
 from multilica.geometry import RigidTransform
 
+
 def _plain(value: Any) -> Any:  # noqa: ANN401
     """Return an array as lists, and None for a number, or for an array with a number, that is not finite."""
     value = value.tolist() if hasattr(value, "tolist") else value

@@ -3,6 +3,7 @@
 
 from multilica.simulate.shapes.mesh import Mesh, box, merged, tapered_box, tube
 
+
 def car(roof_height_m: float, roof_length_m: float, roof_width_m: float) -> Mesh:
     """Build a hull of 4.6 m by 1.8 m with a cabin whose roof carries the LiDARs."""
     hull = tapered_box((-2.3, 2.3, -0.9, 0.9), (-2.25, 2.1, -0.88, 0.88), 0.3, 0.55 * roof_height_m)

@@ -7,6 +7,7 @@ from multilica.simulate.rigs.bodies import car
 from multilica.simulate.rigs.lidars import AERIES_II, AVIA, FALCON, NARROW, OS1_128, OS2_128, ROOF_64, SIDE_32, VLP_16
 from multilica.simulate.rigs.rig import Mount, Rig
 
+
 def fan(overlap_deg: float) -> Rig:
     """Build a rig of four narrow LiDARs on the roof, of which neighbours overlap by that angle."""
     step_deg = NARROW.pattern.horizontal_fov_deg - overlap_deg

@@ -8,6 +8,7 @@ from multilica.simulate.rigs.lidars import FALCON, OS1_64
 from multilica.simulate.rigs.rig import Mount, Rig
 from multilica.simulate.shapes.mesh import Mesh
 
+
 def _sectors(name: str, count: int, roof_edge_m: tuple[float, float, float], body: Mesh) -> Rig:
     """Build a rig of LiDARs that look outwards, at even angles, from an ellipse with two half axes and a height."""
     half_x_m, half_y_m, height_m = roof_edge_m

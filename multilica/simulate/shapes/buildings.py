@@ -8,6 +8,7 @@ import numpy as np
 from multilica.geometry import FloatArray
 from multilica.simulate.shapes.mesh import Mesh, box, merged, quads, tube
 
+
 @dataclass(frozen=True, slots=True)
 class FacadeStyle:
     """Sizes of a facade; storeys are measured from floor to floor, windows by width and height."""

@@ -6,6 +6,7 @@ import numpy as np
 from multilica.geometry import FloatArray
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged, tube
 
+
 def lamp_post(height_m: float, arm_m: float) -> Mesh:
     """Build a tapering post whose arm with the lamp reaches along x."""
     post = cylinder(0.09, -0.3, height_m, top_radius_m=0.05)

@@ -7,6 +7,7 @@ import numpy as np
 
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged, sphere, tapered_box, tube
 
+
 @dataclass(frozen=True, slots=True)
 class CarShape:
     """Proportions of a car body; the greenhouse has x of rear and front at the belt (`cabin_m`) and at the roof."""

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
+
 def frames_in_order(snapshot: Snapshot) -> Iterator[tuple[LidarScans, Scan]]:
     """Yield each frame with its LiDAR, by stamp, then by name of the LiDAR."""
     frames = [(lidar, scan) for lidar in snapshot.lidars for scan in lidar.scans]

@@ -10,6 +10,7 @@ from glob import escape
 from pathlib import Path
 from typing import BinaryIO
 
+
 @contextmanager
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
     """Open a file that takes the name `path` when the block ends.

@@ -23,6 +23,7 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.prior_comparison import exchanged_names, surprise
 from multilica.sinks.text.stage_figures import stage_figures
 
+
 def run_document(state: RunState) -> ResultDocument | None:
     """Return what is known of a run so far, with progress and figures per stage; None before it has started.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from mcap.writer import Writer
 
+
 @dataclass(frozen=True, slots=True)
 class MessageSchema:
     """Schema of a message.

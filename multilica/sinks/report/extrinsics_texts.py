@@ -11,6 +11,7 @@ from multilica.results.document import ResultDocument
 from multilica.sinks.files.calibration_toml import calibration_toml
 from multilica.sinks.text.extrinsics_text import matrix_text, urdf_text
 
+
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsText:
     """A text with its format: `key` for programs, `label` for people, `title` for what it holds."""

@@ -9,6 +9,7 @@ from multilica.diagnosis import Cause, Missing, Uncertain, explain
 from multilica.results import PairKey
 from multilica.sinks.report.contents import ReportContents
 
+
 @dataclass(frozen=True, slots=True)
 class UnplacedLidar:
     """A LiDAR that is not placed."""

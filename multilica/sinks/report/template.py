@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from multilica.errors import escape_controls
 
+
 def own_text(package: str, name: str) -> str:
     """Return a text file of a package."""
     return files(package).joinpath(name).read_text(encoding="utf-8")

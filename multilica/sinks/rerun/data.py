@@ -24,6 +24,7 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.pair_tables import coverage_of
 
+
 def log_data(scene: RerunScene, event: events.Event) -> None:
     """Log the figures of an event as scalars below its pair and stage, and its matches."""
     log = _LOGGERS.get(type(event))

@@ -161,5 +161,5 @@ def _meaning(reason: str, config: CalibrationConfig | None) -> str:
     return {
         "too_near": f"nearer than {limits.min_range_m:g} m, such as the vehicle's own body (`preprocess.min_range_m`)",
         "too_far": f"farther than {limits.max_range_m:g} m (`preprocess.max_range_m`)",
-        "moving": "moved between frames: beams of other frames pass through its place (`stillness.beyond_m`)",
+        "moving": "moved between frames: beams of other frames pass through its place (`stillness.moving_clearance_m`)",
     }.get(reason, "")

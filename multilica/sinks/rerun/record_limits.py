@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from multilica.config import RecordConfig
 from multilica.snapshot import Snapshot
 
+
 @dataclass(frozen=True, slots=True)
 class RecordLimits:
     """Maximum counts in a recording.

@@ -5,6 +5,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 import rerun_bindings as bindings
 
+
 def send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
     """Send a blueprint as `stream.send_blueprint` does, and disconnect the stream that it is made with.
 

@@ -4,6 +4,7 @@
 import math
 from collections.abc import Iterable, Sequence
 
+
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Format a table; cells may hold any text."""
     lines = [header, ["---"] * len(header), *rows]

@@ -16,8 +16,8 @@ from multilica.config import CalibrationConfig
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
 from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import open_store
-from multilica.fleet.units.guard import UnitLimits
-from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
+from multilica.fleet.tasks.guard import LogTaskLimits
+from multilica.fleet.tasks.log_task import LogTask, LogTaskSummary, failed_row
 from tests.bench.support.claims import at_most, print_claims, print_table
 
 _FEW, _MANY = 10_000, 100_000
@@ -65,7 +65,7 @@ def _drive(count: int) -> dict[str, float]:
         times_s = []
         for _ in range(2):
             start_s = time.monotonic()
-            run_fleet([str(manifest)], store, options, run_unit=_millisecond)
+            run_fleet([str(manifest)], store, options, run_log_task=_millisecond)
             times_s.append(time.monotonic() - start_s)
     memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     return {
@@ -75,12 +75,12 @@ def _drive(count: int) -> dict[str, float]:
     }
 
 
-def _millisecond(request: UnitRequest, limits: UnitLimits) -> UnitSummary:
+def _millisecond(request: LogTask, limits: LogTaskLimits) -> LogTaskSummary:
     del limits
     time.sleep(_UNIT_S)
     row: LogRow = failed_row(request, "stub", "", state="refused")
     open_store(request.store, create=False).finish(row, [])
-    return UnitSummary.of(row)
+    return LogTaskSummary.of(row)
 
 
 if __name__ == "__main__":

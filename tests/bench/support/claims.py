@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+
 @dataclass(frozen=True, slots=True)
 class Claim:
     """One line of the table that must be seen to hold."""

@@ -15,7 +15,7 @@ from multilica.events import CloudPreprocessed, Event, GroupsRegistered, LoopReg
 from multilica.extrinsics import Extrinsics
 from multilica.registration.poses import is_distinct
 from multilica.results import Hypothesis, PairRegistration, PreprocessedCloud
-from multilica.stages.fine import Side, prepare_side, register_best
+from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
 from multilica.visibility.sensor_view import prepare_sensor_view
 
 Members = tuple[str, ...]
@@ -134,9 +134,9 @@ def _try_pose(watch: Watch, first: Members, second: Members, truth: Extrinsics, 
     return Trial(not codes, codes)
 
 
-def _side(watch: Watch, members: Members, truth: Extrinsics, config: CalibrationConfig) -> Side:
+def _side(watch: Watch, members: Members, truth: Extrinsics, config: CalibrationConfig) -> RegistrationCloud:
     root = members[0]
     poses = {name: truth.between(root, name) for name in members}
     points_m = np.concatenate([pose.apply(watch.clouds[name].points_m) for name, pose in poses.items()])
     views = [(pose, prepare_sensor_view(watch.clouds[name], config.visibility)) for name, pose in poses.items()]
-    return prepare_side(root, points_m, views, config)
+    return prepare_registration_cloud(root, points_m, views, config)

@@ -18,7 +18,7 @@ from tests.cli.support import Invoke
 from tests.runs.made_runs import write_run, write_truth
 from tests.sinks.made_documents import made_document
 
-READING = dict.fromkeys(("--topic", "--frames", "--start", "--window", "--over")) | {"--strict": False}
+READING = dict.fromkeys(("--topic", "--frames", "--start", "--window", "--duration")) | {"--strict": False}
 RESOLVING = dict.fromkeys(("--preset", "--config", "--set"))
 TOLERANCES = {"--max-translation": 0.03, "--max-rotation": 0.3}
 CHECKING = dict.fromkeys(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs and requests of units."""
+"""Logs and requests of tasks."""
 
 import hashlib
 
@@ -7,7 +7,7 @@ from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.fleet.logs.log import FleetLog
 from multilica.fleet.store.store import open_store
-from multilica.fleet.units.unit_request import UnitRequest
+from multilica.fleet.tasks.log_task import LogTask
 
 DAY_NS = 86_400 * 10**9
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01
@@ -36,4 +36,4 @@ def request(folder, source, **changes):
         "calibrate": "when-needed",
         "reference": "",
     }
-    return UnitRequest.model_validate(values | changes)
+    return LogTask.model_validate(values | changes)

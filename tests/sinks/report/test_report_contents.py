@@ -90,7 +90,7 @@ def test_a_doubtful_sensor_is_a_warning_even_where_all_is_placed():
     contents = made_contents("complete")
     dirt = {"code": "dirty", "value": 0.4, "limit": 0.1, "text": "40% of its field of view ends nearer than 1 m"}
     lidars = contents.document.model_dump(mode="json")["lidars"]
-    lidars["rear"]["health"] = {"returns": 9, "near_share": 0.4, "soiled_share": 0.4, "reasons": [dirt]}
+    lidars["rear"]["health"] = {"returns": 9, "near_share": 0.4, "blockage_ratio": 0.4, "reasons": [dirt]}
     (warning,) = outcome_of(with_values(contents, lidars=lidars)).warnings
     assert "rear" in warning
     assert dirt["text"] in warning

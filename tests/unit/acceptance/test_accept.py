@@ -7,11 +7,11 @@ import pytest
 from multilica.acceptance.accept import (
     accept,
     accept_by_fitness,
+    cannot_be_accepted,
     competing_poses,
-    hopeless_below,
     imprecision,
-    is_firm,
-    is_hopeless,
+    is_well_constrained,
+    min_competing_evidence,
 )
 from multilica.config import AcceptanceConfig, MergeConfig
 from multilica.results import PairRegistration, Registration, Stability, VisibilityScore
@@ -20,7 +20,7 @@ from tests.unit.made_pairs import pose
 _CONFIG = AcceptanceConfig()
 _HERE = pose("t", "s")
 _ELSEWHERE = pose("t", "s", (3.0, 4.0, 0.0), np.pi / 2)
-_STABLE = Stability(sigma_m=0.005, sigma_rad=1e-4, push_m=0.3, pushed_off_m=0.001, thinned_off_m=0.01)
+_STABLE = Stability(sigma_m=0.005, sigma_rad=1e-4, perturbation_m=0.3, perturbed_offset_m=0.001, thinned_offset_m=0.01)
 
 
 def _registration(at=_HERE, *, distinctive=400, violate=0, structure=(200, 0), weakest=50.0, stability=None):
@@ -110,7 +110,7 @@ def test_a_competing_pose_leaves_it_undecided():
     (reason,) = verdict.reasons
     assert reason.competing is competing
     assert reason.value == pytest.approx(best.evidence - competing.evidence)
-    assert 0.0 < reason.value < reason.limit == _CONFIG.min_lead
+    assert 0.0 < reason.value < reason.limit == _CONFIG.min_log_odds_margin
     odds = f"evidence {competing.evidence:.1f} against {best.evidence:.1f}, which needs 4.6 more"
     assert reason.text == f"a pose 5.00 m and 90 deg away fits as well ({odds})"
 
@@ -131,7 +131,7 @@ def test_a_competing_pose_along_the_slide_is_not_observable():
     assert (along.codes, across.codes) == (("not_observable",), ("ambiguous",))
     assert "does not constrain the pose along x of t: a pose 2.00 m away fits as well" in along.text
     assert along.reasons[0].competing is None
-    sliding = replace(best, stability=replace(_STABLE, pushed_off_m=0.3))
+    sliding = replace(best, stability=replace(_STABLE, perturbed_offset_m=0.3))
     both = _accept(sliding, _registration(slid))
     assert both.codes == ("not_observable",)
     assert "pushed by" in both.text
@@ -140,8 +140,8 @@ def test_a_competing_pose_along_the_slide_is_not_observable():
 @pytest.mark.parametrize(
     ("moved", "value", "figures"),
     [
-        ({"pushed_off_m": 0.26}, 0.26, "pushed by 0.3 m it ends 0.26 m away, limit 0.15 m"),
-        ({"thinned_off_m": 0.75}, 0.75, "with fewer points it ends 0.75 m away, limit 0.15 m"),
+        ({"perturbed_offset_m": 0.26}, 0.26, "pushed by 0.3 m it ends 0.26 m away, limit 0.15 m"),
+        ({"thinned_offset_m": 0.75}, 0.75, "with fewer points it ends 0.75 m away, limit 0.15 m"),
     ],
     ids=["pushed", "thinned"],
 )
@@ -149,7 +149,7 @@ def test_a_pose_that_slides_leaves_it_undecided(moved, value, figures):
     verdict = _accept(_registration(stability=replace(_STABLE, **moved)))
     assert verdict.outcome == "undecided"
     assert verdict.codes == ("not_observable",)
-    assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (value, _CONFIG.max_return_m)
+    assert (verdict.reasons[0].value, verdict.reasons[0].limit) == (value, _CONFIG.max_perturbed_offset_m)
     assert "the scene does not constrain the pose about x of t" in verdict.text
     assert figures in verdict.text
 
@@ -179,7 +179,7 @@ def test_a_higher_limit_accepts_an_uncertain_pose():
 
 def test_a_doubt_outweighs_a_large_sigma():
     imprecise = _registration(stability=replace(_STABLE, sigma_m=0.03))
-    sliding = replace(imprecise, stability=replace(imprecise.stability, pushed_off_m=0.3))
+    sliding = replace(imprecise, stability=replace(imprecise.stability, perturbed_offset_m=0.3))
     assert _accept(imprecise, _registration(_ELSEWHERE)).codes == ("ambiguous",)
     assert _accept(sliding, _registration(_ELSEWHERE)).codes == ("not_observable", "ambiguous")
 
@@ -198,7 +198,7 @@ _ONE = _registration()
     [
         (_ONE, {"min_evidence": _ONE.evidence}),
         (replace(_ONE, stability=_STABLE), {"max_sigma_m": 0.005, "max_sigma_deg": float(np.rad2deg(1e-4))}),
-        (replace(_ONE, stability=_STABLE), {"max_return_m": 0.01}),
+        (replace(_ONE, stability=_STABLE), {"max_perturbed_offset_m": 0.01}),
         (replace(_ONE, stability=replace(_STABLE, sigma_m=None, sigma_rad=None)), {}),
     ],
     ids=["evidence", "sigma", "return", "unknown sigma"],
@@ -208,13 +208,16 @@ def test_a_figure_that_meets_its_limit_passes(exactly, changed):
 
 
 def test_a_pose_is_firm_if_points_constrain_every_direction():
-    assert [is_firm(_registration(weakest=weakest).visibility, _CONFIG) for weakest in (7.9, 8.0)] == [False, True]
+    assert [is_well_constrained(_registration(weakest=weakest).visibility, _CONFIG) for weakest in (7.9, 8.0)] == [
+        False,
+        True,
+    ]
 
 
 def test_a_rough_pose_is_dropped_only_with_a_margin():
-    assert [is_hopeless(evidence, _CONFIG) for evidence in (0.2, 0.4, 3.0)] == [True, False, False]
-    assert hopeless_below(10.0, _CONFIG) == pytest.approx(3.4)
-    assert hopeless_below(-5.0, _CONFIG) == -5.0
+    assert [cannot_be_accepted(evidence, _CONFIG) for evidence in (0.2, 0.4, 3.0)] == [True, False, False]
+    assert min_competing_evidence(10.0, _CONFIG) == pytest.approx(3.4)
+    assert min_competing_evidence(-5.0, _CONFIG) == -5.0
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
 from tests.unit.made_pairs import pose, undecided
 
 _CONFIG = AcceptanceConfig()
-_SLIDES = Stability(sigma_m=0.005, sigma_rad=1e-4, push_m=0.3, pushed_off_m=0.3, thinned_off_m=0.0)
+_SLIDES = Stability(sigma_m=0.005, sigma_rad=1e-4, perturbation_m=0.3, perturbed_offset_m=0.3, thinned_offset_m=0.0)
 _CHAIN = (linked("b", "a", 500), linked("b", "c", 300), linked("d", "c", 400))
 
 

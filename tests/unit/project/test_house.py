@@ -30,7 +30,7 @@ BANNED = {
 }
 
 PRODUCT = {"multilica", "cli"}
-MOST_LINES = 300
+MOST_LINES = 400
 MOST_FILES = 20
 LONGEST_TEST_NAME = 60
 OLD_WORDS = re.compile("witness|testimony|retell|far_fetched|upheld", re.IGNORECASE)
@@ -117,14 +117,14 @@ def test_no_file_holds(fault: str) -> None:
     assert found == [], f"{fault} stands in these files"
 
 
-@pytest.mark.parametrize("module", modules())
-def test_exported_names_exist(module: str) -> None:
-    loaded = importlib.import_module(module)
-    exported = getattr(loaded, "__all__", [])
-    assert len(set(exported)) == len(exported)
-    assert [name for name in exported if not hasattr(loaded, name)] == []
-    if not loaded.__file__.endswith("__init__.py"):
-        assert exported, f"{module} exports nothing"
+def test_only_packages_list_their_names() -> None:
+    declared = re.compile(r"^__all__\b", re.MULTILINE)
+    lists = [path for path in files_below(PRODUCT, ".py") if declared.search(path.read_text(encoding="utf-8"))]
+    assert [relative(path) for path in lists if path.name != "__init__.py"] == []
+    for path in lists:
+        loaded = importlib.import_module(".".join(path.relative_to(ROOT).parts[:-1]))
+        assert len({*loaded.__all__}) == len(loaded.__all__)
+        assert [name for name in loaded.__all__ if not hasattr(loaded, name)] == []
 
 
 def test_the_package_finds_its_public_names() -> None:

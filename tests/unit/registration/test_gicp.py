@@ -8,7 +8,7 @@ import pytest
 from multilica.config import FineConfig, preset
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import fitness_and_rmse, register, register_narrower
-from multilica.registration.registration_cloud import prepare_registration_cloud
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
 
 _TRUTH = RigidTransform.from_xyz_rpy("t", "s", [0.4, -0.2, 0.1], [0.02, -0.01, 0.05])
 
@@ -23,8 +23,8 @@ def _room(seed, count, noise_m=0.01):
 
 
 def _clouds(config, counts=(20_000, 8_000)):
-    target = prepare_registration_cloud("t", _room(0, counts[0]), config)
-    source = prepare_registration_cloud("s", _TRUTH.inverse().apply(_room(1, counts[1])), config)
+    target = prepare_gicp_cloud("t", _room(0, counts[0]), config)
+    source = prepare_gicp_cloud("s", _TRUTH.inverse().apply(_room(1, counts[1])), config)
     return target, source
 
 

@@ -5,8 +5,8 @@ from scipy.spatial.transform import Rotation
 
 from multilica.config import FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
-from multilica.registration.registration_cloud import prepare_registration_cloud
 
 _HERE = RigidTransform.identity("t", "s")
 _CONFIG = RefineConfig(distance_m=0.3)
@@ -24,7 +24,7 @@ def _room(name, seed, roughness_m=(0.01, 0.01, 0.01), count=4000, clutter=0):
 
 
 def _cloud(name, points_m):
-    return prepare_registration_cloud(name, points_m, FineConfig())
+    return prepare_gicp_cloud(name, points_m, FineConfig())
 
 
 def _information(target, source, pose=_HERE):

@@ -7,9 +7,9 @@ import pytest
 from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import register
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.registration.plane_fit import pose_information
-from multilica.registration.registration_cloud import prepare_registration_cloud
-from multilica.registration.stability import check_stability, pushed_ends, widened
+from multilica.registration.stability import check_stability, perturbed_ends, widened
 from multilica.results.deviations import weakest_sigmas
 from tests.unit.made_rooms import HALL, box, scan
 
@@ -23,18 +23,18 @@ _CORRIDOR = box((-80.0, -2.0, 0.0), (80.0, 2.0, 3.0))
 
 def _registered(objects):
     clouds = scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)
-    ready = tuple(prepare_registration_cloud(cloud.lidar, cloud.points_m, _FINE) for cloud in clouds)
+    ready = tuple(prepare_gicp_cloud(cloud.lidar, cloud.points_m, _FINE) for cloud in clouds)
     fewer = _FINE.model_copy(update={"max_points": 2000})
-    thinned = tuple(prepare_registration_cloud(cloud.name, cloud.points_m, fewer) for cloud in ready)
+    thinned = tuple(prepare_gicp_cloud(cloud.name, cloud.points_m, fewer) for cloud in ready)
     registration = register(*ready, _TRUTH, _FINE)
     information = pose_information(*ready, registration.T_target_source, RefineConfig())
     return ready, thinned, replace(registration, information=information)
 
 
 def _stability(clouds, thinned, registration):
-    ends = pushed_ends(clouds, registration.T_target_source, _ALONG, _CONFIG.push_m, _FINE)
+    ends = perturbed_ends(clouds, registration.T_target_source, _ALONG, _CONFIG.perturbation_m, _FINE)
     pose, information = registration.T_target_source, registration.information
-    return check_stability(thinned, pose, information, ends, _CONFIG.push_m, _FINE)
+    return check_stability(thinned, pose, information, ends, _CONFIG.perturbation_m, _FINE)
 
 
 @pytest.fixture(scope="module")
@@ -44,16 +44,16 @@ def in_the_hall():
 
 def test_a_constrained_pose_returns(in_the_hall):
     stability = _stability(*in_the_hall)
-    assert stability.push_m == _CONFIG.push_m
-    assert stability.pushed_off_m < 1e-3
-    assert stability.thinned_off_m < 0.03
+    assert stability.perturbation_m == _CONFIG.perturbation_m
+    assert stability.perturbed_offset_m < 1e-3
+    assert stability.thinned_offset_m < 0.03
     assert stability.sigma_m < 0.005
     assert stability.sigma_rad < np.deg2rad(0.05)
 
 
 def test_along_a_corridor_a_pose_stays_where_it_is_pushed():
     stability = _stability(*_registered(_CORRIDOR))
-    assert stability.pushed_off_m > _CONFIG.max_return_m
+    assert stability.perturbed_offset_m > _CONFIG.max_perturbed_offset_m
 
 
 def test_sigmas_are_those_of_the_weakest_directions(in_the_hall):

@@ -5,7 +5,7 @@ import pytest
 from multilica.config import CoarseConfig, CorrespondConfig
 from multilica.geometry import RigidTransform
 from multilica.results import FeatureCloud
-from multilica.stages.correspond import match_features, pair_promise
+from multilica.stages.correspond import match_features, pair_priority
 
 
 def _features(lidar, descriptors, seed=0):
@@ -135,7 +135,7 @@ def _unit(vectors):
 
 
 def _promise(target, source, max_baseline_m=5.0):
-    return pair_promise(target, source, CoarseConfig(), max_baseline_m)
+    return pair_priority(target, source, CoarseConfig(), max_baseline_m)
 
 
 def test_a_pair_promises_more_the_more_it_shares():
@@ -174,7 +174,7 @@ def test_both_engines_find_the_same_matches(mutual):
     clouds = _seen_by_both(0.5, RigidTransform.identity("t", "s"))
     found = [
         match_features(*clouds, CorrespondConfig(engine=engine, mutual=mutual, max_matches=0))
-        for engine in ("blocks", "kd_tree")
+        for engine in ("brute_force", "kd_tree")
     ]
     assert np.array_equal(found[0].target_points_m, found[1].target_points_m)
     assert np.array_equal(found[0].source_points_m, found[1].source_points_m)

@@ -82,9 +82,9 @@ def test_a_box_keeps_its_corners_and_a_ball_does_not():
     points = np.array([[9.0, 9.0, 9.0], [9.0, 0.0, 0.0], [-11.0, 0.0, 0.0], [0.0, -9.0, 9.0]])
     kept = {
         shape: compute_features(_cloud(points), FeaturesConfig(max_range_m=10.0, range_shape=shape)).points_m
-        for shape in ("ball", "box")
+        for shape in ("sphere", "box")
     }
-    assert sorted(kept["ball"].tolist()) == [[9.0, 0.0, 0.0]]
+    assert sorted(kept["sphere"].tolist()) == [[9.0, 0.0, 0.0]]
     assert sorted(kept["box"].tolist()) == sorted(points[[0, 1, 3]].tolist())
 
 

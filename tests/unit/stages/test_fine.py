@@ -9,12 +9,12 @@ from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register
 from multilica.results import Hypothesis
 from multilica.stages import fine
-from multilica.stages.fine import prepare_side, register_best, select_finalists
+from multilica.stages.fine import prepare_registration_cloud, register_best, select_finalists
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG = CalibrationConfig()
-_NEVER_FIRM = with_overrides(_CONFIG, ["acceptance.firm_eigenvalue=1e9"])
+_NEVER_FIRM = with_overrides(_CONFIG, ["acceptance.min_well_constrained_eigenvalue=1e9"])
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
 _PLACES = (("t", _TARGET), ("s", _SOURCE))
@@ -28,7 +28,7 @@ def _near(pose, xyz_m=(0.1, -0.1, 0.05), yaw_rad=0.02):
 
 def _side(cloud, *, verified=True):
     view = (RigidTransform.identity(cloud.lidar, cloud.lidar), prepare_sensor_view(cloud, _CONFIG.visibility))
-    return prepare_side(cloud.lidar, cloud.points_m, [view] if verified else [], _CONFIG)
+    return prepare_registration_cloud(cloud.lidar, cloud.points_m, [view] if verified else [], _CONFIG)
 
 
 @pytest.fixture(scope="module")
@@ -66,8 +66,8 @@ def test_the_pose_with_the_most_evidence_is_registered_finely(sides):
     assert chosen.T_target_source is result.T_target_source
     assert chosen.hypothesis == 7
     assert result.evidence == chosen.evidence > 0
-    assert all(other.evidence < chosen.evidence - _CONFIG.acceptance.min_lead for other in others)
-    assert chosen.visibility.contradiction < _CONFIG.acceptance.min_lead
+    assert all(other.evidence < chosen.evidence - _CONFIG.acceptance.min_log_odds_margin for other in others)
+    assert chosen.visibility.contradiction < _CONFIG.acceptance.min_log_odds_margin
     assert chosen.weakest_curvature > 1.0
 
 
@@ -123,14 +123,17 @@ def test_hopeless_poses_are_no_finalists(evidence, kept):
 
 def test_the_stability_is_tested_if_a_pose_competes(sides):
     alone = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
-    assert alone.registrations[0].visibility.min_information_eigenvalue > _CONFIG.acceptance.firm_eigenvalue
+    assert (
+        alone.registrations[0].visibility.min_information_eigenvalue
+        > _CONFIG.acceptance.min_well_constrained_eigenvalue
+    )
     assert alone.registrations[0].stability is None
     alike = [*HALL[:6], *box((4.0, 3.0, 0.0), (5.0, 4.0, 4.0)), *box((-5.0, -4.0, 0.0), (-4.0, -3.0, 4.0))]
     both = [_side(scan(name, pose, alike, seed=seed)) for seed, (name, pose) in enumerate(_PLACES)]
     hypotheses = [_hypothesis(_near(pose), index) for index, pose in enumerate((_TRUTH, _HALF_TURN))]
     best = register_best(*both, hypotheses, _CONFIG).registrations[0]
-    assert best.visibility.min_information_eigenvalue > _CONFIG.acceptance.firm_eigenvalue
-    assert best.stability.pushed_off_m < 1e-3
+    assert best.visibility.min_information_eigenvalue > _CONFIG.acceptance.min_well_constrained_eigenvalue
+    assert best.stability.perturbed_offset_m < 1e-3
 
 
 def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
@@ -180,7 +183,7 @@ def test_fewer_points_are_registered_only_if_there_are_many(sides):
     off_m = []
     for most in (1_000_000, 1500):
         found = register_best(*_with_gicp(sides, max_points=most), [_hypothesis(_near(_TRUTH))], _NEVER_FIRM)
-        off_m.append(found.registrations[0].stability.thinned_off_m)
+        off_m.append(found.registrations[0].stability.thinned_offset_m)
     assert off_m[0] < 1e-9
     assert 1e-6 < off_m[1] < 0.05
 
@@ -199,7 +202,7 @@ def test_a_registration_that_stopped_short_is_moved_on(sides, monkeypatch):
     (best,) = result.registrations
     assert best.T_target_source is result.T_target_source
     assert best.hypothesis == 3
-    assert best.stability.pushed_off_m < 1e-3
+    assert best.stability.perturbed_offset_m < 1e-3
 
 
 @pytest.fixture(scope="module")
@@ -214,13 +217,13 @@ def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m):
     start = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [along_m, 0, 0], [0, 0, 0]) @ _SOURCE
     best, *others = register_best(*corridor, [_hypothesis(start, 4, origin="cliques")], _CONFIG).registrations
     _assert_true(best.T_target_source)
-    assert best.stability.pushed_off_m < _CONFIG.acceptance.max_return_m
+    assert best.stability.perturbed_offset_m < _CONFIG.acceptance.max_perturbed_offset_m
     assert best.hypothesis == 4
     assert all(other.evidence < best.evidence for other in others)
     no_slides = with_overrides(_CONFIG, ["verify.slide_steps=0"])
     (stuck,) = register_best(*corridor, [_hypothesis(start, 4)], no_slides).registrations
     assert stuck.T_target_source.distance_to(_TRUTH)[0] > 1.0
-    assert stuck.stability.pushed_off_m > _CONFIG.acceptance.max_return_m
+    assert stuck.stability.perturbed_offset_m > _CONFIG.acceptance.max_perturbed_offset_m
 
 
 def test_without_views_the_first_hypothesis_is_taken(clouds):

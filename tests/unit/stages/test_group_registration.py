@@ -65,8 +65,8 @@ def test_more_evidence_elsewhere_outweighs_an_accepted_pair(found, expected):
     assert result.verdict.accepted is (expected is _KNOWN)
 
 
-def _unconstrained(at, pushed_off_m=0.02, codes=("not_observable",), competing=0):
-    registrations = (registration(at, pushed_off_m),) * (1 + competing)
+def _unconstrained(at, perturbed_offset_m=0.02, codes=("not_observable",), competing=0):
+    registrations = (registration(at, perturbed_offset_m),) * (1 + competing)
     return pair(at, undecided(*codes), registrations=registrations)
 
 
@@ -75,7 +75,7 @@ def _unconstrained(at, pushed_off_m=0.02, codes=("not_observable",), competing=0
     [
         (_unconstrained(_KNOWN), True),
         (_unconstrained(_KNOWN.inverse()), True),
-        (_unconstrained(_KNOWN, pushed_off_m=0.2), False),
+        (_unconstrained(_KNOWN, perturbed_offset_m=0.2), False),
         (_unconstrained(_SLID), False),
         (_unconstrained(_KNOWN, competing=1), False),
         (_unconstrained(_KNOWN, codes=("not_observable", "structure_unexplained")), False),

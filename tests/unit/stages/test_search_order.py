@@ -6,13 +6,14 @@ import pytest
 from multilica.stages.search_order import components, next_round, pairs_by_role
 
 _NAMES = "abcd"
-_PROMISE = {pair: promise for promise, pair in enumerate(combinations(_NAMES, 2))}
+_PRIORITY = {pair: priority for priority, pair in enumerate(combinations(_NAMES, 2))}
 """cd is the most promising pair, ab the least."""
 
 
-def _round(accepted=(), tried=(), promise=None):
+def _round(accepted=(), tried=(), priority=None):
     return [
-        "".join(pair) for pair in next_round(_NAMES, [*map(tuple, accepted)], {*map(tuple, tried)}, promise or _PROMISE)
+        "".join(pair)
+        for pair in next_round(_NAMES, [*map(tuple, accepted)], {*map(tuple, tried)}, priority or _PRIORITY)
     ]
 
 
@@ -38,13 +39,13 @@ def test_the_next_best_pair_follows_one_that_was_tried():
 
 def test_a_group_that_tried_all_ways_out_is_left():
     assert _round(accepted=["cd"], tried=["cd", "ab", "ac", "ad"]) == ["bd"]
-    assert _round(tried=["".join(pair) for pair in _PROMISE]) == []
+    assert _round(tried=["".join(pair) for pair in _PRIORITY]) == []
 
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_equal_promise_does_not_depend_on_the_order_of_pairs(order):
-    equal = dict.fromkeys([*_PROMISE][::order], 0.5)
-    assert _round(promise=equal) == ["ab", "ac", "ad"]
+    equal = dict.fromkeys([*_PRIORITY][::order], 0.5)
+    assert _round(priority=equal) == ["ab", "ac", "ad"]
 
 
 def test_a_chain_of_rounds_needs_one_search_less_than_lidars():

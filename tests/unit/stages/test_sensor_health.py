@@ -35,9 +35,9 @@ def test_the_soiled_share_is_that_of_the_window(pattern):
     directions = directions_of(pattern)
     left = directions[:, 1] > 0.0
     health = examined(directions, dirt(directions, left))
-    assert health.soiled_share == pytest.approx(0.5, abs=0.1)
+    assert health.blockage_ratio == pytest.approx(0.5, abs=0.1)
     assert [reason.code for reason in health.reasons] == ["dirty"]
-    assert health.reasons[0].value == health.soiled_share
+    assert health.reasons[0].value == health.blockage_ratio
 
 
 @pytest.mark.parametrize("pattern", PATTERNS.values(), ids=PATTERNS)
@@ -48,7 +48,7 @@ def test_the_vehicles_own_body_is_no_dirt(pattern):
     noise_m = np.random.default_rng(5).normal(scale=0.015, size=len(directions))
     health = examined(directions, np.where(body, roof_m + noise_m, 10.0))
     assert health.near_share > 0.3
-    assert (health.soiled_share, health.reasons) == (0.0, ())
+    assert (health.blockage_ratio, health.reasons) == (0.0, ())
 
 
 def test_sky_is_no_dirt():
@@ -60,13 +60,13 @@ def test_strays_between_returns_are_no_dirt():
     directions = directions_of(PATTERNS["spinning"])
     random = np.random.default_rng(2)
     stray = random.random(len(directions)) < 0.1
-    assert examined(directions, np.where(stray, random.uniform(0.3, 0.9, len(directions)), 10.0)).soiled_share == 0.0
+    assert examined(directions, np.where(stray, random.uniform(0.3, 0.9, len(directions)), 10.0)).blockage_ratio == 0.0
 
 
 def test_a_speck_smaller_than_a_block_does_not_count():
     directions = directions_of(PATTERNS["spinning"])
     speck = np.linalg.norm(directions - [1.0, 0.0, 0.0], axis=1) < np.deg2rad(3.0)
-    assert examined(directions, dirt(directions, speck)).soiled_share == 0.0
+    assert examined(directions, dirt(directions, speck)).blockage_ratio == 0.0
 
 
 @pytest.mark.parametrize("points", [np.empty((0, 3)), np.zeros((50, 3)), np.full((50, 3), np.nan)])

@@ -4,7 +4,7 @@ import pytest
 
 from multilica.config import FineConfig
 from multilica.geometry import RigidTransform
-from multilica.registration.registration_cloud import prepare_registration_cloud
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.stages.surface_distances import match_surfaces, residuals_of
 
 _CONFIG = FineConfig(voxel_size_m=0.01)
@@ -19,7 +19,7 @@ def _floor(low_m, high_m, height_m=0.0, step_m=0.2):
 def _clouds(target_m, source_m):
     """Both clouds are given in the target's frame."""
     in_source = _TRUTH.inverse().apply(source_m)
-    return prepare_registration_cloud("t", target_m, _CONFIG), prepare_registration_cloud("s", in_source, _CONFIG)
+    return prepare_gicp_cloud("t", target_m, _CONFIG), prepare_gicp_cloud("s", in_source, _CONFIG)
 
 
 def test_the_residual_is_the_distance_to_the_plane():

@@ -8,7 +8,7 @@ import pytest
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig, VerifyConfig, VisibilityConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register_narrower
-from multilica.registration.registration_cloud import prepare_registration_cloud
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages import verify
 from multilica.stages.verify import RoughSide, short_gicp, verify_hypotheses
@@ -16,7 +16,7 @@ from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG, _LIMITS = VerifyConfig(max_symmetric_poses=0), AcceptanceConfig()
-_NEVER_FIRM = AcceptanceConfig(firm_eigenvalue=1e9)
+_NEVER_FIRM = AcceptanceConfig(min_well_constrained_eigenvalue=1e9)
 _GICP = short_gicp(_CONFIG, FineConfig())
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
@@ -33,7 +33,7 @@ def _prepared(objects):
     return [
         RoughSide(
             prepare_sensor_view(cloud, VisibilityConfig()),
-            prepare_registration_cloud(cloud.lidar, cloud.points_m, _GICP),
+            prepare_gicp_cloud(cloud.lidar, cloud.points_m, _GICP),
         )
         for cloud in clouds
     ]
@@ -57,10 +57,10 @@ def test_the_true_pose_wins_over_one_with_more_matches(hall):
     assert metres < 0.05
     assert radians < np.deg2rad(0.5)
     assert best.hypothesis == 1
-    assert best.visibility.contradiction < _LIMITS.min_lead
+    assert best.visibility.contradiction < _LIMITS.min_log_odds_margin
     assert best.weakest_curvature > 1.0
     assert best.fitness > 0.8
-    assert all(other.evidence < best.evidence - _LIMITS.min_lead for other in others)
+    assert all(other.evidence < best.evidence - _LIMITS.min_log_odds_margin for other in others)
 
 
 def test_registrations_are_distinct_and_sorted_by_evidence(hall):
@@ -104,15 +104,15 @@ def test_the_best_hypothesis_is_registered_however_bad(hall):
 @pytest.mark.usefixtures("all_promising")
 def test_a_clearly_right_pose_ends_the_search(hall):
     poses = [_near(_TRUTH), _near(_HALF_TURN), *(_near(_TRUTH, (0, 0, 0), yaw) for yaw in (0.8, 1.6, 2.4))]
-    every = _verified(hall, *poses, settled_after_firm=50)
-    early = _verified(hall, *poses, settled_after_firm=2)
+    every = _verified(hall, *poses, early_stop_poses_constrained=50)
+    early = _verified(hall, *poses, early_stop_poses_constrained=2)
     assert len(early) == 2 < len(every)
     assert early[0].T_target_source.matrix.tobytes() == every[0].T_target_source.matrix.tobytes()
 
 
 def test_the_search_goes_on_while_no_pose_is_right(hall):
     poses = [_near(_HALF_TURN), _near(_TRUTH, (0, 0, 0), 0.8), _near(_TRUTH)]
-    found = _verified(hall, *poses, settled_after=2, settled_after_firm=2)
+    found = _verified(hall, *poses, early_stop_poses=2, early_stop_poses_constrained=2)
     assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
 
 
@@ -126,7 +126,7 @@ def test_hopeless_competing_poses_are_not_registered(hall, monkeypatch):
     monkeypatch.setattr(verify, "register_narrower", counted)
     best = [_verified(hall, _near(_TRUTH), limits=_NEVER_FIRM)[0]]
     few = len(registered)
-    monkeypatch.setattr(verify, "hopeless_below", lambda *_: -np.inf)
+    monkeypatch.setattr(verify, "min_competing_evidence", lambda *_: -np.inf)
     best.append(_verified(hall, _near(_TRUTH), limits=_NEVER_FIRM)[0])
     assert len(registered) - few >= 1 + _CONFIG.slide_steps > few
     assert best[0].T_target_source.matrix.tobytes() == best[1].T_target_source.matrix.tobytes()
@@ -140,7 +140,7 @@ def test_turned_poses_start_with_a_shorter_distance(hall, monkeypatch):
         return register_narrower(target, source, pose, gicp)
 
     monkeypatch.setattr(verify, "register_narrower", watched)
-    monkeypatch.setattr(verify, "hopeless_below", lambda *_: -np.inf)
+    monkeypatch.setattr(verify, "min_competing_evidence", lambda *_: -np.inf)
     _verified(hall, _TRUTH, limits=_NEVER_FIRM, max_symmetric_poses=2, slide_steps=2)
     every = len(_GICP.max_correspondence_distances_m)
     assert {*started} == {(False, every), (True, every - 1)}
@@ -173,7 +173,7 @@ def test_a_pose_that_slid_along_pillars_is_corrected():
     slid = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [-3.0, 0, 0], [0, 0, 0]) @ _SOURCE
     best, *others = _verified(lidars, slid, limits=_NEVER_FIRM)
     assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
-    assert all(other.evidence < best.evidence - _LIMITS.min_lead for other in others)
+    assert all(other.evidence < best.evidence - _LIMITS.min_log_odds_margin for other in others)
     (stuck,) = _verified(lidars, slid, limits=_NEVER_FIRM, slide_steps=0)
     assert stuck.T_target_source.distance_to(slid)[0] < 0.1
 
@@ -201,8 +201,8 @@ def test_a_wrong_prior_loses(hall):
 @pytest.mark.parametrize("prior", [_HALF_TURN, _TRUTH, _near(_TRUTH, (0.25, 0, 0)), _near(_TRUTH, (6.0, 0, 0))])
 def test_the_prior_does_not_change_which_others_are_tested(hall, prior):
     poses = [_near(_HALF_TURN), *(_near(_TRUTH, (0, 0, 0), yaw) for yaw in (0.8, 1.6, 2.4)), _near(_TRUTH)]
-    without = {one.label: one for one in _verified(hall, *poses, settled_after=2)}
-    found = _verified(hall, *poses, settled_after=2, prior=prior)
+    without = {one.label: one for one in _verified(hall, *poses, early_stop_poses=2)}
+    found = _verified(hall, *poses, early_stop_poses=2, prior=prior)
     kept = [one for one in found if one.origin != PRIOR]
     assert {one.label for one in kept} <= set(without)
     assert all(one.evidence == without[one.label].evidence for one in kept)
@@ -235,7 +235,7 @@ def test_the_half_turn_of_a_hall_is_tested_as_well():
     poses = (best.T_target_source, second.T_target_source)
     for expected in (_TRUTH, _HALF_TURN):
         assert min(pose.distance_to(expected)[0] for pose in poses) < 0.1
-    assert second.evidence > best.evidence - _LIMITS.min_lead
+    assert second.evidence > best.evidence - _LIMITS.min_log_odds_margin
 
 
 def test_without_hypotheses_there_is_no_registration(hall):

@@ -56,7 +56,7 @@ def test_at_the_true_pose_all_agrees_and_nothing_violates(target, source):
 def test_beams_contradict_a_wrong_pose(target, source, xyz_m, rpy_rad):
     wrong = RigidTransform.from_xyz_rpy("t", "t", xyz_m, rpy_rad) @ _TRUTH
     score = _score(target, source, wrong)
-    assert score.contradiction > 2 * _LIMITS.min_lead
+    assert score.contradiction > 2 * _LIMITS.min_log_odds_margin
     assert score.evidence(1.0) < 0 < _LIMITS.min_evidence < _score(target, source).evidence(1.0)
 
 
@@ -83,7 +83,7 @@ _ACROSS = {"axis": 0, "at_m": 5.0, "lo_m": (0.0, -3.0, 0.0), "hi_m": (0.0, 2.0, 
 def test_a_wall_in_space_that_beams_passed_through_violates(target):
     score = _score(target, _view(_SOURCE, [*HALL, Face(**_ACROSS)], seed=1))
     assert score.violate >= 40
-    assert score.contradiction > _LIMITS.min_lead
+    assert score.contradiction > _LIMITS.min_log_odds_margin
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_wall_in_space_that_beams_passed_through_violates(target):
 )
 def test_porous_things_cannot_violate(target, porous):
     score = _score(target, _view(_SOURCE, [*HALL, porous], seed=1))
-    assert score.contradiction < _LIMITS.min_lead
+    assert score.contradiction < _LIMITS.min_log_odds_margin
 
 
 def test_a_post_with_a_return_of_the_sensor_cannot_violate():
@@ -126,7 +126,7 @@ def test_a_surface_at_a_grazing_angle_cannot_violate(seen_from, violates):
     source_pose = RigidTransform.from_xyz_rpy("world", "s", [5.0, 5.0, 1.6], [0.0, 0.0, 0.0])
     source = _view(source_pose, [*HALL, along], seed=1)
     score = _score(_view(pose, HALL), source, pose.inverse() @ source_pose)
-    assert (score.contradiction > _LIMITS.min_lead) is violates
+    assert (score.contradiction > _LIMITS.min_log_odds_margin) is violates
 
 
 def test_the_weakest_direction_of_a_corridor_is_its_axis():
@@ -150,7 +150,7 @@ def test_agreement_on_the_ground_alone_is_not_distinctive():
     score = _score(_view(_TARGET, ground), _view(_SOURCE, ground, seed=1))
     assert score.agree > 500
     assert score.distinctive < 0.05 * score.agree
-    assert score.min_information_eigenvalue < 0.1 * _LIMITS.firm_eigenvalue
+    assert score.min_information_eigenvalue < 0.1 * _LIMITS.min_well_constrained_eigenvalue
     assert score.evidence(1.0) < _LIMITS.min_evidence
 
 

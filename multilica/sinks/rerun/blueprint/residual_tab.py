@@ -9,6 +9,7 @@ from multilica.sinks.rerun.entity_paths import lidar_frame, lidar_path
 from multilica.sinks.rerun.residual_map import RESIDUAL_SCALE_M
 from multilica.sinks.run_state import RunState
 
+
 def residual_tab(state: RunState) -> rrb.Container | None:
     """Show where the merged clouds meet, and where they do not; None where no two LiDARs are joined."""
     result = state.result

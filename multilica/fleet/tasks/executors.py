@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where units run: threads that each keep a process, or the workers of a Dask cluster."""
+"""Where log tasks run: threads that each keep a process, or the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.fleet.units.guard import allow_processes, end_processes
+from multilica.fleet.tasks.guard import allow_processes, end_processes
 from multilica.optional_libraries import needed_for
 
 _SCHEMES = ("tcp://", "tls://", "ws://", "wss://")
@@ -18,10 +18,10 @@ _CONNECT_S = 30
 
 @contextmanager
 def open_executor(workers: int, scheduler: str = "") -> Iterator[tuple[Executor, int]]:
-    """Open the executor of a run; yield it with the number of units that it runs at once.
+    """Open the executor of a run; yield it with the number of tasks that it runs at once.
 
     Args:
-        workers: units at once on this machine.
+        workers: tasks at once on this machine.
         scheduler: address of a Dask scheduler; empty for this machine. Certificates for ``tls://`` come from Dask's own
             configuration.
 
@@ -32,7 +32,7 @@ def open_executor(workers: int, scheduler: str = "") -> Iterator[tuple[Executor,
     """
     if not scheduler:
         allow_processes()
-        with ThreadPoolExecutor(workers, thread_name_prefix="unit") as pool:
+        with ThreadPoolExecutor(workers, thread_name_prefix="log-task") as pool:
             try:
                 yield pool, workers
             except BaseException:

@@ -13,15 +13,16 @@ from multilica.diagnosis import explain
 from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.extrinsics import Extrinsics
 from multilica.fleet.store.records import LidarRow
-from multilica.fleet.units.unit_request import UnitRequest
+from multilica.fleet.tasks.log_task import LogTask
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.document import ResultDocument
 from multilica.snapshot import Snapshot
-from multilica.verification import find_near
+from multilica.verification import register_from_known
 
-def verified_rows(request: UnitRequest, snapshot: Snapshot, known: Extrinsics) -> list[LidarRow]:
+
+def verified_rows(request: LogTask, snapshot: Snapshot, known: Extrinsics) -> list[LidarRow]:
     """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were."""
-    found = find_near(snapshot, known, request.config)
+    found = register_from_known(snapshot, known, request.config)
     if known.target not in found.poses or check_found(found, snapshot, known, request.tolerances).verdict != "within":
         return []
     placements = {each.lidar: each for each in saved_rig(found, snapshot).placements}
@@ -34,7 +35,7 @@ def verified_rows(request: UnitRequest, snapshot: Snapshot, known: Extrinsics) -
     return rows
 
 
-def calibrated_rows(request: UnitRequest, document: ResultDocument) -> list[LidarRow]:
+def calibrated_rows(request: LogTask, document: ResultDocument) -> list[LidarRow]:
     """Return the poses of a calibration, and why LiDARs have none or an uncertain one."""
     outcome = explain(document)
     causes: dict[str, Missing | Uncertain] = {each.lidar: each for each in outcome.missing}
@@ -65,7 +66,7 @@ def calibrated_rows(request: UnitRequest, document: ResultDocument) -> list[Lida
 
 
 def _row(
-    request: UnitRequest,
+    request: LogTask,
     lidar: str,
     target: str,
     how: Literal["verified", "calibrated"],

@@ -10,22 +10,23 @@ from multilica.acceptance.pair_graph import PairGraph
 from multilica.acceptance.rig import check_ambiguous_chains, check_cycles, check_scene_symmetry
 from multilica.config import Stage
 from multilica.geometry import RigidTransform
+from multilica.orchestration.pairs import (
+    PAIR_STAGES,
+    PairSearch,
+    SearchRequest,
+    priority_of,
+    register_implied,
+    score_implied,
+    search_pair,
+)
+from multilica.orchestration.state import CalibrationState
 from multilica.registration.poses import is_distinct
 from multilica.results import Hypothesis, PairKey, PairRegistration
 from multilica.stages.loops import choose_loops, implied_poses, is_open
 from multilica.stages.prior import known_between
 from multilica.stages.search_order import components, next_round, pairs_by_role
 from multilica.stages.target import choose_target
-from multilica.steps.pairs import (
-    PAIR_STAGES,
-    PairSearch,
-    SearchRequest,
-    promise_of,
-    register_implied,
-    score_implied,
-    search_pair,
-)
-from multilica.steps.state import CalibrationState
+
 
 def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:
     """Search the most promising pairs first, until accepted pairs link all LiDARs or none is left to search.
@@ -56,13 +57,13 @@ def _search_all(state: CalibrationState, until: Stage) -> None:
         _search(state, state.pairs, usual, until)
         return
     start_s = time.perf_counter()
-    promise = dict(zip(state.pairs, state.workers.map(promise_of, state.pairs), strict=True))
+    priority = dict(zip(state.pairs, state.workers.map(priority_of, state.pairs), strict=True))
     state.timing_s["correspond"] = time.perf_counter() - start_s
-    for voxel_size_m in (usual, *state.config.features.further_voxel_sizes_m):
+    for voxel_size_m in (usual, *state.config.features.retry_voxel_sizes_m):
         tried = set() if voxel_size_m == usual else _not_to_widen(state)
         while True:
             accepted = [(pair.target, pair.source) for pair in state.accepted]
-            pairs = next_round(list(state.clouds), accepted, tried, promise)
+            pairs = next_round(list(state.clouds), accepted, tried, priority)
             if pairs and state.out_of_time:
                 state.cut_short, pairs = True, []
             if not pairs and not _close_loops(state, tried):
@@ -127,7 +128,9 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     limits = state.config.acceptance
     scores = dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
     state.remember(scores.values())
-    contradicted = {pair for pair, score in scores.items() if score.visibility.contradiction > limits.min_lead}
+    contradicted = {
+        pair for pair, score in scores.items() if score.visibility.contradiction > limits.min_log_odds_margin
+    }
     chosen = choose_loops(
         {pair: score for pair, score in scores.items() if pair not in contradicted}, limits.min_evidence
     )

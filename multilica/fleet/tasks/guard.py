@@ -2,7 +2,7 @@
 """Units in a process of their own, with limits of time and memory.
 
 Every executor runs `run_guarded`, in a thread of this process or of a Dask worker. Each such thread keeps one child
-process, so that libraries are loaded once, and a unit that crashes, hangs or takes too much memory ends only that.
+process, so that libraries are loaded once, and one that crashes, hangs or takes too much memory ends only that.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from pydantic import BaseModel, ConfigDict
 
 from multilica.fleet.store.records import PASSING
 from multilica.fleet.store.store import open_store
-from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
+from multilica.fleet.tasks.log_task import LogTask, LogTaskSummary, failed_row
 from multilica.ingest.log_identity import LogIdentity
 
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
 _READ_BYTES = 1 << 16
-_SERVER = "multilica.fleet.units.unit_server"
+_SERVER = "multilica.fleet.tasks.task_server"
 _IDENTIFY_S = 60.0
 _LOCAL = threading.local()
-_RUNNING: set[_UnitProcess] = set()
+_RUNNING: set[_TaskProcess] = set()
 _STOPPED = threading.Event()
 
 
-class UnitLimits(BaseModel):
-    """What a unit may take.
+class LogTaskLimits(BaseModel):
+    """What a task may take.
 
     Attributes:
         time_s: from its start to its end, then it is killed.
@@ -55,24 +55,24 @@ class UnitLimits(BaseModel):
     retries: int = 5
 
 
-def run_guarded(request: UnitRequest, limits: UnitLimits) -> UnitSummary:
-    """Run a unit, again after what may pass; write the row of one that ended without."""
+def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogTaskSummary:
+    """Run a task, again after what may pass; write the row of one that ended without."""
     tried = request
 
     def ask(attempt: int) -> dict[str, Any]:
         nonlocal tried
         tried = request.model_copy(update={"attempt": attempt})
-        return _process(limits).ask({"unit": tried.model_dump(mode="json")}, limits.time_s)
+        return _process(limits).ask({"task": tried.model_dump(mode="json")}, limits.time_s)
 
     answer = _tried(ask, limits)
     if "summary" in answer:
-        return UnitSummary.model_validate(answer["summary"])
+        return LogTaskSummary.model_validate(answer["summary"])
     row = failed_row(tried, answer["reason"], answer["text"])
     open_store(request.store, create=False).finish(row, [])
-    return UnitSummary.of(row)
+    return LogTaskSummary.of(row)
 
 
-def identify_guarded(address: str, limits: UnitLimits) -> LogIdentity:
+def identify_guarded(address: str, limits: LogTaskLimits) -> LogIdentity:
     """Read vehicle and time of a log, again after what may pass; nothing if that takes too much."""
     answer = _tried(
         lambda _: _process(limits).ask({"identify": address}, min(_IDENTIFY_S, limits.time_s)),
@@ -81,7 +81,7 @@ def identify_guarded(address: str, limits: UnitLimits) -> LogIdentity:
     return LogIdentity(answer.get("vehicle", ""), answer.get("time_ns"))
 
 
-def _tried(ask: Callable[[int], dict[str, Any]], limits: UnitLimits) -> dict[str, Any]:
+def _tried(ask: Callable[[int], dict[str, Any]], limits: LogTaskLimits) -> dict[str, Any]:
     """Ask up to an answer, or a failure that does not pass."""
     for attempt in range(limits.retries + 1):
         if attempt:
@@ -95,7 +95,7 @@ def _tried(ask: Callable[[int], dict[str, Any]], limits: UnitLimits) -> dict[str
 
 
 def allow_processes() -> None:
-    """Let units run, after an earlier end."""
+    """Let tasks run, after an earlier end."""
     _STOPPED.clear()
 
 
@@ -106,18 +106,18 @@ def end_processes() -> None:
         process.end()
 
 
-def _process(limits: UnitLimits) -> _UnitProcess:
-    kept: _UnitProcess | None = getattr(_LOCAL, "process", None)
+def _process(limits: LogTaskLimits) -> _TaskProcess:
+    kept: _TaskProcess | None = getattr(_LOCAL, "process", None)
     if kept is None or kept.memory_mb != limits.memory_mb or not kept.is_alive:
         if kept is not None:
             kept.end()
         if _STOPPED.is_set():
             raise CancelledError
-        _LOCAL.process = kept = _UnitProcess(limits.memory_mb)
+        _LOCAL.process = kept = _TaskProcess(limits.memory_mb)
     return kept
 
 
-class _UnitProcess:
+class _TaskProcess:
     def __init__(self, memory_mb: float) -> None:
         self.memory_mb = memory_mb
         self._process = subprocess.Popen(  # noqa: S603 - a module of this package

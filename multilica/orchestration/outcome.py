@@ -7,6 +7,7 @@ from itertools import chain, combinations
 from multilica.acceptance.accept import imprecision
 from multilica.config import STAGES
 from multilica.geometry import RigidTransform
+from multilica.orchestration.state import CalibrationState
 from multilica.registration.poses import is_distinct
 from multilica.results import (
     LEVEL_FRAME,
@@ -22,8 +23,8 @@ from multilica.results.deviations import weakest_deviations
 from multilica.stages.ground import estimate_level
 from multilica.stages.prior import known_between
 from multilica.stages.refine import trusted_pairs
-from multilica.steps.state import CalibrationState
 from multilica.visibility.sensor_view import ScorePose
+
 
 def result_of(state: CalibrationState) -> CalibrationResult:
     """Return the outcome as far as the stages went."""

@@ -7,7 +7,7 @@ from multilica.config import CalibrationConfig
 from multilica.workers import Workers, open_workers
 
 # What tasks need, imported once for all workers.
-_MODULES = ("multilica.steps.worker_imports",)
+_MODULES = ("multilica.orchestration.worker_imports",)
 
 
 def open_calibration_workers(config: CalibrationConfig) -> AbstractContextManager[Workers]:

@@ -1,4 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
 """What tasks use, imported once for all worker processes."""
-
-from multilica.steps import clouds, pairs, surfaces

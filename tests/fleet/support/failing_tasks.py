@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A unit server whose logs crash, hang or take memory, as the first word of their name says."""
+"""A task server whose logs crash, hang or take memory, as the first word of their name says."""
 
 import os
 import signal
@@ -10,13 +10,13 @@ import numpy as np
 
 from multilica.errors import UnreadableSourceError
 from multilica.fleet.store.store import open_store
-from multilica.fleet.units import unit, unit_server
-from multilica.fleet.units.unit_request import UnitSummary, failed_row
+from multilica.fleet.tasks import run_task, task_server
+from multilica.fleet.tasks.log_task import LogTaskSummary, failed_row
 from multilica.ingest import log_identity
 from multilica.ingest.remote.error_texts import ConnectionLostError
 
 
-def run_unit(request):
+def run_log_task(request):
     what, tried = request.source.split("-")[0], Path(f"{request.address}.tried")
     match what:
         case "crash":
@@ -40,7 +40,7 @@ def run_unit(request):
     print("what a library prints is no answer")
     row = failed_row(request, "stub", f"process {os.getpid()}", state="refused")
     open_store(request.store, create=False).finish(row, [])
-    return UnitSummary.of(row)
+    return LogTaskSummary.of(row)
 
 
 def identify_log(address):
@@ -56,5 +56,5 @@ def identify_log(address):
 
 if __name__ == "__main__":
     log_identity.identify_log = identify_log
-    unit.run_unit = run_unit
-    unit_server.main()
+    run_task.run_log_task = run_log_task
+    task_server.main()

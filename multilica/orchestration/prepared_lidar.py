@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 
 from multilica.config import CalibrationConfig
-from multilica.registration.registration_cloud import prepare_registration_cloud
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.results import FeatureCloud, PreprocessedCloud
 from multilica.stages.features import compute_features
-from multilica.stages.fine import Side, prepare_side
+from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
 from multilica.stages.verify import RoughSide, short_gicp
 from multilica.visibility.sensor_view import SensorView, prepare_sensor_view
 
@@ -48,13 +48,13 @@ class PreparedLidar:
         """The LiDAR as one side of a short GICP; only where verification is on."""
         assert self.view is not None  # noqa: S101
         gicp = short_gicp(self.config.verify, self.config.fine)
-        return RoughSide(self.view, prepare_registration_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
+        return RoughSide(self.view, prepare_gicp_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
 
     @cached_property
-    def side(self) -> Side:
+    def side(self) -> RegistrationCloud:
         """The LiDAR as one side of a fine registration."""
         views = [] if self.view is None else self.view.alone
-        return prepare_side(self.cloud.lidar, self.cloud.points_m, views, self.config)
+        return prepare_registration_cloud(self.cloud.lidar, self.cloud.points_m, views, self.config)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Leave out what is built on first use: types of the engines cannot be copied to another process."""

@@ -6,14 +6,15 @@ from dataclasses import dataclass, replace
 from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError
+from multilica.orchestration.prepared_lidar import PreparedLidar, prepare_lidar
+from multilica.orchestration.state import CalibrationState
 from multilica.results import PreprocessedCloud, SensorHealth
 from multilica.snapshot import LidarScans, Snapshot
 from multilica.stages.preprocess import preprocess
 from multilica.stages.sensor_health import examine_sensor
 from multilica.stages.stillness import Motion, detect_motion, explain_motion
-from multilica.steps.prepared_lidar import PreparedLidar, prepare_lidar
-from multilica.steps.state import CalibrationState
 from multilica.workers import Shared
+
 
 def require_two_lidars(snapshot: Snapshot) -> None:
     """Refuse a snapshot without two LiDARs that have returns.

@@ -11,6 +11,7 @@ from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration.prepared_lidar import PreparedLidar
 from multilica.results import (
     CoarseResult,
     GroundPlane,
@@ -25,10 +26,10 @@ from multilica.results import (
     VisibilityScore,
 )
 from multilica.snapshot import Snapshot
-from multilica.stages.fine import Side
-from multilica.steps.prepared_lidar import PreparedLidar
+from multilica.stages.fine import RegistrationCloud
 from multilica.visibility.sensor_view import SensorView, score_pose, score_visibility
 from multilica.workers import Workers
+
 
 @dataclass(slots=True)
 class CalibrationState:
@@ -50,7 +51,7 @@ class CalibrationState:
     target: str = ""
     target_reason: str = ""
     decisions: list[MergeDecision] = field(default_factory=list)
-    sides: dict[tuple[str, ...], Side] = field(default_factory=dict)
+    sides: dict[tuple[str, ...], RegistrationCloud] = field(default_factory=dict)
     merged_lidars: dict[tuple[str, ...], PreparedLidar] = field(default_factory=dict)
     group: Group | None = None
     merges: list[PairRegistration] = field(default_factory=list)

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 from multilica.acceptance.accept import accept, accept_by_fitness
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
+from multilica.orchestration.prepared_lidar import PreparedLidar
 from multilica.results import CoarseResult, Correspondences, Hypothesis, PairKey, PairRegistration, Registration
 from multilica.stages.coarse import find_hypotheses
-from multilica.stages.correspond import match_features, pair_promise
-from multilica.stages.fine import Side, register_best
+from multilica.stages.correspond import match_features, pair_priority
+from multilica.stages.fine import RegistrationCloud, register_best
 from multilica.stages.verify import verify_hypotheses
-from multilica.steps.prepared_lidar import PreparedLidar
 from multilica.visibility.sensor_view import score_pose
 from multilica.workers import Shared
 
@@ -53,11 +53,11 @@ class PairSearch:
     elapsed_s: dict[Stage, float] = field(default_factory=dict)
 
 
-def promise_of(lidars: Shared, pair: PairKey) -> float:
+def priority_of(lidars: Shared, pair: PairKey) -> float:
     """Estimate how likely a search of the pair succeeds."""
     target, source = (lidars[name] for name in pair)
     config = target.config
-    return pair_promise(target.features, source.features, config.coarse, config.acceptance.max_baseline_m)
+    return pair_priority(target.features, source.features, config.coarse, config.acceptance.max_baseline_m)
 
 
 def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchRequest) -> PairSearch:
@@ -98,7 +98,12 @@ def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
 
 
 def register_sides(
-    target: Side, source: Side, hypotheses: Sequence[Hypothesis], config: CalibrationConfig, *, fit: bool = True
+    target: RegistrationCloud,
+    source: RegistrationCloud,
+    hypotheses: Sequence[Hypothesis],
+    config: CalibrationConfig,
+    *,
+    fit: bool = True,
 ) -> PairRegistration:
     """Register two sides as `register_best` does, with a verdict."""
     found = register_best(target, source, hypotheses, config, fit=fit)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from multilica import events
 from multilica.geometry import RigidTransform
+from multilica.orchestration.state import CalibrationState
 from multilica.stages.surface_distances import PairMatches, match_surfaces, residuals_of
-from multilica.steps.state import CalibrationState
 from multilica.workers import Shared
 
 # Enough to see where a pair does not meet; `--record full` has all.

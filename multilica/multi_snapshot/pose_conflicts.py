@@ -17,7 +17,7 @@ SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
 
 
 @dataclass(frozen=True, slots=True)
-class Dispute:
+class PoseConflict:
     """A contradiction between one snapshot and others on one pair of LiDARs.
 
     Args:
@@ -35,44 +35,46 @@ class Dispute:
     outvoted: bool
 
 
-def resolve_disputes(pairs: SnapshotPairs, config: CalibrationConfig) -> tuple[SnapshotPairs, tuple[Dispute, ...]]:
+def resolve_conflicts(
+    pairs: SnapshotPairs, config: CalibrationConfig
+) -> tuple[SnapshotPairs, tuple[PoseConflict, ...]]:
     """Drop registrations until no two snapshots contradict each other, by majority if there is one.
 
     The snapshots that connect two LiDARs, directly or through others, vote on their pose. A snapshot that loses drops
     its registrations of that pair; without a majority all contradicting snapshots drop theirs. A snapshot that connects
     the disputed LiDARs only through others drops all registrations connected to them.
     """
-    disputes: tuple[Dispute, ...] = ()
-    while found := tuple(_disputes(pairs, config)):
-        disputes += found
+    conflicts: tuple[PoseConflict, ...] = ()
+    while found := tuple(_conflicts(pairs, config)):
+        conflicts += found
         pairs = {name: _without(own, [each for each in found if each.snapshot == name]) for name, own in pairs.items()}
-    return pairs, disputes
+    return pairs, conflicts
 
 
-def blamed_lidars(disputes: Sequence[Dispute], target: str) -> tuple[Dispute, ...]:
-    """Return the fewest LiDARs that explain the disputes of one snapshot, each as first LiDAR of a dispute.
+def inconsistent_lidars(conflicts: Sequence[PoseConflict], target: str) -> tuple[PoseConflict, ...]:
+    """Return the fewest LiDARs that explain the conflicts of one snapshot, each as first LiDAR of a conflict.
 
-    The LiDAR in the most disputes is blamed first, the target last.
+    The LiDAR in the most conflicts is inconsistent first, the target last.
     """
-    left, found = list(disputes), []
+    left, found = list(conflicts), []
     while left:
-        counts = Counter(name for dispute in left for name in dispute.lidars)
+        counts = Counter(name for conflict in left for name in conflict.lidars)
         worst = min(counts, key=lambda name: (-counts[name], name == target, name))
-        own = [dispute for dispute in left if worst in dispute.lidars]
-        shown = min(own, key=lambda dispute: (target not in dispute.lidars, dispute.lidars))
+        own = [conflict for conflict in left if worst in conflict.lidars]
+        shown = min(own, key=lambda conflict: (target not in conflict.lidars, conflict.lidars))
         other = next(name for name in shown.lidars if name != worst)
         found.append(replace(shown, lidars=(worst, other)))
-        left = [dispute for dispute in left if worst not in dispute.lidars]
+        left = [conflict for conflict in left if worst not in conflict.lidars]
     return tuple(found)
 
 
-def _disputes(pairs: SnapshotPairs, config: CalibrationConfig) -> Iterator[Dispute]:
+def _conflicts(pairs: SnapshotPairs, config: CalibrationConfig) -> Iterator[PoseConflict]:
     estimates = {snapshot: estimate_pairs(own, config.refine) for snapshot, own in pairs.items()}
     for lidars in sorted({pair for own in estimates.values() for pair in own}):
         yield from _vote(lidars, {name: own[lidars] for name, own in estimates.items() if lidars in own}, config)
 
 
-def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationConfig) -> Iterator[Dispute]:
+def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationConfig) -> Iterator[PoseConflict]:
     """Yield the losing snapshots; one whose covariance is too large to contradict another has no vote."""
     against: dict[str, list[str]] = {name: [] for name in voters}
     for one, other in combinations(voters, 2):
@@ -90,7 +92,7 @@ def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationCo
             continue
         others = tuple(other for other in against[name] if other in agreeing or not outvoted)
         distance_m, angle_rad = voters[name].pose.distance_to(voters[others[0]].pose)
-        yield Dispute(name, lidars, others, distance_m, float(np.rad2deg(angle_rad)), outvoted)
+        yield PoseConflict(name, lidars, others, distance_m, float(np.rad2deg(angle_rad)), outvoted)
 
 
 def _contradict(one: Estimate, other: Estimate, config: CalibrationConfig) -> bool:
@@ -103,12 +105,12 @@ def _contradict(one: Estimate, other: Estimate, config: CalibrationConfig) -> bo
     return squared > offset.size * config.refine.outlier_sigma**2
 
 
-def _without(pairs: tuple[PairRegistration, ...], disputes: Sequence[Dispute]) -> tuple[PairRegistration, ...]:
-    if not disputes:
+def _without(pairs: tuple[PairRegistration, ...], conflicts: Sequence[PoseConflict]) -> tuple[PairRegistration, ...]:
+    if not conflicts:
         return pairs
-    disputed = {frozenset(dispute.lidars) for dispute in disputes}
+    disputed = {frozenset(conflict.lidars) for conflict in conflicts}
     kept = tuple(pair for pair in pairs if pair.lidars not in disputed)
     if len(kept) < len(pairs):
         return kept
-    affected = {name for dispute in disputes for name in connected(dispute.lidars[0], pairs)}
+    affected = {name for conflict in conflicts for name in connected(conflict.lidars[0], pairs)}
     return tuple(pair for pair in pairs if pair.target not in affected)

@@ -10,18 +10,19 @@ from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration.pairs import SearchRequest, register_sides, search_pair
+from multilica.orchestration.prepared_lidar import prepare_lidar
+from multilica.orchestration.state import CalibrationState
 from multilica.results import GroundPlane, Group, Hypothesis, PairRegistration, PreprocessedCloud
 from multilica.snapshot import Snapshot
 from multilica.stages.base_frame import known_in_base
-from multilica.stages.fine import Side, prepare_side, select_finalists
+from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, select_finalists
 from multilica.stages.ground import estimate_ground, middle_of
 from multilica.stages.group_registration import poses_between, register_groups
 from multilica.stages.merge import merge_along_graph, merge_by_fitness, merge_target_first
 from multilica.stages.refine import refine, trusted_pairs
 from multilica.stages.target import choose_target
-from multilica.steps.pairs import SearchRequest, register_sides, search_pair
-from multilica.steps.prepared_lidar import prepare_lidar
-from multilica.steps.state import CalibrationState
+
 
 def merge_pairs(state: CalibrationState) -> None:
     """Choose the target, and merge accepted pairs into its group."""
@@ -100,7 +101,7 @@ def _search_merged(state: CalibrationState, group: Group, other: Group) -> PairR
     return found
 
 
-def _side_of(state: CalibrationState, group: Group) -> Side:
+def _side_of(state: CalibrationState, group: Group) -> RegistrationCloud:
     """Prepare a LiDAR, or a group with its members in the frame of its root, for registration."""
     if len(group.poses) == 1:
         return state.lidars[group.root].side
@@ -108,7 +109,9 @@ def _side_of(state: CalibrationState, group: Group) -> Side:
         views = [
             (pose, view) for name, pose in sorted(group.poses.items()) if (view := state.lidars[name].view) is not None
         ]
-        state.sides[group.members] = prepare_side(group.root, _merged_points(state, group), views, state.config)
+        state.sides[group.members] = prepare_registration_cloud(
+            group.root, _merged_points(state, group), views, state.config
+        )
     return state.sides[group.members]
 
 

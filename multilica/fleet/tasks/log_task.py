@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes to a unit, and what comes back."""
+"""What goes to a task, and what comes back."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from multilica.fleet.store.records import LogRow
 Calibrate = Literal["when-needed", "always"]
 
 
-class UnitRequest(BaseModel):
+class LogTask(BaseModel):
     """What a worker needs to know of a log.
 
     Attributes:
@@ -59,7 +59,7 @@ class UnitRequest(BaseModel):
         )
 
 
-class UnitSummary(BaseModel):
+class LogTaskSummary(BaseModel):
     """What the driver needs to know of a finished log."""
 
     model_config = ConfigDict(frozen=True)
@@ -73,14 +73,12 @@ class UnitSummary(BaseModel):
     placed: int
 
     @classmethod
-    def of(cls, row: LogRow) -> UnitSummary:
+    def of(cls, row: LogRow) -> LogTaskSummary:
         """Return the summary of a row."""
         return cls.model_validate({name: getattr(row, name) for name in cls.model_fields})
 
 
-def failed_row(
-    request: UnitRequest, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed"
-) -> LogRow:
+def failed_row(request: LogTask, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed") -> LogRow:
     """Return the row of a log without a result; the poses that held before it still hold."""
     told = text.replace(request.address, request.source)
     return replace(request.row(), state=state, reason=reason, reason_text=told, finished_at=datetime.now(UTC))

@@ -3,9 +3,9 @@ import pytest
 
 from multilica.config import CalibrationConfig, preset, with_overrides
 from multilica.errors import MissingDependencyError
+from multilica.orchestration import required_libraries
+from multilica.orchestration.required_libraries import require_libraries
 from multilica.pipeline import calibrate
-from multilica.steps import required_libraries
-from multilica.steps.required_libraries import require_libraries
 from tests.pipeline.watched import sides
 
 

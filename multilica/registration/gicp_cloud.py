@@ -17,7 +17,7 @@ _COARSER = 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class RegistrationCloud:
+class GicpCloud:
     """Thinned points with the engine's structures.
 
     Args:
@@ -46,7 +46,7 @@ class RegistrationCloud:
         return Surface(self.tree, self.neighbours)
 
 
-def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConfig) -> RegistrationCloud:
+def prepare_gicp_cloud(name: str, points_m: FloatArray, config: FineConfig) -> GicpCloud:
     """Thin a cloud on the engine's grid, and estimate a covariance or normal per point from its neighbours."""
     thinned_on_grid = thin if config.engine == "small_gicp" else thin_from_cloud
     thinned, voxel_size_m = thinned_on_grid(points_m, config.voxel_size_m), config.voxel_size_m
@@ -56,7 +56,7 @@ def prepare_registration_cloud(name: str, points_m: FloatArray, config: FineConf
     return _with_covariances(name, thinned, config.engine, config.neighbours)
 
 
-def _with_covariances(name: str, points_m: FloatArray, engine: str, neighbours: int) -> RegistrationCloud:
+def _with_covariances(name: str, points_m: FloatArray, engine: str, neighbours: int) -> GicpCloud:
     tree = PointTree(points_m)
     engine_cloud = tree.cloud
     if engine == "small_gicp":
@@ -64,4 +64,4 @@ def _with_covariances(name: str, points_m: FloatArray, engine: str, neighbours: 
     else:
         engine_cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
         engine_cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(neighbours))
-    return RegistrationCloud(name, tree.points_m, tree, engine_cloud, engine, neighbours)
+    return GicpCloud(name, tree.points_m, tree, engine_cloud, engine, neighbours)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process that units run in: a request per line on stdin, an answer per line on stdout.
+"""The process that tasks run in: a request per line on stdin, an answer per line on stdout.
 
 It ends when stdin does, so never outlives the process that started it.
 """
@@ -26,23 +26,24 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints is no answer
     requests: queue.SimpleQueue[str] = queue.SimpleQueue()
     threading.Thread(target=_read, args=(requests,), daemon=True).start()
-    from multilica.fleet.units import unit
+
+    from multilica.fleet.tasks import run_task
 
     _limit_memory(float(sys.argv[1]))
     while True:
         request = json.loads(requests.get())
         try:
-            answer = _answer(request, unit)
+            answer = _answer(request, run_task)
         except MemoryError:
-            answer = {"reason": "memory", "text": "The log takes more memory than a unit may have."}
+            answer = {"reason": "memory", "text": "The log takes more memory than a task may have."}
         except Exception as failure:  # noqa: BLE001 - one log must not end the others
             text = f"This is a bug in multilica, not in the log ({type(failure).__name__}: {failure})."
             answer = {"reason": "bug", "text": text[:500]}
         print(json.dumps(answer), file=answers, flush=True)
 
 
-def _answer(request: dict[str, Any], unit: Any) -> dict[str, Any]:  # noqa: ANN401 - a module that takes time to load
-    from multilica.fleet.units.unit_request import UnitRequest
+def _answer(request: dict[str, Any], run_task: Any) -> dict[str, Any]:  # noqa: ANN401 - a module that takes time to load
+    from multilica.fleet.tasks.log_task import LogTask
     from multilica.ingest.log_identity import identify_log
     from multilica.ingest.remote.error_texts import ConnectionLostError
 
@@ -50,7 +51,7 @@ def _answer(request: dict[str, Any], unit: Any) -> dict[str, Any]:  # noqa: ANN4
         if "identify" in request:
             identity = identify_log(request["identify"])
             return {"vehicle": identity.vehicle, "time_ns": identity.time_ns}
-        return {"summary": unit.run_unit(_below_folder(UnitRequest.model_validate(request["unit"]))).model_dump()}
+        return {"summary": run_task.run_log_task(_below_folder(LogTask.model_validate(request["task"]))).model_dump()}
     except ConnectionLostError as failure:
         return {"reason": "network", "text": str(failure)}
 

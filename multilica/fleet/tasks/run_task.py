@@ -19,8 +19,8 @@ from multilica.errors import InputError, MultilicaError, SourceNotFoundError, Un
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
 from multilica.fleet.store.records import LidarRow, LogRow
 from multilica.fleet.store.store import Store, folder_name, open_store
-from multilica.fleet.units.unit_request import UnitRequest, UnitSummary, failed_row
-from multilica.fleet.units.unit_rows import calibrated_rows, verified_rows
+from multilica.fleet.tasks.log_task import LogTask, LogTaskSummary, failed_row
+from multilica.fleet.tasks.task_rows import calibrated_rows, verified_rows
 from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError
@@ -36,7 +36,7 @@ _FILES = ("recording.rrd", "report.html", "result.mcap")
 _ALSO = ("result.json", "calibration.toml")
 
 
-def run_unit(request: UnitRequest) -> UnitSummary:
+def run_log_task(request: LogTask) -> LogTaskSummary:
     """Verify or calibrate a log, and write its files and rows into the store.
 
     A log that another driver has finished meanwhile is written again, with the same content.
@@ -60,7 +60,7 @@ def run_unit(request: UnitRequest) -> UnitSummary:
         finished_at=datetime.now(UTC),
     )
     store.finish(row, lidars)
-    return UnitSummary.of(row)
+    return LogTaskSummary.of(row)
 
 
 def _code(failure: MultilicaError) -> str:
@@ -71,7 +71,7 @@ def _code(failure: MultilicaError) -> str:
     return "unreadable" if isinstance(failure, InputError) else "unusable"
 
 
-def _outcome(request: UnitRequest, store: Store) -> tuple[LogRow, Sequence[LidarRow]]:
+def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]]:
     config, row = request.config, request.row()
     snapshot = read_snapshot(request.address, config=config.ingest)
     row = replace(row, source_sha256=snapshot.source_sha256, lidars=len(snapshot.names))
@@ -87,7 +87,7 @@ def _outcome(request: UnitRequest, store: Store) -> tuple[LogRow, Sequence[Lidar
     return _calibrated(request, store, row, known, snapshot)
 
 
-def _first_with(sha256: str, request: UnitRequest, store: Store) -> str:
+def _first_with(sha256: str, request: LogTask, store: Store) -> str:
     """Return the first log of the vehicle that had these bytes, which is this one if none had them before."""
     path = f"digests/{folder_name(request.vehicle)}/{request.config_sha256}-{multilica.__version__}/{sha256}"
     try:
@@ -97,7 +97,7 @@ def _first_with(sha256: str, request: UnitRequest, store: Store) -> str:
         return request.source
 
 
-def _reference(request: UnitRequest, store: Store) -> Extrinsics | None:
+def _reference(request: LogTask, store: Store) -> Extrinsics | None:
     if not request.reference:
         return None
     with scratch_folder() as folder:
@@ -107,7 +107,7 @@ def _reference(request: UnitRequest, store: Store) -> Extrinsics | None:
 
 
 def _calibrated(
-    request: UnitRequest, store: Store, row: LogRow, known: Extrinsics | None, snapshot: Snapshot
+    request: LogTask, store: Store, row: LogRow, known: Extrinsics | None, snapshot: Snapshot
 ) -> tuple[LogRow, Sequence[LidarRow]]:
     config = request.config
     if known is not None and not config.target and known.target in snapshot.names:
@@ -129,7 +129,7 @@ def _recorded(config: CalibrationConfig, detail: str) -> CalibrationConfig:
 
 
 def _stored(
-    request: UnitRequest, store: Store, row: LogRow, out: Path, document: ResultDocument, known: Extrinsics | None
+    request: LogTask, store: Store, row: LogRow, out: Path, document: ResultDocument, known: Extrinsics | None
 ) -> LogRow:
     """Copy the files of a run into the store, with the poses that hold from now on."""
     place, target = store.run_folder(request.vehicle, request.time_ns, request.key), document.target
