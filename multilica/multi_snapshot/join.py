@@ -24,7 +24,7 @@ from multilica.results import (
     SnapshotDeviation,
     SnapshotReport,
 )
-from multilica.results.deviations import weakest_deviations
+from multilica.results.registrations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
 
 

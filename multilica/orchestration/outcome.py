@@ -19,7 +19,7 @@ from multilica.results import (
     Refusal,
     TimeLimit,
 )
-from multilica.results.deviations import weakest_deviations
+from multilica.results.registrations import weakest_deviations
 from multilica.stages.ground import estimate_level
 from multilica.stages.prior import known_between
 from multilica.stages.refine import trusted_pairs

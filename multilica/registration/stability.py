@@ -9,7 +9,7 @@ from multilica.registration.gicp import register
 from multilica.registration.gicp_cloud import GicpCloud
 from multilica.registration.poses import moved
 from multilica.results import PairRegistration, Stability
-from multilica.results.deviations import weakest_sigmas
+from multilica.results.registrations import weakest_sigmas
 
 
 def weakest_curvature(registration: PairRegistration) -> float:

@@ -74,6 +74,17 @@ class Registration:
         """Log-odds that the pose is the true one; see `VisibilityScore.evidence`."""
         return self.visibility.evidence(float(np.linalg.norm(self.T_target_source.xyz_m)))
 
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """The figures of the pose, under the names that every output gives them."""
+        return {
+            "evidence": self.evidence,
+            "fitness": self.fitness,
+            "rmse_m": self.rmse_m,
+            "coverage": self.visibility.coverage,
+            "violation_share": self.visibility.violation_share,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class Reason:
@@ -199,6 +210,28 @@ class PairRegistration:
         return self.registrations[0].evidence if self.registrations else self.fitness
 
     @property
+    def coverage(self) -> float:
+        """Share of agreeing points among those in the other LiDAR's view; NaN without verification."""
+        return self.registrations[0].visibility.coverage if self.registrations else float("nan")
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """The figures of the pair, under the names that every output gives them.
+
+        None or NaN where one is not known. `sigma_m` and `sigma_deg` are those of the weakest directions.
+        """
+        sigma_m, sigma_rad = weakest_sigmas(self.information)
+        unknown = {"evidence": None, "violation_share": None}
+        return {
+            **(self.registrations[0].figures if self.registrations else unknown),
+            "coverage": self.coverage,
+            "fitness": self.fitness,
+            "rmse_m": self.rmse_m,
+            "sigma_m": sigma_m,
+            "sigma_deg": None if sigma_rad is None else float(np.rad2deg(sigma_rad)),
+        }
+
+    @property
     def competing(self) -> Registration | None:
         """The pose that makes the chosen one doubtful; None if no pose does."""
         return next((reason.competing for reason in self.verdict.reasons if reason.competing is not None), None)
@@ -213,3 +246,20 @@ def connected(root: str, pairs: Iterable[PairRegistration]) -> set[str]:
             if pair.lidars & reached:
                 reached |= pair.lidars
     return reached
+
+
+def weakest_sigmas(information: FloatArray | None) -> tuple[float | None, float | None]:
+    """Return `weakest_deviations` of a pose with that (6, 6) information; None where it has none."""
+    if information is None:
+        return None, None
+    return weakest_deviations(np.asarray(np.linalg.pinv(information, hermitian=True)))
+
+
+def weakest_deviations(covariance: FloatArray) -> tuple[float, float]:
+    """Return the largest standard deviations of position (m) and rotation (rad) of a (6, 6) covariance.
+
+    The order is rotation, then translation.
+    """
+    variances = np.linalg.eigvalsh(covariance[3:, 3:])[-1], np.linalg.eigvalsh(covariance[:3, :3])[-1]
+    sigma_m, sigma_rad = (float(np.sqrt(max(variance, 0.0))) for variance in variances)
+    return sigma_m, sigma_rad

@@ -19,8 +19,8 @@ from multilica.results import (
     Registration,
 )
 from multilica.results.document import ResultDocument
+from multilica.results.document.building import Provenance, provenance_of
 from multilica.results.document.values import Entry
-from multilica.sinks.files.provenance import Provenance, provenance_of
 from multilica.snapshot import Snapshot
 
 

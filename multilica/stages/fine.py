@@ -23,7 +23,7 @@ from multilica.registration.plane_fit import fit_planes, pose_information
 from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
 from multilica.registration.stability import arc_between_m, check_stability, perturbed_ends, widened
 from multilica.results import Hypothesis, PairRegistration, Registration
-from multilica.results.deviations import weakest_sigmas
+from multilica.results.registrations import weakest_sigmas
 from multilica.visibility.sensor_view import PlacedView, score_registration, score_visibility
 
 # A pose needs a test of stability unless this many times its sigma is below the limit.

@@ -7,8 +7,7 @@ from multilica.config import CalibrationConfig, with_overrides
 from multilica.diagnosis import explain
 from multilica.orchestration.state import CalibrationState
 from multilica.results import TimeLimit
-from multilica.sinks.files.provenance import provenance_of
-from multilica.sinks.files.result_document import result_document
+from multilica.results.document.building import provenance_of, result_document
 from tests.pipeline.watched import assert_true, only, sides, watched
 
 CONFIG = with_overrides(CalibrationConfig(), ["runtime.max_time_s=600.0", "runtime.workers=1", "target=top"])

@@ -13,8 +13,7 @@ import rerun as rr
 
 from multilica import events
 from multilica.geometry import RigidTransform
-from multilica.results import Correspondences, PairKey, PairRegistration, Registration
-from multilica.results.deviations import weakest_sigmas
+from multilica.results import Correspondences, PairKey
 from multilica.sinks.drawing.clouds import sample_indices
 from multilica.sinks.rerun.data_tables import MERGE_COLUMNS, PAIR_COLUMNS, merge_rows, pair_rows
 from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, TIMINGS, pair_path
@@ -22,7 +21,6 @@ from multilica.sinks.rerun.input import log_in_slot
 from multilica.sinks.rerun.scene import CLOCK_TIMELINE, RerunScene
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
-from multilica.sinks.text.pair_tables import coverage_of
 
 
 def log_data(scene: RerunScene, event: events.Event) -> None:
@@ -76,7 +74,7 @@ def _log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
 
 def _log_verified(scene: RerunScene, event: events.HypothesesVerified) -> None:
     if event.registrations:
-        _log_scalars(scene, (event.target, event.source), "verify", _figures_of(event.registrations[0]))
+        _log_scalars(scene, (event.target, event.source), "verify", event.registrations[0].figures)
 
 
 def _log_registration(
@@ -86,7 +84,7 @@ def _log_registration(
     if isinstance(event, events.LoopRegistered) and not found.verdict.accepted:
         return
     pair = scene.state.pair_of(found)
-    _log_scalars(scene, pair, "fine", _figures_of_pair(found))
+    _log_scalars(scene, pair, "fine", found.figures)
     _log_residuals(scene, pair, found.T_target_source)
 
 
@@ -118,29 +116,6 @@ def _log_scalars(scene: RerunScene, pair: PairKey, stage: str, figures: Mapping[
     for name, value in figures.items():
         if value is not None and math.isfinite(value):
             scene.log(pair_path(*pair, stage, name), rr.Scalars(float(value)))
-
-
-def _figures_of(found: Registration) -> dict[str, float | None]:
-    return {
-        "evidence": found.evidence,
-        "fitness": found.fitness,
-        "rmse_m": found.rmse_m,
-        "coverage": found.visibility.coverage,
-        "violation_share": found.visibility.violation_share,
-    }
-
-
-def _figures_of_pair(found: PairRegistration) -> dict[str, float | None]:
-    sigma_m, sigma_rad = weakest_sigmas(found.information)
-    figures = {} if not found.registrations else _figures_of(found.registrations[0])
-    return {
-        **figures,
-        "fitness": found.fitness,
-        "rmse_m": found.rmse_m,
-        "coverage": coverage_of(found),
-        "sigma_m": sigma_m,
-        "sigma_deg": None if sigma_rad is None else math.degrees(sigma_rad),
-    }
 
 
 def _rows_of(scene: RerunScene, count: int) -> npt.NDArray[np.intp]:

@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of a run with a row per pair and per candidate of the merge."""
 
-import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
 import pyarrow as pa
 
 from multilica.results import MergeDecision, PairKey, PairRegistration, PairResidual
-from multilica.results.deviations import weakest_sigmas
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.pair_tables import coverage_of
 
 _TEXT, _COUNT, _NUMBER, _FLAG = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
@@ -68,19 +65,11 @@ def _pair_row(state: RunState, pair: PairKey, residual: PairResidual | None) -> 
 
 def _figures(pair: PairKey, found: PairRegistration) -> dict[str, object]:
     pose = found.T_target_source.with_target(pair[0])
-    sigma_m, sigma_rad = weakest_sigmas(found.information)
-    best = found.registrations[0] if found.registrations else None
     return {
         "pose_from": found.start_name,
         "verdict": found.verdict.outcome,
         "reasons": ",".join(found.verdict.codes),
-        "evidence": None if best is None else best.evidence,
-        "fitness": found.fitness,
-        "rmse_m": found.rmse_m,
-        "coverage": coverage_of(found),
-        "violation_share": None if best is None else best.visibility.violation_share,
-        "sigma_m": sigma_m,
-        "sigma_deg": None if sigma_rad is None else math.degrees(sigma_rad),
+        **found.figures,
         **dict(zip(_POSE, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)),
     }
 

@@ -21,7 +21,7 @@ from multilica.sinks.rerun.entity_paths import (
     VERDICTS,
 )
 from multilica.sinks.rerun.scene import RerunScene
-from multilica.sinks.text.pair_tables import coverage_of, hypotheses_markdown, pair_figures_markdown
+from multilica.sinks.text.pair_tables import hypotheses_markdown, pair_figures_markdown
 from multilica.sinks.text.run_summary import summary_markdown
 
 _CELL_PIXELS = np.array([60, 20])
@@ -54,7 +54,7 @@ def log_pair_tables(scene: RerunScene) -> None:
         found = {(index[pair.target], index[pair.source]): pair for pair in state.registrations.values()}
         cells = dict(sorted(found.items(), key=lambda each: each[0]))
         _log_shares(scene, FITNESS, cells, [pair.fitness for pair in cells.values()])
-        _log_shares(scene, COVERAGE, cells, [coverage_of(pair) for pair in cells.values()])
+        _log_shares(scene, COVERAGE, cells, [pair.coverage for pair in cells.values()])
         _log_verdicts(scene, cells)
 
 

@@ -17,7 +17,7 @@ from multilica.results import (
     Refinement,
     SurfaceResiduals,
 )
-from multilica.sinks.text.prior_comparison import surprises
+from multilica.results.prior_comparison import surprises
 
 LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
 

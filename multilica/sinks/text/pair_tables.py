@@ -46,11 +46,6 @@ _SCORES_LEGEND = (
 )
 
 
-def coverage_of(pair: PairRegistration) -> float:
-    """Return the share of agreeing points among those in the other LiDAR's view; NaN without verification."""
-    return pair.registrations[0].visibility.coverage if pair.registrations else float("nan")
-
-
 def pair_figures_markdown(state: RunState) -> str:
     """Tabulate the figures of every pair."""
     table = markdown_table(_FIGURES_HEADER, [_figures_row(state, pair) for pair in state.pairs])
@@ -65,7 +60,7 @@ def _figures_row(state: RunState, pair: PairKey) -> Sequence[str]:
         return (*counts, "-", "-", "-", "no pose", "-")
     reasons = ", ".join(reason.code.replace("_", " ") for reason in found.verdict.reasons) or "-"
     violate = f"{found.registrations[0].visibility.violation_share:.1%}" if found.registrations else "-"
-    return (*counts, f"{found.fitness:.3f}", f"{coverage_of(found):.3f}", violate, found.verdict.outcome, reasons)
+    return (*counts, f"{found.fitness:.3f}", f"{found.coverage:.3f}", violate, found.verdict.outcome, reasons)
 
 
 def pair_scores_markdown(state: RunState, pair: PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]) -> str:

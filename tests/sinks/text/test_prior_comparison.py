@@ -15,12 +15,12 @@ from multilica import events
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import PRIOR, CalibrationResult, CoarseResult, LidarPlacement
-from multilica.sinks.files.provenance import provenance_of
-from multilica.sinks.files.result_document import result_document, run_document
+from multilica.results.document.building import provenance_of, result_document
+from multilica.results.prior_comparison import surprises
+from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
 from multilica.sinks.text.pair_tables import hypotheses_markdown
-from multilica.sinks.text.prior_comparison import surprises
 from multilica.sinks.text.run_summary import summary_markdown
 from tests.sinks.conftest import record
 from tests.sinks.files.test_result_files import SCHEMA

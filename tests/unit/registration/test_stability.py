@@ -10,7 +10,7 @@ from multilica.registration.gicp import register
 from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.registration.plane_fit import pose_information
 from multilica.registration.stability import check_stability, perturbed_ends, widened
-from multilica.results.deviations import weakest_sigmas
+from multilica.results.registrations import weakest_sigmas
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG, _FINE = AcceptanceConfig(), FineConfig()
