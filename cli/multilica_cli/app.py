@@ -1,8 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands whose help shows no type where it says nothing."""
+"""Commands whose help shows no type where it says nothing, and whose options may come in groups."""
 
+import inspect
 from collections.abc import Callable
-from typing import Any
+from dataclasses import MISSING, fields, is_dataclass
+from functools import wraps
+from inspect import Parameter
+from typing import Any, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -41,5 +45,40 @@ class App(typer.Typer):
         super().__init__(cls=_Group, **options)
 
     def command(self, *names: Any, **options: Any) -> Callable[[Any], Any]:  # noqa: ANN401 - those of typer
-        """Register a function as a command."""
-        return super().command(*names, cls=_Command, **options)
+        """Register a function as a command; a parameter that is a dataclass stands for an option per field."""
+        register = super().command(*names, cls=_Command, **options)
+        return lambda function: register(_with_groups(function))
+
+
+def _with_groups(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function with the fields of its parameters that are dataclasses as parameters of their own."""
+    signature = inspect.signature(function, eval_str=True)
+    every = signature.parameters.items()
+    groups: dict[str, Any] = {name: each.annotation for name, each in every if is_dataclass(each.annotation)}
+    if not groups:
+        return function
+
+    @wraps(function)
+    def with_fields(**values: Any) -> Any:  # noqa: ANN401 - those of the function
+        for name, group in groups.items():
+            values[name] = group(**{each.name: values.pop(each.name) for each in fields(group)})
+        return function(**values)
+
+    parameters: list[Parameter] = []
+    for name, each in every:
+        parameters += _fields_of(groups[name]) if name in groups else [each]
+    with_fields.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return with_fields
+
+
+def _fields_of(group: Any) -> list[Parameter]:  # noqa: ANN401 - a type of dataclass
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        Parameter(
+            each.name,
+            Parameter.KEYWORD_ONLY,
+            default=Parameter.empty if each.default is MISSING else each.default,
+            annotation=hints[each.name],
+        )
+        for each in fields(group)
+    ]

@@ -14,9 +14,6 @@ from multilica.errors import UsageError
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
-_LONGEST_LOG_S = 1e8
-"""Three years; larger numbers of --start are seconds since 1970."""
-
 
 def resolve_config(
     preset_name: str | None,
@@ -57,38 +54,6 @@ def inline_toml(value: object) -> str:
     if isinstance(value, Sequence) and not isinstance(value, str):
         return "[" + ", ".join(map(inline_toml, value)) + "]"
     return json.dumps(value, ensure_ascii=False)
-
-
-def ingest_options(
-    topics: Sequence[str] | None,
-    frames: int | None,
-    start: str | None,
-    window: str | None,
-    window_s: float | None,
-    *,
-    strict: bool,
-) -> dict[str, object]:
-    """Return the options that select what is read, as `resolve_config` takes them.
-
-    Raises:
-        UsageError: a text of `--topic` in another form, or a name twice.
-    """
-    try:
-        start_s = None if start is None else float(start)
-    except ValueError:
-        start_s = None
-    if start_s is not None and start_s >= _LONGEST_LOG_S:
-        start_s = None
-    return {
-        "ingest.topics": topic_names([text for text in topics or () if "=" in text]),
-        "ingest.only": [text for text in topics or () if "=" not in text] or None,
-        "ingest.frames": frames,
-        "ingest.start_s": start_s,
-        "ingest.start_at": start if start_s is None else None,
-        "ingest.window": window,
-        "ingest.window_s": window_s,
-        "ingest.strict": strict or None,
-    }
 
 
 def sigma_limits(text: str | None) -> dict[str, object]:

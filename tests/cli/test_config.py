@@ -8,21 +8,21 @@ from pathlib import Path
 import pytest
 
 from multilica.config import CalibrationConfig, known_keys, load_config, preset
-from multilica_cli.commands.config import parameters
+from multilica_cli.commands.config import list_parameters
 from multilica_cli.configuration import inline_toml, resolve_config, sigma_limits, topic_names
 from tests.cli.support import Invoke
 
 
 def test_every_key_is_listed_once() -> None:
-    assert sorted(parameter.key for parameter in parameters(CalibrationConfig())) == sorted(known_keys())
+    assert sorted(parameter.key for parameter in list_parameters(CalibrationConfig())) == sorted(known_keys())
 
 
 def test_every_parameter_says_what_it_means() -> None:
-    assert [parameter.key for parameter in parameters(CalibrationConfig()) if not parameter.meaning] == []
+    assert [parameter.key for parameter in list_parameters(CalibrationConfig()) if not parameter.meaning] == []
 
 
 def test_units_come_from_the_names() -> None:
-    units = {parameter.key: parameter.unit for parameter in parameters(CalibrationConfig())}
+    units = {parameter.key: parameter.unit for parameter in list_parameters(CalibrationConfig())}
     assert units["fine.voxel_size_m"] == "m"
     assert units["ground.max_tilt_deg"] == "deg"
     assert units["features.feature_radius_voxels"] == "voxels"

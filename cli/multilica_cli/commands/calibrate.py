@@ -5,80 +5,76 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from multilica_cli import options
-from multilica_cli.configuration import ingest_options, resolve_config, sigma_limits
+from multilica_cli.configuration import sigma_limits
 from multilica_cli.exit_codes import exit_code
+from multilica_cli.options import NEW_RUN_DIRECTORY, Json, Parameters, Quiet, Reading, Sources, Workers, option, output
 
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
 
 
 def calibrate(
-    sources: options.Sources,
+    sources: Sources,
     *,
     target: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="LiDAR whose frame the result is given in.",
-            show_default="the one with the most overlap",
+        option(
+            "--target NAME", "LiDAR whose frame the result is given in.", show_default="the one with the most overlap"
         ),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Directory for the results.",
-            show_default="recordings/runs/<source>, or <source>-2, ... if that is taken",
-            callback=options.local_path,
+        Path | None, output("--out DIR", "Directory for the results.", show_default=NEW_RUN_DIRECTORY)
+    ] = None,
+    prior: Annotated[
+        str | None,
+        option(
+            "--prior tf|FILE",
+            "Known poses to try as well: tf (the recording's /tf_static), or a TOML, URDF or other file of poses.",
         ),
     ] = None,
-    prior: options.PriorSource = None,
-    topics: options.Topics = None,
-    frames: options.Frames = None,
-    start: options.Start = None,
-    window: options.Window = None,
-    window_s: options.WindowSeconds = None,
-    strict: options.Strict = False,
-    preset: options.Preset = None,
-    config_file: options.ConfigFile = None,
-    settings: options.Settings = None,
-    max_sigma: options.MaxSigma = None,
-    until: Annotated[str | None, typer.Option(metavar="STAGE", help="Stop after this stage.")] = None,
-    workers: options.Workers = None,
+    reading: Reading,
+    parameters: Parameters,
+    max_sigma: Annotated[
+        str | None,
+        option(
+            "--max-sigma MM,DEG",
+            "Largest standard deviations of a placed LiDAR; above one of them it is uncertain.",
+            show_default="20,0.2",
+        ),
+    ] = None,
+    until: Annotated[str | None, option("--until STAGE", "Stop after this stage.")] = None,
+    workers: Workers = None,
     max_time_s: Annotated[
-        float | None,
-        typer.Option(
-            "--max-time", metavar="S", help="Search no pair later than this; ends with what it has, and says so."
-        ),
+        float | None, option("--max-time S", "Search no pair later than this; ends with what it has, and says so.")
     ] = None,
-    ground: Annotated[
-        bool, typer.Option("--ground", help="Also estimate roll, pitch and height above ground.")
-    ] = False,
+    ground: Annotated[bool, option("--ground", "Also estimate roll, pitch and height above ground.")] = False,
     base: Annotated[
         str | None,
-        typer.Option(
-            metavar="FRAME",
-            help="Name of the base frame on the ground; implies --ground.",
+        option(
+            "--base FRAME",
+            "Name of the base frame on the ground; implies --ground.",
             show_default="the common frame of --rig, else base",
         ),
     ] = None,
     rig: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="x, y and yaw of the target in FRAME: TOML, URDF or any format of export; implies --ground.",
-            show_default=False,
+        option(
+            "--rig FILE", "x, y and yaw of the target in FRAME: TOML, URDF or any format of export; implies --ground."
         ),
     ] = None,
-    record: options.Record = None,
-    mcap_encoding: options.McapEncoding = "foxglove",
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
+    record: Annotated[
+        Literal["full", "normal", "slim"] | None,
+        option("--record full|normal|slim", "Level of detail of recording.rrd.", show_default="normal"),
+    ] = None,
+    mcap_encoding: Annotated[
+        Literal["foxglove", "ros2"], option("--mcap-encoding foxglove|ros2", "Message encoding of result.mcap.")
+    ] = "foxglove",
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> int:
     """Calibrate the LiDARs of a recording and write the results into a directory.
 
@@ -95,7 +91,7 @@ def calibrate(
     given = {
         "target": target,
         "until": until,
-        **ingest_options(topics, frames, start, window, window_s, strict=strict),
+        **reading.values,
         **sigma_limits(max_sigma),
         "ground.enabled": ground or base is not None or None,
         "ground.frame": base,
@@ -103,7 +99,7 @@ def calibrate(
         "runtime.max_time_s": max_time_s,
         "record.detail": record,
     }
-    resolve = partial(resolve_config, preset, config_file, given, settings or ())
+    resolve = partial(parameters.resolve, given)
     with open_calibration_workers(resolve()) as pool:
         # Imported while the workers start.
         from multilica.ingest import frames_recorded

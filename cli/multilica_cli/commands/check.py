@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,87 +13,95 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from multilica.errors import UsageError
-from multilica_cli import options
-from multilica_cli.configuration import ingest_options, resolve_config
 from multilica_cli.exit_codes import ExitCode
+from multilica_cli.options import (
+    NEW_RUN_DIRECTORY,
+    ConfigFile,
+    Frames,
+    Json,
+    Parameters,
+    Quiet,
+    Reading,
+    Settings,
+    Sources,
+    Topics,
+    Workers,
+    argument,
+    option,
+    output,
+)
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
     from multilica.checks import RigCheck, RigTolerances
+    from multilica.config import CalibrationConfig
 
-_MaxTranslation = Annotated[
-    float, typer.Option("--max-translation", metavar="M", min=1e-6, help="Largest distance that is no drift.")
-]
-_MaxRotation = Annotated[
-    float, typer.Option("--max-rotation", metavar="DEG", min=1e-6, help="Largest rotation that is no drift.")
-]
-_TolerancesFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--tolerances", metavar="FILE", help=r"TOML with \[default] and \[lidars.NAME] that differ from these."
-    ),
-]
-_Junit = Annotated[
-    Path | None, typer.Option("--junit", metavar="FILE", help="Also write a JUnit report.", callback=options.local_path)
-]
-_Summary = Annotated[
-    Path | None,
-    typer.Option(
-        "--summary",
-        metavar="FILE",
-        help="Also write a Markdown summary, with a picture FILE.png beside it.",
-        callback=options.local_path,
-    ),
-]
-_CodeQuality = Annotated[
-    Path | None,
-    typer.Option(
-        "--code-quality",
-        metavar="FILE",
-        help="Also write a code quality report for GitLab.",
-        callback=options.local_path,
-    ),
-]
+_MaxTranslation = Annotated[float, option("--max-translation M", "Largest distance that is no drift.", min=1e-6)]
+_MaxRotation = Annotated[float, option("--max-rotation DEG", "Largest rotation that is no drift.", min=1e-6)]
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """The group of options for what passes, and for reports to CI services."""
+
+    max_translation_m: _MaxTranslation = 0.03
+    max_rotation_deg: _MaxRotation = 0.3
+    tolerances: Annotated[
+        Path | None, option("--tolerances FILE", r"TOML with \[default] and \[lidars.NAME] that differ from these.")
+    ] = None
+    junit: Annotated[Path | None, output("--junit FILE", "Also write a JUnit report.")] = None
+    summary: Annotated[
+        Path | None, output("--summary FILE", "Also write a Markdown summary, with a picture FILE.png beside it.")
+    ] = None
+    code_quality: Annotated[
+        Path | None, output("--code-quality FILE", "Also write a code quality report for GitLab.")
+    ] = None
+
+    def limits(self, reference: Path) -> RigTolerances:
+        """Return the tolerances; refuse a reference that is not there before anything takes time."""
+        from multilica.checks import read_tolerances
+        from multilica.errors import SourceNotFoundError
+
+        default = _tolerances(self.max_translation_m, self.max_rotation_deg)
+        found = default if self.tolerances is None else read_tolerances(self.tolerances, default.default)
+        if not reference.exists():
+            raise SourceNotFoundError(
+                f"No reference at {reference}; give a calibration.toml, a run, or another file of poses."
+            )
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class _Recording:
+    """The group of options for reading a recording that is compared."""
+
+    topics: Topics = None
+    frames: Frames = None
+    config_file: ConfigFile = None
+    settings: Settings = None
+
+    def resolve(self, workers: int | None = None, recorded_frames: int | None = None) -> CalibrationConfig:
+        """Build the configuration."""
+        given = Reading(self.topics, self.frames).values | {"runtime.workers": workers}
+        return Parameters(None, self.config_file, self.settings).resolve(given, recorded_frames)
 
 
 def check(
     sources: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="RUN|SOURCE",
-            help="Run directories or their files, or recordings, which are calibrated first.",
-            show_default=False,
-        ),
+        list[str], argument("RUN|SOURCE", "Run directories or their files, or recordings, which are calibrated first.")
     ],
     *,
     against: Annotated[
-        Path,
-        typer.Option(
-            metavar="REFERENCE", help="A calibration.toml, a run, or another file of poses.", show_default=False
-        ),
+        Path, option("--against REFERENCE", "A calibration.toml, a run, or another file of poses.", show_default=False)
     ],
-    max_translation_m: _MaxTranslation = 0.03,
-    max_rotation_deg: _MaxRotation = 0.3,
-    tolerances: _TolerancesFile = None,
-    junit: _Junit = None,
-    summary: _Summary = None,
-    code_quality: _CodeQuality = None,
+    gate: Gate,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Directory of the calibration.",
-            show_default="recordings/runs/<source>, or <source>-2, ... if that is taken",
-            callback=options.local_path,
-        ),
+        Path | None, output("--out DIR", "Directory of the calibration.", show_default=NEW_RUN_DIRECTORY)
     ] = None,
-    topics: options.Topics = None,
-    frames: options.Frames = None,
-    config_file: options.ConfigFile = None,
-    settings: options.Settings = None,
-    workers: options.Workers = None,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
+    recording: _Recording,
+    workers: Workers = None,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> int:
     """Compare the poses of a run with a reference, LiDAR by LiDAR, in units of tolerance and sigma.
 
@@ -101,8 +110,7 @@ def check(
     from multilica.checks import check_rig, decide_unplaced, read_reference
     from multilica.runs.run_documents import is_run, read_run_document, saved_run
 
-    limits = _tolerances(tolerances, max_translation_m, max_rotation_deg)
-    _require_reference(against)
+    limits = gate.limits(against)
     runs = [is_run(Path(source)) for source in sources]
     if any(runs) and not all(runs):
         raise UsageError(
@@ -114,8 +122,7 @@ def check(
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
 
-        given = {**ingest_options(topics, frames, None, None, None, strict=False), "runtime.workers": workers}
-        config = resolve_config(None, config_file, given, settings or ())
+        config = recording.resolve(workers)
         with show_progress(quiet=quiet or as_json) as observe:
             run = run_calibration(sources, out, config, observe=observe)
         directories = [run.directory, *(path for path in run.written if path.is_dir())]
@@ -129,28 +136,19 @@ def check(
             from multilica.ingest import read_snapshot
 
             checks = [decide_unplaced(checks[0], read_snapshot(sources, config=config.ingest), known, limits, config)]
-    return _finish(checks, against, junit, summary, code_quality, quiet=quiet, as_json=as_json)
+    return _finish(checks, against, gate, quiet=quiet, as_json=as_json)
 
 
 def verify(
-    sources: options.Sources,
+    sources: Sources,
     *,
     calibration: Annotated[
-        Path,
-        typer.Option(metavar="FILE", help="A calibration.toml, a run, or another file of poses.", show_default=False),
+        Path, option("--calibration FILE", "A calibration.toml, a run, or another file of poses.", show_default=False)
     ],
-    max_translation_m: _MaxTranslation = 0.03,
-    max_rotation_deg: _MaxRotation = 0.3,
-    tolerances: _TolerancesFile = None,
-    junit: _Junit = None,
-    summary: _Summary = None,
-    code_quality: _CodeQuality = None,
-    topics: options.Topics = None,
-    frames: options.Frames = None,
-    config_file: options.ConfigFile = None,
-    settings: options.Settings = None,
-    quiet: options.Quiet = False,
-    as_json: options.Json = False,
+    gate: Gate,
+    recording: _Recording,
+    quiet: Quiet = False,
+    as_json: Json = False,
 ) -> int:
     """Tell whether extrinsics are still right on a recording, without a search, and which LiDAR has moved.
 
@@ -160,34 +158,26 @@ def verify(
     from multilica.ingest import frames_recorded, read_snapshot
     from multilica.ingest.locate import locate
 
-    limits = _tolerances(tolerances, max_translation_m, max_rotation_deg)
-    _require_reference(calibration)
+    limits = gate.limits(calibration)
     files = [locate(source) for source in sources]
-    given = ingest_options(topics, frames, None, None, None, strict=False)
-    config = resolve_config(None, config_file, given, settings or (), frames_recorded(files))
+    config = recording.resolve(recorded_frames=frames_recorded(files))
     snapshot = read_snapshot(files, config=config.ingest)
     known = read_reference(calibration, {lidar.name: lidar.frame_id for lidar in snapshot.lidars})
     found = verify_snapshot(snapshot, known, limits, config)
     for note in () if quiet or as_json else snapshot.notes:
         stdout_console().print(f"note: {note}")
-    return _finish([found], calibration, junit, summary, code_quality, quiet=quiet, as_json=as_json)
+    return _finish([found], calibration, gate, quiet=quiet, as_json=as_json)
 
 
 def accept(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run directory that was reviewed.", show_default=False)],
+    run: Annotated[Path, argument("RUN", "Run directory that was reviewed.")],
     *,
     into: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE",
-            help="Reference that pipelines check against, kept in git.",
-            show_default=False,
-            callback=options.local_path,
-        ),
+        Path, output("--into FILE", "Reference that pipelines check against, kept in git.", show_default=False)
     ],
     max_translation_m: _MaxTranslation = 0.03,
     max_rotation_deg: _MaxRotation = 0.3,
-    quiet: options.Quiet = False,
+    quiet: Quiet = False,
 ) -> None:
     """Write the extrinsics of a reviewed run, with their provenance, into the file that pipelines check against.
 
@@ -196,38 +186,19 @@ def accept(
     from multilica.checks import accept_run
     from multilica_cli.tables.check import print_check
 
-    console = stdout_console(quiet=quiet)
-    before = accept_run(run, into, _tolerances(None, max_translation_m, max_rotation_deg))
-    print_check([] if before is None else [before], [into], console)
+    before = accept_run(run, into, _tolerances(max_translation_m, max_rotation_deg))
+    print_check([] if before is None else [before], [into], stdout_console(quiet=quiet))
 
 
-def _require_reference(path: Path) -> None:
-    """Refuse a reference that is not there before anything takes time."""
-    from multilica.errors import SourceNotFoundError
+def _tolerances(translation_m: float, rotation_deg: float) -> RigTolerances:
+    from multilica.checks import RigTolerances, Tolerance
 
-    if not path.exists():
-        raise SourceNotFoundError(f"No reference at {path}; give a calibration.toml, a run, or another file of poses.")
+    return RigTolerances(default=Tolerance(translation_m=translation_m, rotation_deg=rotation_deg))
 
 
-def _tolerances(path: Path | None, translation_m: float, rotation_deg: float) -> RigTolerances:
-    from multilica.checks import RigTolerances, Tolerance, read_tolerances
-
-    default = Tolerance(translation_m=translation_m, rotation_deg=rotation_deg)
-    return RigTolerances(default=default) if path is None else read_tolerances(path, default)
-
-
-def _finish(
-    checks: Sequence[RigCheck],
-    reference: Path,
-    junit: Path | None,
-    summary: Path | None,
-    code_quality: Path | None,
-    *,
-    quiet: bool,
-    as_json: bool,
-) -> int:
+def _finish(checks: Sequence[RigCheck], reference: Path, gate: Gate, *, quiet: bool, as_json: bool) -> int:
     """Write the reports, print the outcome, and return the exit code."""
-    from multilica.checks import check_document, joint_verdict
+    from multilica.checks import check_document
     from multilica.checks.ci_reports import github_annotations, write_reports
     from multilica_cli.tables.check import print_check
 
@@ -235,17 +206,18 @@ def _finish(
         checks,
         str(reference),
         datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%S"),
-        junit=junit,
-        summary=summary,
-        code_quality=code_quality,
+        junit=gate.junit,
+        summary=gate.summary,
+        code_quality=gate.code_quality,
         step_summary=os.environ.get("GITHUB_STEP_SUMMARY") or None,
     )
+    document = check_document(checks, str(reference))
     if as_json:
-        typer.echo(check_document(checks, str(reference)).model_dump_json(indent=2))
+        typer.echo(document.model_dump_json(indent=2))
     else:
         print_check(checks, written, stdout_console(quiet=quiet))
         if os.environ.get("GITHUB_ACTIONS") == "true":
             for line in github_annotations(checks):
                 typer.echo(line)
     codes = {"within": ExitCode.DONE, "outside": ExitCode.DIFFERENT, "undecided": ExitCode.NOT_PLACED}
-    return codes[joint_verdict([each.verdict for each in checks])]
+    return codes[document.verdict]

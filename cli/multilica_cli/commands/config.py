@@ -14,8 +14,8 @@ from rich.console import Console
 from rich.table import Table
 
 from multilica.errors import UsageError
-from multilica_cli.configuration import inline_toml, resolve_config
-from multilica_cli.options import ConfigFile, Preset, Settings
+from multilica_cli.configuration import inline_toml
+from multilica_cli.options import Parameters, option
 from multilica_cli.terminal import print_json, stdout_console
 
 if TYPE_CHECKING:
@@ -41,23 +41,19 @@ _BOUNDS = {"minimum": ">= {}", "exclusiveMinimum": "> {}", "maximum": "<= {}", "
 
 def config(
     *,
-    preset: Preset = None,
-    config_file: ConfigFile = None,
-    settings: Settings = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-    as_toml: Annotated[bool, typer.Option("--toml", help="Print a file for --config.")] = False,
-    as_markdown: Annotated[
-        bool, typer.Option("--markdown", help="Print the page docs/reference/configuration.md.")
-    ] = False,
+    parameters: Parameters,
+    as_json: Annotated[bool, option("--json", "Print JSON.")] = False,
+    as_toml: Annotated[bool, option("--toml", "Print a file for --config.")] = False,
+    as_markdown: Annotated[bool, option("--markdown", "Print the page docs/reference/configuration.md.")] = False,
 ) -> None:
     """Print all parameters with value, unit and meaning."""
     if as_json + as_toml + as_markdown > 1:
         raise UsageError("Found more than one of --json, --toml and --markdown; give one of them.")
-    resolved = resolve_config(preset, config_file, {}, settings or ())
+    resolved = parameters.resolve()
     if as_toml or as_markdown:
         typer.echo(_configuration_file(resolved) if as_toml else configuration_page(), nl=False)
         return
-    rows = parameters(resolved)
+    rows = list_parameters(resolved)
     if as_json:
         print_json([asdict(parameter) for parameter in rows])
         return
@@ -113,7 +109,7 @@ class Parameter:
         return self.meaning + (f" ({self.allowed})" if self.allowed else "")
 
 
-def parameters(config: CalibrationConfig) -> tuple[Parameter, ...]:
+def list_parameters(config: CalibrationConfig) -> tuple[Parameter, ...]:
     """List all parameters with their values, those of the whole run first, then in the order of the stages."""
     values = config.model_dump(mode="json")
     schema = config.model_json_schema()
@@ -143,7 +139,7 @@ def _allowed(field: dict[str, Any]) -> str:
 def _configuration_file(config: CalibrationConfig) -> str:
     """Write a file for `--config` with the meaning of each key as a comment."""
     lines = ["# Keys that are left out keep the value of the preset."]
-    for section, members in groupby(parameters(config), key=lambda parameter: parameter.section):
+    for section, members in groupby(list_parameters(config), key=lambda parameter: parameter.section):
         lines += ["", f"[{section}]"] if section else []
         for parameter in members:
             lines += [f"# {parameter.meaning_with_limits}", f"{parameter.name} = {inline_toml(parameter.value)}"]
@@ -154,9 +150,9 @@ def configuration_page() -> str:
     """Write the page of the documentation: one table per section, with the values of `default` and `paper`."""
     from multilica.config import preset
 
-    paper = {parameter.key: parameter.value for parameter in parameters(preset("paper"))}
+    paper = {parameter.key: parameter.value for parameter in list_parameters(preset("paper"))}
     lines = list(_PAGE_HEAD)
-    for section, members in groupby(parameters(preset("default")), key=lambda parameter: parameter.section):
+    for section, members in groupby(list_parameters(preset("default")), key=lambda parameter: parameter.section):
         lines += ["", f"## `[{section}]`" if section else "## The whole run", "", *_TABLE_HEAD]
         for each in members:
             other = f"`{inline_toml(paper[each.key])}`" if paper[each.key] != each.value else ""

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from multilica_cli.configuration import topic_names
-from multilica_cli.options import Json, Quiet, Settings, local_path
+from multilica_cli.options import Json, Quiet, Settings, WithinDeg, WithinM, argument, option, output
 from multilica_cli.terminal import stdout_console
 
 
@@ -16,47 +16,34 @@ def datasets(
     name: Annotated[Literal["helipr", "edgar", "opencalib"], typer.Argument(metavar="NAME", help="The data set.")],
     path: Annotated[
         Path,
-        typer.Argument(
-            metavar="PATH",
-            help="helipr: folder of a sequence. edgar: folder with a ROS 2 bag or a folder of PCD files per scene. "
+        argument(
+            "PATH",
+            "helipr: folder of a sequence. edgar: folder with a ROS 2 bag or a folder of PCD files per scene. "
             "opencalib: lidar2lidar/auto_calib/data, or one folder of it.",
-            show_default=False,
         ),
     ],
     *,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Directory for scenes and runs.",
-            show_default="recordings/runs/<NAME>",
-            callback=local_path,
-        ),
+        Path | None, output("--out DIR", "Directory for scenes and runs.", show_default="recordings/runs/<NAME>")
     ] = None,
     presets: Annotated[
-        list[str] | None,
-        typer.Option("--preset", metavar="NAME", help="Preset to run. Repeatable.", show_default="all"),
+        list[str] | None, option("--preset NAME", "Preset to run. Repeatable.", show_default="all")
     ] = None,
-    scenes: Annotated[int, typer.Option(metavar="N", help="Largest number of scenes.")] = 10,
-    frames: Annotated[int, typer.Option(metavar="N", help="Frames per LiDAR and scene.")] = 5,
-    target: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Target LiDAR.", show_default="that of the data set")
-    ] = None,
+    scenes: Annotated[int, option("--scenes N", "Largest number of scenes.")] = 10,
+    frames: Annotated[int, option("--frames N", "Frames per LiDAR and scene.")] = 5,
+    target: Annotated[str | None, option("--target NAME", "Target LiDAR.", show_default="that of the data set")] = None,
     topics: Annotated[
-        list[str] | None,
-        typer.Option("--topic", metavar="NAME=/topic", help="edgar: the topic of a LiDAR of the truth. Repeatable."),
+        list[str] | None, option("--topic NAME=/topic", "edgar: the topic of a LiDAR of the truth. Repeatable.")
     ] = None,
     truth: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="True poses, as TOML or as the authors' config.yaml.",
-            show_default="that of the data set",
+        option(
+            "--truth FILE", "True poses, as TOML or as the authors' config.yaml.", show_default="that of the data set"
         ),
     ] = None,
     settings: Settings = None,
-    within_m: Annotated[float, typer.Option(metavar="M", help="Largest position error of a success.")] = 0.02,
-    within_deg: Annotated[float, typer.Option(metavar="DEG", help="Largest rotation error of a success.")] = 0.1,
+    within_m: WithinM = 0.02,
+    within_deg: WithinDeg = 0.1,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:

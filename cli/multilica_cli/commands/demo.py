@@ -5,19 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from multilica_cli.exit_codes import exit_code
-from multilica_cli.options import Quiet, local_path
+from multilica_cli.options import Quiet, output
 
 SAMPLE_NAME = "edgar-street"
 
 
 def demo(
     *,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Directory for the results.", callback=local_path)] = Path(
-        "recordings/runs/demo"
-    ),
+    out: Annotated[Path, output("--out DIR", "Directory for the results.")] = Path("recordings/runs/demo"),
     quiet: Quiet = False,
 ) -> int:
     """Calibrate the embedded sample and compare the result with the ground truth."""

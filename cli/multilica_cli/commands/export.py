@@ -4,60 +4,48 @@
 from pathlib import Path
 from typing import Annotated, Literal
 
-import typer
-
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Quiet
+from multilica_cli.options import Quiet, argument, option
 from multilica_cli.terminal import stderr_console, stdout_console
 
 
 def export(
-    run: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN", help="Run directory, its result.json or result.mcap, or a recording.", show_default=False
-        ),
-    ],
+    run: Annotated[Path, argument("RUN", "Run directory, its result.json or result.mcap, or a recording.")],
     *,
     to: Annotated[
         str,
-        typer.Option(
-            metavar="FORMAT",
-            help="toml, urdf, ros2-launch, ros2-static, ros1-launch, tf-static, autoware, kalibr, kitti, matrices, "
+        option(
+            "--to FORMAT",
+            "toml, urdf, ros2-launch, ros2-static, ros1-launch, tf-static, autoware, kalibr, kitti, matrices, "
             "opencalib or csv; of the stitched cloud pcd, ply or las.",
             show_default=False,
         ),
     ],
     out: Annotated[
         str,
-        typer.Option(
-            metavar="FILE",
-            help="File to write; of an existing URDF or Autoware file, only the poses of the LiDARs change.",
+        option(
+            "--out FILE",
+            "File to write; of an existing URDF or Autoware file, only the poses of the LiDARs change.",
             show_default=False,
         ),
     ],
     base: Annotated[
         str | None,
-        typer.Option(
-            metavar="FRAME",
-            help="Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, the run's base frame or another "
+        option(
+            "--base FRAME",
+            "Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, the run's base frame or another "
             "name of the target.",
             show_default="that of calibrate --rig, else the target",
         ),
     ] = None,
     rig: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Known pose of the target in FRAME: TOML, URDF or any format of --to.",
-            show_default=False,
-        ),
+        Path | None, option("--rig FILE", "Known pose of the target in FRAME: TOML, URDF or any format of --to.")
     ] = None,
     frames: Annotated[
         Literal["names", "ids"],
-        typer.Option(metavar="names|ids", help="Call frames by the LiDARs' names, or by the frame ids of the input."),
+        option("--frames names|ids", "Call frames by the LiDARs' names, or by the frame ids of the input."),
     ] = "names",
-    with_uncertain: Annotated[bool, typer.Option("--with-uncertain", help="Export uncertain LiDARs too.")] = False,
+    with_uncertain: Annotated[bool, option("--with-uncertain", "Export uncertain LiDARs too.")] = False,
     quiet: Quiet = False,
 ) -> int:
     """Write the poses of a run as a file for other programs, or its clouds in one frame.

@@ -12,7 +12,7 @@ import typer
 from multilica_cli import options
 from multilica_cli.app import App
 from multilica_cli.commands.fleet_report import report
-from multilica_cli.configuration import ingest_options, resolve_config
+from multilica_cli.configuration import resolve_config
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import print_json, stdout_console
 
@@ -118,7 +118,7 @@ def run(
     from multilica.fleet.tasks.guard import LogTaskLimits
     from multilica_cli.fleet_progress import show_fleet
 
-    given = {**ingest_options(topics, frames, None, window, None, strict=False), "target": target}
+    given = {**options.Reading(topics, frames, window=window).values, "target": target}
     config = resolve_config(None, config_file, {**given, "runtime.workers": 1}, settings or ())
     chosen = FleetOptions(
         config,

@@ -7,16 +7,11 @@ from typing import Annotated, Literal
 import typer
 
 from multilica.errors import UsageError
-from multilica_cli.options import local_path
+from multilica_cli.options import argument, local_path
 
 
 def query(
-    run: Annotated[
-        Path,
-        typer.Argument(
-            metavar="RUN", help="Run directory, or a recording (.rrd), complete or not.", show_default=False
-        ),
-    ],
+    run: Annotated[Path, argument("RUN", "Run directory, or a recording (.rrd), complete or not.")],
     table: Annotated[
         Literal["pairs", "matches", "surfaces", "merge", "timings"],
         typer.Argument(

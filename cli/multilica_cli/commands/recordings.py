@@ -4,34 +4,20 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from multilica.errors import UnfitSnapshotError, UsageError
-from multilica_cli.configuration import ingest_options, resolve_config
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Frames, Json, Quiet, Sources, Start, Strict, Topics, Window, WindowSeconds, mcap_name
+from multilica_cli.options import Json, Parameters, Quiet, Reading, Sources, argument, mcap_name, option
 from multilica_cli.terminal import print_json, stderr_console, stdout_console
 
 
-def inspect(
-    sources: Sources,
-    *,
-    topics: Topics = None,
-    frames: Frames = None,
-    start: Start = None,
-    window: Window = None,
-    window_s: WindowSeconds = None,
-    strict: Strict = False,
-    as_json: Json = False,
-) -> None:
+def inspect(sources: Sources, *, reading: Reading, as_json: Json = False) -> None:
     """List the topics of a recording and what calibrate would use."""
     from multilica.ingest import frames_recorded, inspect_source
     from multilica.ingest.locate import locate
     from multilica_cli.tables.source import print_summary, summary_document
 
     files = [locate(source) for source in sources]
-    options = ingest_options(topics, frames, start, window, window_s, strict=strict)
-    config = resolve_config(None, None, options, (), frames_recorded(files))
+    config = Parameters().resolve(reading.values, frames_recorded(files))
     summary = inspect_source(files, config=config.ingest)
     if as_json:
         print_json(summary_document(summary))
@@ -43,27 +29,14 @@ def inspect(
 
 def record(
     sources: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SOURCE",
-            help="As for calibrate, or ws://HOST:PORT of a vehicle that runs foxglove_bridge.",
-            show_default=False,
-        ),
+        list[str], argument("SOURCE", "As for calibrate, or ws://HOST:PORT of a vehicle that runs foxglove_bridge.")
     ],
     *,
-    out: Annotated[
-        Path, typer.Option(metavar="FILE.mcap", help="File to write.", show_default=False, callback=mcap_name)
-    ],
-    vehicle: Annotated[str, typer.Option(metavar="NAME", help="Name of the vehicle, stored in the file.")] = "",
-    topics: Topics = None,
-    frames: Frames = None,
-    start: Start = None,
-    window: Window = None,
-    window_s: WindowSeconds = None,
-    strict: Strict = False,
+    out: Annotated[Path, option("--out FILE.mcap", "File to write.", show_default=False, callback=mcap_name)],
+    vehicle: Annotated[str, option("--vehicle NAME", "Name of the vehicle, stored in the file.")] = "",
+    reading: Reading,
     timeout_s: Annotated[
-        float | None,
-        typer.Option("--timeout", metavar="S", help="Stop listening to a running vehicle after S seconds."),
+        float | None, option("--timeout S", "Stop listening to a running vehicle after S seconds.")
     ] = None,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -80,8 +53,8 @@ def record(
     if out.exists() and any(out.resolve().is_relative_to(Path(source).resolve()) for source in sources):
         raise UsageError(f"Found --out {out}, which belongs to the source itself; expected another place.")
     files = [source if is_live(source) else locate(source) for source in sources]
-    options = ingest_options(topics, frames, start, window, window_s, strict=strict) | {"ingest.timeout_s": timeout_s}
-    config = resolve_config(None, None, options, (), frames_recorded(files)).ingest
+    given = reading.values | {"ingest.timeout_s": timeout_s}
+    config = Parameters().resolve(given, frames_recorded(files)).ingest
     if any(is_live(source) for source in sources):
         listening = f"listening for {config.frames} scans of each LiDAR, at most {config.timeout_s:g} s"
         stderr_console(quiet=quiet).print(listening)

@@ -4,23 +4,22 @@
 from dataclasses import asdict
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from multilica.errors import UsageError
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Json, Quiet, local_path
+from multilica_cli.options import Json, Quiet, WithinDeg, WithinM, argument, option, output
 from multilica_cli.terminal import print_json, stdout_console
 
-
-def _run(meaning: str, metavar: str = "RUN") -> Any:  # noqa: ANN401 - typer's own type is private
-    return typer.Argument(metavar=metavar, help=meaning, show_default=False)
+_COMPARED = "A run directory, its result.json, a recording (.rrd), or a file of poses."
 
 
 def explain(
     run: Annotated[
-        Path, _run("Run directory, its result.json, its result.mcap, or a recording (.rrd), complete or not.")
+        Path,
+        argument("RUN", "Run directory, its result.json, its result.mcap, or a recording (.rrd), complete or not."),
     ],
     *,
     as_json: Json = False,
@@ -42,14 +41,14 @@ def explain(
 
 
 def diff(
-    run_a: Annotated[Path, _run("A run directory, its result.json, a recording (.rrd), or a file of poses.", "RUN_A")],
-    run_b: Annotated[Path, _run("A run directory, its result.json, a recording (.rrd), or a file of poses.", "RUN_B")],
+    run_a: Annotated[Path, argument("RUN_A", _COMPARED)],
+    run_b: Annotated[Path, argument("RUN_B", _COMPARED)],
     *,
     within_m: Annotated[
-        float, typer.Option(metavar="M", min=0.0, help="Largest distance that does not count as a move.")
+        float, option("--within-m M", "Largest distance that does not count as a move.", min=0.0)
     ] = 1e-4,
     within_deg: Annotated[
-        float, typer.Option(metavar="DEG", min=0.0, help="Largest rotation that does not count as a move.")
+        float, option("--within-deg DEG", "Largest rotation that does not count as a move.", min=0.0)
     ] = 1e-3,
     as_json: Json = False,
 ) -> int:
@@ -79,38 +78,28 @@ def diff(
 
 
 def evaluate(
-    runs: Annotated[list[Path], _run("Run directory or its result.json; one or more.")],
+    runs: Annotated[list[Path], argument("RUN", "Run directory or its result.json; one or more.")],
     *,
     truths: Annotated[
         list[Path],
-        typer.Option(
-            "--truth",
-            metavar="FILE",
-            help="Ground truth as `simulate` writes it, or in any format of export: one file for all runs, or "
+        option(
+            "--truth FILE",
+            "Ground truth as `simulate` writes it, or in any format of export: one file for all runs, or "
             "repeated, one per run in order.",
             show_default=False,
         ),
     ],
-    within_m: Annotated[float, typer.Option(metavar="M", help="Largest position error of a success.")] = 0.02,
-    within_deg: Annotated[float, typer.Option(metavar="DEG", help="Largest rotation error of a success.")] = 0.1,
-    wrong_m: Annotated[
-        float, typer.Option(metavar="M", help="Position error above which it is a false accept.")
-    ] = 0.05,
-    wrong_deg: Annotated[
-        float, typer.Option(metavar="DEG", help="Rotation error above which it is a false accept.")
-    ] = 0.5,
-    wrong_sigma: Annotated[
-        float, typer.Option(metavar="N", help="Sigmas above which an error is a false accept.")
-    ] = 4.0,
+    within_m: WithinM = 0.02,
+    within_deg: WithinDeg = 0.1,
+    wrong_m: Annotated[float, option("--wrong-m M", "Position error above which it is a false accept.")] = 0.05,
+    wrong_deg: Annotated[float, option("--wrong-deg DEG", "Rotation error above which it is a false accept.")] = 0.5,
+    wrong_sigma: Annotated[float, option("--wrong-sigma N", "Sigmas above which an error is a false accept.")] = 4.0,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Also write a .parquet or .csv table with a row per LiDAR.", callback=local_path
-        ),
+        Path | None, output("--out FILE", "Also write a .parquet or .csv table with a row per LiDAR.")
     ] = None,
     table: Annotated[
         Literal["paper"] | None,
-        typer.Option(metavar="paper", help="Print the paper's table instead: RMSE per axis, also between the LiDARs."),
+        option("--table paper", "Print the paper's table instead: RMSE per axis, also between the LiDARs."),
     ] = None,
     quiet: Quiet = False,
     as_json: Json = False,
@@ -147,16 +136,13 @@ def evaluate(
 
 
 def view(
-    run: Annotated[Path, _run("A run directory or a recording (.rrd), also one that was cut off.")],
+    run: Annotated[Path, argument("RUN", "A run directory or a recording (.rrd), also one that was cut off.")],
     *,
     png: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Draw a picture instead of opening a window; needs no screen.", callback=local_path
-        ),
+        Path | None, output("--png FILE", "Draw a picture instead of opening a window; needs no screen.")
     ] = None,
-    width_px: Annotated[int, typer.Option("--width", metavar="PX", help="Width of the picture.")] = 1600,
-    height_px: Annotated[int, typer.Option("--height", metavar="PX", help="Height of the picture.")] = 900,
+    width_px: Annotated[int, option("--width PX", "Width of the picture.")] = 1600,
+    height_px: Annotated[int, option("--height PX", "Height of the picture.")] = 900,
     quiet: Quiet = False,
 ) -> None:
     """Open the recording of a run in Rerun's viewer, or draw it into a file."""
@@ -174,12 +160,9 @@ def view(
 
 
 def report(
-    run: Annotated[Path, _run("Run directory or recording (.rrd), complete or not.")],
+    run: Annotated[Path, argument("RUN", "Run directory or recording (.rrd), complete or not.")],
     *,
-    out: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File to write.", show_default="RUN/report.html", callback=local_path),
-    ] = None,
+    out: Annotated[Path | None, output("--out FILE", "File to write.", show_default="RUN/report.html")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Create report.html for a run that was killed before it wrote one."""

@@ -2,98 +2,74 @@
 """`multilica simulate`: simulated recordings with ground truth, one or those of a fleet."""
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from multilica.errors import UsageError
-from multilica_cli.options import local_path, mcap_name
+from multilica_cli.options import local_path, mcap_name, option
 from multilica_cli.terminal import stdout_console
 
-_ONE, _FLEET = "A recording", "A fleet"
 _FRAMES, _VEHICLES, _LOGS = 5, 20, 200
+_one = partial(option, rich_help_panel="A recording")
+_many = partial(option, rich_help_panel="A fleet")
 
 
 def simulate(
     *,
     rig: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Vehicle: edgar, helipr, sides, chain, blind, ring6, sectors8, sectors20, truck. Required.",
-            rich_help_panel=_ONE,
-        ),
+        _one("--rig NAME", "Vehicle: edgar, helipr, sides, chain, blind, ring6, sectors8, sectors20, truck. Required."),
     ] = None,
     scene: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Scene: street, parking, garage, symmetric_garage, tunnel, open_field, fence_field. Required.",
-            rich_help_panel=_ONE,
+        _one(
+            "--scene NAME",
+            "Scene: street, parking, garage, symmetric_garage, tunnel, open_field, fence_field. Required.",
         ),
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE.mcap",
-            help="Recording to write, with FILE.truth.toml. Required.",
-            callback=mcap_name,
-            rich_help_panel=_ONE,
-        ),
+        Path | None, _one("--out FILE.mcap", "Recording to write, with FILE.truth.toml. Required.", callback=mcap_name)
     ] = None,
     build_seed: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Seed of the mounting only: the same vehicle in another scene.",
-            show_default="as --seed",
-            rich_help_panel=_ONE,
+        _one(
+            "--build-seed N", "Seed of the mounting only: the same vehicle in another scene.", show_default="as --seed"
         ),
     ] = None,
     disturb: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="NAME",
-            help="Disturbance: rain, truck (beside the vehicle), pedestrians, moving, ego_masked, low_overlap, "
+        _one(
+            "--disturb NAME",
+            "Disturbance: rain, truck (beside the vehicle), pedestrians, moving, ego_masked, low_overlap, "
             "dead:LIDAR, dirty:LIDAR. Repeatable.",
-            rich_help_panel=_ONE,
         ),
     ] = None,
     fleet: Annotated[
         Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="New folder for logs of many vehicles over a year, in several formats, with LiDARs that jump, creep "
+        _many(
+            "--fleet DIR",
+            "New folder for logs of many vehicles over a year, in several formats, with LiDARs that jump, creep "
             "or die, broken files and duplicates; fleet.truth.json says which.",
             callback=local_path,
-            rich_help_panel=_FLEET,
         ),
     ] = None,
-    vehicles: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Vehicles.", show_default=str(_VEHICLES), rich_help_panel=_FLEET),
-    ] = None,
-    logs: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="Logs of all vehicles.", show_default=str(_LOGS), rich_help_panel=_FLEET),
-    ] = None,
+    vehicles: Annotated[int | None, _many("--vehicles N", "Vehicles.", show_default=str(_VEHICLES))] = None,
+    logs: Annotated[int | None, _many("--logs N", "Logs of all vehicles.", show_default=str(_LOGS))] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            help="Worker processes; 1: none. The files are the same with any number.",
+        _many(
+            "--workers N",
+            "Worker processes; 1: none. The files are the same with any number.",
             show_default="one per core",
-            rich_help_panel=_FLEET,
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of scenes, mounting, noise and events.")] = 0,
+    seed: Annotated[int, option("--seed", "Seed of scenes, mounting, noise and events.")] = 0,
     frames: Annotated[
-        int | None, typer.Option(help="Frames per LiDAR.", show_default=f"{_FRAMES}; 2 for a fleet")
+        int | None, option("--frames", "Frames per LiDAR.", show_default=f"{_FRAMES}; 2 for a fleet")
     ] = None,
     keep_every: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Keep only every Nth return.", show_default="1; 12 for a fleet"),
+        int | None, option("--keep-every N", "Keep only every Nth return.", min=1, show_default="1; 12 for a fleet")
     ] = None,
 ) -> None:
     """Simulate a recording, or with --fleet the logs of many vehicles, by ray casting, with exact ground truth."""
@@ -126,14 +102,7 @@ def _refuse(options: Mapping[str, object], reason: str) -> None:
 
 
 def _simulate_recording(
-    rig: str,
-    scene: str,
-    out: Path,
-    seed: int,
-    build_seed: int | None,
-    disturb: list[str],
-    frames: int,
-    keep_every: int,
+    rig: str, scene: str, out: Path, seed: int, build_seed: int | None, disturb: list[str], frames: int, keep_every: int
 ) -> None:
     import tomli_w
 

@@ -29,13 +29,7 @@ class FoldingTable:
     """
 
     def __init__(
-        self,
-        title: str,
-        columns: Iterable[str],
-        *,
-        numbers_from: int = 1,
-        keys: int = 1,
-        spare: Sequence[str] = (),
+        self, title: str, columns: Iterable[str], *, numbers_from: int = 1, keys: int = 1, spare: Sequence[str] = ()
     ) -> None:
         self.title = title
         self._columns = tuple(columns)
