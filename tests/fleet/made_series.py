@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multilica.fleet.drift.lidar_series import LidarSeries
+from multilica.fleet.lidar_series import LidarSeries
 from multilica.geometry import RigidTransform
 
 DAY_NS = 86_400_000_000_000

@@ -4,7 +4,7 @@ import pytest
 
 from multilica.errors import UsageError
 from multilica.fleet.drift.drift import find_drift
-from multilica.fleet.drift.lidar_series import LidarSeries
+from multilica.fleet.lidar_series import LidarSeries
 from multilica.geometry import RigidTransform
 from tests.fleet.made_series import DAY_NS, START_NS, Motion, Noise, made_fleet, made_vehicle
 

@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from multilica.fleet.drift.lidar_series import LidarSeries
+from multilica.fleet.lidar_series import LidarSeries
 from multilica.geometry import RigidTransform
 
 _POSE = RigidTransform.from_xyz_rpy("top", "left", [1.0, 2.0, 3.0], [0.0, 0.0, 0.1])
@@ -30,10 +30,20 @@ def test_rotations_become_lengths_at_the_lever_arm():
     [
         ({"keys": ("a",)}, "expected 1 times"),
         ({"time_ns": np.array([2, 1])}, "not in order of time"),
-        ({"covariances": np.full((2, 6, 6), np.nan)}, "not finite"),
+        ({"covariances": np.full((2, 6, 6), np.inf)}, "not finite"),
+        ({"covariances": np.where(np.eye(6) > 0.0, 1.0, np.nan) * np.ones((2, 1, 1))}, "not finite"),
         ({"target": "rear"}, "other frames"),
     ],
 )
 def test_wrong_series_are_refused(wrong, message):
     with pytest.raises(ValueError, match=message):
         LidarSeries(**{**_GOOD, **wrong})
+
+
+def test_a_log_without_a_covariance_does_not_count_for_drift():
+    covariances = np.stack([np.full((6, 6), np.nan), np.eye(6)])
+    series = LidarSeries(**{**_GOOD, "covariances": covariances, "sources": ("one", "other")})
+    known = series.with_known_covariances()
+    assert (known.keys, len(series)) == (("b",), 2)
+    assert np.isnan(series.sigmas()[0]).all()
+    assert np.isfinite(series.sigmas()[1]).all()

@@ -18,8 +18,9 @@ import pytest
 from multilica.config import CalibrationConfig, IngestConfig
 from multilica.errors import SourceNotFoundError, UsageError
 from multilica.extrinsics import read_extrinsics
-from multilica.fleet.drift.stored_series import find_outages, read_series
+from multilica.fleet.drift.outages import find_outages
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
+from multilica.fleet.lidar_series import read_series
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.store import open_store
 from multilica.geometry import RigidTransform

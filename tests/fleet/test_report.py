@@ -13,23 +13,56 @@ import numpy as np
 import pytest
 
 from multilica.fleet.drift.drift import find_drift
-from multilica.fleet.drift.stored_series import find_outages, read_series
+from multilica.fleet.drift.findings import DriftEvent
+from multilica.fleet.drift.fleet_offsets import find_offsets
+from multilica.fleet.drift.outages import find_outages
+from multilica.fleet.lidar_series import read_series
 from multilica.fleet.report import page as page_module
-from multilica.fleet.report.contents import FleetOverview, PageEvent, PageFailure, PageVehicle
-from multilica.fleet.report.events import read_events
-from multilica.fleet.report.histories import read_histories
-from multilica.fleet.report.page import drawn_vehicles, fleet_page
+from multilica.fleet.report.charts import LidarHistory
+from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, drawn_vehicles, fleet_page
 from multilica.fleet.report.store_report import store_report
 from multilica.fleet.store import query
 from multilica.fleet.store.store import open_store
 from tests.fleet.support.made_store import SIGMA_DEG, SIGMA_MM, add_log, key_of, lidar_row, made_store
 from tests.fleet.support.requests import DAY_NS, START_NS
 
-SENTENCE = "v01: front moved by 40 mm and 0.00 deg between 2026-05-02 and 2026-06-01."
 TIMES = (START_NS + 121 * DAY_NS, START_NS + 151 * DAY_NS)
-JUMP = PageEvent("v01", "front", ("front",), "jump", SENTENCE, "2026-06-01", *TIMES, 40.1, 0.004)
+JUMP = DriftEvent(
+    vehicle="v01",
+    lidars=("front",),
+    target="top",
+    kind="jump",
+    moved="lidar",
+    key="b",
+    time_ns=TIMES[1],
+    last_before_key="a",
+    last_before_time_ns=TIMES[0],
+    last_key="b",
+    last_time_ns=TIMES[1],
+    translation_m=(0.0401, 0.0, 0.0),
+    rotation_rad=(0.0, 0.0, 7e-5),
+    p_value=1e-9,
+)
 HOSTILE = "</title><script>window.harmed = 1</script>\"'><img src=x onerror='window.harmed = 2'>\u202etxt\x1b"
 SHOWN = "&lt;/title&gt;&lt;script&gt;window.harmed = 1&lt;/script&gt;"
+
+
+def changed(event, **values):
+    """The event with other values."""
+    return event.model_copy(update=values)
+
+
+def read_histories(store, vehicle):
+    """The histories of the LiDARs of a vehicle."""
+    return tuple(LidarHistory.of(each) for each in read_series(store) if each.vehicle == vehicle)
+
+
+def renamed(history, name):
+    """The history of a LiDAR, a target and logs with another name."""
+    series = history.series
+    poses = tuple(replace(pose, target=name, source=name) for pose in series.T_target_lidar)
+    named = replace(series, lidar=name, target=name, T_target_lidar=poses, sources=(name,) * len(series))
+    return replace(history, series=named)
 
 
 class Tables(HTMLParser):
@@ -95,8 +128,8 @@ def test_the_overview_has_the_numbers_of_the_tables(store, text):
 
 
 def test_the_lines_show_the_largest_distance_to_the_median(store, text):
-    histories = read_histories(store, ["v01"])["v01"]
-    assert [each.lidar for each in histories] == ["front", "rear"]
+    histories = read_histories(store, "v01")
+    assert [each.series.lidar for each in histories] == ["front", "rear"]
     assert histories[0].distances_mm.max() == pytest.approx(40.0, abs=25.0)
     (row,) = [row for row in Tables(text).body("overview") if row[0] == "v01"]
     assert row[9] == f"{histories[0].distances_mm.max():.0f} mm front"
@@ -146,11 +179,11 @@ def test_a_vehicle_unlike_the_others_is_told(tmp_path):
         for day in range(4):
             shift_mm = (0.1 * number - 0.1 * day, 0.1 * day, 120.0 * (number == 5))
             add_log(store, f"v{number}", day, lambda *log, s=shift_mm: [lidar_row(*log, "rear", shift_mm=s)])
-    (event,) = read_events(store)
-    assert (event.vehicle, event.kind, event.when, event.begin_ns) == ("v5", "offset", "", None)
+    (event,) = find_offsets(list(read_series(store)))
+    assert (event.vehicle, event.kind, event.when, event.period_ns) == ("v5", "offset", "", None)
     text = store_report(store, tmp_path / "page.html")
     assert Tables(text).body("events") == [
-        ["v5", "rear", "offset", "all logs", f"{event.translation_mm:.1f} mm, 0.00°", event.sentence]
+        ["v5", "rear", "offset", "all logs", f"{event.size[0]:.1f} mm, 0.00°", event.sentence]
     ]
     assert "1 LiDAR sits elsewhere than on the other vehicles." in text
     assert "<h1>No LiDAR moved on 6 vehicles.</h1>" in text
@@ -175,10 +208,10 @@ def test_offsets_and_sigmas_are_in_mm_and_deg(tmp_path):
     for day, (shift_mm, turn_deg) in enumerate(moves):
         add_log(store, "v", day, lambda *log, s=shift_mm, t=turn_deg: [lidar_row(*log, "rear", shift_mm=s, turn_deg=t)])
     add_log(store, "v", None, lambda *log: [lidar_row(*log, "rear")])
-    (history,) = read_histories(store, ["v"])["v"]
+    (history,) = read_histories(store, "v")
     assert history.offsets == pytest.approx(np.array([[*shift, *turn] for shift, turn in moves]), abs=2e-3)
     assert history.sigmas == pytest.approx(np.tile([*SIGMA_MM, *SIGMA_DEG], (3, 1)))
-    assert history.undated == 1
+    assert history.series.undated == 1
 
 
 def test_recordings_are_linked_from_within_the_store(store):
@@ -205,16 +238,16 @@ def test_a_link_finds_a_folder_with_percent_signs():
 
 
 def test_names_cannot_leave_the_text(store):
-    (history, _) = read_histories(store, ["v01"])["v01"]
-    history = replace(history, lidar=HOSTILE, target=HOSTILE, sources=(HOSTILE,) * len(history.sources))
+    (history, _) = read_histories(store, "v01")
+    history = renamed(history, HOSTILE)
     vehicle = PageVehicle(HOSTILE, 1, None, None, 1, 0, 1, 0, (HOSTILE,), (history,))
-    event = replace(JUMP, vehicle=HOSTILE, part=HOSTILE, lidars=(HOSTILE,), sentence=HOSTILE)
+    event = changed(JUMP, vehicle=HOSTILE, lidars=(HOSTILE,))
     failure = PageFailure(HOSTILE, None, HOSTILE, HOSTILE, "failed", HOSTILE, HOSTILE, HOSTILE)
     for files in (None, "", ".."):
         text = fleet_page(FleetOverview(HOSTILE, HOSTILE, files), [vehicle], [event], [failure])
         opened = [tag for tag, _ in Tables(text).opened]
         assert opened.count("script") == 1
-        assert opened.count("title") == 1 + 2 * len(history.sources)
+        assert opened.count("title") == 1 + 2 * len(history.series.sources)
         assert "img" not in opened
         assert not {attribute for _, values in Tables(text).opened for attribute in values if attribute[:2] == "on"}
         assert not re.search("[\u202e\x1b]", text)
@@ -239,14 +272,14 @@ def test_an_empty_store_has_a_page(tmp_path):
 
 def _fleet(store, count):
     """Vehicles with the histories of one."""
-    histories = read_histories(store, ["v01"])["v01"]
+    histories = read_histories(store, "v01")
     day = datetime(2026, 1, 2, tzinfo=UTC)
     return [PageVehicle(f"v{number}", 10, day, day, 8, 2, 0, 0, (), histories) for number in range(count)]
 
 
 def test_a_fleet_of_twenty_vehicles_fits_into_a_mail(store):
     vehicles = [replace(vehicle, histories=(*vehicle.histories, vehicle.histories[0])) for vehicle in _fleet(store, 20)]
-    events = [replace(JUMP, vehicle=vehicle.name) for vehicle in vehicles]
+    events = [changed(JUMP, vehicle=vehicle.name) for vehicle in vehicles]
     text = fleet_page(FleetOverview("store", "1"), vehicles, events, [])
     assert text.count("<title>") > 20 * 3 * 2 * 9
     assert len(text.encode()) < 2_000_000
@@ -255,10 +288,10 @@ def test_a_fleet_of_twenty_vehicles_fits_into_a_mail(store):
 def test_of_a_large_fleet_the_urgent_ones_are_drawn(store):
     names = [f"v{number}" for number in range(300)]
     failure = PageFailure("v7", None, "s", "", "failed", "unreadable", "t")
-    event = replace(JUMP, vehicle="v250")
+    event = changed(JUMP, vehicle="v250")
     assert drawn_vehicles(names, [event], [failure]) == ["v250", "v7"]
     assert drawn_vehicles(names[:200], [], [failure])[:3] == ["v7", "v0", "v1"]
-    assert len(drawn_vehicles(names, [replace(JUMP, vehicle=name) for name in names], [])) == 200
+    assert len(drawn_vehicles(names, [changed(JUMP, vehicle=name) for name in names], [])) == 200
     vehicles = [
         vehicle if vehicle.name in ("v250", "v7") else replace(vehicle, histories=()) for vehicle in _fleet(store, 300)
     ]
@@ -269,11 +302,11 @@ def test_of_a_large_fleet_the_urgent_ones_are_drawn(store):
 
 def test_a_page_that_is_too_large_loses_texts_then_plots(store, monkeypatch):
     vehicles = _fleet(store, 4)
-    whole = fleet_page(FleetOverview("store", "1"), vehicles, [replace(JUMP, vehicle="v3")], [])
+    whole = fleet_page(FleetOverview("store", "1"), vehicles, [changed(JUMP, vehicle="v3")], [])
     monkeypatch.setattr(page_module, "MAX_BYTES", len(whole.encode()) - 1)
-    lean = fleet_page(FleetOverview("store", "1"), vehicles, [replace(JUMP, vehicle="v3")], [])
+    lean = fleet_page(FleetOverview("store", "1"), vehicles, [changed(JUMP, vehicle="v3")], [])
     assert (lean.count("<title>"), lean.count("<details")) == (1, 4)
     monkeypatch.setattr(page_module, "MAX_BYTES", len(lean.encode()) - 1)
-    short = fleet_page(FleetOverview("store", "1"), vehicles, [replace(JUMP, vehicle="v3")], [])
+    short = fleet_page(FleetOverview("store", "1"), vehicles, [changed(JUMP, vehicle="v3")], [])
     assert short.count("<details") == 2
     assert ">v3</h3>" in short

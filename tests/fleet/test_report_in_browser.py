@@ -4,20 +4,17 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from multilica.fleet.report.contents import FleetOverview, PageFailure, PageVehicle
-from multilica.fleet.report.histories import read_histories
-from multilica.fleet.report.page import fleet_page
+from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, fleet_page
 from multilica.fleet.report.store_report import store_report
 from tests.fleet.support.made_store import made_store
 from tests.fleet.support.requests import DAY_NS
-from tests.fleet.test_report import HOSTILE, JUMP
+from tests.fleet.test_report import HOSTILE, JUMP, changed, read_histories, renamed
 from tests.sinks.browser import NoBrowserError, headless_browser
 
 pytestmark = pytest.mark.xdist_group("browser")
@@ -37,17 +34,16 @@ def browser():
 def pages(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("pages")
     store = made_store(folder / "store")
-    creep = replace(JUMP, kind="creep", when="since 2026-01-31", begin_ns=JUMP.begin_ns - 90 * DAY_NS)
-    vehicle = PageVehicle("v01", 10, None, None, 8, 2, 0, 0, (), read_histories(store, ["v01"])["v01"])
+    creep = changed(JUMP, kind="creep", last_before_time_ns=JUMP.last_before_time_ns - 90 * DAY_NS)
+    vehicle = PageVehicle("v01", 10, None, None, 8, 2, 0, 0, (), read_histories(store, "v01"))
     texts = {
         "fleet": store_report(store, folder / "fleet.html"),
         "two events": fleet_page(FleetOverview("store", "1"), [vehicle], [JUMP, creep], []),
     }
-    (history, _) = read_histories(store, ["v01"])["v01"]
+    (history, _) = read_histories(store, "v01")
     for kind, name in (("hostile", HOSTILE), ("long", LONG)):
-        own = replace(history, lidar=name, target=name, sources=(name,) * len(history.sources))
-        vehicle = PageVehicle(name, 1, None, None, 1, 0, 1, 0, (name,), (own,))
-        event = replace(JUMP, vehicle=name, part=name, lidars=(name,), sentence=name)
+        vehicle = PageVehicle(name, 1, None, None, 1, 0, 1, 0, (name,), (renamed(history, name),))
+        event = changed(JUMP, vehicle=name, lidars=(name,))
         failure = PageFailure(name, None, name, name, "failed", name, name, name)
         texts[kind] = fleet_page(FleetOverview(name, name), [vehicle], [event], [failure])
     for name, text in texts.items():

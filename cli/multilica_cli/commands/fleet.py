@@ -222,9 +222,10 @@ def drift(
     """
     from multilica.exports.reading import read_extrinsics
     from multilica.fleet.drift.drift import find_drift
-    from multilica.fleet.drift.drift_document import drift_document
+    from multilica.fleet.drift.findings import drift_document
     from multilica.fleet.drift.fleet_offsets import find_offsets
-    from multilica.fleet.drift.stored_series import find_outages, read_series
+    from multilica.fleet.drift.outages import find_outages
+    from multilica.fleet.lidar_series import read_series
 
     opened = _opened(store)
     series = list(read_series(opened))
@@ -238,7 +239,9 @@ def drift(
         for sentence in sentences:
             stdout_console().print(sentence)
         if not sentences:
-            stdout_console().print(f"No LiDAR of {len({each.vehicle for each in series})} vehicles has moved.")
+            stdout_console().print(
+                f"No LiDAR of {len({each.vehicle for each in series if len(each)})} vehicles has moved."
+            )
     return ExitCode.DIFFERENT if events or offsets or outages else ExitCode.DONE
 
 

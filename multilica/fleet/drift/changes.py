@@ -5,16 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from multilica.fleet.drift.dispersion import SHARED_COVARIANCE, ScatteredPoses
-from multilica.fleet.drift.lidar_series import TO_LENGTHS
+from multilica.fleet.drift.findings import ChangeKind
 from multilica.fleet.drift.segments import Period, PeriodFits, Thresholds, partition, place
+from multilica.fleet.lidar_series import TO_LENGTHS
 from multilica.geometry import FloatArray
-
-ChangeKind = Literal["jump", "creep"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from multilica.fleet.drift.lidar_series import TO_LENGTHS, IndexArray, LidarSeries
+from multilica.fleet.lidar_series import TO_LENGTHS, IndexArray, LidarSeries
 from multilica.geometry import FloatArray
 
 PRIOR_LOGS = 12.0
@@ -64,11 +64,12 @@ class ScatteredPoses:
 
 
 def calibrate_scatter(series: Sequence[LidarSeries]) -> list[ScatteredPoses]:
-    """Estimate the true covariances of all logs, pooled over the vehicles of a fleet per LiDAR and target.
+    """Estimate the true covariances of the logs that report one, pooled over a fleet per LiDAR and target.
 
     The scale of each single series is drawn towards the fleet's, with `PRIOR_LOGS` as its weight, as in the moderated
     tests of Smyth (Stat. Appl. Genet. Mol. Biol. 3, 2004). Logs that both neighbours contradict lose their weight.
     """
+    series = [known for each in series if len(known := each.with_known_covariances())]
     pools: dict[tuple[str, str], list[int]] = defaultdict(list)
     for index, each in enumerate(series):
         pools[each.lidar, each.target].append(index)
@@ -137,7 +138,7 @@ def power_of(matrices: FloatArray, exponent: float) -> FloatArray:
 
 
 def _offsets(series: LidarSeries) -> FloatArray:
-    return series.offsets(series.T_target_lidar[len(series) // 2]) if len(series) else np.zeros((0, 6))
+    return series.offsets(series.T_target_lidar[len(series) // 2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

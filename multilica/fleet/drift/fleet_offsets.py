@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -14,11 +13,10 @@ from scipy.stats import f as f_distribution
 from multilica.extrinsics import Extrinsics
 from multilica.fleet.drift.changes import find_changes
 from multilica.fleet.drift.dispersion import PRIOR_LOGS, SHARED_COVARIANCE, calibrate_scatter, power_of, robust_scatter
-from multilica.fleet.drift.drift import FALSE_ALARM_RATE, describe_motion
-from multilica.fleet.drift.lidar_series import TO_LENGTHS, LidarSeries
+from multilica.fleet.drift.drift import FALSE_ALARM_RATE
+from multilica.fleet.drift.findings import FleetOffset, OffsetScope, vector
+from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray, RigidTransform
-
-OffsetScope = Literal["fleet", "vehicle", "fleet or vehicle"]
 
 _MIN_FLEET = 3
 """Vehicles of which one can be outvoted."""
@@ -29,38 +27,6 @@ _ASSEMBLY = np.diag((np.array([0.1 * _DEG] * 3 + [0.003] * 3) * TO_LENGTHS) ** 2
 _BATCH = _ASSEMBLY / 4.0
 _T_DOF = 4.0
 _ITERATIONS = 30
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FleetOffset:
-    """A LiDAR that is elsewhere than its reference.
-
-    Args:
-        scope: the whole fleet against the nominal pose (a wrong CAD value), one vehicle against the fleet, or, of fewer
-            than three vehicles, one against the nominal pose.
-        vehicle: that vehicle; None for the fleet.
-        vehicles: number of vehicles that have the LiDAR.
-        translation_m, rotation_rad: (3,) from the reference to where it is, along the target's axes.
-        p_value: share of LiDARs within the tolerance of assembly that seem to be as far off.
-    """
-
-    lidar: str
-    target: str
-    scope: OffsetScope
-    vehicle: str | None
-    vehicles: int
-    translation_m: FloatArray
-    rotation_rad: FloatArray
-    p_value: float
-
-    @property
-    def sentence(self) -> str:
-        """The offset in one sentence, for people."""
-        motion = describe_motion(self.translation_m, self.rotation_rad)
-        if self.scope == "fleet":
-            return f"{self.lidar} is {motion} off its nominal pose on all {self.vehicles} vehicles."
-        reference = f"the fleet of {self.vehicles} vehicles" if self.scope == "vehicle" else "its nominal pose"
-        return f"{self.vehicle}: {self.lidar} is {motion} off {reference}."
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +59,7 @@ def find_offsets(
     """
     fleets: dict[tuple[str, str], list[_Mounted]] = defaultdict(list)
     references: dict[tuple[str, str], RigidTransform] = {}
-    for poses in calibrate_scatter([each for each in series if len(each)]):
+    for poses in calibrate_scatter(series):
         each = poses.series
         pair = each.lidar, each.target
         if pair not in references:
@@ -113,6 +79,20 @@ def _offsets(
     lidar: str, target: str, mounted: list[_Mounted], false_alarm_rate: float, *, has_nominal: bool
 ) -> Iterator[FleetOffset]:
     count = len(mounted)
+
+    def offset(scope: OffsetScope, vehicle: str | None, off_m: FloatArray, p_value: float) -> FleetOffset:
+        parts = off_m / TO_LENGTHS
+        return FleetOffset(
+            lidar=lidar,
+            target=target,
+            scope=scope,
+            vehicle=vehicle,
+            vehicles=count,
+            translation_m=vector(parts[3:]),
+            rotation_rad=vector(parts[:3]),
+            p_value=p_value,
+        )
+
     offsets_m = np.array([each.offset_m for each in mounted])
     covariances = np.array([each.covariance for each in mounted]) + _ASSEMBLY
     few = count < _MIN_FLEET
@@ -131,13 +111,12 @@ def _offsets(
     if has_nominal and not few:
         p_value = _p_value(center_m, spread + _BATCH, dof, 1)
         if p_value <= false_alarm_rate:
-            yield FleetOffset(lidar, target, "fleet", None, count, *_parts(center_m), p_value)
+            yield offset("fleet", None, center_m, p_value)
     for each, covariance in zip(mounted, covariances, strict=True):
         off_m = each.offset_m - center_m
         p_value = _p_value(off_m, covariance + spread, dof, count)
         if p_value <= false_alarm_rate:
-            scope: OffsetScope = "fleet or vehicle" if few else "vehicle"
-            yield FleetOffset(lidar, target, scope, each.vehicle, count, *_parts(off_m), p_value)
+            yield offset("fleet or vehicle" if few else "vehicle", each.vehicle, off_m, p_value)
 
 
 def _robust_mean(offsets_m: FloatArray, covariances: FloatArray, start_m: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -156,11 +135,6 @@ def _robust_mean(offsets_m: FloatArray, covariances: FloatArray, start_m: FloatA
 def _p_value(offset_m: FloatArray, covariance: FloatArray, dof: float, tests: int) -> float:
     squared = float(offset_m @ np.linalg.solve(covariance, offset_m))
     return min(1.0, tests * float(f_distribution.sf(squared / 6.0, 6, dof)))
-
-
-def _parts(offset_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    offset = offset_m / TO_LENGTHS
-    return offset[3:], offset[:3]
 
 
 def _has(nominal: Extrinsics | None, lidar: str, target: str) -> bool:

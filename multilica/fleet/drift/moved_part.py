@@ -5,14 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from scipy.stats import chi2
 
+from multilica.fleet.drift.findings import MovedPart
 from multilica.geometry import FloatArray, skew
-
-MovedPart = Literal["lidar", "target", "lidar or target"]
 
 # A common motion fits worse in one of a thousand cases.
 _LEAST_P_VALUE = 1e-3

@@ -16,10 +16,10 @@ from jinja2 import Template
 from markupsafe import Markup
 
 from multilica.errors import escape_controls
-from multilica.fleet.report.contents import FleetOverview, PageEvent, PageFailure, PageVehicle
-from multilica.fleet.report.plots import DriftPlot, drift_plots
-from multilica.fleet.report.sparklines import HEIGHT_PX, WIDTH_PX, sparklines
-from multilica.fleet.report.time_axis import day_of
+from multilica.fleet.drift.findings import DriftEvent, Finding
+from multilica.fleet.report import charts
+from multilica.fleet.report.charts import DriftPlot, LidarHistory, drift_plots, sparklines
+from multilica.fleet.times import day_of
 from multilica.sinks.report.template import own_text, page_template
 
 MAX_BYTES = 8_000_000
@@ -30,7 +30,67 @@ MAX_EVENTS = MAX_FAILURES = 1000
 """Rows of a table; more are not read by people, and the commands list all."""
 
 _PACKAGE = "multilica.fleet.report"
+_FRAME = {"width": charts.WIDTH_PX, "left": charts.LEFT_PX, "right": charts.RIGHT_PX, "strip": charts.STRIP_PX}
 _DATE = re.compile(r"(\b\d{4}-\d\d-\d\d(?: \d\d:\d\d)?\b)", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetOverview:
+    """What the page shows of the whole store.
+
+    Args:
+        store: its address, for people.
+        version: of multilica.
+        files: relative path of the store as seen from the page, "" if the page lies in its top folder; None if no file
+            of the store can be linked.
+    """
+
+    store: str
+    version: str
+    files: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PageVehicle:
+    """A row of the overview, and the section of a vehicle.
+
+    Args:
+        first, last: times of its first and last log; None without a time.
+        without_result: logs that are refused or failed.
+        not_placed_last: LiDARs without a certain pose in the last log with a result, with reasons.
+        histories: of its LiDARs except the target; empty if they are not to be drawn.
+    """
+
+    name: str
+    logs: int
+    first: datetime | None
+    last: datetime | None
+    verified: int
+    calibrated: int
+    without_result: int
+    duplicates: int
+    not_placed_last: tuple[str, ...] = ()
+    histories: tuple[LidarHistory, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PageFailure:
+    """A log without a result, or a LiDAR without a certain pose in a log.
+
+    Args:
+        lidar: empty if it is the whole log.
+        outcome: state of the log, or status of the LiDAR.
+        recording: path in the store; empty if there is none.
+    """
+
+    vehicle: str
+    time: datetime | None
+    source: str
+    lidar: str
+    outcome: str
+    reason: str
+    sentence: str
+    recording: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +107,7 @@ class CauseCount:
         return self.logs + self.lidars
 
 
-def drawn_vehicles(names: Sequence[str], events: Sequence[PageEvent], failures: Sequence[PageFailure]) -> list[str]:
+def drawn_vehicles(names: Sequence[str], events: Sequence[Finding], failures: Sequence[PageFailure]) -> list[str]:
     """Return the vehicles to draw, first those with events, then those with failures; of a large fleet, only these."""
     first = dict.fromkeys([*(event.vehicle for event in events), *(failure.vehicle for failure in failures)])
     known = set(names)
@@ -59,7 +119,7 @@ def drawn_vehicles(names: Sequence[str], events: Sequence[PageEvent], failures: 
 def fleet_page(
     overview: FleetOverview,
     vehicles: Sequence[PageVehicle],
-    events: Sequence[PageEvent],
+    events: Sequence[Finding],
     failures: Sequence[PageFailure],
 ) -> str:
     """Render the report as one self-contained page.
@@ -85,20 +145,21 @@ def fleet_page(
 def _context(
     overview: FleetOverview,
     vehicles: Sequence[PageVehicle],
-    events: Sequence[PageEvent],
+    events: Sequence[Finding],
     failures: Sequence[PageFailure],
 ) -> dict[str, Any]:
     """Return the variables of the template, except the sections of the vehicles."""
-    own_events: dict[str, list[PageEvent]] = defaultdict(list)
+    own_events: dict[str, list[Finding]] = defaultdict(list)
     for event in events:
-        own_events[event.vehicle].append(event)
-    moved = {(event.vehicle, event.part) for event in events if event.kind in ("jump", "creep")}
+        own_events[event.vehicle or ""].append(event)
+    moved = {(event.vehicle, event.part) for event in events if isinstance(event, DriftEvent)}
     causes = _causes(failures)
     rank = {cause.reason: index for index, cause in enumerate(causes)}
     times = [time for vehicle in vehicles for time in (vehicle.first, vehicle.last) if time is not None]
+    histories = {vehicle.name: vehicle.histories for vehicle in vehicles}
     lines = {
-        "mm": sparklines(vehicles, lambda history: history.distances_mm),
-        "deg": sparklines(vehicles, lambda history: history.angles_deg),
+        "mm": sparklines(histories, lambda history: history.distances_mm),
+        "deg": sparklines(histories, lambda history: history.angles_deg),
     }
     return {
         "overview": overview,
@@ -121,13 +182,14 @@ def _context(
         "last": max(times, default=None),
         "anchors": {vehicle.name: f"vehicle-{index}" for index, vehicle in enumerate(vehicles, 1)},
         "lines": lines,
-        "line_size": (WIDTH_PX, HEIGHT_PX),
+        "line_size": (charts.LINE_WIDTH_PX, charts.LINE_HEIGHT_PX),
+        "frame": _FRAME,
         "max_drawn": MAX_DRAWN,
     }
 
 
 def _sections(
-    vehicles: Sequence[PageVehicle], events: Mapping[str, Sequence[PageEvent]], drawn: set[str], *, texts: bool
+    vehicles: Sequence[PageVehicle], events: Mapping[str, Sequence[Finding]], drawn: set[str], *, texts: bool
 ) -> dict[str, Any]:
     """Return the vehicles that have a section, and the plots per LiDAR."""
     shown = [vehicle for vehicle in vehicles if vehicle.name in drawn]
@@ -137,14 +199,18 @@ def _sections(
     }
 
 
-def _plots(vehicle: PageVehicle, events: Sequence[PageEvent], *, texts: bool) -> list[tuple[Any, list[DriftPlot]]]:
-    """Return the histories of a vehicle with their plots, those with an event first."""
-    own = {
-        index: [event for event in events if history.lidar in event.lidars]
-        for index, history in enumerate(vehicle.histories)
-    }
-    order = sorted(own, key=lambda index: not own[index])
-    return [(vehicle.histories[i], drift_plots(vehicle.histories[i], own[i], texts=texts)) for i in order]
+def _plots(vehicle: PageVehicle, events: Sequence[Finding], *, texts: bool) -> list[tuple[Any, list[DriftPlot]]]:
+    """Return the series of a vehicle with their plots, those with an event first."""
+    own = [
+        (history, [event for event in events if history.series.lidar in _lidars(event)])
+        for history in vehicle.histories
+    ]
+    own.sort(key=lambda each: not each[1])
+    return [(history.series, drift_plots(history, found, texts=texts)) for history, found in own]
+
+
+def _lidars(event: Finding) -> tuple[str, ...]:
+    return event.lidars if isinstance(event, DriftEvent) else (event.lidar,)
 
 
 def _causes(failures: Sequence[PageFailure]) -> list[CauseCount]:
@@ -157,7 +223,14 @@ def _causes(failures: Sequence[PageFailure]) -> list[CauseCount]:
 @cache
 def _template() -> Template:
     style = own_text("multilica.sinks.report", "page.css") + own_text(_PACKAGE, "page.css")
-    filters = {"day": _day, "day_of": day_of, "counted": _counted, "address": _address, "with_dates": _with_dates}
+    filters = {
+        "day": _day,
+        "day_of": day_of,
+        "counted": _counted,
+        "px": charts.number,
+        "address": _address,
+        "with_dates": _with_dates,
+    }
     return page_template(_PACKAGE, style, own_text(_PACKAGE, "page.js"), filters, one_line=True)
 
 

@@ -5,49 +5,48 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 
-from multilica.fleet.report.contents import FleetOverview, PageFailure, PageVehicle
-from multilica.fleet.report.events import read_events
-from multilica.fleet.report.histories import read_histories
-from multilica.fleet.report.page import drawn_vehicles, fleet_page
+from multilica.fleet.drift.drift import find_drift
+from multilica.fleet.drift.findings import Finding
+from multilica.fleet.drift.fleet_offsets import find_offsets
+from multilica.fleet.drift.outages import find_outages
+from multilica.fleet.lidar_series import read_series
+from multilica.fleet.report.charts import LidarHistory
+from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, drawn_vehicles, fleet_page
 from multilica.fleet.store import query
 from multilica.fleet.store.store import Store
 
 
 def store_report(store: Store, page: Path) -> str:
-    """Render the report of a store.
+    """Render the report of a store, with the findings of `fleet drift` without nominal poses.
 
     Args:
         page: where it will lie; files of the store are linked if that is within the store.
     """
     from multilica import __version__
 
-    vehicles, events, failures = _vehicles(store), read_events(store), _failures(store)
-    drawn = drawn_vehicles([vehicle.name for vehicle in vehicles], events, failures)
-    histories = read_histories(store, drawn)
-    overview = FleetOverview(store.name, __version__, _files_seen_from(page, store))
-    shown = [replace(vehicle, histories=histories.get(vehicle.name, ())) for vehicle in vehicles]
-    return fleet_page(overview, shown, events, failures)
-
-
-def _vehicles(store: Store) -> list[PageVehicle]:
+    series, failures = list(read_series(store)), _failures(store)
+    unlike = [offset for offset in find_offsets(series) if offset.vehicle is not None]
+    events: list[Finding] = [*find_drift(series), *find_outages(store), *unlike]
     with query.status(store) as answer:
-        rows = [dict(zip(answer.columns, row, strict=True)) for row in answer.rows()]
-    return [
-        PageVehicle(
-            row["vehicle"],
-            row["logs"],
-            row["first"],
-            row["last"],
-            row["verified"],
-            row["calibrated"],
-            row["without_result"],
-            row["duplicates"],
-            tuple((row["not_placed_last"] or "").split(", ")) if row["not_placed_last"] else (),
+        rows = list(answer.rows())
+    drawn = drawn_vehicles([vehicle for vehicle, *_ in rows], events, failures)
+    histories = {
+        vehicle: tuple(map(LidarHistory.of, own))
+        for vehicle, own in groupby(series, key=lambda each: each.vehicle)
+        if vehicle in drawn
+    }
+    vehicles = [
+        replace(
+            PageVehicle(*row[:-1]),
+            not_placed_last=tuple(row[-1].split(", ")) if row[-1] else (),
+            histories=histories.get(row[0], ()),
         )
         for row in rows
     ]
+    return fleet_page(FleetOverview(store.name, __version__, _files_seen_from(page, store)), vehicles, events, failures)
 
 
 def _failures(store: Store) -> list[PageFailure]:
@@ -55,10 +54,8 @@ def _failures(store: Store) -> list[PageFailure]:
         return store.system is not None or store.exists(path)
 
     with query.failures(store) as answer:
-        return [
-            PageFailure(vehicle, time, source, lidar, outcome, reason, sentence, recording if kept(recording) else "")
-            for vehicle, time, source, lidar, outcome, reason, sentence, recording in answer.rows()
-        ]
+        failures = [PageFailure(*row) for row in answer.rows()]
+    return [each if kept(each.recording) else replace(each, recording="") for each in failures]
 
 
 def _files_seen_from(page: Path, store: Store) -> str | None:

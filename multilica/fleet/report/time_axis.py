@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import numpy.typing as npt
@@ -17,13 +15,10 @@ _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct",
 _MOST_TICKS = 7
 _STEPS_DAYS = (1, 2, 5, 10)
 _STEPS_MONTHS = (1, 2, 3, 6, 12, 24, 60, 120, 240)
+_DAYS_PER_MONTH = 30.44
+_EPOCH_MONTHS = 12 * 1970
 _PADDING = 0.03
 _LEAST_DAYS = 3.0
-
-
-def day_of(time_ns: int) -> str:
-    """Return the day of a time in UTC, as 2026-03-01."""
-    return f"{_moment(time_ns):%Y-%m-%d}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,37 +46,24 @@ class TimeAxis:
         """Return pixels and labels of at most eight ticks; the first one and January name the year."""
         days = (self.end_ns - self.begin_ns) / _NS_PER_DAY
         step = next((step for step in _STEPS_DAYS if days / step <= _MOST_TICKS), None)
-        moments = list(self._months(days) if step is None else self._days(step))
-        return [
-            (
-                float(self.place(int(moment.timestamp()) * 10**9)),
-                _label(moment, named=step is not None, first=not index),
-            )
-            for index, moment in enumerate(moments)
-        ]
+        if step is not None:
+            dates = self._calendar("M8[D]")[::step]
+        else:
+            fitting = (step for step in _STEPS_MONTHS if days / (_DAYS_PER_MONTH * step) <= _MOST_TICKS)
+            months = self._calendar("M8[M]")
+            dates = months[(months.astype(int) + _EPOCH_MONTHS) % next(fitting, _STEPS_MONTHS[-1]) == 0]
+        columns = self.place(dates.astype("M8[ns]").astype(np.int64)).tolist()
+        labels = (_label(date, named=step is not None, first=not index) for index, date in enumerate(dates))
+        return list(zip(columns, labels, strict=True))
 
-    def _days(self, step: int) -> Iterator[datetime]:
-        moment = _moment(self.begin_ns).replace(hour=0, minute=0, second=0, microsecond=0) + timedelta(days=1)
-        while moment <= _moment(self.end_ns):
-            yield moment
-            moment += timedelta(days=step)
-
-    def _months(self, days: float) -> Iterator[datetime]:
-        fitting = (step for step in _STEPS_MONTHS if days / (30.44 * step) <= _MOST_TICKS)
-        step = next(fitting, _STEPS_MONTHS[-1])
-        begin, end = _moment(self.begin_ns), _moment(self.end_ns)
-        count = 12 * begin.year + begin.month  # the month after `begin`, counted from 0
-        for months in range(-(-count // step) * step, 12 * end.year + end.month, step):
-            yield datetime(months // 12, months % 12 + 1, 1, tzinfo=UTC)
+    def _calendar(self, unit: str) -> npt.NDArray[np.datetime64]:
+        """Return the days or months that begin within the axis."""
+        begin, end = np.array([self.begin_ns, self.end_ns]).astype("M8[ns]").astype(unit)
+        return np.arange(begin + 1, end + 1)
 
 
-def _label(moment: datetime, *, named: bool, first: bool) -> str:
-    if named:
-        return f"{moment.day} {_MONTHS[moment.month - 1]}{f' {moment.year}' if first else ''}"
-    if moment.month == 1:
-        return str(moment.year)
-    return f"{_MONTHS[moment.month - 1]}{f' {moment.year}' if first else ''}"
-
-
-def _moment(time_ns: int) -> datetime:
-    return datetime.fromtimestamp(time_ns // 10**9, UTC)
+def _label(date: np.datetime64, *, named: bool, first: bool) -> str:
+    year, month, day = str(date.astype("M8[D]")).split("-")
+    if month == "01" and not named:
+        return year
+    return f"{f'{int(day)} ' if named else ''}{_MONTHS[int(month) - 1]}{f' {year}' if first else ''}"

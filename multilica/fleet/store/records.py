@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, Literal
 
 import pyarrow as pa
+
+from multilica.fleet.times import moment
 
 SCHEMA_VERSION = 1
 LogState = Literal["verified", "calibrated", "refused", "failed", "duplicate"]
@@ -169,13 +171,3 @@ def _values(row: LidarRow | LogRow) -> dict[str, Any]:
     values = asdict(row)
     values["time"] = None if row.time_ns is None else moment(row.time_ns)
     return values
-
-
-def moment(time_ns: int) -> datetime:
-    """Return nanoseconds since the epoch as a time, to the microsecond."""
-    return datetime.fromtimestamp(time_ns // 10**9, UTC).replace(microsecond=time_ns % 10**9 // 1000)
-
-
-def month_of(time_ns: int | None) -> str:
-    """Return the name of a part's month, such as ``2026-03``; ``unknown`` without a time."""
-    return "unknown" if time_ns is None else moment(time_ns).strftime("%Y-%m")

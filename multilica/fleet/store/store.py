@@ -41,9 +41,9 @@ from multilica.fleet.store.records import (
     SCHEMA_VERSION,
     LidarRow,
     LogRow,
-    month_of,
     table_of,
 )
+from multilica.fleet.times import month_of
 from multilica.ingest.remote.address import scheme_of, without_secrets
 from multilica.ingest.remote.error_texts import remote_failures_named
 from multilica.ingest.remote.remote_file import open_file_system

@@ -20,7 +20,8 @@ import psutil
 from multilica.documents import parse_json
 from multilica.fleet.drift.drift import find_drift
 from multilica.fleet.drift.fleet_offsets import find_offsets
-from multilica.fleet.drift.stored_series import find_outages, read_series
+from multilica.fleet.drift.outages import find_outages
+from multilica.fleet.lidar_series import read_series
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.records import MEASURED
 from multilica.fleet.store.store import Store, open_store
