@@ -58,8 +58,8 @@ TARGETS = {
     "multilica/sinks/mcap/snapshot_mcap.py": (
         "tests/ingest/test_snapshot_mcap.py",
         "tests/ingest/test_snapshot_metadata.py",
+        "tests/exports/test_formats.py",
     ),
-    "multilica/sinks/mcap/static_transforms_mcap.py": ("tests/exports/test_formats.py",),
     "multilica/sinks/mcap/reading.py": (f"{SINKS}/mcap/test_reading.py",),
     "multilica/sinks/mcap/*.py": (
         f"{NUMBERS}/test_messages_agree.py",

@@ -9,7 +9,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
 from multilica.ingest.transforms.static_transforms import read_static_transforms
-from multilica.sinks.mcap.static_transforms_mcap import static_transforms_mcap
+from multilica.sinks.mcap.snapshot_mcap import static_transforms_mcap
 from multilica.sinks.text.extrinsics_text import child_poses
 
 

@@ -4,7 +4,7 @@
 from pathlib import Path
 
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
-from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.files.result_files import toml_text
 from multilica.sinks.text.extrinsics_text import child_poses
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from multilica.runs.run_report import recording_of_run
 from multilica.sinks.files.atomic import atomic_file
-from multilica.sinks.rerun.recorded_tables import read_recorded_table
+from multilica.sinks.rerun.reading import read_recorded_table
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -9,8 +9,7 @@ from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.calibration_toml import toml_text
-from multilica.sinks.files.result_files import ResultFiles
+from multilica.sinks.files.result_files import ResultFiles, toml_text
 from multilica.sinks.files.run_files import (
     ATTACHED,
     CONFIG_HEADER,

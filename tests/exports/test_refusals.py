@@ -96,9 +96,9 @@ def test_missing_files_and_unknown_formats(tmp_path: Path) -> None:
 
 def test_a_recording_with_a_wrong_transform_is_refused(tmp_path: Path) -> None:
     from multilica.geometry import RigidTransform
-    from multilica.sinks.mcap import static_transforms_mcap as writer
+    from multilica.sinks.mcap.snapshot_mcap import static_transforms_mcap
 
     twice = [RigidTransform.identity(parent, "c") for parent in ("a", "b")]
-    (tmp_path / "a.mcap").write_bytes(writer.static_transforms_mcap(twice))
+    (tmp_path / "a.mcap").write_bytes(static_transforms_mcap(twice))
     with pytest.raises(UnreadableSourceError, match="two parents, 'a' and 'b'"):
         multilica.read_extrinsics(tmp_path / "a.mcap")

@@ -21,8 +21,7 @@ from multilica.sinks.report.outcome import outcome_of
 from multilica.sinks.report.page import report_html
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, log_lines
-from multilica.sinks.text.pair_tables import decisions_markdown
-from multilica.sinks.text.run_summary import summary_markdown
+from multilica.sinks.text.markdown import decisions_markdown, summary_markdown
 from multilica.sinks.unplaced import failures
 from tests.sinks.conftest import record
 from tests.sinks.made_events import IMPRECISE, LIDARS, TARGET, TRUTH, UNPLACED, made_events

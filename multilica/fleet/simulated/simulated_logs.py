@@ -11,9 +11,7 @@ from multilica.errors import UsageError
 from multilica.fleet.simulated.simulated_truth import TRUTH_NAME, fleet_truth_text
 from multilica.optional_libraries import require_library
 from multilica.simulate import FleetPlan, PlannedLog, simulate_snapshot, thinned
-from multilica.sinks.bags.ros1_bag import write_ros1_bag
-from multilica.sinks.bags.ros2_bag import write_ros2_bag
-from multilica.sinks.bags.ros2_mcap import write_ros2_mcap
+from multilica.sinks.bags import write_ros1_bag, write_ros2_bag, write_ros2_mcap
 from multilica.sinks.files.atomic import atomic_file, write_text_atomically
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Snapshot

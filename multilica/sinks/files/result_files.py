@@ -1,13 +1,73 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sink that writes `result.json` and `calibration.toml`."""
+"""Result files: `calibration.toml` for people, `result.json` for programs."""
 
+import json
+import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
+
+import tomli_w
 
 from multilica import events
+from multilica.extrinsics import Extrinsics, extrinsics_table, pose_values
+from multilica.results.document import LidarEntry, ResultDocument
+from multilica.results.document.result import GroundEntry
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.calibration_toml import calibration_toml
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
+
+_NUMBERS = re.compile(r"\[\n([-+\d.eE,\s]+?),?\s*\]")
+_HEADER = """\
+# Extrinsics of the LiDARs of one rig.
+# T_target_source maps a point of the LiDAR's own frame to the frame of {target}: p_target = T_target_source @ p_source.
+# Lengths in metres; rpy_deg in degrees, extrinsic xyz (roll, then pitch, then yaw about the fixed axes of {target});
+# quaternion_xyzw with w last; fitness is the share of points near a surface, rmse_m their RMS distance to it;
+# sigma_xyz_m, sigma_rotation_deg: one standard deviation along and about the axes of {target}.
+# [lidars] has the placed LiDARs. [uncertain] has those whose sigma is above the limit: use them only after a check.
+"""
+
+
+def calibration_toml(document: ResultDocument) -> str:
+    """Return the text of `calibration.toml`; `multilica.read_extrinsics` reads it."""
+    poses = {name: pose for name, pose in document.poses.items() if document.lidars[name].placed}
+    table = extrinsics_table(Extrinsics(document.target, poses))
+    for name in poses:
+        table["lidars"][name].update(_figures(document.lidars[name]))
+    table |= {
+        "status": document.status,
+        "target_reason": document.target_reason,
+        "uncertain": {
+            name: {"reason": document.lidars[name].reason, **pose_values(pose), **_figures(document.lidars[name])}
+            for name, pose in document.poses.items()
+            if not document.lidars[name].placed
+        },
+        "not_placed": {name: each.reason for name, each in document.lidars.items() if each.status == "not_placed"},
+        "input": {"source": document.input.source, "sha256": document.input.sha256},
+        "versions": document.versions,
+    }
+    if document.ground is not None:
+        table["ground"] = _ground(document.ground)
+    elif document.ground_refusal:
+        table["no_ground"] = document.ground_refusal
+    return f"{_HEADER.format(target=json.dumps(document.target))}\n{toml_text(table)}"
+
+
+def toml_text(document: Mapping[str, Any]) -> str:
+    """Return a document as TOML with each row of numbers on one line."""
+    return _NUMBERS.sub(lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]", tomli_w.dumps(document))
+
+
+def _figures(lidar: LidarEntry) -> dict[str, Any]:
+    """Return the figures of a LiDAR that are known."""
+    names = ("fitness", "rmse_m", "sigma_xyz_m", "sigma_rotation_deg")
+    return {name: value for name in names if (value := getattr(lidar, name)) is not None}
+
+
+def _ground(ground: GroundEntry) -> dict[str, Any]:
+    names = ("T_base_target", "xyz_m", "rpy_deg", "area_m2", "residual_m", "sigma_z_m", "sigma_roll_pitch_deg", "doubt")
+    return {"base": ground.frame, **{name: getattr(ground, name) for name in names}}
+
 
 RESULT_JSON = "result.json"
 CALIBRATION_TOML = "calibration.toml"

@@ -18,12 +18,17 @@ from multilica.sinks.drawing.palette import (
     distinct_colours,
     hex_colour,
 )
-from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE, Drawing, Ellipsoid, Label, Lines, segments_along
 from multilica.sinks.drawing.shapes import (
+    EDGE_LABEL_SHARE,
+    Drawing,
+    Ellipsoid,
+    Label,
+    Lines,
     ellipsoid_label,
     ellipsoid_scale,
     kept_matches,
     match_lines,
+    segments_along,
     shown_field_of_view,
     uncertainty_ellipsoid,
 )

@@ -16,10 +16,10 @@ from multilica.errors import UnknownNameError
 from multilica.geometry import Float32Array, RigidTransform
 from multilica.results import CalibrationResult
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing.clouds import sample_points
+from multilica.sinks.drawing.shapes import sample_points
 from multilica.sinks.files.atomic import atomic_file, partial_path
-from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.result_document import result_so_far, run_document
+from multilica.sinks.files.result_files import toml_text
 from multilica.sinks.mcap.messages import McapMessage, MessageWriter
 from multilica.sinks.mcap.result_drawings import cloud_frames, foxglove_layout, result_drawings
 from multilica.sinks.run_state import RunState

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writer of snapshots as MCAP files for ROS tools."""
+"""Writers of snapshots and of static transforms as MCAP files for ROS tools."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from io import BytesIO
 from pathlib import Path
 
 from mcap.well_known import MessageEncoding, Profile
@@ -10,9 +11,11 @@ from mcap.writer import CompressionType, Writer
 
 import multilica
 from multilica.config import IngestConfig
+from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
 from multilica.sinks.files.atomic import atomic_file
 from multilica.sinks.mcap import ros2_types as ros2
+from multilica.sinks.mcap.messages import McapMessage, MessageWriter
 from multilica.snapshot import LidarScans, Snapshot
 
 _CHUNK_BYTES = 4 << 20
@@ -103,3 +106,19 @@ def _ros_stamp_ns(stamp_ns: int) -> int:
 def _register_schema(writer: Writer, message_type: str) -> int:
     schema = ros2.schema_of(message_type)
     return int(writer.register_schema(schema.name, schema.encoding, schema.data))
+
+
+_STAMP_NS = 10**9
+"""Readers treat zero as unset; the time of a static transform has no meaning."""
+
+
+def static_transforms_mcap(poses: Sequence[RigidTransform]) -> bytes:
+    """Return a ROS 2 recording with one ``tf2_msgs/msg/TFMessage`` on `/tf_static`, latched for late subscribers."""
+    file = BytesIO()
+    writer = Writer(file, enable_data_crcs=True)
+    writer.start(profile=Profile.ROS2, library=f"multilica {multilica.__version__}")
+    schema, channel = ros2.schema_of(ros2.TRANSFORMS), ros2.offered_qos(latched=True)
+    data = ros2.serialised(ros2.transforms(poses, _STAMP_NS))
+    MessageWriter(writer).write(McapMessage("/tf_static", schema, data, channel), _STAMP_NS)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return file.getvalue()

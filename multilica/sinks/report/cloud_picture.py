@@ -11,8 +11,8 @@ import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.sinks.drawing.clouds import every_nth
 from multilica.sinks.drawing.palette import Rgb
+from multilica.sinks.drawing.shapes import every_nth
 
 GROUND_COLOUR: Rgb = (15, 19, 25)
 _TEXT_COLOUR: Rgb = (232, 236, 241)

@@ -11,7 +11,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Registration
 from multilica.results.document import ResultDocument
 from multilica.results.prior_comparison import surprises
-from multilica.sinks.drawing.clouds import sample_points
+from multilica.sinks.drawing.shapes import sample_points
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans

@@ -8,7 +8,7 @@ import numpy as np
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results.document import ResultDocument
-from multilica.sinks.files.calibration_toml import calibration_toml
+from multilica.sinks.files.result_files import calibration_toml
 from multilica.sinks.text.extrinsics_text import matrix_text, urdf_text
 
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import LEVEL_FRAME, BeamLabel, PairKey
-from multilica.sinks.drawing.clouds import every_nth
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, Rgb
+from multilica.sinks.drawing.shapes import every_nth
 from multilica.sinks.report.cloud_picture import (
     Layer,
     View,

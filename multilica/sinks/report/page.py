@@ -16,9 +16,9 @@ from multilica.geometry import RigidTransform
 from multilica.results import LEVEL_FRAME
 from multilica.results.document import PairEntry, SnapshotEntry
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
-from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
+from multilica.sinks.drawing.shapes import EDGE_LABEL_SHARE
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.files.result_files import toml_text
 from multilica.sinks.files.run_files import REPORT_HTML
 from multilica.sinks.report.cloud_picture import short_name
 from multilica.sinks.report.contents import ReportContents, contents_of

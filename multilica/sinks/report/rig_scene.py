@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.sinks.drawing.clouds import every_nth, sample_points
 from multilica.sinks.drawing.palette import Rgb
+from multilica.sinks.drawing.shapes import every_nth, sample_points
 from multilica.sinks.report.contents import ReportContents
 
 MAX_POINTS = 300_000

@@ -14,11 +14,11 @@ import rerun as rr
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Correspondences, PairKey
-from multilica.sinks.drawing.clouds import sample_indices
-from multilica.sinks.rerun.data_tables import MERGE_COLUMNS, PAIR_COLUMNS, merge_rows, pair_rows
+from multilica.sinks.drawing.shapes import sample_indices
 from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, TIMINGS, pair_path
 from multilica.sinks.rerun.input import log_in_slot
 from multilica.sinks.rerun.scene import CLOCK_TIMELINE, RerunScene
+from multilica.sinks.rerun.tables import MERGE_COLUMNS, PAIR_COLUMNS, merge_rows, pair_rows
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 

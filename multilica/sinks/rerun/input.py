@@ -9,10 +9,9 @@ import rerun as rr
 from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.geometry import Float32Array, RigidTransform
-from multilica.sinks.drawing.clouds import sample_indices, slot_offsets_m
-from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb
-from multilica.sinks.drawing.shapes import shown_field_of_view
-from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb, heat_colours
+from multilica.sinks.drawing.shapes import sample_indices, shown_field_of_view, slot_offsets_m
+from multilica.sinks.files.result_files import toml_text
 from multilica.sinks.rerun.entity_paths import (
     CONFIG,
     DISPLAY_FRAME,
@@ -163,3 +162,19 @@ def _meaning(reason: str, config: CalibrationConfig | None) -> str:
         "too_far": f"farther than {limits.max_range_m:g} m (`preprocess.max_range_m`)",
         "moving": "moved between frames: beams of other frames pass through its place (`stillness.moving_clearance_m`)",
     }.get(reason, "")
+
+
+RESIDUAL_SCALE_M = 0.05
+"""Residual with the brightest colour: a few times the range noise of vehicle LiDARs."""
+
+# The darkest colours of the scale can hardly be seen on the background.
+_DARKEST = 0.15
+
+
+def log_residuals(scene: RerunScene, event: events.ResidualsMeasured) -> None:
+    """Log the points of a LiDAR that others saw as well, coloured by their distance to the others' surfaces."""
+    found = event.residuals
+    rows = sample_indices(len(found.points_m), scene.limits.cloud_points)
+    colours = heat_colours(_DARKEST + (1.0 - _DARKEST) * found.residual_m[rows] / RESIDUAL_SCALE_M)
+    shown = rr.Points3D(found.points_m[rows].astype(np.float32), colors=colours, radii=rr.Radius.ui_points(2.0))
+    scene.log_in(lidar_frame(found.lidar), lidar_path(found.lidar, "residual"), shown)

@@ -7,9 +7,8 @@ import rerun as rr
 from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import BoolArray, Correspondences, Hypothesis
-from multilica.sinks.drawing.clouds import shown_radius_m
 from multilica.sinks.drawing.palette import KEPT, MUTED, REJECTED, Rgb
-from multilica.sinks.drawing.shapes import kept_matches, match_lines
+from multilica.sinks.drawing.shapes import kept_matches, match_lines, shown_radius_m
 from multilica.sinks.rerun.entity_paths import lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.scene import RerunScene, rigid
 

@@ -1,20 +1,155 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of a pair, each of which moves the source's cloud."""
+"""Poses of a pair with its scored points and its verdict."""
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 
 from multilica import events
-from multilica.geometry import RigidTransform
-from multilica.results import Hypothesis, PairKey, PairRegistration, Registration, hypothesis_label
-from multilica.sinks.rerun.entity_paths import CURVES, curve_path, lidar_frame, pair_frame, pair_path
+from multilica.diagnosis.causes import REASON_WORDS, by_weight
+from multilica.geometry import FloatArray, RigidTransform, fixed_sign, largest_index
+from multilica.results import BeamLabel, Hypothesis, PairKey, PairRegistration, Registration, hypothesis_label
+from multilica.sinks.drawing.palette import AGREE, OCCLUDED, UNDECIDED, UNSEEN, VERDICT_COLOURS, VIOLATE
+from multilica.sinks.drawing.shapes import sample_indices
+from multilica.sinks.rerun.entity_paths import CURVES, PAIRS, curve_path, lidar_frame, pair_frame, pair_path
 from multilica.sinks.rerun.matches import log_verdict_on_matches
 from multilica.sinks.rerun.scene import ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
-from multilica.sinks.rerun.scored_points import log_scored_points
-from multilica.sinks.rerun.verdict import log_verdict
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
-from multilica.sinks.text.pair_tables import pair_scores_markdown
+from multilica.sinks.text.markdown import pair_scores_markdown
+from multilica.sinks.unplaced import failures
+
+_COLOURS = {
+    BeamLabel.UNSEEN: UNSEEN,
+    BeamLabel.AGREE: AGREE,
+    BeamLabel.VIOLATE: VIOLATE,
+    BeamLabel.OCCLUDED: OCCLUDED,
+}
+
+
+def _log_beam_labels(scene: RerunScene) -> None:
+    """Log the classes of scored points, once: two bytes a point instead of a colour each."""
+    if PAIRS in scene.shown:
+        return
+    scene.shown.add(PAIRS)
+    classes = [
+        rr.AnnotationInfo(id=int(label), label=label.name.lower(), color=colour) for label, colour in _COLOURS.items()
+    ]
+    scene.stream.log(PAIRS, rr.AnnotationContext(classes), static=True)
+
+
+def log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Registration) -> None:
+    """Log the scored points of both sides by label; repeat those in proven-empty space, larger.
+
+    Args:
+        pair: as it was matched; the registration may be in either order.
+        start: the pose in whose frame the source's points are.
+    """
+    _log_beam_labels(scene)
+    source = (scored.probes_m, scored.visibility.labels)
+    target = (scored.target_probes_m, scored.visibility.target_labels)
+    if scored.T_target_source.target != pair[0]:
+        source, target = target, source
+    _log_side(scene, pair_path(*pair, "scored", "source"), pair_frame(*pair, start), *source)
+    _log_side(scene, pair_path(*pair, "scored", "target"), lidar_frame(pair[0]), *target)
+    violations_m, target_violations_m = (points_m[labels == BeamLabel.VIOLATE] for points_m, labels in (source, target))
+    moved_m = scored.T_target_source.with_target(pair[0]).apply(violations_m)
+    points = np.concatenate([moved_m, target_violations_m]).astype(np.float32)
+    shown = rr.Points3D(points, colors=[VIOLATE], radii=rr.Radius.ui_points(4.0))
+    scene.log_in(lidar_frame(pair[0]), pair_path(*pair, "scored", "violations"), shown)
+
+
+def _log_side(scene: RerunScene, path: str, frame: str, points_m: FloatArray, labels: npt.NDArray[np.uint8]) -> None:
+    """Log the points with their first labels; for later poses only new labels, and for the source a new frame."""
+    rows = sample_indices(len(points_m), scene.limits.scored_points)
+    classes = labels[rows].astype(np.uint16)
+    if path in scene.shown:
+        scene.log_in(frame, path, rr.Points3D.from_fields(class_ids=classes))
+        return
+    shown = rr.Points3D(points_m[rows].astype(np.float32), class_ids=classes, radii=rr.Radius.ui_points(2.5))
+    scene.log_in(frame, path, shown)
+
+
+_ARROW_M = 4.0
+
+
+def log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: PairRegistration) -> None:
+    """Log the verdict at the source's origin, the competing pose, and arrows along unconstrained directions."""
+    label = f"{pair_label(*pair)} {_verdict_words(registration)}"
+    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, registration.verdict.outcome)
+    _log_competing(scene, pair, scene.state.competing(pair), "competing pose")
+    if any(reason.code == "not_observable" for reason in registration.verdict.reasons):
+        own = registration.target == pair[0]
+        frame = lidar_frame(pair[0]) if own else pair_frame(*pair, start)
+        _log_slide(scene, pair, registration, frame)
+
+
+def _verdict_words(registration: PairRegistration) -> str:
+    """Return the verdict with its main reason, short enough for a label."""
+    verdict = registration.verdict
+    first, *others = by_weight(reason.code for reason in verdict.reasons) or ("",)
+    more = f" and {len(others)} more" if others else ""
+    return f"{verdict.outcome}: {REASON_WORDS.get(first, first)}{more}" if first else verdict.outcome
+
+
+def log_contested_places(scene: RerunScene) -> None:
+    """Log both places of each LiDAR that two accepted pairs put at different places."""
+    for failure in failures(scene.state):
+        pair = failure.pair
+        if pair is None or failure.elsewhere is None:
+            continue
+        other = next(name for name in failure.elsewhere if name != failure.lidar)
+        label = f"{pair_label(*pair)} accept, but {other} puts {failure.lidar} elsewhere"
+        start = scene.state.registrations[pair].start_label
+        _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, "undecided")
+        _log_competing(scene, pair, scene.state.competing(pair), f"where {other} puts {failure.lidar}")
+
+
+def _log_label(scene: RerunScene, path: str, frame: str, label: str, outcome: str) -> None:
+    """Log a label at the origin of a frame."""
+    point = rr.Points3D(
+        [(0.0, 0.0, 0.0)], colors=[VERDICT_COLOURS[outcome]], labels=[label], radii=rr.Radius.ui_points(7.0)
+    )
+    scene.log_in(frame, path, point)
+
+
+def _log_competing(scene: RerunScene, pair: PairKey, competing: Registration | None, words: str) -> None:
+    cloud = scene.state.clouds.get(pair[1])
+    if competing is None or cloud is None:
+        return
+    frame = pair_frame(*pair, "competing")
+    pose = competing.T_target_source.with_target(pair[0])
+    scene.log(pair_path(*pair, "competing", "pose"), rigid(frame, lidar_frame(pair[0]), pose))
+    path, limit = pair_path(*pair, "competing"), scene.limits.pair_points // 3
+    scene.log_points(path, frame, cloud.points_m, scene.colour(pair[1]), limit)
+    beams = competing.visibility
+    label = f"{pair[1]}, {words}: {beams.agree:,} points agree, {beams.violate:,} lie in proven-empty space"
+    _log_label(scene, pair_path(*pair, "competing", "label"), frame, label, "undecided")
+
+
+def _log_slide(scene: RerunScene, pair: PairKey, registration: PairRegistration, frame: str) -> None:
+    """Log arrows both ways along the least constrained translation, or along the axis of that rotation.
+
+    They have a label only if this is the main reason, since it would cover the label of another one.
+
+    Args:
+        frame: of the registration's target.
+    """
+    weakest = fixed_sign(registration.registrations[0].visibility.weakest_direction)
+    rotates = largest_index(weakest) < 3
+    axis, word = (weakest[:3], "rotation about this axis") if rotates else (weakest[3:], "translation")
+    axis = axis / np.linalg.norm(axis)
+    origin_m = registration.T_target_source.xyz_m
+    weightiest = by_weight(reason.code for reason in registration.verdict.reasons)[0] == "not_observable"
+    arrows = rr.Arrows3D(
+        origins=[origin_m, origin_m],
+        vectors=[_ARROW_M * axis, -_ARROW_M * axis],
+        colors=[UNDECIDED],
+        labels=[f"{word} is not constrained", ""] if weightiest else None,
+        radii=0.06,
+    )
+    scene.log_in(frame, pair_path(*pair, "slide"), arrows)
+
 
 _AXIS_LENGTH_M = 0.5
 

@@ -7,24 +7,49 @@ from types import TracebackType
 from typing import Any, Self
 
 import rerun as rr
+import rerun.blueprint as rrb
+import rerun_bindings as bindings
 
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
-from multilica.sinks.files.calibration_toml import toml_text
+from multilica.sinks.files.result_files import toml_text
 from multilica.sinks.rerun import pairs
-from multilica.sinks.rerun.blueprint.layout import final_blueprint, stage_blueprint
+from multilica.sinks.rerun.blueprint import final_blueprint, stage_blueprint
 from multilica.sinks.rerun.data import log_data, log_data_tables, log_timings
-from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed
+from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed, log_residuals
 from multilica.sinks.rerun.matches import log_matches
+from multilica.sinks.rerun.pairs import log_contested_places
 from multilica.sinks.rerun.record_limits import limits_for
-from multilica.sinks.rerun.residual_map import log_residuals
 from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
 from multilica.sinks.rerun.scene import RerunScene
-from multilica.sinks.rerun.streams import end_threads, send_blueprint
 from multilica.sinks.rerun.tables import log_pair_tables, log_summary
-from multilica.sinks.rerun.verdict import log_contested_places
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, cause_of_end, log_end, log_lines
+
+
+def send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
+    """Send a blueprint as `stream.send_blueprint` does, and disconnect the stream that it is made with.
+
+    Rerun keeps that one with its two threads for the life of the process.
+    """
+    native = bindings.new_blueprint(
+        application_id=rr.get_application_id(recording=stream) or "",
+        make_default=False,
+        make_thread_default=False,
+        default_enabled=True,
+    )
+    made = rr.RecordingStream._from_native(native)  # noqa: SLF001
+    made.set_time("blueprint", sequence=0)
+    blueprint._log_to_stream(made)  # noqa: SLF001
+    held = made.memory_recording()
+    bindings.send_blueprint(held.storage, make_active=True, make_default=True, recording=stream.to_native())
+    made.disconnect()
+
+
+def end_threads() -> None:
+    """End the threads of streams that nothing refers to any more."""
+    bindings.flush_and_cleanup_orphaned_recordings()
+
 
 _NAME = "multilica"
 _FLUSH_TIMEOUT_S = 60.0

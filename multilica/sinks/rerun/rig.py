@@ -10,13 +10,12 @@ import rerun as rr
 from multilica import events
 from multilica.results import GroundPlane, LidarPlacement, MergeCandidate, MergeDecision, PairKey
 from multilica.sinks.drawing.palette import MUTED, VERDICT_COLOURS
-from multilica.sinks.drawing.primitives import EDGE_LABEL_SHARE
-from multilica.sinks.drawing.shapes import ellipsoid_label, ellipsoid_scale, uncertainty_ellipsoid
+from multilica.sinks.drawing.shapes import EDGE_LABEL_SHARE, ellipsoid_label, ellipsoid_scale, uncertainty_ellipsoid
 from multilica.sinks.rerun.entity_paths import GROUND, MERGE_GRAPH, MERGE_STEPS, lidar_frame, lidar_path, slot_frame
 from multilica.sinks.rerun.input import name_pole_m
 from multilica.sinks.rerun.scene import RerunScene, rigid
 from multilica.sinks.text.log_lines import pair_label
-from multilica.sinks.text.pair_tables import decisions_markdown
+from multilica.sinks.text.markdown import decisions_markdown
 
 _GRID_HALF_SIZE_M = 15.0
 _GRID_SPACING_M = 2.5

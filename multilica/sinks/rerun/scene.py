@@ -11,8 +11,8 @@ import rerun as rr
 
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, Registration
-from multilica.sinks.drawing.clouds import sample_points
 from multilica.sinks.drawing.palette import Rgb, distinct_colours
+from multilica.sinks.drawing.shapes import sample_points
 from multilica.sinks.rerun.entity_paths import LOG
 from multilica.sinks.rerun.record_limits import NO_LIMITS, RecordLimits
 from multilica.sinks.run_state import RunState

@@ -18,9 +18,8 @@ from multilica.errors import UnreadableSourceError
 from multilica.extrinsics import read_extrinsics
 from multilica.results.document import parse_result
 from multilica.results.document.building import collect_versions, provenance_of, result_document
-from multilica.sinks.files.calibration_toml import toml_text
 from multilica.sinks.files.result_document import run_document
-from multilica.sinks.files.result_files import ResultFiles
+from multilica.sinks.files.result_files import ResultFiles, toml_text
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 

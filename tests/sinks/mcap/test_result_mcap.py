@@ -23,7 +23,8 @@ from multilica import events
 from multilica.errors import UnknownNameError
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.mcap.ros2_messages import Ros2Encoding
-from tests.sinks.made_events import LIDARS, STAMP_NS, TARGET, TRUTH, UNPLACED, made_events
+from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
+from tests.sinks.made_scans import STAMP_NS
 
 NODE_MODULES = Path(__file__).parents[2] / "node" / "node_modules"
 HOW_TO_INSTALL = "npm install --prefix tests/node --no-package-lock"

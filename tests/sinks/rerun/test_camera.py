@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from multilica.results import PreprocessedCloud
-from multilica.sinks.rerun.blueprint.camera import around_lidar, beside_lidar
+from multilica.sinks.rerun.views import around_lidar, beside_lidar
 from multilica.sinks.run_state import RunState
 
 

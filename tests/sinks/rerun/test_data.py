@@ -11,7 +11,7 @@ import pytest
 
 from multilica import events
 from multilica.errors import UnreadableSourceError
-from multilica.sinks.rerun.recorded_tables import TABLES, read_recorded_table
+from multilica.sinks.rerun.reading import TABLES, read_recorded_table
 from multilica.sinks.rerun.recording import RerunRecording
 from tests.sinks.conftest import record
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events

@@ -11,7 +11,7 @@ import pytest
 import rerun.blueprint as rrb
 
 from multilica import events
-from multilica.sinks.rerun.blueprint.stage_tabs import stage_tab
+from multilica.sinks.rerun.blueprint import stage_tab
 from multilica.sinks.rerun.tables import matrix_bounds
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, made_events
@@ -71,7 +71,7 @@ def test_an_uncertain_pair_comes_before_accepted_ones(stage):
 
 
 def test_the_decisive_pair_has_a_tab_among_many_pairs(monkeypatch):
-    monkeypatch.setattr("multilica.sinks.rerun.blueprint.stage_tabs._MAX_PAIR_TABS", 1)
+    monkeypatch.setattr("multilica.sinks.rerun.blueprint._MAX_PAIR_TABS", 1)
     assert [tab.name for tab in pairs_tab(state_after("partial"), "correspond").contents] == ["rear <- top"]
 
 

@@ -7,8 +7,8 @@ from itertools import combinations
 
 import numpy as np
 
-from multilica.sinks.drawing.clouds import sample_indices, sample_points
 from multilica.sinks.drawing.palette import distinct_colours, heat_colours
+from multilica.sinks.drawing.shapes import sample_indices, sample_points
 
 
 def luminance_and_hue(colour) -> np.ndarray:

@@ -13,8 +13,7 @@ from multilica.results import CoarseResult, MergeCandidate, MergeDecision
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
-from multilica.sinks.text.pair_tables import candidate_label, decisions_markdown, hypotheses_markdown
-from multilica.sinks.text.run_summary import summary_markdown
+from multilica.sinks.text.markdown import candidate_label, decisions_markdown, hypotheses_markdown, summary_markdown
 from tests.sinks.made_events import LIDARS, UNPLACED, made_events
 
 

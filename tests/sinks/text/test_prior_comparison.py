@@ -20,8 +20,7 @@ from multilica.results.prior_comparison import surprises
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
-from multilica.sinks.text.pair_tables import hypotheses_markdown
-from multilica.sinks.text.run_summary import summary_markdown
+from multilica.sinks.text.markdown import hypotheses_markdown, summary_markdown
 from tests.sinks.conftest import record
 from tests.sinks.files.test_result_files import SCHEMA
 from tests.sinks.made_events import TARGET, TRUTH, UNPLACED, made_events

@@ -12,7 +12,7 @@ from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results.visibility_score import DISTINCTIVE_WEIGHT, PRIOR_LOG_ODDS, VisibilityScore
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.pair_tables import hypotheses_markdown, pair_scores_markdown
+from multilica.sinks.text.markdown import hypotheses_markdown, pair_scores_markdown
 from tests.sinks.made_events import made_events
 
 

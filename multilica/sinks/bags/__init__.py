@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Writers of snapshots as other recorders write their logs."""
