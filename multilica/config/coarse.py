@@ -11,7 +11,7 @@ from multilica.config.section import Count, Positive, PositiveMetres, Section
 class CoarseConfig(Section):
     """Hypotheses from matches."""
 
-    solver: Literal["cliques", "maximum_clique", "teaserpp", "kiss_matcher", "ransac", "fgr"] = Field(
+    solver: Literal["cliques", "maximum_clique", "teaserpp", "kiss_matcher"] = Field(
         "cliques",
         description="cliques: several hypotheses, by the idea of TEASER++; maximum_clique: TEASER++ itself; teaserpp: "
         "the same by teaserpp_python where that is installed",

@@ -70,7 +70,7 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
     found = PairSearch(match_features(of_target, of_source, config.correspond))
     clock.stop("correspond", found)
     if "coarse" in stages:
-        limits = config.coarse, config.acceptance.max_baseline_m, config.runtime.seed
+        limits = config.coarse, config.acceptance.max_baseline_m
         found.coarse = find_hypotheses(found.matches, *limits, request.prior)
         clock.stop("coarse", found)
     if "verify" in stages and found.coarse is not None and config.verify.enabled:

@@ -8,12 +8,7 @@ from multilica.optional_libraries import raise_missing, require_library
 from multilica.solvers import solver_in_use
 from multilica.system_libraries import missing_for_open3d
 
-_LIBRARY_OF_SOLVER = {
-    "maximum_clique": "networkx",
-    "kiss_matcher": "kiss_matcher",
-    "ransac": "open3d",
-    "fgr": "open3d",
-}
+_LIBRARY_OF_SOLVER = {"maximum_clique": "networkx", "kiss_matcher": "kiss_matcher"}
 
 
 def require_libraries(config: CalibrationConfig) -> None:

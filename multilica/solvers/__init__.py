@@ -7,23 +7,19 @@ from importlib.util import find_spec
 from multilica.config import CoarseConfig
 from multilica.results import Correspondences
 from multilica.solvers.cliques import solve_by_cliques
-from multilica.solvers.library_solvers import solve_by_fgr, solve_by_kiss_matcher, solve_by_ransac
+from multilica.solvers.library_solvers import solve_by_kiss_matcher, solve_by_teaserpp
 from multilica.solvers.solution import Solution
-from multilica.solvers.teaser import solve_by_maximum_clique, solve_by_teaserpp
+from multilica.solvers.teaser import solve_by_maximum_clique
 
-__all__ = ["SOLVERS", "Solution", "Solver", "solver_in_use"]
+__all__ = ["SOLVERS", "Solution", "solver_in_use"]
 
-Solver = Callable[[Correspondences, CoarseConfig, int], Solution]
-"""Takes at least one match, the configuration and a seed."""
-
-SOLVERS: Mapping[str, Solver] = {
+SOLVERS: Mapping[str, Callable[[Correspondences, CoarseConfig], Solution]] = {
     "cliques": solve_by_cliques,
     "maximum_clique": solve_by_maximum_clique,
     "teaserpp": solve_by_teaserpp,
     "kiss_matcher": solve_by_kiss_matcher,
-    "ransac": solve_by_ransac,
-    "fgr": solve_by_fgr,
 }
+"""Each takes at least one match."""
 
 
 def solver_in_use(config: CoarseConfig) -> str:

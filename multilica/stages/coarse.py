@@ -24,7 +24,6 @@ def find_hypotheses(
     matches: Correspondences,
     config: CoarseConfig,
     max_baseline_m: float,
-    seed: int,
     prior: RigidTransform | None = None,
 ) -> CoarseResult:
     """Find distinct poses of the source in the target frame, the one with the most agreeing matches first.
@@ -39,7 +38,7 @@ def find_hypotheses(
     plausible = matches.within_baseline(max_baseline_m)
     enough = len(plausible) >= _MIN_MATCHES
     solver = solver_in_use(config)
-    found = SOLVERS[solver](plausible, config, seed) if enough else Solution()
+    found = SOLVERS[solver](plausible, config) if enough else Solution()
     near = [_supported(pose, matches, config, solver) for pose in found.poses if is_near(pose, max_baseline_m)]
     agreed = (each for each in near if each.score >= config.min_agreeing_matches)
     hypotheses = _distinct(agreed, config.max_hypotheses)

@@ -39,7 +39,7 @@ def pair_priority(target: FeatureCloud, source: FeatureCloud, config: CoarseConf
     matches = found.within_baseline(max_baseline_m)
     if len(matches) == 0:
         return 0.0
-    solution = solve_by_cliques(matches, config.model_copy(update={"max_hypotheses": 1}), 0)
+    solution = solve_by_cliques(matches, config.model_copy(update={"max_hypotheses": 1}))
     near = [pose for pose in solution.poses if is_near(pose, max_baseline_m)]
     agreeing = (matches.agreeing(pose, config.noise_bound_m, config.normal_tolerance_deg) for pose in near)
     return float(max(map(np.count_nonzero, agreeing), default=0))

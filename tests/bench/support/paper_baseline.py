@@ -62,7 +62,7 @@ def solve(
     distances = unknown[:, 0]
     matches = Correspondences(target, source, target_m, source_m, unknown, unknown, distances, nearest[kept], kept)
     config = preset("paper").coarse
-    return SOLVERS[solver_in_use(config)](matches, config, 0).poses[0].matrix
+    return SOLVERS[solver_in_use(config)](matches, config).poses[0].matrix
 
 
 def refine(source: Any, target: Any, start: np.ndarray) -> np.ndarray:

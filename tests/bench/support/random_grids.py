@@ -38,7 +38,7 @@ def right_coarse_poses(
     right = {}
     for truth in truths:
         matches = match_features(features[target], features[truth.source], config.correspond)
-        found = find_hypotheses(matches, config.coarse, config.acceptance.max_baseline_m, 0).hypotheses
+        found = find_hypotheses(matches, config.coarse, config.acceptance.max_baseline_m).hypotheses
         metres, radians = found[0].T_target_source.distance_to(truth) if found else (np.inf, np.inf)
         right[truth.source] = metres < _RIGHT_M and radians < _RIGHT_RAD
     return right

@@ -33,12 +33,11 @@ def test_the_default_preset_needs_none(without):
     [
         (_config("coarse.solver=kiss_matcher"), "kiss_matcher", "The solver 'kiss_matcher' needs the library"),
         (_config("coarse.solver=maximum_clique"), "networkx", "The solver 'maximum_clique' needs the library"),
-        (_config("coarse.solver=fgr"), "open3d", "The solver 'fgr' needs the library"),
         (_config("features.engine=open3d"), "open3d", "The engine 'open3d' of features needs the library"),
         (_config("fine.engine=open3d"), "open3d", "The engine 'open3d' of fine needs the library"),
         (preset("paper"), "open3d", "needs the library"),
     ],
-    ids=["kiss", "clique", "fgr", "features", "fine", "paper"],
+    ids=["kiss", "clique", "features", "fine", "paper"],
 )
 def test_what_is_missing_is_told_with_the_command(without, config, module, said):
     require_libraries(config)

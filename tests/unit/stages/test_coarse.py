@@ -31,7 +31,7 @@ def _matches(*shares, seed=0):
 
 
 def _found(matches, config=_CONFIG, max_baseline_m=15.0, prior=None):
-    return find_hypotheses(matches, config, max_baseline_m, 0, prior)
+    return find_hypotheses(matches, config, max_baseline_m, prior)
 
 
 def test_both_poses_of_an_ambiguous_scene_are_kept():

@@ -4,7 +4,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from multilica.config import preset
-from multilica.solvers.decoupled_pose import decoupled_pose, vote_translation
+from multilica.solvers.teaser import decoupled_pose, vote_translation
 
 _CONFIG = preset("paper").coarse
 

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multilica.solvers.robust_pose import align_points, robust_pose
+from multilica.solvers.cliques import align_points, robust_pose
 
 
 def _matches(seed, count, wrong_share, noise_m=0.05):
