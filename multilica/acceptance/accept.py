@@ -6,6 +6,7 @@ from math import log, log1p
 
 import numpy as np
 
+from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, MergeConfig
 from multilica.geometry import FloatArray, largest_index
 from multilica.results import PairRegistration, Reason, Registration, Stability, Verdict, VisibilityScore
@@ -48,24 +49,6 @@ def accept_by_fitness(registration: PairRegistration, config: MergeConfig) -> Ve
         return Verdict("accept")
     text = f"fitness {registration.fitness:.3f} is not above {config.fitness_threshold:g}"
     return Verdict("reject", (Reason("low_fitness", registration.fitness, config.fitness_threshold, text),))
-
-
-def imprecision(
-    sigma_m: float | None, sigma_rad: float | None, config: AcceptanceConfig, margin: float = 1.0
-) -> Reason | None:
-    """Return why a pose with these standard deviations is uncertain; None if it is precise, or nothing is known.
-
-    Args:
-        margin: by which they have to be below the limits.
-    """
-    if sigma_m is not None and margin * sigma_m > config.max_sigma_m:
-        text = f"sigma {1000.0 * sigma_m:.0f} mm, limit {1000.0 * config.max_sigma_m:g} mm"
-        return Reason("imprecise", sigma_m, config.max_sigma_m, text)
-    sigma_deg = 0.0 if sigma_rad is None else float(np.rad2deg(sigma_rad))
-    if margin * sigma_deg > config.max_sigma_deg:
-        text = f"sigma {sigma_deg:.2f} deg, limit {config.max_sigma_deg:g} deg"
-        return Reason("imprecise", sigma_deg, config.max_sigma_deg, text)
-    return None
 
 
 def is_well_constrained(score: VisibilityScore, config: AcceptanceConfig) -> bool:

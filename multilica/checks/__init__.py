@@ -13,7 +13,7 @@ from multilica.checks.comparison import (
 )
 from multilica.checks.reference import poses_of, read_reference
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
-from multilica.checks.verify_snapshot import check_found, decide_unplaced, saved_rig, verify_snapshot
+from multilica.checks.verify_snapshot import check_found, decide_unplaced, verify_snapshot
 
 __all__ = [
     "CheckDocument",
@@ -32,6 +32,5 @@ __all__ = [
     "read_reference",
     "read_tolerances",
     "relative_covariance",
-    "saved_rig",
     "verify_snapshot",
 ]

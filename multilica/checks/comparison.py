@@ -11,8 +11,9 @@ from multilica.checks.tolerances import RigTolerances, Tolerance
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform, skew
+from multilica.results import LidarPlacement
 from multilica.runs.pose_error import PoseError
-from multilica.runs.run_documents import SavedPlacement, SavedRun
+from multilica.runs.run_documents import SavedRun
 
 CheckVerdict = Literal["within", "outside", "undecided"]
 
@@ -138,7 +139,7 @@ def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str]
 
 
 def _root(
-    target: str, placed: dict[str, SavedPlacement], reference: Extrinsics, tolerances: RigTolerances
+    target: str, placed: dict[str, LidarPlacement], reference: Extrinsics, tolerances: RigTolerances
 ) -> tuple[str, list[str]]:
     """Choose the LiDAR with which most agree, the target of the run among equals."""
     if len(placed) < 2:
@@ -165,7 +166,7 @@ def _agrees(error: PoseError, tolerance: Tolerance) -> bool:
 
 
 def _poses(
-    root: SavedPlacement, placement: SavedPlacement, reference: Extrinsics
+    root: LidarPlacement, placement: LidarPlacement, reference: Extrinsics
 ) -> tuple[RigidTransform, RigidTransform]:
     """Return the found and the reference pose of a LiDAR in the frame of the root."""
     assert root.T_target_source is not None and placement.T_target_source is not None  # noqa: S101, PT018
@@ -174,7 +175,7 @@ def _poses(
 
 
 def _check(
-    placement: SavedPlacement, root: SavedPlacement | None, target: str, reference: Extrinsics, tolerance: Tolerance
+    placement: LidarPlacement, root: LidarPlacement | None, target: str, reference: Extrinsics, tolerance: Tolerance
 ) -> LidarCheck:
     if placement.T_target_source is None or root is None or root.T_target_source is None:
         return LidarCheck(placement.lidar, "undecided", f"not placed: {placement.reason}", tolerance)
@@ -230,7 +231,7 @@ def _decide(off: float, limit: float, sigmas: _Sigmas | None, scale: float, unit
     return "within", f"{size} of {most}"
 
 
-def relative_covariance(root: SavedPlacement, placement: SavedPlacement, target: str) -> FloatArray | None:
+def relative_covariance(root: LidarPlacement, placement: LidarPlacement, target: str) -> FloatArray | None:
     """Return the (6, 6) covariance of a pose in the frame of the root; an upper bound, as both may share errors."""
     assert root.T_target_source is not None and placement.T_target_source is not None  # noqa: S101, PT018
     moved_by_root = np.eye(6)

@@ -7,9 +7,10 @@ from multilica.checks.comparison import LidarCheck, RigCheck, check_rig
 from multilica.checks.tolerances import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
-from multilica.runs.run_documents import SavedPlacement, SavedRun
+from multilica.results import CalibrationResult
+from multilica.runs.run_documents import SavedRun
 from multilica.snapshot import Snapshot
-from multilica.verification import FoundRig, register_from_known
+from multilica.verification import register_from_known
 
 
 def verify_snapshot(
@@ -28,23 +29,15 @@ def verify_snapshot(
     return check_found(register_from_known(snapshot, known, config), snapshot, known, tolerances)
 
 
-def check_found(rig: FoundRig, snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances) -> RigCheck:
+def check_found(rig: CalibrationResult, snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances) -> RigCheck:
     """Compare the poses that `register_from_known` found in a snapshot with the known ones.
 
     Raises:
         UsageError: a tolerance is for none of the LiDARs.
     """
-    found = check_rig(saved_rig(rig, snapshot), known, tolerances)
-    return replace(found, lidars=tuple(_far(each) if each.lidar in rig.contradicted else each for each in found.lidars))
-
-
-def saved_rig(rig: FoundRig, snapshot: Snapshot) -> SavedRun:
-    """Return the poses that `register_from_known` found in a snapshot as those of a run whose target is the root."""
-    placements = tuple(
-        SavedPlacement(name, rig.poses.get(name), None, rig.reasons.get(name, ""), rig.covariances.get(name))
-        for name in snapshot.names
-    )
-    return SavedRun(snapshot.source or "snapshot", rig.root, placements)
+    found = check_rig(SavedRun(snapshot.source or "snapshot", rig.target, rig.placements), known, tolerances)
+    far = {each.lidar for each in rig.placements if each.contradicts_prior}
+    return replace(found, lidars=tuple(_far(each) if each.lidar in far else each for each in found.lidars))
 
 
 def decide_unplaced(

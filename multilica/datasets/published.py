@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from multilica.acceptance.placement import place_target
 from multilica.datasets.opencalib import AGREED
 from multilica.datasets.truth_files import MAIN_LIDAR
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.runs import SavedPlacement, SavedRun, Tolerances, Truth
+from multilica.results import LidarPlacement
+from multilica.runs import SavedRun, Tolerances, Truth
 from multilica.runs.paper_table import PaperTable, paper_table
 
 _Pose = tuple[tuple[float, float, float], tuple[float, float, float]]
@@ -109,7 +111,9 @@ def published(dataset: str, tolerances: Tolerances | None = None) -> Published:
 
 
 def _table(found: Extrinsics, truth: Extrinsics, tolerances: Tolerances | None) -> PaperTable:
-    placements = tuple(SavedPlacement(name, pose, None, "published") for name, pose in found.T_target_source.items())
-    target = SavedPlacement(found.target, RigidTransform.identity(found.target, found.target), None, "target")
+    placements = tuple(
+        LidarPlacement(name, "published", "placed", pose) for name, pose in found.T_target_source.items()
+    )
+    target = place_target(found.target)
     run = SavedRun("published", found.target, (target, *placements))
     return paper_table([run], [Truth("published truth", truth)], tolerances)

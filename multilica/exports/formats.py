@@ -21,7 +21,7 @@ class ExchangeFormat:
 
     Args:
         suffixes: of its files.
-        writers: per suffix, ``module:function`` of this package that returns the content of a file.
+        writers: per suffix, ``module:function``, relative to this package, that returns the content of a file.
         readers: the same for reading; empty for point clouds.
     """
 
@@ -86,7 +86,7 @@ _LAUNCH = ExchangeFormat(
 )
 _ALL = (
     _format("toml", "TOML table, as calibration.toml", ".toml", "toml_table:toml_extrinsics", "toml_table:read_toml"),
-    _format("urdf", "URDF", ".urdf", "urdf:urdf_text", "urdf:read_urdf_extrinsics"),
+    _format("urdf", "URDF", ".urdf", ".sinks.text.extrinsics_text:urdf_text", "urdf:read_urdf_extrinsics"),
     _LAUNCH,
     _format(
         "ros2-static",
@@ -106,7 +106,7 @@ _ALL = (
     _format("autoware", "Autoware YAML", ".yaml", "autoware:autoware_yaml", "autoware:read_autoware"),
     _format("kalibr", "Kalibr-like YAML", ".yaml", "kalibr:kalibr_yaml", "kalibr:read_kalibr"),
     _format("kitti", "KITTI calibration file", ".txt", "matrices:kitti_text", "matrices:read_kitti"),
-    _format("matrices", "4 x 4 matrices", ".txt", "matrices:matrix_text", "matrices:read_matrices"),
+    _format("matrices", "4 x 4 matrices", ".txt", ".sinks.text.extrinsics_text:matrix_text", "matrices:read_matrices"),
     _format("opencalib", "OpenCalib JSON", ".json", "opencalib:opencalib_json", "opencalib:read_opencalib"),
     _format("csv", "CSV table", ".csv", "csv_table:csv_text", "csv_table:read_csv"),
 )
@@ -125,4 +125,4 @@ def format_named(name: str) -> ExchangeFormat:
 
 def _function(place: str) -> Any:  # noqa: ANN401 - a function of a module that is loaded when it is used
     module, _, name = place.partition(":")
-    return getattr(import_module(f"multilica.exports.{module}"), name)
+    return getattr(import_module(f".{module}", __package__), name)

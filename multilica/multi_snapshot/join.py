@@ -8,23 +8,21 @@ from math import fsum
 
 import numpy as np
 
-from multilica.acceptance.accept import imprecision
+from multilica.acceptance.placement import contested_place, place, place_target, why_unplaced_jointly
 from multilica.config import STAGES, AcceptanceConfig, CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses, scatter_ratio, spread_of
-from multilica.multi_snapshot.pose_conflicts import PoseConflict, SnapshotPairs, inconsistent_lidars, resolve_conflicts
+from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
-from multilica.orchestration.outcome import contested_place
 from multilica.results import (
     CalibrationResult,
     LidarPlacement,
     PairRegistration,
+    PoseConflict,
     Refinement,
     SnapshotDeviation,
     SnapshotReport,
 )
-from multilica.results.registrations import weakest_deviations
 from multilica.stages.refine import RefinedRig, refine
 
 
@@ -112,12 +110,11 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         snapshots=tuple(joint.report(run) for run in runs),
     )
     shown = results[shown_snapshot(result)]
-    poses = {place.lidar: place.T_target_source for place in result.placements if place.T_target_source is not None}
     placements = tuple(
-        place
-        if place.T_target_source is not None
-        else replace(place, contested=contested_place(place.lidar, poses, shown.pairs))
-        for place in result.placements
+        each
+        if each.T_target_source is not None
+        else replace(each, contested=contested_place(each.lidar, result.poses, shown.pairs))
+        for each in result.placements
     )
     return replace(result, placements=placements, pairs=shown.pairs, health=shown.health)
 
@@ -200,53 +197,24 @@ class _JointRig:
 
     def placement(self, lidar: str) -> LidarPlacement:
         if lidar == self.target:
-            identity = RigidTransform.identity(lidar, lidar)
-            return LidarPlacement(lidar, "the target", "placed", identity, fitness=1.0, rmse_m=0.0)
+            return place_target(lidar)
         if lidar not in self.rig.covariances:
-            return LidarPlacement(lidar, self._why_not_placed(lidar))
+            return LidarPlacement(lidar, why_unplaced_jointly(lidar, self.target, self.results, self.inconsistent))
         estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
         ratio = scatter_ratio(estimates)
         best = max(
             (pair for own in self.kept.values() for pair in own if lidar in pair.lidars), key=lambda pair: pair.evidence
         )
-        covariance = self.rig.covariances[lidar] * np.outer(ratio, ratio)
-        doubt = imprecision(*weakest_deviations(covariance), self.limits)
-        return LidarPlacement(
-            lidar,
-            _placed_by(len(estimates), len(self.results)) if doubt is None else doubt.text,
-            "placed" if doubt is None else "uncertain",
-            T_target_source=self.rig.poses[lidar],
+        return place(
+            self.rig.poses[lidar],
+            self.rig.covariances[lidar] * np.outer(ratio, ratio),
+            self.limits,
+            _placed_by(len(estimates), len(self.results)),
             fitness=best.fitness,
             rmse_m=best.rmse_m,
-            covariance=covariance,
             sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
             spread=spread_of(estimates),
         )
-
-    def _why_not_placed(self, lidar: str) -> str:
-        conflicts = [
-            each for own in self.inconsistent.values() for each in own if each.lidars[0] == lidar and not each.outvoted
-        ]
-        if conflicts:
-            first = conflicts[0]
-            return (
-                f"{first.snapshot} and {', '.join(first.others)} place it {first.distance_m:.3f} m and "
-                f"{first.angle_deg:.2f} deg apart relative to {first.lidars[1]}, without a majority of snapshots"
-            )
-        reasons = (self._why_not_in(name, result, lidar) for name, result in self.results.items())
-        return ". ".join(reason for reason in reasons if reason)
-
-    def _why_not_in(self, snapshot: str, result: CalibrationResult, lidar: str) -> str:
-        placement = next((each for each in result.placements if each.lidar == lidar), None)
-        if placement is None:
-            return ""
-        if placement.T_target_source is None:
-            return f"{snapshot}: {placement.reason}"
-        inconsistent = ", ".join(conflict.lidars[0] for conflict in self.inconsistent[snapshot])
-        if inconsistent:
-            return f"{snapshot}: connected through pairs that contradict other snapshots on {inconsistent}"
-        status = "uncertain" if placement.uncertain else "placed"
-        return f"{snapshot}: {status} relative to {result.target}, but no accepted pair connects it to {self.target}"
 
     def report(self, run: SnapshotRun) -> SnapshotReport:
         deviations: dict[str, SnapshotDeviation] = {}

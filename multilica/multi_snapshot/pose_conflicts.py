@@ -3,36 +3,17 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from multilica.config import CalibrationConfig
 from multilica.multi_snapshot.estimate import Estimate, estimate_pairs
-from multilica.results import PairKey, PairRegistration, connected
+from multilica.results import PairKey, PairRegistration, PoseConflict, connected
 
 SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
 """Per snapshot, the registrations that determine its poses."""
-
-
-@dataclass(frozen=True, slots=True)
-class PoseConflict:
-    """A contradiction between one snapshot and others on one pair of LiDARs.
-
-    Args:
-        lidars: the pair, in name order.
-        others: the snapshots that contradict it.
-        distance_m, angle_deg: between its pose of the pair and that of the first of the others.
-        outvoted: whether more than half of the contradicting snapshots agree on another pose.
-    """
-
-    snapshot: str
-    lidars: PairKey
-    others: tuple[str, ...]
-    distance_m: float
-    angle_deg: float
-    outvoted: bool
 
 
 def resolve_conflicts(

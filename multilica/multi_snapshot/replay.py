@@ -47,7 +47,6 @@ def replay(
     Returns:
         The result with the ground plane of that snapshot, if the configuration asks for it.
     """
-    placed = {place.lidar: place.T_target_source for place in result.placements if place.T_target_source is not None}
     clouds: list[PreprocessedCloud] = []
     ground: GroundPlane | None = None
     refusal = ""
@@ -63,15 +62,15 @@ def replay(
                 observe(events.PairRegistered(pair))
         with _stage("refine", observe):
             observe(events.TargetChosen(result.target, result.target_reason))
-            poses = tuple(pose for _, pose in sorted(placed.items()))
+            poses = tuple(pose for _, pose in sorted(result.poses.items()))
             observe(events.RigRefined(result.refinement or Refinement(), poses))
         if config.ground.enabled and config.until == STAGES[-1]:
             with _stage("ground", observe):
                 points_m = {cloud.lidar: cloud.points_m for cloud in clouds}
-                ground, reason = ground_under(shown, result.target, points_m, placed, config, rig)
+                ground, reason = ground_under(shown, result.target, points_m, result.poses, config, rig)
                 refusal = "" if ground else reason
                 observe(events.GroundEstimated(ground, reason))
-    level = estimate_level(result.target, {cloud.lidar: cloud.points_m for cloud in clouds}, placed, config)
+    level = estimate_level(result.target, {cloud.lidar: cloud.points_m for cloud in clouds}, result.poses, config)
     result = replace(result, ground=ground, ground_refusal=refusal, level=level)
     observe(events.CalibrationFinished(result))
     return result

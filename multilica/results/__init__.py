@@ -28,6 +28,7 @@ from multilica.results.placements import (
     GroundPlane,
     LidarPlacement,
     PlacementStatus,
+    PoseConflict,
     SigmaOrigin,
     Spread,
 )
@@ -65,6 +66,7 @@ __all__ = [
     "PairRegistration",
     "PairResidual",
     "PlacementStatus",
+    "PoseConflict",
     "PreprocessedCloud",
     "Reason",
     "Refinement",

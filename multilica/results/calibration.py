@@ -145,8 +145,12 @@ class CalibrationResult:
         """``complete`` if every LiDAR is placed, ``failed`` if none but the target has a pose."""
         if all(placement.placed for placement in self.placements):
             return "complete"
-        with_pose = sum(placement.T_target_source is not None for placement in self.placements)
-        return "partial" if with_pose > 1 else "failed"
+        return "partial" if len(self.poses) > 1 else "failed"
+
+    @property
+    def poses(self) -> dict[str, RigidTransform]:
+        """``T_target_lidar`` of the LiDARs that have a pose, also an uncertain one."""
+        return {each.lidar: each.T_target_source for each in self.placements if each.T_target_source is not None}
 
     def to_dataframe(self) -> "pd.DataFrame":
         """Return a row per LiDAR in name order.

@@ -83,6 +83,33 @@ class Spread:
     rotation_deg: FloatArray | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class PoseConflict:
+    """A contradiction between one snapshot and others on one pair of LiDARs.
+
+    Args:
+        lidars: the pair, in name order.
+        others: the snapshots that contradict it.
+        distance_m, angle_deg: between its pose of the pair and that of the first of the others.
+        outvoted: whether more than half of the contradicting snapshots agree on another pose.
+    """
+
+    snapshot: str
+    lidars: PairKey
+    others: tuple[str, ...]
+    distance_m: float
+    angle_deg: float
+    outvoted: bool
+
+    @property
+    def text(self) -> str:
+        """A conflict without a majority, for people."""
+        return (
+            f"{self.snapshot} and {', '.join(self.others)} place it {self.distance_m:.3f} m and "
+            f"{self.angle_deg:.2f} deg apart relative to {self.lidars[1]}, without a majority of snapshots"
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ContestedPlace:
     """Two accepted pairs that put one LiDAR at different places.
@@ -112,6 +139,7 @@ class LidarPlacement:
         sigma_from: what the covariance rests on.
         spread: over the snapshots of a joint result; None where there is only one snapshot.
         contested: why accepted pairs did not place it; None where no two contradict each other.
+        contradicts_prior: whether the beams of a LiDAR without a pose contradict the prior, so that it moved far.
     """
 
     lidar: str
@@ -125,6 +153,7 @@ class LidarPlacement:
     sigma_from: SigmaOrigin = "residuals"
     spread: Spread | None = None
     contested: ContestedPlace | None = None
+    contradicts_prior: bool = False
 
     @property
     def placed(self) -> bool:

@@ -3,6 +3,6 @@
 
 from multilica.runs.evaluation import Evaluation, Tolerances, Truth, evaluate
 from multilica.runs.pose_error import PoseError
-from multilica.runs.run_documents import SavedPlacement, SavedRun, read_run
+from multilica.runs.run_documents import SavedRun, read_run
 
-__all__ = ["Evaluation", "PoseError", "SavedPlacement", "SavedRun", "Tolerances", "Truth", "evaluate", "read_run"]
+__all__ = ["Evaluation", "PoseError", "SavedRun", "Tolerances", "Truth", "evaluate", "read_run"]

@@ -11,9 +11,10 @@ import numpy as np
 
 from multilica.errors import InputError, UsageError
 from multilica.extrinsics import Extrinsics
+from multilica.results import LidarPlacement
 from multilica.results.document.values import Entry
 from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
-from multilica.runs.run_documents import SavedPlacement, SavedRun
+from multilica.runs.run_documents import SavedRun
 
 Outcome = Literal["within", "between", "false_accept", "false_refuse", "uncertain_within", "uncertain_beyond"]
 
@@ -96,7 +97,7 @@ class Comparison:
     run: str
     truth: str
     target: str
-    placement: SavedPlacement
+    placement: LidarPlacement
     error: PoseError | None
     normalised: float | None
     outcome: Outcome
@@ -244,7 +245,7 @@ def _left_out(run: SavedRun, truth: Truth) -> list[LeftOut]:
     return [LeftOut(run=run.name, lidar=name, reason=reason) for name, reason in reasons.items()]
 
 
-def _comparison(run: SavedRun, truth: Truth, placement: SavedPlacement, tolerances: Tolerances) -> Comparison:
+def _comparison(run: SavedRun, truth: Truth, placement: LidarPlacement, tolerances: Tolerances) -> Comparison:
     error, normalised = None, None
     if placement.T_target_source is not None:
         true_pose = truth.extrinsics.between(run.target, placement.lidar)

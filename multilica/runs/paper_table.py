@@ -14,8 +14,9 @@ from typing import Self
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform, read_only, rotation_angle_rad
+from multilica.results import LidarPlacement
 from multilica.runs.evaluation import Evaluation, Tolerances, Truth, evaluate, truth_per_run
-from multilica.runs.run_documents import SavedPlacement, SavedRun
+from multilica.runs.run_documents import SavedRun
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +145,7 @@ def paper_table(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: T
         if run.target not in truth:
             continue
         known = sorted((one for one in run.placements if one.lidar in truth), key=lambda one: one.lidar)
-        target = next((one for one in known if one.lidar == run.target), SavedPlacement(run.target, None, None, ""))
+        target = next((one for one in known if one.lidar == run.target), LidarPlacement(run.target, ""))
         pairs = [(target, one) for one in known if one.lidar != run.target]
         to_target += [_pair_error(run, truth, *pair, evaluation.tolerances) for pair in pairs]
         between += [_pair_error(run, truth, *pair, evaluation.tolerances) for pair in combinations(known, 2)]
@@ -159,7 +160,7 @@ def summarise_pairs(pairs: Iterable[PairError]) -> PaperSummary:
 
 
 def _pair_error(
-    run: SavedRun, truth: Truth, target: SavedPlacement, source: SavedPlacement, limits: Tolerances
+    run: SavedRun, truth: Truth, target: LidarPlacement, source: LidarPlacement, limits: Tolerances
 ) -> PairError:
     poses = [_placed_pose(run, one) for one in (target, source)]
     if poses[0] is None or poses[1] is None:
@@ -169,7 +170,7 @@ def _pair_error(
     return PairError(run.name, target.lidar, source.lidar, error, success=error.within(limits))
 
 
-def _placed_pose(run: SavedRun, placement: SavedPlacement) -> RigidTransform | None:
+def _placed_pose(run: SavedRun, placement: LidarPlacement) -> RigidTransform | None:
     if placement.lidar == run.target:
         return RigidTransform.identity(run.target, run.target)
     return None if placement.uncertain else placement.T_target_source

@@ -10,8 +10,8 @@ import numpy as np
 from multilica.diagnosis import Explanation, explain
 from multilica.documents import MAX_JSON_BYTES, DocumentError, read_limited
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.geometry import FloatArray, RigidTransform, read_only
-from multilica.results.document import LidarEntry, ResultDocument, parse_result
+from multilica.results import LidarPlacement
+from multilica.results.document import ResultDocument, parse_result
 from multilica.sinks.files.result_files import RESULT_JSON
 
 _RECORDINGS = ("recording.rrd", "recording.partial.rrd")
@@ -34,36 +34,12 @@ class RunDocument:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SavedPlacement:
-    """The placement of one LiDAR.
-
-    Args:
-        T_target_source: its pose in the run's target frame; None if it is neither placed nor uncertain.
-        covariance: (6, 6) of the pose, order rotation (rad), translation (m), along the target's axes.
-
-    Raises:
-        ValueError: the covariance is not a positive definite 6x6 matrix.
-    """
-
-    lidar: str
-    T_target_source: RigidTransform | None
-    fitness: float | None
-    reason: str
-    covariance: FloatArray | None = None
-    uncertain: bool = False
-
-    def __post_init__(self) -> None:
-        if self.covariance is not None and not np.all(np.linalg.eigvalsh(self.covariance) > 0.0):
-            raise ValueError(f"the covariance of LiDAR '{self.lidar}' is not a positive definite 6x6 matrix")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class SavedRun:
     """The outcome of one run, named by its directory, with a placement per LiDAR, the target among them."""
 
     name: str
     target: str
-    placements: tuple[SavedPlacement, ...]
+    placements: tuple[LidarPlacement, ...]
 
 
 def read_run_document(path: Path) -> RunDocument:
@@ -162,13 +138,11 @@ def saved_run(run: RunDocument, name: str) -> SavedRun:
     Raises:
         UnreadableSourceError: it is damaged.
     """
-    try:
-        placements = tuple(
-            _placement(run.document, lidar, entry) for lidar, entry in sorted(run.document.lidars.items())
-        )
-    except ValueError as error:
-        raise UnreadableSourceError(f"{run.path} is not a whole result: {error}.") from error
-    return SavedRun(name, run.document.target, placements)
+    for each in run.document.placements:
+        if each.covariance is not None and not np.all(np.linalg.eigvalsh(each.covariance) > 0.0):
+            what = f"the covariance of LiDAR '{each.lidar}' is not a positive definite 6x6 matrix"
+            raise UnreadableSourceError(f"{run.path} is not a whole result: {what}.")
+    return SavedRun(name, run.document.target, run.document.placements)
 
 
 def is_run(path: Path) -> bool:
@@ -196,9 +170,3 @@ def _result_file(path: Path) -> Path:
             "which `multilica calibrate --out` leaves when it ends."
         )
     return file
-
-
-def _placement(document: ResultDocument, lidar: str, entry: LidarEntry) -> SavedPlacement:
-    covariance = None if entry.covariance is None else read_only(entry.covariance, np.float64)
-    uncertain = entry.status == "uncertain"
-    return SavedPlacement(lidar, document.pose(lidar), entry.fitness, entry.reason, covariance, uncertain)

@@ -10,11 +10,11 @@ import numpy as np
 from multilica.acceptance.accept import (
     cannot_be_accepted,
     competing_poses,
-    imprecision,
     is_well_constrained,
     min_competing_evidence,
     slides,
 )
+from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import FloatArray
 from multilica.registration.gicp import fitness_and_rmse, register

@@ -16,7 +16,7 @@ from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.pipeline import calibrate
-from multilica.runs import SavedPlacement, SavedRun
+from multilica.runs import SavedRun
 from multilica.simulate import simulate_snapshot
 from tests.bench.support.cases import NEW_SEEDS
 from tests.bench.support.claims import Claim, print_claims, print_table
@@ -87,11 +87,7 @@ def _try(case: _Case) -> _Outcome:
     moved = str(rng.choice(sorted(made.snapshot.names)))
     references = [_moved(known, moved, share, rng, shifted=case.shifted) for share in _SHARES]
     result = calibrate(made.snapshot, config)
-    placements = tuple(
-        SavedPlacement(each.lidar, each.T_target_source, None, each.reason, each.covariance)
-        for each in result.placements
-    )
-    run = SavedRun(str(case), result.target, placements)
+    run = SavedRun(str(case), result.target, result.placements)
     tolerances = RigTolerances()
 
     def checked(reference: Extrinsics) -> RigCheck:

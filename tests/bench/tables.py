@@ -22,7 +22,8 @@ from multilica.config import CalibrationConfig, preset, with_overrides
 from multilica.errors import UnfitSnapshotError
 from multilica.geometry import RigidTransform
 from multilica.pipeline import calibrate
-from multilica.runs import SavedPlacement, SavedRun, Tolerances, Truth
+from multilica.results import LidarPlacement
+from multilica.runs import SavedRun, Tolerances, Truth
 from multilica.runs.paper_table import AxisError, PairError, PaperTable, paper_table, summarise_pairs
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import Snapshot
@@ -106,29 +107,27 @@ def _warm_up(system: str) -> None:
     import tests.bench.support.kiss_baseline  # noqa: F401
 
 
-def _place_by_preset(system: str, snapshot: Snapshot, target: str) -> list[SavedPlacement]:
+def _place_by_preset(system: str, snapshot: Snapshot, target: str) -> list[LidarPlacement]:
     return place_by_config(with_overrides(preset(system), [f"target={target}", "runtime.workers=1"]), snapshot)
 
 
-def place_by_config(config: CalibrationConfig, snapshot: Snapshot) -> list[SavedPlacement]:
+def place_by_config(config: CalibrationConfig, snapshot: Snapshot) -> list[LidarPlacement]:
     """Calibrate; of a snapshot that is refused, no LiDAR is placed."""
     try:
-        placements = calibrate(snapshot, config).placements
+        return list(calibrate(snapshot, config).placements)
     except UnfitSnapshotError as error:
-        return [SavedPlacement(name, None, None, str(error)) for name in snapshot.names]
-    return [
-        SavedPlacement(each.lidar, each.T_target_source, each.fitness, each.reason, uncertain=each.uncertain)
-        for each in placements
-    ]
+        return [LidarPlacement(name, str(error)) for name in snapshot.names]
 
 
-def _place_by_peer(_: str, snapshot: Snapshot, target: str) -> list[SavedPlacement]:
+def _place_by_peer(_: str, snapshot: Snapshot, target: str) -> list[LidarPlacement]:
     from tests.bench.support.kiss_baseline import place
 
     poses = place({lidar.name: lidar.points_m for lidar in snapshot.lidars}, target)
     poses[target] = np.eye(4)
     return [
-        SavedPlacement(name, RigidTransform.from_rotation_translation(target, name, T[:3, :3], T[:3, 3]), None, KISS)
+        LidarPlacement(
+            name, KISS, "placed", RigidTransform.from_rotation_translation(target, name, T[:3, :3], T[:3, 3])
+        )
         for name, T in poses.items()
     ]
 

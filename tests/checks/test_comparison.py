@@ -10,7 +10,8 @@ from multilica.checks import RigTolerances, Tolerance, check_rig
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.runs import SavedPlacement, SavedRun
+from multilica.results import LidarPlacement
+from multilica.runs import SavedRun
 
 POSES = {
     "front": RigidTransform.from_xyz_rpy("top", "front", (2.0, 0.1, -0.4), (0.0, 0.1, 0.0)),
@@ -30,12 +31,14 @@ def run_with(changes=None, sigma_m=0.001, sigma_deg=0.005, without=()):
         poses[name] = poses[name] @ RigidTransform.from_xyz_rpy(name, name, xyz_m, rpy_rad)
     to_target = poses["top"].inverse()
     placements = tuple(
-        SavedPlacement(
+        LidarPlacement(name, "nothing fits")
+        if name in without
+        else LidarPlacement(
             name,
-            None if name in without else RigidTransform("top", name, to_target.matrix @ pose.matrix),
-            0.8,
-            "nothing fits" if name in without else "placed",
-            None if name == "top" or name in without else np.diag(variances),
+            "placed",
+            "placed",
+            RigidTransform("top", name, to_target.matrix @ pose.matrix),
+            covariance=None if name == "top" else np.diag(variances),
         )
         for name, pose in sorted(poses.items())
     )
@@ -100,12 +103,7 @@ def test_of_a_long_sigma_the_part_along_the_difference_counts():
     for axis, verdict in ((0, "undecided"), (1, "outside")):
         shift = POSES["rear"].rotation.T @ (0.04 * np.eye(3)[axis])
         run = run_with({"rear": (tuple(shift), (0.0, 0.0, 0.0))})
-        placements = tuple(
-            SavedPlacement(
-                each.lidar, each.T_target_source, 0.8, "placed", loose if each.lidar == "rear" else each.covariance
-            )
-            for each in run.placements
-        )
+        placements = tuple(replace(each, covariance=loose) if each.lidar == "rear" else each for each in run.placements)
         (rear,) = (each for each in checked(SavedRun("run", "top", placements)).lidars if each.lidar == "rear")
         assert rear.verdict == verdict
 

@@ -8,7 +8,8 @@ from multilica import read_extrinsics, read_snapshot
 from multilica.checks import RigTolerances, check_rig, decide_unplaced
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.runs import SavedPlacement, SavedRun
+from multilica.results import LidarPlacement
+from multilica.runs import SavedRun
 from multilica_cli.commands.demo import find_sample
 
 LIMITS = RigTolerances()
@@ -32,8 +33,8 @@ def run_without(lidar):
     truth = reference()
     placed = {name: truth.between("left", name) for name in sorted(truth.members - {lidar})}
     covariance = np.eye(6) * 1e-8
-    placements = [SavedPlacement(name, pose, 0.5, "", covariance) for name, pose in placed.items()]
-    return SavedRun("run", "left", (*placements, SavedPlacement(lidar, None, None, "too little evidence", None)))
+    placements = [LidarPlacement(name, "", "placed", pose, covariance=covariance) for name, pose in placed.items()]
+    return SavedRun("run", "left", (*placements, LidarPlacement(lidar, "too little evidence")))
 
 
 @pytest.mark.parametrize(("shift_m", "verdict"), [(0.0, "within"), (0.05, "outside")])
@@ -51,6 +52,6 @@ def test_an_unplaced_lidar_is_decided_from_its_known_pose(snapshot, shift_m, ver
 
 def test_a_check_with_all_lidars_placed_is_left_alone(snapshot):
     known = reference()
-    placed = tuple(SavedPlacement(name, known.between("left", name), 0.5, "", None) for name in sorted(known.members))
+    placed = tuple(LidarPlacement(name, "", "placed", known.between("left", name)) for name in sorted(known.members))
     check = check_rig(SavedRun("run", "left", placed), known, LIMITS)
     assert decide_unplaced(check, snapshot, known, LIMITS) is check

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from multilica import events
+from multilica.acceptance.placement import contested_place
 from multilica.geometry import RigidTransform
-from multilica.orchestration.outcome import contested_place
 from multilica.results import Verdict
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.report.contents import contents_of

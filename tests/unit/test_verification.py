@@ -10,7 +10,8 @@ from multilica import read_snapshot
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics, read_extrinsics
 from multilica.geometry import RigidTransform
-from multilica.verification import FoundRig, register_from_known
+from multilica.results import CalibrationResult
+from multilica.verification import register_from_known
 from multilica_cli.commands.demo import find_sample
 
 MOVED, MISSING = "left", "rear"
@@ -22,31 +23,32 @@ def truth() -> Extrinsics:
 
 
 @pytest.fixture(scope="module")
-def found(truth: Extrinsics) -> FoundRig:
+def found(truth: Extrinsics) -> CalibrationResult:
     poses = {name: pose for name, pose in truth.T_target_source.items() if name != MISSING}
     moved = RigidTransform.from_xyz_rpy(truth.target, truth.target, (3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     known = Extrinsics(truth.target, {**poses, MOVED: moved @ poses[MOVED]})
     return register_from_known(read_snapshot(find_sample().recording), known)
 
 
-def test_lidars_at_their_known_poses_are_found(found: FoundRig, truth: Extrinsics) -> None:
+def test_lidars_at_their_known_poses_are_found(found: CalibrationResult, truth: Extrinsics) -> None:
     assert {*found.poses} == {"front", "right"}
     for name, pose in found.poses.items():
-        metres, radians = pose.distance_to(truth.between(found.root, name))
+        metres, radians = pose.distance_to(truth.between(found.target, name))
         assert metres < 0.01
         assert radians < np.deg2rad(0.1)
-    assert {*found.covariances} == {*found.poses} - {found.root}
-    (covariance,) = found.covariances.values()
+    covariances = {each.lidar: each.covariance for each in found.placements if each.covariance is not None}
+    assert {*covariances} == {*found.poses} - {found.target}
+    (covariance,) = covariances.values()
     assert 0.0 < np.sqrt(np.linalg.eigvalsh(covariance)).max() < 0.02
 
 
-def test_lidars_without_a_pose_have_the_reason(found: FoundRig) -> None:
-    assert {*found.reasons} == {MOVED, MISSING}
-    assert found.reasons[MISSING] == "it has no returns in range, or no known pose"
-    said = found.reasons[MOVED]
+def test_lidars_without_a_pose_have_the_reason(found: CalibrationResult) -> None:
+    assert {each.lidar for each in found.placements if each.status == "not_placed"} == {MOVED, MISSING}
+    assert found[MISSING].reason == "it has no returns in range, or no known pose"
+    said = found[MOVED].reason
     assert said.startswith(("no pose near the known one fits front: ", "no pose near the known one fits right: "))
     assert "that the other sensor's beams passed through" in said
-    assert found.contradicted == {MOVED}
+    assert [each.lidar for each in found.placements if each.contradicts_prior] == [MOVED]
 
 
 def test_poses_of_other_lidars_are_refused() -> None:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from multilica.checks import check_found, relative_covariance, saved_rig
+from multilica.checks import check_found, relative_covariance
 from multilica.diagnosis import explain
 from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.extrinsics import Extrinsics
@@ -25,11 +25,10 @@ def verified_rows(request: LogTask, snapshot: Snapshot, known: Extrinsics) -> li
     found = register_from_known(snapshot, known, request.config)
     if known.target not in found.poses or check_found(found, snapshot, known, request.tolerances).verdict != "within":
         return []
-    placements = {each.lidar: each for each in saved_rig(found, snapshot).placements}
-    target, T_target_root = placements[known.target], found.poses[known.target].inverse()
+    target, T_target_root = found[known.target], found.poses[known.target].inverse()
     rows = []
-    for name in sorted(placements):
-        covariance = None if name == known.target else relative_covariance(target, placements[name], found.root)
+    for name in snapshot.names:
+        covariance = None if name == known.target else relative_covariance(target, found[name], found.target)
         pose = T_target_root @ found.poses[name]
         rows.append(_row(request, name, known.target, "verified", "placed", pose, covariance))
     return rows

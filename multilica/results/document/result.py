@@ -2,6 +2,7 @@
 """The document that `result.json` holds."""
 
 import json
+import math
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
@@ -12,11 +13,12 @@ from pydantic.json_schema import GenerateJsonSchema
 from multilica.config import CalibrationConfig, Stage
 from multilica.documents import DocumentError, first_problem, parse_json, shown
 from multilica.errors import UnreadableSourceError
-from multilica.geometry import RigidTransform
+from multilica.geometry import RigidTransform, read_only
 from multilica.results.document.lidars import LidarEntry
 from multilica.results.document.pairs import DecisionEntry, PairEntry, RefinementEntry
 from multilica.results.document.stages import StageFigures
 from multilica.results.document.values import Entry, Matrix4, Number, Vector3
+from multilica.results.placements import LidarPlacement
 
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
 
@@ -175,6 +177,22 @@ class ResultDocument(Entry):
         if entry.status == "not_placed" or entry.T_target_source is None:
             return None
         return RigidTransform(self.target, lidar, np.asarray(entry.T_target_source))
+
+    @property
+    def placements(self) -> tuple[LidarPlacement, ...]:
+        """The LiDARs as values, in name order."""
+        return tuple(
+            LidarPlacement(
+                name,
+                entry.reason,
+                entry.status,
+                self.pose(name),
+                math.nan if entry.fitness is None else entry.fitness,
+                math.inf if entry.rmse_m is None else entry.rmse_m,
+                None if entry.covariance is None else read_only(entry.covariance, np.float64),
+            )
+            for name, entry in sorted(self.lidars.items())
+        )
 
 
 def parse_result(source: object, text: str | bytes) -> ResultDocument:

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from multilica.acceptance.accept import imprecision
+from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, CalibrationConfig, GroundConfig
 from multilica.geometry import FloatArray, RigidTransform, lengths, read_only
 from multilica.registration.neighbours import thin

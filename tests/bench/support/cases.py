@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.pipeline import calibrate
-from multilica.results import CalibrationResult
-from multilica.runs import SavedPlacement, SavedRun, Truth, evaluate
+from multilica.results import LidarPlacement
+from multilica.runs import SavedRun, Truth, evaluate
 from multilica.runs.evaluation import Comparison
 from multilica.simulate import Simulation, simulate_snapshot
 from tests.bench.support.true_pose_check import Members, Trial, Watch, is_borne_out, try_truth
@@ -85,7 +85,7 @@ def run_case(case: Case, config: CalibrationConfig, *, with_trial: bool = False)
         return _all_refused(case, simulation, str(error))
     groups = () if result.status == "complete" else result.decisions[-1].groups
     trials = try_truth(watch, groups, simulation.truth, config) if with_trial and groups else {}
-    compared = _compared(case, result.target, _saved(result), simulation)
+    compared = _compared(case, result.target, result.placements, simulation)
     names = [one.placement.lidar for one in compared]
     return [
         LidarOutcome(case, one, _codes(watch, groups, name), trials.get(name), one.placement.uncertain)
@@ -96,21 +96,13 @@ def run_case(case: Case, config: CalibrationConfig, *, with_trial: bool = False)
 def _all_refused(case: Case, simulation: Simulation, reason: str) -> list[LidarOutcome]:
     """A whole snapshot refused, which no simulated one deserves: the vehicle stands still."""
     target, *others = simulation.snapshot.names
-    placements = [SavedPlacement(name, None, None, reason) for name in others]
+    placements = [LidarPlacement(name, reason) for name in others]
     trial = Trial(accepted=True, codes=())
     return [LidarOutcome(case, one, (_UNFIT,), trial) for one in _compared(case, target, placements, simulation)]
 
 
-def _saved(result: CalibrationResult) -> list[SavedPlacement]:
-    return [
-        SavedPlacement(each.lidar, each.T_target_source, each.fitness, each.reason, each.covariance, each.uncertain)
-        for each in result.placements
-        if each.lidar != result.target
-    ]
-
-
 def _compared(
-    case: Case, target: str, placements: Iterable[SavedPlacement], simulation: Simulation
+    case: Case, target: str, placements: Iterable[LidarPlacement], simulation: Simulation
 ) -> tuple[Comparison, ...]:
     truth = Truth(simulation.snapshot.source, simulation.truth)
     return evaluate([SavedRun(str(case), target, tuple(placements))], [truth]).comparisons

@@ -9,10 +9,10 @@ from multilica.acceptance.accept import (
     accept_by_fitness,
     cannot_be_accepted,
     competing_poses,
-    imprecision,
     is_well_constrained,
     min_competing_evidence,
 )
+from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, MergeConfig
 from multilica.results import PairRegistration, Registration, Stability, VisibilityScore
 from tests.unit.made_pairs import pose

@@ -7,7 +7,8 @@ import pytest
 
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.runs import SavedPlacement, SavedRun, Truth
+from multilica.results import LidarPlacement
+from multilica.runs import SavedRun, Truth
 from multilica.simulate import simulate_snapshot
 from tests.bench import tables
 from tests.bench.support.cases import Case
@@ -24,7 +25,9 @@ def _outcome(system, rig, seed, off_m, *, placed=True, cpu_s=1.0):
     truth = Truth("truth", Extrinsics("top", {name: _pose(name, xyz_m) for name, xyz_m in ROOM.items()}))
     poses = {name: _pose(name, (x_m + off_m, y_m, z_m)) for name, (x_m, y_m, z_m) in ROOM.items()}
     poses["top"] = _pose("top", (0.0, 0.0, 0.0))
-    placements = tuple(SavedPlacement(name, pose if placed else None, None, "") for name, pose in poses.items())
+    placements = tuple(
+        LidarPlacement(name, "", "placed", pose) if placed else LidarPlacement(name, "") for name, pose in poses.items()
+    )
     return Outcome(
         system, Case(rig, "street", seed), SavedRun(f"{system} {rig} {seed}", "top", placements), truth, cpu_s
     )

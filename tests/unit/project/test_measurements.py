@@ -15,7 +15,6 @@ from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
 from multilica.runs import PoseError
 from multilica.runs.evaluation import Comparison
-from multilica.runs.run_documents import SavedPlacement
 from tests import opencalib
 from tests.bench import __main__ as bench
 from tests.bench import harder, peers, real_scans, repeat, scaling, simulated, speed
@@ -32,7 +31,7 @@ _STILL = RigidTransform.identity("top", "left")
 
 def _lidar(outcome, *codes, normalised=1.0, trial=None, uncertain=False):
     error = None if outcome == "false_refuse" else PoseError.between(_STILL, _STILL)
-    placement = SavedPlacement("left", None, None, "made")
+    placement = LidarPlacement("left", "made")
     comparison = Comparison("run", "truth", "top", placement, error, None if error is None else normalised, outcome)
     return LidarOutcome(_CASE, comparison, codes, trial, uncertain)
 

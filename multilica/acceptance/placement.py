@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one place that decides whether a LiDAR is placed, uncertain or not placed, and for which reason."""
+
+from collections.abc import Collection, Mapping, Sequence
+from itertools import chain, combinations
+from typing import Any
+
+import numpy as np
+
+from multilica.config import STAGES, AcceptanceConfig, Stage
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.poses import is_distinct
+from multilica.results import (
+    CalibrationResult,
+    ContestedPlace,
+    LidarPlacement,
+    MergeDecision,
+    PairKey,
+    PairRegistration,
+    PlacementStatus,
+    PoseConflict,
+    Reason,
+    Registration,
+)
+from multilica.results.registrations import weakest_deviations
+from multilica.visibility.sensor_view import ScorePose
+
+
+def imprecision(
+    sigma_m: float | None, sigma_rad: float | None, config: AcceptanceConfig, margin: float = 1.0
+) -> Reason | None:
+    """Return why a pose with these standard deviations is uncertain; None if it is precise, or nothing is known.
+
+    Args:
+        margin: by which they have to be below the limits.
+    """
+    if sigma_m is not None and margin * sigma_m > config.max_sigma_m:
+        text = f"sigma {1000.0 * sigma_m:.0f} mm, limit {1000.0 * config.max_sigma_m:g} mm"
+        return Reason("imprecise", sigma_m, config.max_sigma_m, text)
+    sigma_deg = 0.0 if sigma_rad is None else float(np.rad2deg(sigma_rad))
+    if margin * sigma_deg > config.max_sigma_deg:
+        text = f"sigma {sigma_deg:.2f} deg, limit {config.max_sigma_deg:g} deg"
+        return Reason("imprecise", sigma_deg, config.max_sigma_deg, text)
+    return None
+
+
+def place_target(lidar: str, **known: Any) -> LidarPlacement:  # noqa: ANN401 - fields of the placement
+    """Place the target, which has the identity."""
+    pose = RigidTransform.identity(lidar, lidar)
+    return LidarPlacement(lidar, "the target", "placed", pose, fitness=1.0, rmse_m=0.0, **known)
+
+
+def place(
+    pose: RigidTransform,
+    covariance: FloatArray | None,
+    config: AcceptanceConfig,
+    how: str = "placed",
+    **known: Any,  # noqa: ANN401 - further fields of the placement
+) -> LidarPlacement:
+    """Place a LiDAR at an accepted pose; it is uncertain if a standard deviation is above the limit.
+
+    Args:
+        covariance: (6, 6), rotation (rad), then translation (m), along the target's axes; None if it is not known.
+        how: the LiDAR was placed, for people.
+    """
+    doubt = None if covariance is None else imprecision(*weakest_deviations(covariance), config)
+    status: PlacementStatus = "placed" if doubt is None else "uncertain"
+    reason = how if doubt is None else doubt.text
+    return LidarPlacement(pose.source, reason, status, pose, covariance=covariance, **known)
+
+
+def why_unplaced(
+    lidar: str,
+    target: str,
+    pairs: Sequence[PairRegistration],
+    decisions: Sequence[MergeDecision],
+    *,
+    in_range: Collection[str] = (),
+    until: Stage = "ground",
+    not_reached: Sequence[PairKey] = (),
+) -> str:
+    """Return why a calibration does not place a LiDAR.
+
+    Args:
+        pairs, decisions: of the calibration.
+        in_range: the LiDARs with returns in range; empty if none was examined.
+        until: the last stage that was asked for.
+        not_reached: pairs for which there was no time.
+    """
+    if in_range and lidar not in in_range:
+        return "it has no returns in range"
+    if until in STAGES[: STAGES.index("merge")]:
+        return f"the run stopped after stage {until} (--until)"
+    missed = sorted({*chain.from_iterable(pair for pair in not_reached if lidar in pair)} - {lidar})
+    if missed:
+        return f"the time was over (--max-time) before its pairs with {', '.join(missed)} were searched"
+    best = _best_of(lidar, pairs)
+    if best is None:
+        return "no pose was found against any other LiDAR"
+    (other,) = best.lidars - {lidar}
+    return f"its best registration, with {other}: {best.verdict.text or _last_refusal(lidar, target, decisions[-1])}"
+
+
+def _best_of(lidar: str, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
+    return max((pair for pair in pairs if lidar in pair.lidars), key=lambda pair: pair.evidence, default=None)
+
+
+def _last_refusal(lidar: str, target: str, last: MergeDecision) -> str:
+    """Return why the group of a LiDAR with an accepted pair was not merged into the target's."""
+    members = next((group for group in last.groups if lidar in group), (lidar,))
+    reasons = [each.reason for each in last.candidates if {each.target, each.source} & {*members} and each.reason]
+    return reasons[0] if reasons else f"{' and '.join(members)} could not be joined to {target}"
+
+
+def why_unplaced_jointly(
+    lidar: str,
+    target: str,
+    results: Mapping[str, CalibrationResult],
+    conflicts: Mapping[str, Sequence[PoseConflict]],
+) -> str:
+    """Return why several snapshots together do not place a LiDAR.
+
+    Args:
+        results: of each snapshot alone.
+        conflicts: per snapshot; the first LiDAR of each is inconsistent.
+    """
+    undecided = [each for own in conflicts.values() for each in own if each.lidars[0] == lidar and not each.outvoted]
+    if undecided:
+        return undecided[0].text
+    reasons = (_why_not_in(name, result, lidar, target, conflicts[name]) for name, result in results.items())
+    return ". ".join(reason for reason in reasons if reason)
+
+
+def _why_not_in(
+    snapshot: str, result: CalibrationResult, lidar: str, target: str, conflicts: Sequence[PoseConflict]
+) -> str:
+    alone = next((each for each in result.placements if each.lidar == lidar), None)
+    if alone is None:
+        return ""
+    if alone.T_target_source is None:
+        return f"{snapshot}: {alone.reason}"
+    if conflicts:
+        inconsistent = ", ".join(conflict.lidars[0] for conflict in conflicts)
+        return f"{snapshot}: connected through pairs that contradict other snapshots on {inconsistent}"
+    return f"{snapshot}: {alone.status} relative to {result.target}, but no accepted pair connects it to {target}"
+
+
+def unplaced_near_known(
+    lidar: str,
+    placed: Collection[str],
+    scores: Mapping[PairKey, Registration],
+    found: Sequence[PairRegistration],
+    config: AcceptanceConfig,
+) -> LidarPlacement:
+    """Return why a LiDAR has no pose near its known one, and whether beams contradict that one.
+
+    Args:
+        placed: the LiDARs that have a pose.
+        scores: of the known poses of all pairs.
+        found: the registrations that were tried from there.
+    """
+    contradicted = any(
+        lidar in pair and {*pair} - {lidar} <= {*placed} and score.visibility.contradiction > config.min_log_odds_margin
+        for pair, score in scores.items()
+    )
+    best = _best_of(lidar, found)
+    if best is not None:
+        (other,) = best.lidars - {lidar}
+        reason = f"no pose near the known one fits {other}: {best.verdict.text or 'too few points match'}"
+    elif any(lidar in pair for pair in scores):
+        reason = f"it sees too little of what {' and '.join(sorted(placed))} see"
+    else:
+        reason = "it has no returns in range, or no known pose"
+    return LidarPlacement(lidar, reason, contradicts_prior=contradicted)
+
+
+def contested_place(
+    lidar: str,
+    poses: Mapping[str, RigidTransform],
+    pairs: Sequence[PairRegistration],
+    score_pose: ScorePose | None = None,
+) -> ContestedPlace | None:
+    """Find the two accepted pairs whose poses of a LiDAR are farthest apart; distances are rounded to 1 mm.
+
+    Args:
+        lidar: one that is not placed.
+        poses: ``T_target_lidar`` of the placed LiDARs.
+        score_pose: scores the pose of the first pair that follows from the other; None leaves that out.
+
+    Returns:
+        None where all accepted pairs with a placed LiDAR agree.
+    """
+    places = [
+        (pair, poses[fixed] @ pair.T_target_source.with_target(fixed))
+        for pair in sorted(pairs, key=lambda pair: -pair.evidence)
+        if pair.verdict.accepted and lidar in pair.lidars
+        for fixed in pair.lidars - {lidar}
+        if fixed in poses
+    ]
+    apart = [
+        (*here.distance_to(there), pair, other, there)
+        for (pair, here), (other, there) in combinations(places, 2)
+        if is_distinct(here, [there])
+    ]
+    if not apart:
+        return None
+    distance_m, angle_rad, pair, other, place = max(apart, key=lambda each: (round(each[0], 3), round(each[1], 3)))
+    competing = None
+    if score_pose is not None:
+        (fixed,) = pair.lidars - {lidar}
+        competing = score_pose((poses[fixed].inverse() @ place).with_target(pair.target))
+    return ContestedPlace((pair.target, pair.source), (other.target, other.source), distance_m, angle_rad, competing)
