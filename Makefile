@@ -7,10 +7,14 @@ NODE_READY := tests/node/node_modules/.installed
 ROS2_READY := tests/ros2/.venv/.installed
 SAMPLE := recordings/samples/edgar-street.mcap
 
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadgroup
+
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
+# Compiled modules are kept wherever make runs: without them each start of Python takes longer than most tests.
+export PYTHONDONTWRITEBYTECODE :=
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo test test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
+.PHONY: help libraries pictures demo check test nightly test-kernel test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -18,7 +22,16 @@ help: ## List the targets.
 demo: $(READY) ## Set everything up, then calibrate the embedded sample.
 	@$(BIN)/multilica demo
 
-test: lint pytest ## Set everything up, then run all checks and tests.
+check: lint ## Run the linters and the quick tests; a minute.
+	$(PYTEST) -m "not slow" --fail-slow 2
+
+test: lint pytest test-kernel ## Set everything up, then run all checks and tests; ten minutes.
+
+nightly: export MULTILICA_NIGHTLY := 1
+nightly: lint pytest test-kernels ## Run all tests with all their cases, and the kernels of three CPUs.
+
+test-kernel: $(READY)
+	$(BIN)/python tests/kernels.py --push
 
 test-kernels: $(READY) ## Run the tests that could depend on the CPU with the kernels of three CPUs.
 	$(BIN)/python tests/kernels.py
@@ -33,7 +46,7 @@ lint: $(READY)
 	$(BIN)/lint-imports --no-logo
 
 pytest: $(READY) pictures node ros2
-	$(BIN)/python -m pytest -n 2 --dist loadgroup
+	$(PYTEST) --fail-slow 2
 
 bench: $(READY) ## Measure every claim on simulated and real scenes; an hour or more.
 	$(BIN)/python -m tests.bench

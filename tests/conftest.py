@@ -3,6 +3,8 @@ import signal
 
 import pytest
 
+pytest_plugins = ["tests.selection", "tests.slow_tests"]
+
 # A shell without job control has what it starts in the background ignore Ctrl-C, and nohup has it ignore a hang-up; the
 # processes of the tests would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

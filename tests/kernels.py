@@ -6,12 +6,20 @@ OpenBLAS and NumPy choose kernels by the CPU, and other kernels round the last b
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import subprocess
 import sys
 
-FOLDERS = [f"tests/{name}" for name in ("unit", "property", "pipeline", "sinks")]
+FOLDERS = ("tests/unit", "tests/property", "tests/pipeline", "tests/sinks")
+# What a push runs, with the kernel that differs most from those of today's CPUs: the numbers and what they decide.
+NUMERIC = (
+    *(f"tests/unit/{name}" for name in ("acceptance", "registration", "solvers", "stages", "visibility")),
+    "tests/property",
+    "tests/pipeline",
+)
+PUSH_KERNEL = "Prescott"
 # The rules of the house, and what is drawn by a viewer or a browser.
 SAME_ON_ANY_CPU = (
     "tests/unit/project",
@@ -20,7 +28,7 @@ SAME_ON_ANY_CPU = (
     "tests/sinks/mcap/test_foxglove_studio.py",
 )
 IGNORED = [f"--ignore={path}" for path in SAME_ON_ANY_CPU]
-PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *FOLDERS, *IGNORED]
+PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *IGNORED]
 VARIABLES = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
 ALIASES = {"Katmai": "Prescott"}  # OpenBLAS has one kernel for both and reports the first name.
 
@@ -64,12 +72,16 @@ def run_tests(kernel: str, arguments: list[str]) -> str:
     return f"failed: pytest ended with {code}" if code else "passed"
 
 
-def main(arguments: list[str]) -> int:
-    """Run the tests with each kernel; arguments are handed to pytest."""
-    outcomes = {kernel: run_tests(kernel, arguments) for kernel in ALLOWED}
+def main() -> int:
+    """Run the tests with each kernel."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--push", action="store_true", help=f"only {PUSH_KERNEL}, and only tests of numbers")
+    given, others = parser.parse_known_args()
+    kernels, folders = ([PUSH_KERNEL], NUMERIC) if given.push else (ALLOWED, FOLDERS)
+    outcomes = {kernel: run_tests(kernel, [*folders, *others]) for kernel in kernels}
     print("", *(f"{kernel}: {outcome}" for kernel, outcome in outcomes.items()), sep="\n")
     return int(any(outcome.startswith("failed") for outcome in outcomes.values()))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

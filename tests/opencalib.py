@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-import open3d as o3d
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.lazy_open3d import o3d
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "opencalib-0001"

@@ -79,6 +79,7 @@ def run(project: Path, steps: list[str], **variables: str) -> int:
     return 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [github_steps, gitlab_steps, jenkins_steps])
 def test_each_recipe_passes_and_leaves_its_artifacts(project, steps):
     assert run(project, steps()) == 0
@@ -90,6 +91,7 @@ def test_each_recipe_passes_and_leaves_its_artifacts(project, steps):
         assert "gh pr comment 7 --body-file artifacts/check.md" in (project / "calls.txt").read_text()
 
 
+@pytest.mark.slow
 def test_the_action_fails_where_a_lidar_has_moved(project):
     reference = project / "calibration.toml"
     values = tomllib.loads(reference.read_text())

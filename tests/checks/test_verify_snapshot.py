@@ -37,6 +37,7 @@ def run_without(lidar):
     return SavedRun("run", "left", (*placements, LidarPlacement(lidar, "too little evidence")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("shift_m", "verdict"), [(0.0, "within"), (0.05, "outside")])
 def test_an_unplaced_lidar_is_decided_from_its_known_pose(snapshot, shift_m, verdict):
     known = reference("rear", shift_m)

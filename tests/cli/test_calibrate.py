@@ -42,6 +42,7 @@ def test_a_run_ends_with_a_table_and_what_was_written(invoke: Invoke, two_lidars
     assert angle_rad < 0.002
 
 
+@pytest.mark.slow
 def test_a_higher_limit_of_sigma_places_an_uncertain_lidar(invoke: Invoke, two_lidars: Path) -> None:
     strict = invoke("calibrate", two_lidars, "--target", "left", "--out", "run", "--max-sigma", "0.1,0.2")
     assert strict.code == ExitCode.NOT_PLACED
@@ -55,6 +56,7 @@ def test_a_higher_limit_of_sigma_places_an_uncertain_lidar(invoke: Invoke, two_l
     assert pose.xyz_m == pytest.approx(told["uncertain"]["right"]["xyz_m"], abs=0.005)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", ["paper", "paper-algorithm1"])
 def test_a_preset_of_the_paper_says_what_it_accepted_by(preset: str, invoke: Invoke, two_lidars: Path) -> None:
     outcome = invoke("calibrate", two_lidars, "--target", "left", "--out", "run", "--preset", preset)
@@ -80,6 +82,7 @@ def test_quiet_prints_nothing(invoke: Invoke, two_lidars: Path) -> None:
     assert Path("run/recording.rrd").is_file()
 
 
+@pytest.mark.slow
 def test_json_is_the_whole_of_stdout(two_lidars: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     ended = subprocess.run(

@@ -19,6 +19,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_tables_stand_beside_the_published_figures(scene: Path, invoke: Invoke) -> None:
     limits = ("--within-m", "0.05", "--within-deg", "0.5")
     truth = scene.parent / "t.toml"
@@ -36,6 +37,7 @@ def test_tables_stand_beside_the_published_figures(scene: Path, invoke: Invoke) 
     assert json.loads(again.out)["to_target"]["successes"] == 2
 
 
+@pytest.mark.slow
 def test_a_helipr_sequence_runs(tmp_path: Path, invoke: Invoke) -> None:
     sequence = write_helipr(tmp_path / "KAIST05")
     arguments = ("--preset", "default", "--scenes", "1", "--frames", "2", "--out", "o", "--quiet", "--json")

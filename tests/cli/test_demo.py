@@ -15,6 +15,7 @@ from tests.cli.support import Invoke, assert_one_sentence
 ROOT = Path(__file__).resolve().parents[2]
 
 
+@pytest.mark.slow
 def test_the_sample_is_calibrated_beside_its_truth(invoke: Invoke) -> None:
     outcome = invoke("demo", "--out", "run")
     assert outcome.code == 0

@@ -39,6 +39,7 @@ def rows(outcome):
     return list(csv.reader(outcome.out.splitlines()))
 
 
+@pytest.mark.slow
 def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
     logs = tmp_path / "logs" / "truck-7"
     logs.mkdir(parents=True)
@@ -155,6 +156,7 @@ def test_compaction_leaves_one_part_per_month(store, invoke: Invoke):
     assert rows(invoke("fleet", "status", "--store", store, "--format", "csv")) == before
 
 
+@pytest.mark.slow
 def test_the_catalog_listens_on_loopback_alone(tmp_path):
     store = open_store(tmp_path / "store", create=True)
     key = add_log(store, "v01", 1, lambda *given: [lidar_row(*given, "front")], state="calibrated")
@@ -200,6 +202,7 @@ def test_a_damaged_part_is_named(content, store, invoke: Invoke):
     assert invoke("fleet", "drift", "--store", store).code == ExitCode.INPUT
 
 
+@pytest.mark.slow
 def test_a_damaged_row_of_a_log_is_written_again(tmp_path, invoke: Invoke):
     (tmp_path / "v1").mkdir()
     (tmp_path / "v1" / "log.mcap").write_bytes(bytes(100))

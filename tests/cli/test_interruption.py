@@ -16,6 +16,7 @@ from multilica_cli.signals import Interrupted, received, unwind_on_signals
 from tests.cli.support import command_of_process, environment_of_process
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("stage", ["preprocess", "fine"])
 def test_a_stopped_run_leaves_a_readable_recording(
@@ -109,6 +110,7 @@ def _import_and_wait() -> None:
     time.sleep(10.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("delay_s", [0.1, 0.2, 0.4, 0.7, 0.9, 1.1, 1.3])
 def test_a_signal_at_the_start_is_told_in_one_line(

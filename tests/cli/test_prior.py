@@ -17,6 +17,7 @@ from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence, true_pose, write_pcd
 
 
+@pytest.mark.slow
 def test_a_lidar_that_is_mounted_backwards_is_placed_and_named(invoke: Invoke, two_lidars: Path) -> None:
     turned = true_pose("left", "right") @ RigidTransform.from_xyz_rpy("right", "right", (0, 0, 0), (0, 0, pi))
     table = extrinsics_table(Extrinsics("left", {"right": turned}))
@@ -33,6 +34,7 @@ def test_a_lidar_that_is_mounted_backwards_is_placed_and_named(invoke: Invoke, t
     assert "mounted backwards" in said
 
 
+@pytest.mark.slow
 def test_the_recordings_own_transforms_are_tried(invoke: Invoke) -> None:
     sample = find_sample().recording
     outcome = invoke("calibrate", sample, "--out", "run", "--prior", "tf", "--until", "preprocess", "--json", "--quiet")

@@ -35,6 +35,7 @@ def test_a_log_becomes_a_snapshot(invoke: Invoke) -> None:
     assert [len(lidar.scans) for lidar in read_snapshot("new/snapshot.mcap").lidars] == [1, 1, 1, 1]
 
 
+@pytest.mark.slow
 def test_a_snapshot_is_calibrated_whole_unless_told_otherwise(invoke: Invoke) -> None:
     write_mcap(make_snapshot(frames=15), Path("drive.mcap"))
     assert invoke("record", "drive.mcap", "--out", "a.mcap", "--frames", "12").code == ExitCode.DONE
@@ -77,6 +78,7 @@ def test_a_running_vehicle_becomes_a_snapshot(invoke: Invoke, half_silent: str) 
     assert len(read_snapshot("a.mcap")["roof"].scans) == 3
 
 
+@pytest.mark.slow
 def test_a_silent_lidar_is_told_and_the_others_are_written(invoke: Invoke, half_silent: str) -> None:
     outcome = invoke("record", half_silent, "--out", "a.mcap", "--frames", "3", "--timeout", "1.5", "--quiet")
     assert_one_sentence(outcome, ExitCode.NOT_PLACED)

@@ -110,6 +110,7 @@ def test_comparisons_fit(shown, tmp_path):
     _assert_fits(shown, "evaluate", first, "--truth", truth, "--table", "paper")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [("inspect", _SAMPLE.recording), ("config",), ("config", "--preset", "paper"), ("doctor",)],
@@ -145,6 +146,7 @@ def test_the_end_of_a_calibration_fits(shown, calibrated, command, monkeypatch):
     assert any("right" in line and "placed" in line for line in shown(80, *command))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -172,6 +174,7 @@ def store(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "question",
     [
@@ -194,6 +197,7 @@ def test_each_row_that_goes_on_below_names_its_lidar(shown, store):
     assert all(row.split()[2] in ("front", "rear", "top") for row in rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [80, 120])
 def test_progress_of_the_fleet_fits(capsys, monkeypatch, width):
     monkeypatch.setenv("COLUMNS", str(width))

@@ -27,6 +27,7 @@ def write_truth(folder: Path, simulation: Simulation, names: dict[str, str] = NA
     (folder / "config.yaml").write_text(truth_yaml(simulation.truth, "left", names))
 
 
+@pytest.mark.slow
 def test_bags_with_the_truth_of_the_authors(simulation: Simulation, tmp_path: Path) -> None:
     for scene in ("scene_01", "scene_02"):
         write_ros2_bag(simulation.snapshot, tmp_path / scene)

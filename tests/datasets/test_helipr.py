@@ -68,6 +68,7 @@ def test_each_layout_is_read(lidar: str, stamp_ns: int, point_bytes: int, tmp_pa
     assert scan.stamp_ns == stamp_ns
 
 
+@pytest.mark.slow
 def test_scenes_are_stops(scenes: list[DatasetScene]) -> None:
     first, second = (int(scene.name) for scene in scenes)
     assert START_NS <= first < START_NS + (FIRST_STOP - 4) * PERIOD_NS
@@ -117,6 +118,7 @@ def test_a_lidar_without_poses_is_not_in_the_truth(damaged: Path) -> None:
     assert "Aeva" in scene.snapshot.names
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_drives_all_the_time_is_refused(tmp_path: Path) -> None:
     for poses in (tuple(FOLDERS), ()):
         sequence = write_helipr(tmp_path / f"drive{len(poses)}", with_poses=poses, stops=False)

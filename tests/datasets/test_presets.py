@@ -47,6 +47,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[DatasetRuns, Path, 
     )
 
 
+@pytest.mark.slow
 def test_every_scene_runs_with_every_preset(found: tuple[DatasetRuns, Path, list[str]]) -> None:
     runs, out, seen = found
     assert runs.scenes == ("known", "unknown", "alone")
@@ -71,6 +72,7 @@ def test_tables_cover_the_scenes_with_truth(found: tuple[DatasetRuns, Path, list
     assert paper.table(LIMITS) is not None
 
 
+@pytest.mark.slow
 def test_what_is_left_out_is_told(found: tuple[DatasetRuns, Path, list[str]]) -> None:
     runs = found[0]
     assert runs.without_truth == ("unknown",)

@@ -66,6 +66,7 @@ def test_a_gap_is_no_stop() -> None:
     assert stops_by_poses(gap, 3 * SECOND_NS // 10) == [int(later_ns[1]), int(later_ns[4])]
 
 
+@pytest.mark.slow
 def test_scans_tell_standing_from_driving() -> None:
     """At rest for 9 s, then driving: a look every two seconds finds the middle of the first part."""
     parts = [simulate_snapshot("helipr", "street", 3, frames=4, disturbances=each) for each in ((), ("moving",))]

@@ -16,6 +16,8 @@ import pytest
 from tests.cli.support import ROOT, Invoke
 from tests.documentation.vehicle import copy_files, lose_a_lidar, write_files
 
+pytestmark = pytest.mark.slow
+
 PAGES = (
     *ROOT.glob("*.md"),
     *ROOT.glob("docs/*.md"),

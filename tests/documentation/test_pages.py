@@ -19,6 +19,7 @@ def blocks(page: Path, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.slow
 def test_the_readme_example_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
     (example,) = blocks(ROOT / "README.md", "python")
@@ -50,6 +51,7 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
+@pytest.mark.slow
 def test_generated_pages_are_up_to_date() -> None:
     found = {name: (FOLDER / name).read_text(encoding="utf-8") for name in generated_pages()}
     assert [name for name, text in generated_pages().items() if found[name] != text] == [], "run `make docs`"

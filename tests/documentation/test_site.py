@@ -19,7 +19,12 @@ from tests.sinks.browser import NoBrowserError, headless_browser
 SHOWN = ("index", "quickstart", "reference/cli", "reference/python", "recording-layout")
 WIDTHS = (1400, 390)
 
-pytestmark = pytest.mark.xdist_group("site")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.slow,
+    pytest.mark.shows("docs", "multilica", "cli", *(path.name for path in ROOT.glob("*.md"))),
+    pytest.mark.xdist_group("site"),
+]
 
 
 @pytest.fixture(scope="module")

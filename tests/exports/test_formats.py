@@ -25,6 +25,7 @@ def test_every_format_has_a_reader_of_its_own() -> None:
     assert sorted(READERS) == KINDS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids="".join)
 def test_others_read_the_same_poses(tmp_path: Path, kind: tuple[str, str]) -> None:
     name, suffix = kind
@@ -35,6 +36,7 @@ def test_others_read_the_same_poses(tmp_path: Path, kind: tuple[str, str]) -> No
         np.testing.assert_allclose(pose, rig.between("base_link", frame).matrix, rtol=0, atol=1e-9, err_msg=frame)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids="".join)
 def test_what_is_written_is_read_back(tmp_path: Path, kind: tuple[str, str]) -> None:
     name, suffix = kind
@@ -44,6 +46,7 @@ def test_what_is_written_is_read_back(tmp_path: Path, kind: tuple[str, str]) -> 
         assert_same(found, made_rig())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if "launch" in kind[0] or kind[0] == "urdf"], ids="".join)
 def test_joints_and_nodes_have_names_of_their_own(tmp_path: Path, kind: tuple[str, str]) -> None:
     name, suffix = kind
@@ -52,6 +55,7 @@ def test_joints_and_nodes_have_names_of_their_own(tmp_path: Path, kind: tuple[st
     assert sorted(map("".join, found)) == sorted(HARD_ANGLES)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids="".join)
 def test_the_same_rig_gives_the_same_bytes(tmp_path: Path, kind: tuple[str, str]) -> None:
     name, suffix = kind
@@ -61,6 +65,7 @@ def test_the_same_rig_gives_the_same_bytes(tmp_path: Path, kind: tuple[str, str]
     assert first.read_bytes() == second.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ROS and kind[0] != "kitti"], ids="".join)
 def test_odd_names_survive(tmp_path: Path, kind: tuple[str, str]) -> None:
     name, suffix = kind

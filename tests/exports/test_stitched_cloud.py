@@ -8,12 +8,12 @@ from pathlib import Path
 
 import laspy
 import numpy as np
-import open3d as o3d
 import pytest
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.exports import CLOUD_FORMATS, export_run
 from multilica.ingest import read_snapshot
+from multilica.registration.lazy_open3d import o3d
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.files.result_files import ResultFiles
 from multilica.sinks.mcap.result_mcap import ResultMcap

@@ -29,6 +29,7 @@ def _events(vehicle, fleet_seed=100, **options):
     return events
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 4, 12, 40])
 @pytest.mark.parametrize(
     "noise", [Noise(), Noise(factors=(1.0, 3.0)), Noise(scene_m=0.003, scene_deg=0.03)], ids=["true", "small", "scenes"]

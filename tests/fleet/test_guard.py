@@ -9,6 +9,8 @@ from multilica.fleet.tasks import guard
 from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, run_guarded
 from tests.fleet.support.requests import request
 
+pytestmark = pytest.mark.slow
+
 LIMITS = LogTaskLimits(time_s=60.0, memory_mb=500.0, retries=2)
 
 

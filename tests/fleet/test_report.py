@@ -214,6 +214,7 @@ def test_offsets_and_sigmas_are_in_mm_and_deg(tmp_path):
     assert history.series.undated == 1
 
 
+@pytest.mark.slow
 def test_recordings_are_linked_from_within_the_store(store):
     (path,) = [link for link in Tables(store_report(store, Path(store.root) / "page.html")).links if link[0] != "#"]
     assert path == f"./runs/v02/2026-09/{key_of('v02/272.mcap')}/recording.rrd"

@@ -17,7 +17,11 @@ from tests.fleet.support.requests import DAY_NS
 from tests.fleet.test_report import HOSTILE, JUMP, changed, read_histories, renamed
 from tests.sinks.browser import NoBrowserError, headless_browser
 
-pytestmark = pytest.mark.xdist_group("browser")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.shows("multilica/fleet", "multilica/sinks/report", "tests/fleet"),
+    pytest.mark.xdist_group("browser"),
+]
 LONG = "a_name_without_any_space_" * 8
 
 

@@ -44,6 +44,7 @@ def test_the_small_fleet_has_all_formats_and_faults() -> None:
     assert {event.kind for event in PLAN.events} == {"creep", "dead"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", intact(PLAN), ids=lambda log: log.path)
 def test_intact_logs_are_read(log: PlannedLog, folder: Path) -> None:
     snapshot = read_snapshot(folder / log.path)
@@ -77,6 +78,7 @@ def test_a_duplicate_has_the_same_bytes(folder: Path) -> None:
     assert (folder / copy.path).read_bytes() == (folder / copy.duplicate_of).read_bytes()
 
 
+@pytest.mark.slow
 def test_any_number_of_workers_gives_the_same_bytes(folder: Path, tmp_path: Path) -> None:
     seen: list[str] = []
     truth = write_fleet(PLAN, tmp_path / "again", workers=2, observe=lambda log: seen.append(log.path))

@@ -21,6 +21,7 @@ LOG = LogRow(KEY, "v1", START_NS, "a/b.mcap", "f", 3, "calibrated", reason_text=
 LIDAR = LidarRow(KEY, START_NS, "a/b.mcap", "left", "top", "calibrated", "placed", x_m=1.25, covariance=(0.5,) * 36)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["disk", "bucket"])
 def test_rows_come_back_with_the_vehicle_of_their_folder(tmp_path, monkeypatch, place):
     with bucket(monkeypatch) if place == "bucket" else _folder(tmp_path / "store") as address:
@@ -70,6 +71,7 @@ def test_other_readers_read_the_parts(tmp_path):
     assert schema.metadata[b"multilica.schema_version"] == b"1"
 
 
+@pytest.mark.slow
 @given(st.text())
 def test_any_text_of_a_log_is_one_folder_below_the_store(text):
     name = vehicle_name(text)

@@ -28,6 +28,7 @@ def test_whole_files_are_read(tmp_path: Path, name: str) -> None:
     assert all(lidar.points_count > 0 for lidar in snapshot.lidars)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEEDS)
 def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
     path = write_seed(name, tmp_path)
@@ -40,6 +41,7 @@ def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.C
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept_bytes", [0, 2500])
 @pytest.mark.parametrize("name", ["zstd.mcap", "plain.mcap", "unindexed.mcap", "unchunked.mcap", "plain.bag"])
 def test_damaged_files_too_large_to_be_kept(

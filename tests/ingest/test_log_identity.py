@@ -16,6 +16,7 @@ def fleet(tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", PLAN.logs, ids=lambda log: log.format)
 def test_a_log_says_its_vehicle_and_time(log, fleet):
     found = identify_log(fleet / log.path)

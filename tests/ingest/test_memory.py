@@ -54,6 +54,7 @@ def test_no_sql_of_a_file_is_run(tmp_path: Path, what: str) -> None:
     assert taken_s < 5.0
 
 
+@pytest.mark.slow
 def test_a_page_that_is_linked_many_times_ends(tmp_path: Path) -> None:
     """Interior pages whose cells all point to the next level: a small file with more rows than atoms."""
     path = tmp_path / "bomb.db3"
@@ -145,6 +146,7 @@ BOMBS: dict[str, tuple[str, Callable[[Path], None], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_bomb_is_read_or_refused_within_bounds(tmp_path: Path, name: str) -> None:
     seed, write, expected = BOMBS[name]
@@ -165,6 +167,7 @@ def test_what_is_needed_decides_over_the_limit(tmp_path: Path) -> None:
         read_snapshot(tmp_path / "a.mcap", config=IngestConfig(max_memory_mb=1))
 
 
+@pytest.mark.slow
 def test_released_memory_counts_no_more() -> None:
     budget = MemoryBudget(1.0)
     for _ in range(100):
@@ -199,6 +202,7 @@ HOLE_BYTES = 8 << 30
 BAG_LINE_BYTES = len(b"#ROSBAG V2.0\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["unindexed.mcap", "unchunked.mcap", "zstd.mcap", "plain.bag", "plain.db3"])
 def test_zeros_behind_a_recording_cost_nothing(tmp_path: Path, name: str) -> None:
     """As a power loss leaves them: blocks that were set aside and never written."""
@@ -214,6 +218,7 @@ def test_zeros_behind_a_recording_cost_nothing(tmp_path: Path, name: str) -> Non
     assert "bug" not in snapshot
 
 
+@pytest.mark.slow
 def test_zeros_that_are_stored_are_skipped_fast(tmp_path: Path) -> None:
     """At 200 MB/s or more, before and behind further records."""
     (tmp_path / "seed").mkdir()

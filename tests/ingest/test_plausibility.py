@@ -42,6 +42,7 @@ def notes_of(snapshot: Snapshot) -> list[str]:
     return plausibility_notes(snapshot.lidars, snapshot.static_transforms)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("rig", ["sides", "edgar", "truck", "helipr", "ring6"])
 def test_a_plausible_recording_has_no_note(rig: str, scene: str) -> None:

@@ -7,12 +7,12 @@ import os
 from pathlib import Path
 
 import numpy as np
-import open3d as o3d
 import pytest
 
 from multilica.config import IngestConfig
 from multilica.errors import UnreadableSourceError
 from multilica.ingest import read_snapshot
+from multilica.registration.lazy_open3d import o3d
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import Scan
 from tests.ingest.support.recording_writers import make_snapshot

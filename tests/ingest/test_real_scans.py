@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import open3d as o3d
 import pytest
 
 from multilica.ingest import read_snapshot, require_calibratable
+from multilica.registration.lazy_open3d import o3d
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.recording_writers import (

@@ -56,6 +56,7 @@ def test_point_clouds_in_an_encoding_of_nobody_here_are_told(tmp_path: Path) -> 
         read_snapshot(path, config=IngestConfig(topics={"flat": "/flat"}))
 
 
+@pytest.mark.slow
 def test_a_running_vehicle_is_told_the_same() -> None:
     with served("bridge_server.py", "flatbuffer", 0, "none") as port:
         config = IngestConfig(frames=1, timeout_s=1.0)

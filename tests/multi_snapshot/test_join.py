@@ -81,6 +81,7 @@ def _outliers(result):
     return {report.name: [each.lidar for each in report.outliers] for report in result.snapshots}
 
 
+@pytest.mark.slow
 def test_more_snapshots_place_the_rig_better_and_are_surer_of_it():
     alone, joint, sigma = [], [], []
     for seed in range(0, 21, 3):

@@ -12,6 +12,8 @@ from multilica.simulate import simulate_snapshot, simulation
 from multilica.snapshot import Snapshot
 from multilica.stages.stillness import detect_motion, explain_motion
 
+pytestmark = pytest.mark.slow
+
 FRAMES = 10
 PERIOD_S = 0.1
 CONFIG = StillnessConfig()

@@ -10,6 +10,8 @@ from multilica.results import TimeLimit
 from multilica.results.document.building import provenance_of, result_document
 from tests.pipeline.watched import assert_true, only, sides, watched
 
+pytestmark = pytest.mark.slow
+
 CONFIG = with_overrides(CalibrationConfig(), ["runtime.max_time_s=600.0", "runtime.workers=1", "target=top"])
 
 

@@ -17,6 +17,8 @@ from multilica.simulate import simulate_snapshot
 from multilica.stages.coarse import find_hypotheses
 from tests.pipeline.watched import assert_true, of, only, sides, watched
 
+pytestmark = pytest.mark.slow
+
 _PAIRS = {frozenset(pair) for pair in (("left", "right"), ("left", "top"), ("right", "top"))}
 
 

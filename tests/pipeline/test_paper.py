@@ -21,6 +21,8 @@ from tests.opencalib import DATA, MISSING
 from tests.pipeline.test_run import SAMPLE
 from tests.pipeline.watched import of
 
+pytestmark = pytest.mark.slow
+
 _REFERENCE = json.loads((Path(__file__).parent / "paper_reference.json").read_text(encoding="utf-8"))
 _SOURCES = {"opencalib-0001": DATA, "edgar-street": SAMPLE}
 _REAL = pytest.mark.skipif(not DATA.is_dir(), reason=MISSING)

@@ -54,6 +54,7 @@ def _assert_same(one, other, metres=_SAME_M, radians=_SAME_RAD):
     assert apart_rad < radians
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "claim",
     [_claim(rpy_deg=(0, 0, 180)), _claim((0.3, -0.4, 0.0), (3, 0, 4)), _claim((500.0, 0.0, 0.0))],
@@ -66,6 +67,7 @@ def test_a_wrong_prior_does_not_change_the_result(claim, without):
     assert result["left"].fitness == pytest.approx(without["left"].fitness, abs=0.005)
 
 
+@pytest.mark.slow
 def test_a_right_prior_places_what_the_descriptors_do_not_find():
     lost, _ = _calibrated(None, *_NO_DESCRIPTORS)
     assert not lost["left"].placed
@@ -78,6 +80,7 @@ def test_a_right_prior_places_what_the_descriptors_do_not_find():
     assert found.hypotheses[pair.hypothesis].origin == PRIOR
 
 
+@pytest.mark.slow
 def test_from_a_prior_turned_around_the_true_pose_is_found():
     """The wrong pose is tried turned by right angles, and the true one is among them."""
     result, _ = _calibrated(_claim(rpy_deg=(0, 0, 180)), *_NO_DESCRIPTORS)
@@ -85,6 +88,7 @@ def test_from_a_prior_turned_around_the_true_pose_is_found():
     assert metres < 0.02
 
 
+@pytest.mark.slow
 def test_a_wrong_prior_alone_places_nothing():
     result, _ = _calibrated(_claim(rpy_deg=(0, 90, 0)), *_NO_DESCRIPTORS)
     assert not result["left"].placed
@@ -94,6 +98,7 @@ def test_a_wrong_prior_alone_places_nothing():
     assert result.pairs[0].verdict.outcome == "reject"
 
 
+@pytest.mark.slow
 def test_a_right_prior_does_not_place_what_shares_no_surface():
     simulation = _rig("blind")
     snapshot = _two("blind", "front_left", "rear")
@@ -105,6 +110,7 @@ def test_a_right_prior_does_not_place_what_shares_no_surface():
     assert PRIOR in [each.origin for each in verified]
 
 
+@pytest.mark.slow
 def test_the_transforms_of_a_recording_are_a_prior():
     snapshot = _two("sides", "left", "top")
     claimed = {pose.source: pose for pose in snapshot.static_transforms}
@@ -124,6 +130,7 @@ def test_without_a_prior_nothing_is_compared(without):
     assert [placement.prior_deviation for placement in without.placements] == [None, None]
 
 
+@pytest.mark.slow
 def test_a_lidar_that_the_prior_lacks_is_calibrated_without_one():
     nearby = RigidTransform.identity("top", "camera")
     whole = _rig("sides").snapshot

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from multilica.pipeline import calibrate
 from tests.opencalib import CONFIG, DATA, MISSING, SOURCES, is_true, read_clouds, turned_snapshot, unturned
 
-pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason=MISSING)
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(not DATA.is_dir(), reason=MISSING)]
 
 
 @pytest.fixture(scope="module")

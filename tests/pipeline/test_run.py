@@ -53,6 +53,7 @@ def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_a_recording_becomes_a_run_directory(recordings: Path, tmp_path: Path) -> None:
     seen: list[events.RunEvent] = []
     run = multilica.run_calibration(recordings / "first.mcap", tmp_path / "run", FAST, observe=seen.append)
@@ -68,6 +69,7 @@ def test_a_recording_becomes_a_run_directory(recordings: Path, tmp_path: Path) -
     assert isinstance(seen[-1], events.CalibrationFinished)
 
 
+@pytest.mark.slow
 def test_snapshots_of_one_rig_give_a_joint_result(recordings: Path, tmp_path: Path) -> None:
     seen: list[events.RunEvent] = []
     sources = [str(recordings / f"{name}.mcap") for name in ("first", "alone", "second")]
@@ -83,6 +85,7 @@ def test_snapshots_of_one_rig_give_a_joint_result(recordings: Path, tmp_path: Pa
     assert run.result["left"].placed
 
 
+@pytest.mark.slow
 def test_a_prior_is_tried_and_its_gaps_are_noted(tmp_path: Path) -> None:
     seen: list[events.RunEvent] = []
     truth = SAMPLE.with_suffix(".truth.toml")
@@ -106,6 +109,7 @@ def test_an_unfit_source_leaves_no_directory(recordings: Path, tmp_path: Path) -
     assert names(tmp_path) == set()
 
 
+@pytest.mark.slow
 def test_a_refused_snapshot_says_where_to_look(recordings: Path, tmp_path: Path) -> None:
     with pytest.raises(UnfitSnapshotError, match="moves") as caught:
         multilica.run_calibration(recordings / "moving.mcap", tmp_path / "run", EARLY)
@@ -113,6 +117,7 @@ def test_a_refused_snapshot_says_where_to_look(recordings: Path, tmp_path: Path)
     assert json.loads((tmp_path / "run" / "result.json").read_text(encoding="utf-8"))["refusal"]
 
 
+@pytest.mark.slow
 def test_a_refused_snapshot_leaves_an_earlier_run(recordings: Path, tmp_path: Path) -> None:
     multilica.run_calibration(recordings / "first.mcap", tmp_path, EARLY)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -123,6 +128,7 @@ def test_a_refused_snapshot_leaves_an_earlier_run(recordings: Path, tmp_path: Pa
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()} == before
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_keeps_its_recording(recordings: Path, tmp_path: Path) -> None:
     def interrupt(event: events.RunEvent) -> None:
         if isinstance(event, events.StageFinished) and event.stage == "features":
@@ -134,6 +140,7 @@ def test_an_interrupted_run_keeps_its_recording(recordings: Path, tmp_path: Path
     assert names(tmp_path) == {"config.toml", "recording.partial.rrd", "report.html", "result.partial.mcap"}
 
 
+@pytest.mark.slow
 def test_a_stage_is_told_when_it_is_in_the_files(recordings: Path, tmp_path: Path) -> None:
     """Stages that search pairs end together, and are written with the last one."""
     told: list[str] = []
@@ -148,6 +155,7 @@ def test_a_stage_is_told_when_it_is_in_the_files(recordings: Path, tmp_path: Pat
     assert told.count("correspond") == told.count("fine") == 2
 
 
+@pytest.mark.slow
 def test_without_a_configuration_all_frames_are_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(event: events.RunEvent) -> None:
         if isinstance(event, events.CalibrationStarted):
@@ -173,6 +181,7 @@ def test_the_directory_is_named_after_the_source(
     assert default_directory([source, "other.pcd"], 2) == Path(f"recordings/runs/{expected}-and-1-more")
 
 
+@pytest.mark.slow
 def test_a_run_without_a_directory_leaves_earlier_ones(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -185,6 +194,7 @@ def test_a_run_without_a_directory_leaves_earlier_ones(
     assert {path.name: path.read_bytes() for path in first.directory.iterdir()} == before
 
 
+@pytest.mark.slow
 def test_runs_that_start_together_do_not_replace_one_another(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -23,6 +23,7 @@ def complete():
     return watched(sides().snapshot, "ground.enabled=true")
 
 
+@pytest.mark.slow
 def test_in_a_symmetric_garage_nothing_is_placed():
     """The sides share nothing, and fit each other turned around; the top one sees that both poses are possible."""
     result = calibrate(simulate_snapshot("sides", "symmetric_garage", 3, frames=1).snapshot)
@@ -31,6 +32,7 @@ def test_in_a_symmetric_garage_nothing_is_placed():
     assert all("ambiguous" in pair.verdict.codes for pair in result.pairs)
 
 
+@pytest.mark.slow
 def test_all_are_placed_within_2_cm_and_a_tenth_of_a_degree(complete):
     result, _ = complete
     assert result.status == "complete"
@@ -40,6 +42,7 @@ def test_all_are_placed_within_2_cm_and_a_tenth_of_a_degree(complete):
     assert np.array_equal(result[result.target].T_target_source.matrix, np.eye(4))
 
 
+@pytest.mark.slow
 def test_the_ground_gives_roll_pitch_and_height_of_the_target(complete):
     result, seen = complete
     truth = sides().truth.T_target_source[result.target]
@@ -100,6 +103,7 @@ def test_the_result_document_follows_its_schema(complete):
     assert np.array_equal(document.lidars["left"].T_target_source, result["left"].T_target_source.matrix)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("until", STAGES)
 def test_stopping_after_any_stage_gives_a_result(until):
     snapshot = only(sides().snapshot, "left", "top", every=2)
@@ -120,6 +124,7 @@ def test_stopping_after_any_stage_gives_a_result(until):
     jsonschema.validate(json.loads(document.model_dump_json()), _SCHEMA)
 
 
+@pytest.mark.slow
 def test_two_runs_give_the_same_bits():
     snapshot = only(sides().snapshot, "left", "top", every=2)
     first, second = (watched(snapshot, "fine.max_finalists=2")[0] for _ in range(2))
@@ -132,6 +137,7 @@ def test_two_runs_give_the_same_bits():
         assert one.evidence == other.evidence
 
 
+@pytest.mark.slow
 def test_beside_a_lidar_without_returns_the_others_are_placed():
     result, _ = watched(sides("dead:left").snapshot)
     assert result.status == "partial"
@@ -142,6 +148,7 @@ def test_beside_a_lidar_without_returns_the_others_are_placed():
     assert radians < GOOD_RAD
 
 
+@pytest.mark.slow
 def test_lidars_that_share_nothing_are_not_placed():
     simulation = simulate_snapshot("blind", "garage", 101, frames=1)
     result, seen = watched(only(simulation.snapshot, "front_left", "rear", every=2), "target=front_left")
@@ -152,6 +159,7 @@ def test_lidars_that_share_nothing_are_not_placed():
     assert of(events.TargetChosen, seen)[0].reason == "set by --target"
 
 
+@pytest.mark.slow
 def test_returns_beyond_the_features_range_are_no_crash():
     near = sides().snapshot["top"].scans[0].points_m[::4]
     directions = near / np.linalg.norm(near, axis=1, keepdims=True)
@@ -161,6 +169,7 @@ def test_returns_beyond_the_features_range_are_no_crash():
     assert result["far"].reason == "no pose was found against any other LiDAR"
 
 
+@pytest.mark.slow
 def test_the_paper_preset_runs():
     snapshot = only(sides().snapshot, "right", "top", every=2)
     result, seen = watched(snapshot, base=preset("paper"))

@@ -15,6 +15,8 @@ from multilica.results import PreprocessedCloud
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import Snapshot
 
+pytestmark = pytest.mark.slow
+
 
 @cache
 def _snapshot(*disturbances: str) -> Snapshot:

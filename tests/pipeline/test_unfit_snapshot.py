@@ -22,6 +22,7 @@ def test_an_unknown_target_is_named_before_any_work():
     assert seen == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "settings", "message"),
     [

@@ -59,6 +59,7 @@ def ros_message(cloud: PointCloud2, encoding: str, *, little_endian: bool = True
     return bytes(store.serialize_cdr(message, CLOUD, little_endian=little_endian))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", STORES)
 @settings(max_examples=60, deadline=None)
 @given(case=clouds())
@@ -66,12 +67,14 @@ def test_ros_messages(encoding: str, case: Case) -> None:
     assert_found(decoded(CLOUD, encoding, ros_message(case.cloud, encoding)), case)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(case=clouds())
 def test_messages_of_machines_of_the_other_byte_order(case: Case) -> None:
     assert_found(decoded(CLOUD, "cdr", ros_message(case.cloud, "cdr", little_endian=False)), case)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", STORES)
 @settings(max_examples=60, deadline=None)
 @given(case=clouds(), data=st.data())
@@ -93,6 +96,7 @@ def test_an_impossible_number_of_fields(encoding: str) -> None:
         decoded(CLOUD, encoding, bytes(message))
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None)
 @given(clouds())
 def test_foxglove_messages(case: Case) -> None:

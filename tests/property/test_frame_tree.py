@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -25,6 +26,7 @@ def _trees(draw):
     return draw(st.permutations(joints)), poses
 
 
+@pytest.mark.slow
 @given(_trees())
 def test_every_frame_sees_every_other_where_the_root_has_them(made):
     joints, poses = made
@@ -38,6 +40,7 @@ def test_every_frame_sees_every_other_where_the_root_has_them(made):
             assert np.allclose(pose.matrix, expected.matrix, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(_trees())
 def test_a_moving_joint_is_named_exactly_where_it_lies_between(made):
     joints, poses = made

@@ -26,6 +26,7 @@ def test_inverse_undoes(xyz_m, rpy_rad):
     assert (pose.inverse().target, pose.inverse().source) == ("b", "a")
 
 
+@pytest.mark.slow
 @given(_xyz, _rpy, _xyz, _rpy, _xyz)
 def test_product_applies_right_to_left(xyz_1, rpy_1, xyz_2, rpy_2, point):
     T_a_b, T_b_c = _pose(xyz_1, rpy_1), _pose(xyz_2, rpy_2, "b", "c")
@@ -55,6 +56,7 @@ def test_distance_keeps_small_angles(angle_rad):
     assert measured_rad == pytest.approx(angle_rad, rel=1e-6, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(_xyz, _rpy, _xyz, _rpy)
 def test_an_offset_leads_from_one_pose_to_the_other(xyz_1, rpy_1, xyz_2, rpy_2):
     one, other = _pose(xyz_1, rpy_1), _pose(xyz_2, rpy_2)

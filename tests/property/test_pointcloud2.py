@@ -72,6 +72,7 @@ def expected(case: Case) -> tuple[np.ndarray, np.ndarray | None]:
     return points, intensity
 
 
+@pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(clouds())
 def test_any_layout_gives_its_points_back(case: Case) -> None:
@@ -82,6 +83,7 @@ def test_any_layout_gives_its_points_back(case: Case) -> None:
     np.testing.assert_array_equal(intensity, expected_intensity)
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(clouds(), st.data())
 def test_lying_sizes_are_refused_or_read_inside_the_data(case: Case, data: st.DataObject) -> None:
@@ -98,6 +100,7 @@ def test_lying_sizes_are_refused_or_read_inside_the_data(case: Case, data: st.Da
     assert np.isfinite(points).all()
 
 
+@pytest.mark.slow
 @given(st.lists(st.tuples(*[st.floats(width=32, allow_nan=False, allow_infinity=False)] * 4)), st.booleans())
 def test_encoding_and_decoding_is_exact(rows: list[tuple[float, ...]], with_intensity: bool) -> None:
     table = np.array(rows, np.float32).reshape(-1, 4)

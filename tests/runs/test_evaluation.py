@@ -113,6 +113,7 @@ def test_an_uncertain_pose_is_held_against_its_own_sigma(
     assert (row.placed, row.uncertain, row.error_distance_m) == (False, True, pytest.approx(offset_m))
 
 
+@pytest.mark.slow
 def test_sigma_is_as_rare_as_for_one_normal_variable() -> None:
     rng = np.random.default_rng(1)
     true = made_truth().between("front", "rear")

@@ -25,6 +25,7 @@ def stopped(tmp_path):
     return tmp_path / "rig"
 
 
+@pytest.mark.slow
 def test_recording_and_mcap_of_a_stopped_run_tell_the_same(stopped):
     whole, recorded, attached = (
         read_run_document(path).document
@@ -35,6 +36,7 @@ def test_recording_and_mcap_of_a_stopped_run_tell_the_same(stopped):
     assert attached.pairs == recorded.pairs
 
 
+@pytest.mark.slow
 def test_where_the_recording_was_only_begun_the_mcap_tells(stopped):
     (stopped / "recording.partial.rrd").write_bytes(b"RRF2")
     run = read_run_document(stopped)
@@ -68,6 +70,7 @@ def test_unknown_contested_pair_is_refused():
         parse_result("result.json", json.dumps(values))
 
 
+@pytest.mark.slow
 def test_where_nothing_can_be_read_the_recording_is_named(stopped):
     for name in ("recording.partial.rrd", "result.partial.mcap"):
         (stopped / name).write_bytes(b"junk")

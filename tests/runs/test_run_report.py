@@ -41,6 +41,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     }
 
 
+@pytest.mark.slow
 def test_the_clouds_and_poses_come_back(runs):
     contents = contents_of_run(runs["partial"])
     assert set(contents.poses()) == {"front left/1", "top"}
@@ -49,6 +50,7 @@ def test_the_clouds_and_poses_come_back(runs):
         assert np.linalg.norm(TRUTH[name].apply(cloud), axis=1).min() < 8.0
 
 
+@pytest.mark.slow
 def test_scored_points_and_competing_pose_are_read_back(runs):
     state = RunState()
     for event in made_events("partial"):
@@ -64,6 +66,7 @@ def test_scored_points_and_competing_pose_are_read_back(runs):
             np.testing.assert_array_equal(one.labels, other.labels)
 
 
+@pytest.mark.slow
 def test_a_report_made_anew_tells_the_same(runs):
     anew, first = report_of_run(runs["partial"]), (runs["partial"] / "report.html").read_text(encoding="utf-8")
     for words in (
@@ -75,6 +78,7 @@ def test_a_report_made_anew_tells_the_same(runs):
         assert words in first
 
 
+@pytest.mark.slow
 def test_a_killed_run_gets_its_report(runs):
     text = report_of_run(runs["killed"])
     assert "The run was cut off" in text
@@ -82,6 +86,7 @@ def test_a_killed_run_gets_its_report(runs):
     assert text.count("<img ") == 3  # as recorded, from above, from the side and at an angle
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1")
 def test_the_viewer_draws_the_recording(runs):
     image = Image.open(io.BytesIO(picture_of_run(runs["partial"], (800, 500)))).convert("RGB")
@@ -95,12 +100,14 @@ def test_odd_sizes_are_refused(size_px, runs):
         picture_of_run(runs["partial"], size_px)
 
 
+@pytest.mark.slow
 def test_a_recording_is_found_whole_or_cut_off_or_named_itself(runs):
     whole = runs["partial"] / "recording.rrd"
     assert recording_of_run(runs["partial"]) == recording_of_run(whole) == whole
     assert recording_of_run(runs["killed"]).name == "recording.partial.rrd"
 
 
+@pytest.mark.slow
 def test_what_is_no_run_is_told_in_a_sentence(runs, tmp_path):
     with pytest.raises(SourceNotFoundError, match="No run at"):
         recording_of_run(tmp_path / "nowhere")

@@ -12,10 +12,10 @@ import sys
 from typing import Any
 
 import numpy as np
-import open3d as o3d
 from scipy.spatial import cKDTree
 
 from multilica.config import preset
+from multilica.registration.lazy_open3d import o3d
 from multilica.results import Correspondences
 from multilica.solvers import SOLVERS, solver_in_use
 from tests.bench.support.kiss_baseline import read_folder, read_mcap

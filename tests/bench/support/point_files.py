@@ -6,8 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import open3d as o3d
-
+from multilica.registration.lazy_open3d import o3d
 from multilica.snapshot import Scan, Snapshot
 from tests.ingest.support.format_writers import POINT_WRITERS
 

@@ -74,6 +74,7 @@ def apart(two_lidars: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("until", STAGES)
 def test_each_until_stops_after_its_stage(until, invoke: Invoke, two_lidars: Path, apart: Path):
     options = ("--target", "left", "--out", "run", "--until", until, "--ground", "--workers", "1")
@@ -87,6 +88,7 @@ def test_each_until_stops_after_its_stage(until, invoke: Invoke, two_lidars: Pat
     assert refused.code == (ExitCode.NOT_PLACED if PLACES_LIDARS[until] else ExitCode.DONE), refused.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [

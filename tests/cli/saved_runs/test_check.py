@@ -81,6 +81,7 @@ def test_bad_references_are_refused(invoke: Invoke, result: Path, tmp_path: Path
     assert_one_sentence(invoke("verify", "nowhere.mcap", "--calibration", result), ExitCode.INPUT)
 
 
+@pytest.mark.slow
 def test_verify_names_the_lidar_that_moved(invoke: Invoke, tmp_path: Path) -> None:
     sample = find_sample().recording
     right = invoke("verify", sample, "--calibration", truth_with(tmp_path / "truth.toml"))
@@ -92,6 +93,7 @@ def test_verify_names_the_lidar_that_moved(invoke: Invoke, tmp_path: Path) -> No
     assert rig["lidars"]["right"]["distance_m"] == pytest.approx(0.05, abs=0.003)
 
 
+@pytest.mark.slow
 def test_verify_tells_of_a_lidar_far_away(invoke: Invoke, tmp_path: Path) -> None:
     moved = truth_with(tmp_path / "moved.toml", "front", 4.0)
     outcome = invoke("verify", find_sample().recording, "--calibration", moved)
@@ -106,6 +108,7 @@ def test_a_recording_is_calibrated_before_it_is_checked(invoke: Invoke, two_lida
     assert "which of them moved cannot be told" in invoke("check", "run", "--against", truth).out
 
 
+@pytest.mark.slow
 def test_a_reviewed_run_becomes_the_reference(invoke: Invoke, two_lidars: Path) -> None:
     options = "--workers", "1", "--quiet", "--target", "left"
     assert invoke("calibrate", two_lidars, "--out", "run", *options).code == ExitCode.DONE

@@ -55,6 +55,7 @@ def moving(two_lidars: Path, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_refused_snapshot_leaves_what_explains_it(invoke: Invoke, two_lidars: Path) -> None:
     outcome = invoke("calibrate", moving(two_lidars, Path("drive")), "--out", "run", "--quiet")
     assert_one_sentence(outcome, ExitCode.INPUT)
@@ -66,6 +67,7 @@ def test_a_refused_snapshot_leaves_what_explains_it(invoke: Invoke, two_lidars: 
         assert "record while the vehicle stands still" in told.out
 
 
+@pytest.mark.slow
 def test_a_refused_snapshot_leaves_an_earlier_result_as_it_was(invoke: Invoke, two_lidars: Path) -> None:
     invoke("calibrate", two_lidars, "--out", "run", "--quiet", "--until", "preprocess")
     before = {path.name: path.read_bytes() for path in Path("run").iterdir()}

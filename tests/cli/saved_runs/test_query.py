@@ -26,6 +26,7 @@ def _objects(done):
     return [json.loads(line) for line in done.out.splitlines()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["pairs", "matches", "surfaces", "merge", "timings"])
 def test_all_forms_have_the_same_rows(invoke, run, tmp_path, table):
     done = invoke("query", run / "recording.rrd", table)

@@ -105,6 +105,7 @@ def test_oddities_are_counted_and_told() -> None:
     assert taken.snapshot.lidars[0].points_count == 50
 
 
+@pytest.mark.slow
 def test_a_message_without_bounds_ends_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(foxglove_socket, "_MAX_MESSAGE_BYTES", 1000)
     with saying([b"\x01" + bytes(10_000)]) as url, pytest.raises(UnfitSnapshotError, match="holds no point clouds"):
@@ -117,6 +118,7 @@ def test_a_message_without_bounds_ends_in_a_sentence(monkeypatch: pytest.MonkeyP
     assert caught.value.oddity == "has more than 1000 bytes"
 
 
+@pytest.mark.slow
 def test_a_flood_of_static_transforms_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     static = {"id": 3, "topic": "/tf_static", "schemaName": TRANSFORMS, "encoding": "cdr"}
     cloud = {**GOOD, "schemaName": CLOUD}

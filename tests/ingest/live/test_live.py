@@ -50,6 +50,7 @@ def assert_scans_of_the_vehicle(live: TakenSnapshot) -> None:
         assert stamps == sorted(set(stamps))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["cdr", "ros1", "protobuf", "json"])
 def test_every_encoding_gives_the_points_that_were_sent(encoding: str) -> None:
     seen: list[tuple[str, int]] = []
@@ -82,6 +83,7 @@ def test_topics_are_chosen_and_named(running: str) -> None:
     assert [(lidar.name, lidar.topic) for lidar in live.snapshot.lidars] == [("roof", TOPICS[1])]
 
 
+@pytest.mark.slow
 def test_a_silent_topic_is_named_and_the_others_are_kept(half_silent: str) -> None:
     live = listen(half_silent, config=IngestConfig(frames=3, timeout_s=1.5))
     assert live.silent == (TOPICS[1],)
@@ -97,6 +99,7 @@ def test_a_vehicle_that_sends_nothing_is_unfit(half_silent: str) -> None:
     assert TOPICS[1] in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_lost_connection_is_made_again() -> None:
     with ExitStack() as first, ExitStack() as second:
         port = first.enter_context(bridge())
@@ -113,6 +116,7 @@ def test_a_lost_connection_is_made_again() -> None:
     assert_scans_of_the_vehicle(live)
 
 
+@pytest.mark.slow
 def test_what_came_before_a_connection_was_lost_for_good_is_kept() -> None:
     with ExitStack() as server:
         port = server.enter_context(bridge())
@@ -168,6 +172,7 @@ def test_patterns_choose_topics(running: str) -> None:
     assert live.snapshot.names == ("lidar_0", "lidar_1")
 
 
+@pytest.mark.slow
 def test_strict_refuses_what_is_not_whole(half_silent: str) -> None:
     config = IngestConfig(frames=2, timeout_s=1.5, strict=True)
     with pytest.raises(UnfitSnapshotError, match=r"lidar_1.* 0 of 2 scans"):

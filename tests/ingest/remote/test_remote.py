@@ -85,6 +85,7 @@ def test_a_window_of_a_web_file_costs_its_chunks(web: str, folder: Path) -> None
     assert 0 < sent <= needed_bytes(path) < path.stat().st_size / 2
 
 
+@pytest.mark.slow
 def test_a_window_of_an_s3_object_costs_its_chunks(s3: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from s3fs.core import S3File
 
@@ -218,6 +219,7 @@ def test_what_is_no_object_is_told(place: str, error: type[MultilicaError], text
         read_snapshot(f"s3://{place}")
 
 
+@pytest.mark.slow
 def test_missing_credentials_are_told(s3: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)

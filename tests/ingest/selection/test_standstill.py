@@ -164,6 +164,7 @@ def test_a_vehicle_that_always_stands_gives_the_whole_recording(tmp_path: Path) 
         read_snapshot(tmp_path / "short.mcap", config=IngestConfig(window="auto"))
 
 
+@pytest.mark.slow
 def test_a_lidar_that_cannot_tell_leaves_it_to_another(tmp_path: Path) -> None:
     store = ros2_types()
     messages = list(clouds(store, store.serialize_cdr, real=True))

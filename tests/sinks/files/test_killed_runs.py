@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parents[3]
 SIGNALS = [signal.SIGKILL, signal.SIGTERM, signal.SIGINT]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signal_number", SIGNALS, ids=lambda number: number.name)
 def test_finished_stages_of_a_killed_run_can_be_read(tmp_path, signal_number, rerun_rrd):
     command = [sys.executable, str(Path(__file__).parent / "killed_run.py"), str(tmp_path)]

@@ -37,6 +37,7 @@ def run_into(directory, stop_after: int | None = None):
     return run
 
 
+@pytest.mark.slow
 def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
     run = run_into(tmp_path / "deep" / "run")
     names = ["calibration.toml", "result.json", "report.html", "recording.rrd", "result.mcap", "config.toml"]
@@ -44,6 +45,7 @@ def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
     assert {path.name for path in (tmp_path / "deep" / "run").iterdir()} == set(names)
 
 
+@pytest.mark.slow
 def test_the_mcap_file_holds_what_the_others_wrote(tmp_path):
     run_into(tmp_path)
     with (tmp_path / "result.mcap").open("rb") as file:
@@ -52,6 +54,7 @@ def test_the_mcap_file_holds_what_the_others_wrote(tmp_path):
         assert attached[name] == (tmp_path / name).read_bytes()
 
 
+@pytest.mark.slow
 def test_sinks_that_share_a_state_tell_what_each_tells_alone(tmp_path):
     shared, alone = tmp_path / "shared", tmp_path / "alone"
     run_into(shared)
@@ -69,6 +72,7 @@ def test_sinks_that_share_a_state_tell_what_each_tells_alone(tmp_path):
     assert read_recorded_document(shared / "recording.rrd") == read_recorded_document(alone / "recording.rrd")
 
 
+@pytest.mark.slow
 def test_what_a_sink_was_not_told_it_does_not_take_for_done(tmp_path, monkeypatch):
     def no_space(*_):
         raise OSError("no space left")
@@ -83,6 +87,7 @@ def test_what_a_sink_was_not_told_it_does_not_take_for_done(tmp_path, monkeypatc
     assert "no space left" in report
 
 
+@pytest.mark.slow
 def test_the_resolved_configuration_can_be_given_back(tmp_path):
     run_into(tmp_path)
     assert load_config(tmp_path / "config.toml") == CONFIG
@@ -92,6 +97,7 @@ def files_in(directory):
     return {path.relative_to(directory): path.read_bytes() for path in directory.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_an_earlier_result_stays_until_the_new_one_is_whole(tmp_path):
     run_into(tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
@@ -108,6 +114,7 @@ def test_an_earlier_result_stays_until_the_new_one_is_whole(tmp_path):
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_files_of_an_unfinished_run_are_removed(tmp_path):
     run_into(tmp_path, stop_after=8)
     assert (tmp_path / "recording.partial.rrd").exists()
@@ -115,6 +122,7 @@ def test_files_of_an_unfinished_run_are_removed(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == NAMES
 
 
+@pytest.mark.slow
 def test_what_a_killed_run_was_writing_goes_with_it(tmp_path):
     begun = tmp_path / ".result.partial.mcap.4711.tmp"
     begun.write_bytes(b"half")
@@ -122,11 +130,13 @@ def test_what_a_killed_run_was_writing_goes_with_it(tmp_path):
     assert not begun.exists()
 
 
+@pytest.mark.slow
 def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):
     before = run_into(tmp_path).written
     assert run_into(tmp_path, stop_after=0).written == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moved", range(8))
 def test_the_next_run_finishes_a_replacement_that_was_killed(tmp_path, monkeypatch, moved):
     run_into(tmp_path)
@@ -149,6 +159,7 @@ def test_the_next_run_finishes_a_replacement_that_was_killed(tmp_path, monkeypat
     assert {path.name for path in tmp_path.iterdir()} == NAMES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("listed", ['["../mine.txt", "config.toml"]', "not JSON", "7", "[1]"])
 def test_a_list_that_no_run_wrote_moves_nothing_else(tmp_path, listed):
     run_into(tmp_path / "run")
@@ -168,6 +179,7 @@ def test_an_entry_of_the_users_own_is_not_overwritten(tmp_path):
     assert (tmp_path / "unfinished" / "chapter.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_second_run_in_the_same_directory_is_refused(tmp_path):
     with open_run(tmp_path, CONFIG), pytest.raises(UsageError, match="Another multilica run is writing to"):
         run_into(tmp_path)
@@ -190,6 +202,7 @@ def test_a_refused_snapshot_leaves_every_file(tmp_path):
     assert json.loads((tmp_path / "result.json").read_text())["refusal"]["code"] == "moving_vehicle"
 
 
+@pytest.mark.slow
 def test_a_refused_snapshot_leaves_an_earlier_result_alone(tmp_path):
     run_into(tmp_path)
     before = files_in(tmp_path)
@@ -199,6 +212,7 @@ def test_a_refused_snapshot_leaves_an_earlier_result_alone(tmp_path):
     assert {path: data for path, data in files_in(tmp_path).items() if path.parts[0] != "unfinished"} == before
 
 
+@pytest.mark.slow
 def test_an_earlier_refusal_is_no_result_to_keep(tmp_path):
     refuse_into(tmp_path)
     assert refuse_into(tmp_path).started

@@ -9,10 +9,14 @@ import pytest
 
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.mcap.result_mcap import ResultMcap
+from tests.selection import RUN_FILES
 from tests.sinks.made_events import LIDARS, UNPLACED, made_events
 from tests.sinks.mcap.studio import has_studio, served_studio
 
 pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.slow,
+    pytest.mark.shows(*RUN_FILES),
     pytest.mark.xdist_group("browser"),
     pytest.mark.skipif(not has_studio(), reason="run: npm install --prefix tests/node --no-package-lock"),
 ]

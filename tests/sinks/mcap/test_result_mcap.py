@@ -200,6 +200,7 @@ def columns_in_rerun(path: Path) -> set[str]:
     return {name for chunk in McapReader(path).stream() for name in chunk.to_record_batch().schema.names}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("outcome", "status"), [("complete", "complete"), ("running", "unfinished")])
 @pytest.mark.parametrize("encoding", ["foxglove", "ros2"])
 @pytest.mark.skipif(shutil.which("node") is None, reason="node is not installed")

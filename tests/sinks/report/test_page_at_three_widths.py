@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import pytest
 
-pytestmark = pytest.mark.xdist_group("browser")
+from tests.selection import RUN_FILES
+
+pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES), pytest.mark.xdist_group("browser")]
 
 WIDTHS = (390, 800, 1400)
 REPORTS = ("complete", "partial", "uncertain", "failed", "long names")

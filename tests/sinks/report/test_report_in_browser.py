@@ -11,7 +11,9 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, expect
 
-pytestmark = pytest.mark.xdist_group("browser")
+from tests.selection import RUN_FILES
+
+pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES), pytest.mark.xdist_group("browser")]
 IS_PAINTED = "(element) => element.checkVisibility({ contentVisibilityAuto: true })"
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
 

@@ -88,6 +88,7 @@ def test_without_any_covariance_there_is_no_drawing():
     assert rig_drawing(made_contents("complete", until="coarse"), LEVEL) is None
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("browser")
 def test_an_uncertain_lidar_stands_out(open_report):
     page = open_report("uncertain")

@@ -18,24 +18,39 @@ from rerun.experimental import ViewerClient
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.rerun.recording import RerunRecording
+from tests.selection import NIGHTLY, RUN_FILES
 from tests.sinks.conftest import record
 from tests.sinks.made_events import made_events
 
 DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")]
-pytestmark = pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.slow,
+    pytest.mark.shows(*RUN_FILES),
+    pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1"),
+]
 PATIENCE_S = 30.0
-STEPS = 10
+STEPS = 10 if NIGHTLY else 4
 
 
-@pytest.fixture
-def viewer(monkeypatch: pytest.MonkeyPatch) -> Iterator[ViewerClient]:
-    monkeypatch.setenv("CI", "1")  # else it counts its runs
+@pytest.fixture(scope="module")
+def only_viewer() -> Iterator[ViewerClient]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     binary = str(Path(sys.executable).parent / "rerun")
-    with ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=binary) as client:
-        yield client
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CI", "1")  # else it counts its runs
+        with ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=binary) as client:
+            yield client
+
+
+@pytest.fixture
+def viewer(only_viewer: ViewerClient) -> Iterator[ViewerClient]:
+    """The viewer of the module, without recordings and without what other tests changed."""
+    yield only_viewer
+    only_viewer.close("all")
+    only_viewer.run_command("ui.reset_viewer")
 
 
 def wait_until_shown(viewer: ViewerClient, path: Path) -> None:
@@ -82,7 +97,7 @@ def show_every_view(viewer: ViewerClient) -> None:
 
 
 def times_of(viewer: ViewerClient, timeline: str) -> list[dict[str, Any]]:
-    """Ten times, the first and the last among them."""
+    """Some times, the first and the last among them."""
     (recording,) = viewer.get_state().recordings
     found = next(each for each in recording.timelines if each.name == timeline)
     length = found.end - found.start
@@ -157,7 +172,7 @@ def test_entities_without_a_path_are_noticed(viewer, tmp_path, monkeypatch):
     monkeypatch.setattr("multilica.sinks.rerun.input.ROOT_FRAME", "elsewhere")
     wait_until_shown(viewer, record(tmp_path / "run.rrd", "partial"))
     show_every_view(viewer)
-    go_to(viewer, "step", times_of(viewer, "step")[3])
+    go_to(viewer, "step", times_of(viewer, "step")[STEPS // 3])
     complaining = {view.name for view in viewer.get_state().views if view.reports}
     assert {
         "Rig",

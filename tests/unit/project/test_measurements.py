@@ -152,6 +152,7 @@ def test_what_grows_is_not_flat(grown):
     assert grown in claim.measure
 
 
+@pytest.mark.slow
 def test_the_cost_includes_processes_that_outlive_the_command(tmp_path, monkeypatch):
     (tmp_path / "parent_of_orphan.py").write_text(
         "import subprocess, sys\n"
@@ -168,6 +169,7 @@ def test_the_cost_includes_processes_that_outlive_the_command(tmp_path, monkeypa
         cost_of("no_such_module")
 
 
+@pytest.mark.slow
 def test_the_peer_finds_poses():
     pytest.importorskip("kiss_matcher")
     recording = Path(bench.__file__).parents[2] / "recordings" / "samples" / "edgar-street.mcap"

@@ -45,6 +45,7 @@ def test_no_lidar_sits_inside_the_body(rig):
         assert not reaches_into(body, np.array(mount.xyz_m) - size_m, np.array(mount.xyz_m) + size_m), mount.name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", ["ring6", "sectors20", "truck"])
 @pytest.mark.parametrize("scene", sorted({*SCENES} - {"fence_field"}))
 def test_scenes_make_room(rig, scene):
@@ -55,6 +56,7 @@ def test_scenes_make_room(rig, scene):
         assert not reaches_into(in_base, low_m, high_m)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", sorted(SCENES))
 def test_room_for_a_car_changes_nothing(scene):
     for seed in range(5):

@@ -38,6 +38,7 @@ def shared_share(simulation: Simulation, target: str, source: str, within_m: flo
     return float(np.isfinite(found).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", sorted(RIGS))
 def test_same_arguments_give_the_same_bits(rig):
     disturbances = ("rain", "truck", "pedestrians") if rig == "blind" else ("rain",)
@@ -50,6 +51,7 @@ def test_same_arguments_give_the_same_bits(rig):
         np.testing.assert_array_equal(pose.matrix, second.truth.T_target_source[name].matrix)
 
 
+@pytest.mark.slow
 def test_another_process_gives_the_same_bits():
     program = (
         "from multilica.simulate import simulate_snapshot;"
@@ -61,6 +63,7 @@ def test_another_process_gives_the_same_bits():
     assert elsewhere.strip() == f"{cloud.shape} {cloud.tobytes().hex()[:4000]}"
 
 
+@pytest.mark.slow
 def test_seeds_differ_in_mounting_and_surroundings():
     first, second = (simulated("sides", "parking", seed) for seed in (1, 2))
     shift_m, turn_rad = first.truth.T_target_source["top"].distance_to(second.truth.T_target_source["top"])
@@ -69,6 +72,7 @@ def test_seeds_differ_in_mounting_and_surroundings():
     assert first.snapshot["top"].points_count != second.snapshot["top"].points_count
 
 
+@pytest.mark.slow
 def test_the_same_vehicle_stands_in_another_scene():
     first = simulate_snapshot("sides", "parking", 1, frames=1)
     second = simulate_snapshot("sides", "garage", 2, frames=1, build_seed=1)
@@ -81,6 +85,7 @@ def test_the_same_vehicle_stands_in_another_scene():
     assert second.snapshot.source == "simulation sides/garage/seed 2, vehicle 1"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", DECIDABLE_SCENES)
 def test_truth_lays_clouds_onto_each_other(scene):
     simulation = simulated("edgar", scene, 3)
@@ -111,6 +116,7 @@ def test_base_frame_lies_on_the_ground(scene):
     assert abs(float(np.median(beside[:, 2]))) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", sorted(RIGS))
 def test_returns_stay_within_the_field_of_view(rig):
     simulation = simulated(rig, "street", 1)
@@ -127,6 +133,7 @@ def test_returns_stay_within_the_field_of_view(rig):
         assert mount.sensor.min_range_m - 1e-4 <= ranges.min() < ranges.max() <= mount.sensor.max_range_m + 1e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", sorted(RIGS))
 def test_built_rig_is_near_its_drawing_but_not_on_it(rig):
     truth = simulated(rig, "tunnel", 7).truth
@@ -137,6 +144,7 @@ def test_built_rig_is_near_its_drawing_but_not_on_it(rig):
         assert 1e-4 < turn_rad < np.deg2rad(6.0)
 
 
+@pytest.mark.slow
 def test_static_transforms_are_a_prior_but_not_the_truth():
     shifts_m, turns_rad = [], []
     for seed in range(12):
@@ -168,6 +176,7 @@ def test_chain_overlaps_between_neighbours_only(scene):
             assert share > 0.08 if second == first + 1 else share < 0.01
 
 
+@pytest.mark.slow
 def test_edgar_has_no_field_of_view_common_to_all():
     simulation = simulated("edgar", "parking", 2)
     assert shared_share(simulation, "front", "rear") < 0.01
@@ -176,6 +185,7 @@ def test_edgar_has_no_field_of_view_common_to_all():
             assert shared_share(simulation, side, end) > 0.2
 
 
+@pytest.mark.slow
 def test_symmetric_garage_looks_the_same_after_half_a_turn():
     shares = {}
     for scene in ("symmetric_garage", "garage"):
@@ -188,6 +198,7 @@ def test_symmetric_garage_looks_the_same_after_half_a_turn():
     assert shares["garage"] < shares["symmetric_garage"] - 0.1
 
 
+@pytest.mark.slow
 def test_frames_are_ten_per_second_and_go_on():
     simulation = simulate_snapshot("helipr", "street", 1, frames=3)
     for lidar in simulation.snapshot.lidars:
@@ -218,6 +229,7 @@ def test_impossible_counts_are_refused(seed, frames):
         simulate_snapshot("edgar", "street", seed, frames=frames)
 
 
+@pytest.mark.slow
 def test_names_of_rigs_come_without_open3d():
     program = (
         "import sys; from multilica.simulate import DISTURBANCES, RIGS, SCENES; assert 'open3d' not in sys.modules"

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Plugin of pytest that chooses the tests of a push; `make nightly` sets MULTILICA_NIGHTLY and runs all.
+
+`@pytest.mark.nightly` is for more cases of tests that each push runs. `@pytest.mark.shows(*paths)` is for tests of
+pictures and pages, which run if one of these paths changed since the commit MULTILICA_BASE. Without it they run too.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NIGHTLY = os.environ.get("MULTILICA_NIGHTLY", "") not in ("", "0")
+# A change of these could change the outcome of any test.
+COMMON = (
+    ".ci",
+    "Makefile",
+    "constraints.txt",
+    "pyproject.toml",
+    "tests/conftest.py",
+    "tests/node",
+    "tests/selection.py",
+)
+# Sources of the files of a run, for `shows`.
+RUN_FILES = (
+    *(f"multilica/{name}" for name in ("config", "diagnosis", "events.py", "geometry.py", "results", "sinks")),
+    "tests/sinks",
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "nightly: one of the further cases that `make nightly` adds")
+    config.addinivalue_line(
+        "markers", "shows(*paths): runs if one of the paths changed since MULTILICA_BASE, or at night"
+    )
+
+
+def pytest_report_header() -> str:
+    return f"MULTILICA_SEED={push_seed()} MULTILICA_BASE={os.environ.get('MULTILICA_BASE', '')}"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip what this run leaves out, and keep each module on one worker, whose fixtures are then made once."""
+    changed = changed_paths(os.environ.get("MULTILICA_BASE", ""))
+    for item in items:
+        for mark in item.iter_markers("shows"):
+            if missing := [path for path in mark.args if not (ROOT / path).exists()]:
+                raise pytest.UsageError(f"{item.nodeid} shows {', '.join(missing)}, which is not there")
+            if not (NIGHTLY or shows_a_change(changed, mark.args)):
+                item.add_marker(pytest.mark.skip(reason="nothing that it shows has changed"))
+        if not NIGHTLY and item.get_closest_marker("nightly"):
+            item.add_marker(pytest.mark.skip(reason="make nightly runs it"))
+        if item.get_closest_marker("xdist_group") is None:
+            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
+
+
+def shows_a_change(changed: tuple[str, ...] | None, paths: Iterable[str]) -> bool:
+    """Whether a path changed, or all could have: None stands for changes that are not known."""
+    if changed is None:
+        return True
+    return any(Path(each).is_relative_to(path) for each in changed for path in (*paths, *COMMON))
+
+
+@cache
+def changed_paths(base: str) -> tuple[str, ...] | None:
+    """Return the files that differ from a commit, or None if there is none to compare with."""
+    tracked = _git("diff", "--name-only", "--no-renames", base, "--") if base else None
+    others = _git("ls-files", "--others", "--exclude-standard")
+    return None if tracked is None or others is None else (*tracked, *others)
+
+
+@cache
+def push_seed() -> int:
+    """Return the seed of random cases, another for each commit; MULTILICA_SEED repeats those of a push."""
+    given = os.environ.get("MULTILICA_SEED")
+    commit = _git("rev-parse", "HEAD")
+    return int(given) if given else int(commit[0][:7], 16) if commit else 0
+
+
+def seeds(count: int, *, at_night: int) -> range:
+    """Return seeds that differ from push to push, or the larger set of each night, which stays the same."""
+    return range(at_night) if NIGHTLY else range(push_seed(), push_seed() + count)
+
+
+def _git(*arguments: str) -> list[str] | None:
+    try:
+        done = subprocess.run(["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=False)
+    except FileNotFoundError:
+        return None
+    return done.stdout.splitlines() if done.returncode == 0 else None
