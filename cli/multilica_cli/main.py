@@ -28,10 +28,10 @@ app = App(
     no_args_is_help=True,
     add_completion=False,
     context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Exit codes: 0 all LiDARs placed, 1 system error or bug, 2 wrong usage, 3 unusable input, "
-    "4 a LiDAR uncertain, not placed, silent or undecided, or a log without a result (fleet run), 5 runs differ (diff) "
-    "or a LiDAR is outside its tolerance (check, verify) or has moved (fleet drift), 130 Ctrl-C, 143 SIGTERM, "
-    "129 SIGHUP.",
+    epilog="Exit codes: 0 all LiDARs placed; 1 system error or bug; 2 wrong usage; 3 unusable input; "
+    "4 a LiDAR uncertain, not placed, silent or undecided, or a log without a result (fleet run); "
+    "5 runs differ (diff), or a LiDAR is outside its tolerance (check, verify) or has moved (fleet drift); "
+    "130 Ctrl-C; 143 SIGTERM; 129 SIGHUP.",
 )
 for command in (
     calibrate,

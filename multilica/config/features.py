@@ -26,7 +26,7 @@ class FeaturesConfig(Section):
     feature_neighbours: Count = Field(100, description="largest number of neighbours of a descriptor")
     max_range_m: PositiveMetres = Field(40.0, description="farther returns get no descriptor")
     range_shape: Literal["sphere", "box"] = Field(
-        "sphere", description="what max_range_m limits; sphere: the distance; box: each coordinate in the LiDAR's frame"
+        "sphere", description="shape of the crop at max_range_m; box: limits each coordinate in the LiDAR's frame"
     )
     orient_normals: bool = Field(default=True, description="orient normals towards the sensor that saw the surface")
 

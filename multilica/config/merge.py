@@ -17,7 +17,7 @@ class MergeConfig(Section):
         "the best pair first, then what its LiDARs share with others again, as in the paper; target_first: each LiDAR "
         "to the target, then the rest to the merged cloud, as the published code of the paper",
     )
-    fitness_threshold: Share = Field(0.2, description="where verification is off, a pair needs a larger fitness")
+    fitness_threshold: Share = Field(0.2, description="without verification, a pair needs a larger fitness")
 
 
 class RefineConfig(Section):

@@ -54,7 +54,7 @@ def diff(
 ) -> int:
     """Compare two runs: which poses moved, which LiDARs changed status, which stage differs first.
 
-    Of a file of poses, in any format of export, only the poses are compared.
+    With a file of poses, in any format of export, only the poses are compared.
 
     Ends with 0 if both place the same LiDARs at the same places, with 5 if not.
     """

@@ -49,7 +49,7 @@ class ContestedEntry(Entry):
 class LidarEntry(Entry):
     """One LiDAR of the rig."""
 
-    placed: bool = Field(description="Whether the LiDAR has a pose that may be used without a second look.")
+    placed: bool = Field(description="True if the LiDAR has a pose that can be used without further checks.")
     status: PlacementStatus = Field(
         description="`uncertain`: one pose fits, uncontradicted, but its standard deviation is above the limit."
     )
@@ -68,7 +68,9 @@ class LidarEntry(Entry):
     prior: PriorEntry | None = Field(description="The pose that the prior gives; null without a prior.")
     spread: SpreadEntry | None = Field(description="Scatter over snapshots; null for a single snapshot.")
     contested: ContestedEntry | None = Field(description="Accepted pairs that contradict each other on it, or null.")
-    reason: str = Field(description="How the LiDAR was placed, or why it is uncertain or not placed.")
+    reason: str = Field(
+        description="The pair or step that placed the LiDAR, or the reason why it is uncertain or not placed."
+    )
     health: HealthEntry | None = Field(description="Findings about the sensor; null if it was not examined.")
 
     def weakest_directions(self) -> tuple[tuple[float, str], tuple[float, str]]:

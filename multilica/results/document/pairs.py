@@ -20,7 +20,7 @@ class ReasonEntry(Entry):
 
 
 class VerdictEntry(Entry):
-    """Whether the registration is accepted."""
+    """Verdict on a registration, with its reasons."""
 
     outcome: Literal["accept", "uncertain", "undecided", "reject"] = Field(
         description="`uncertain` if only its standard deviation is above the limit."
@@ -29,16 +29,16 @@ class VerdictEntry(Entry):
 
     @property
     def accepted(self) -> bool:
-        """Whether the registration may be merged."""
+        """True if the registration may be merged."""
         return self.outcome == "accept"
 
 
 class StabilityEntry(Entry):
-    """How far the registered pose moves when it is disturbed; rotations count as arcs at 10 m."""
+    """Motion of the registered pose after perturbations; rotations count as arcs at 10 m."""
 
     sigma_m: Number = Field(description="Standard deviation of the position in its weakest direction.")
     sigma_rad: Number = Field(description="Standard deviation of the attitude in its weakest direction.")
-    perturbation_m: Number = Field(description="How far the pose was displaced along its weakest direction.")
+    perturbation_m: Number = Field(description="Displacement of the pose along its weakest direction.")
     perturbed_offset_m: Number = Field(
         description="Distance from the pose to the end of the registration after the push."
     )
@@ -54,7 +54,7 @@ class RegistrationEntry(Entry):
     origin: str = Field(description="Solver of that hypothesis, or `prior`; empty if the pose came from other pairs.")
     derivation: str = Field(
         "",
-        description="How the pose follows from its hypothesis, or the LiDARs that imply it; else empty.",
+        description="Relation of the pose to its hypothesis, or the LiDARs that imply it; else empty.",
     )
     T_target_source: Matrix4 = Field(description="Rows of the homogeneous matrix, lengths.")
     agree: int = Field(description="Points on a surface that the other LiDAR measured.")
@@ -77,7 +77,7 @@ class PairEntry(PoseEntry, PairNames):
     fitness: Number = Field(description="Share of the source points that lie near a surface of the target cloud.")
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
     inliers: int = Field(description="Number of those points.")
-    converged: bool | None = Field(description="Whether GICP converged; null where the engine does not report it.")
+    converged: bool | None = Field(description="True if GICP converged; null if the engine does not report it.")
     iterations: int | None = Field(description="Number of GICP iterations; null where the engine does not report it.")
     engine: str = Field(description="GICP implementation.")
     hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
@@ -101,12 +101,12 @@ class CandidateEntry(PairNames):
 
     fitness: Number = Field(description="Share of the source points that lie near a surface of the target cloud.")
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
-    passes: bool = Field(description="Whether the pair may be merged.")
+    passes: bool = Field(description="True if the pair may be merged.")
     evidence: Number = Field(description="Evidence of the pair's registration.")
     reason: str = Field(description="Why the pair does not pass; empty if it does.")
-    uncertain: bool = Field(description="Whether the pair is merged where no pair passes.")
+    uncertain: bool = Field(description="True if the pair may be merged only where no other pair passes.")
     of_groups: bool = Field(
-        default=False, description="Whether the merged clouds of two groups were registered; the names are their roots."
+        default=False, description="True if the merged clouds of two groups were registered; the names are their roots."
     )
 
 

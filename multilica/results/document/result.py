@@ -49,7 +49,7 @@ class RefusalEntry(Entry):
 
 
 class ProgressEntry(Entry):
-    """How far the run came."""
+    """Progress of the run."""
 
     finished: tuple[Stage, ...] = Field(description="Finished stages, in order.")
     running: Stage | None = Field(description="The stage that was running when the document was written.")
@@ -61,7 +61,7 @@ class DeviationEntry(Entry):
     lidar: str = Field(description="Name of the LiDAR.")
     distance_m: float = Field(description="Distance.")
     angle_deg: float = Field(description="Angle.")
-    outlier: bool = Field(description="Whether other snapshots outvoted this one.")
+    outlier: bool = Field(description="True if other snapshots outvoted this one.")
 
 
 class SnapshotEntry(Entry):
@@ -100,7 +100,7 @@ class GroundEntry(Entry):
 
 
 class TimeLimitEntry(Entry):
-    """What was left out because the time was over; equal runs may differ."""
+    """Searches left out because the time was over; equal runs may differ."""
 
     max_time_s: float = Field(description="The limit, `runtime.max_time_s`.")
     not_reached: tuple[tuple[str, str], ...] = Field(description="Pairs that could have placed a LiDAR.")
@@ -121,7 +121,7 @@ class ResultDocument(Entry):
     target_reason: str = Field(description="Why that LiDAR is the target.")
     accepted_by: Literal["evidence", "fitness"] = Field(
         "evidence",
-        description="What placements were accepted by: evidence of the beams, or the fitness alone, as in the paper.",
+        description="Placements were accepted by evidence of the beams, or by fitness alone, as in the paper.",
     )
     refusal: RefusalEntry | None = Field(description="Why the snapshot was not calibrated at all; null if it was.")
     lidars: Mapping[str, LidarEntry] = Field(description="Per LiDAR in name order, the target with the identity.")
@@ -139,7 +139,7 @@ class ResultDocument(Entry):
     )
     versions: Mapping[str, str] = Field(description="Version per package.")
     platform: str = Field(description="Operating system and processor.")
-    progress: ProgressEntry | None = Field(None, description="How far the run came; null if that is not known.")
+    progress: ProgressEntry | None = Field(None, description="Progress of the run; null if it is not known.")
     stages: StageFigures | None = Field(None, description="Figures per finished stage; null if they are not known.")
 
     @model_validator(mode="after")
