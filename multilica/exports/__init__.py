@@ -1,16 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Extrinsics in the formats of other programs."""
 
-from multilica.exports.formats import CLOUD_FORMATS, FORMATS, ExchangeFormat
-from multilica.exports.reading import read_extrinsics
-from multilica.exports.writing import RunExport, export_extrinsics, export_run
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "CLOUD_FORMATS",
-    "FORMATS",
-    "ExchangeFormat",
-    "RunExport",
-    "export_extrinsics",
-    "export_run",
-    "read_extrinsics",
-]
+from multilica.exports.formats import CLOUD_FORMATS, FORMATS
+
+if TYPE_CHECKING:
+    from multilica.exports.reading import read_extrinsics
+    from multilica.exports.writing import RunExport, export_extrinsics, export_run
+
+__all__ = ["CLOUD_FORMATS", "FORMATS", "RunExport", "export_extrinsics", "export_run", "read_extrinsics"]
+
+
+def __getattr__(name: str) -> object:
+    """Import a function when it is first used, so that the list of formats stays light."""
+    if name not in __all__:
+        raise AttributeError(f"module 'multilica.exports' has no attribute '{name}'")
+    return getattr(import_module(f"multilica.exports.{'reading' if name == 'read_extrinsics' else 'writing'}"), name)

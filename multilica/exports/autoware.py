@@ -7,8 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from multilica.errors import UnreadableSourceError
-from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import mapping_of, numbers, pose_of_rpy, quoted, read_text, read_yaml
+from multilica.exports.values import (
+    extrinsics_of_poses,
+    mapping_of,
+    numbers,
+    pose_of_rpy,
+    quoted,
+    read_text,
+    read_yaml,
+)
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
@@ -28,11 +35,7 @@ def autoware_yaml(extrinsics: Extrinsics) -> str:
 
 
 def read_autoware(path: Path) -> Extrinsics:
-    """Read the pose of every frame in the root.
-
-    Raises:
-        ValueError: it is not such a file, or the transforms are no tree.
-    """
+    """Read the pose of every frame in the root."""
     return extrinsics_of_poses(_poses(read_yaml(path)))
 
 

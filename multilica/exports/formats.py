@@ -1,18 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The formats of extrinsics."""
+"""The formats of extrinsics; the functions that write and read them are imported when they are used."""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from multilica.errors import UnknownNameError, UsageError
-from multilica.extrinsics import Extrinsics
 
-Writer = Callable[[Extrinsics], str | bytes]
-Reader = Callable[[Path], Extrinsics]
+if TYPE_CHECKING:
+    from multilica.extrinsics import Extrinsics
+
+    Writer = Callable[[Extrinsics], str | bytes]
+    """A function that returns the content of a file."""
+    Reader = Callable[[Path], Extrinsics]
+    """A function that reads a file; the common frame is the root of its frames.
+
+    Raises:
+        ValueError: it is not of the format, or its transforms are no tree; the text is a clause.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,19 +30,17 @@ class ExchangeFormat:
     """A format that a run is exported to.
 
     Args:
-        suffixes: of its files.
-        writers: per suffix, ``module:function``, relative to this package, that returns the content of a file.
-        readers: the same for reading; empty for point clouds.
+        writers: per suffix, ``module:function`` of this package, or of the library, that is a `Writer`.
+        readers: per suffix, those of foreign files too, the same of a `Reader`.
     """
 
     name: str
-    title: str
     writers: Mapping[str, str]
     readers: Mapping[str, str]
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """Suffixes of its files."""
+        """Suffixes of the files that it writes."""
         return tuple(self.writers)
 
     def content(self, extrinsics: Extrinsics, path: Path) -> bytes:
@@ -56,59 +64,45 @@ class ExchangeFormat:
         return path.suffix
 
 
-def _format(name: str, title: str, suffixes: str, writer: str, reader: str) -> ExchangeFormat:
+def _format(name: str, suffixes: str, writer: str, reader: str, *, also_read: str = "") -> ExchangeFormat:
+    """Define a format whose files have one writer and one reader; suffixes are separated by spaces."""
     return ExchangeFormat(
-        name,
-        title,
-        MappingProxyType(dict.fromkeys(suffixes.split(), writer)),
-        MappingProxyType(dict.fromkeys(suffixes.split(), reader) if reader else {}),
+        name, dict.fromkeys(suffixes.split(), writer), dict.fromkeys(f"{suffixes} {also_read}".split(), reader)
     )
 
 
-_LAUNCH = ExchangeFormat(
-    "ros2-launch",
-    "ROS 2 launch file",
-    MappingProxyType(
-        {
-            ".py": "ros2_launch:launch_python",
-            ".xml": "ros_launch_xml:ros2_launch_xml",
-            ".yaml": "ros2_launch:launch_yaml",
-        }
-    ),
-    MappingProxyType(
-        {
-            ".py": "ros2_launch:read_launch_python",
-            ".xml": "ros_launch_xml:read_launch_xml",
-            ".yaml": "ros2_launch:read_launch_yaml",
-            ".yml": "ros2_launch:read_launch_yaml",
-        }
-    ),
-)
 _ALL = (
-    _format("toml", "TOML table, as calibration.toml", ".toml", "toml_table:toml_extrinsics", "toml_table:read_toml"),
-    _format("urdf", "URDF", ".urdf", ".sinks.text.extrinsics_text:urdf_text", "urdf:read_urdf_extrinsics"),
-    _LAUNCH,
+    _format("toml", ".toml", "tables:toml_extrinsics", "multilica.extrinsics:read_extrinsics"),
     _format(
-        "ros2-static",
-        "ROS 2 command lines",
-        ".sh .txt",
-        "ros2_launch:command_lines",
-        "ros2_launch:read_command_lines",
+        "urdf",
+        ".urdf",
+        "multilica.sinks.text.extrinsics_text:urdf_text",
+        "urdf:read_urdf_extrinsics",
+        also_read=".xacro .xml",
     ),
-    _format(
-        "ros1-launch",
-        "ROS 1 launch file",
-        ".launch",
-        "ros_launch_xml:ros1_launch_xml",
-        "ros_launch_xml:read_launch_xml",
+    ExchangeFormat(
+        "ros2-launch",
+        {
+            ".py": "ros_launch:launch_python",
+            ".xml": "ros_launch:ros2_launch_xml",
+            ".yaml": "ros_launch:launch_yaml",
+        },
+        {
+            ".py": "ros_launch:read_launch_python",
+            ".xml": "ros_launch:read_launch_xml",
+            ".yaml": "ros_launch:read_launch_yaml",
+            ".yml": "ros_launch:read_launch_yaml",
+        },
     ),
-    _format("tf-static", "MCAP with /tf_static", ".mcap", "tf_static:tf_static_mcap", "tf_static:read_tf_static"),
-    _format("autoware", "Autoware YAML", ".yaml", "autoware:autoware_yaml", "autoware:read_autoware"),
-    _format("kalibr", "Kalibr-like YAML", ".yaml", "kalibr:kalibr_yaml", "kalibr:read_kalibr"),
-    _format("kitti", "KITTI calibration file", ".txt", "matrices:kitti_text", "matrices:read_kitti"),
-    _format("matrices", "4 x 4 matrices", ".txt", ".sinks.text.extrinsics_text:matrix_text", "matrices:read_matrices"),
-    _format("opencalib", "OpenCalib JSON", ".json", "opencalib:opencalib_json", "opencalib:read_opencalib"),
-    _format("csv", "CSV table", ".csv", "csv_table:csv_text", "csv_table:read_csv"),
+    _format("ros2-static", ".sh .txt", "ros_launch:command_lines", "ros_launch:read_command_lines"),
+    _format("ros1-launch", ".launch", "ros_launch:ros1_launch_xml", "ros_launch:read_launch_xml"),
+    _format("tf-static", ".mcap", "tf_static:tf_static_mcap", "tf_static:read_tf_static", also_read=".bag .db3"),
+    _format("autoware", ".yaml", "autoware:autoware_yaml", "autoware:read_autoware", also_read=".yml"),
+    _format("kalibr", ".yaml", "matrices:kalibr_yaml", "matrices:read_kalibr", also_read=".yml"),
+    _format("kitti", ".txt", "matrices:kitti_text", "matrices:read_kitti"),
+    _format("matrices", ".txt", "multilica.sinks.text.extrinsics_text:matrix_text", "matrices:read_matrices"),
+    _format("opencalib", ".json", "matrices:opencalib_json", "matrices:read_opencalib"),
+    _format("csv", ".csv", "tables:csv_text", "tables:read_csv"),
 )
 FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({each.name: each for each in _ALL})
 """Formats of extrinsics by name."""
@@ -125,4 +119,4 @@ def format_named(name: str) -> ExchangeFormat:
 
 def _function(place: str) -> Any:  # noqa: ANN401 - a function of a module that is loaded when it is used
     module, _, name = place.partition(":")
-    return getattr(import_module(f".{module}", __package__), name)
+    return getattr(import_module(module if "." in module else f"multilica.exports.{module}"), name)

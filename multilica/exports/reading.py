@@ -1,32 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reading of extrinsics from any format."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from multilica.documents import DocumentError
 from multilica.errors import MultilicaError, SourceNotFoundError, UnreadableSourceError
 from multilica.exports.formats import FORMATS, ExchangeFormat, format_named
-from multilica.exports.kalibr import MATRIX
-from multilica.exports.matrices import KITTI_LINE
-from multilica.exports.static_publisher import EXECUTABLE
+from multilica.exports.matrices import KALIBR_MATRIX, KITTI_LINE
+from multilica.exports.ros_launch import EXECUTABLE
 from multilica.exports.values import read_text, read_yaml
 from multilica.extrinsics import Extrinsics
 from multilica.extrinsics import read_extrinsics as read_table
 from multilica.ingest.transforms.urdf import parse_xml
-
-_BY_SUFFIX: Mapping[str, str] = {
-    ".toml": "toml",
-    ".urdf": "urdf",
-    ".xacro": "urdf",
-    ".launch": "ros1-launch",
-    ".py": "ros2-launch",
-    ".mcap": "tf-static",
-    ".bag": "tf-static",
-    ".db3": "tf-static",
-    ".json": "opencalib",
-    ".csv": "csv",
-}
 
 
 def read_extrinsics(
@@ -68,8 +53,9 @@ def _told(path: Path) -> ExchangeFormat:
     """Tell the format by the suffix, else by the content."""
     if path.is_dir():
         return FORMATS["tf-static"]
-    if path.suffix in _BY_SUFFIX:
-        return FORMATS[_BY_SUFFIX[path.suffix]]
+    named = [each for each in FORMATS.values() if path.suffix in each.readers]
+    if len(named) == 1:
+        return named[0]
     if path.suffix == ".xml":
         return FORMATS["urdf" if parse_xml(path, "launch or URDF").tag == "robot" else "ros2-launch"]
     if path.suffix in (".yaml", ".yml"):
@@ -85,4 +71,4 @@ def _told_yaml(path: Path) -> str:
     if "launch" in document:
         return "ros2-launch"
     entries = [entry for entry in document.values() if isinstance(entry, dict)]
-    return "kalibr" if any(MATRIX in entry for entry in entries) else "autoware"
+    return "kalibr" if any(KALIBR_MATRIX in entry for entry in entries) else "autoware"

@@ -4,7 +4,7 @@
 from contextlib import closing
 from pathlib import Path
 
-from multilica.exports.frame_tree import extrinsics_of_poses
+from multilica.exports.values import extrinsics_of_poses
 from multilica.extrinsics import Extrinsics
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
@@ -19,11 +19,7 @@ def tf_static_mcap(extrinsics: Extrinsics) -> bytes:
 
 
 def read_tf_static(path: Path) -> Extrinsics:
-    """Read `/tf_static` of an MCAP file or ROS bag.
-
-    Raises:
-        ValueError: there is none, a transform is wrong, or they are no tree.
-    """
+    """Read `/tf_static` of an MCAP file or ROS bag."""
     with closing(open_source(find_source(path))) as recording:
         poses, notes = read_static_transforms(recording)
     if notes:

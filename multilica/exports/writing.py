@@ -9,7 +9,7 @@ from multilica.errors import UnknownNameError, UsageError
 from multilica.exports.autoware import updated_autoware
 from multilica.exports.formats import CLOUD_FORMATS, FORMATS, format_named
 from multilica.exports.run_rig import FrameNames, rig_of_run
-from multilica.exports.urdf_update import updated_urdf
+from multilica.exports.urdf import updated_urdf
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.remote.address import local_output

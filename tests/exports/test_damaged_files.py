@@ -13,7 +13,7 @@ import pytest
 import multilica
 from multilica.errors import MultilicaError, UnreadableSourceError
 from multilica.exports import FORMATS, export_extrinsics
-from multilica.exports.static_publisher import split_arguments
+from multilica.exports.ros_launch import split_arguments
 from tests.exports.made_rigs import made_rig
 from tests.exports.test_conventions import ROS1_NODE, joint
 from tests.ingest.support.mutations import mutated

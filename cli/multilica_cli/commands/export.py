@@ -1,12 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """`multilica export`: a run's poses or clouds as a file for other programs."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Literal
 
+from multilica.exports import CLOUD_FORMATS, FORMATS
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Quiet, argument, option
 from multilica_cli.terminal import stderr_console, stdout_console
+
+
+def _listed(names: Iterable[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} or {last}"
 
 
 def export(
@@ -16,8 +23,7 @@ def export(
         str,
         option(
             "--to FORMAT",
-            "toml, urdf, ros2-launch, ros2-static, ros1-launch, tf-static, autoware, kalibr, kitti, matrices, "
-            "opencalib or csv; of the stitched cloud pcd, ply or las.",
+            f"{_listed(FORMATS)}; of the stitched cloud {_listed(CLOUD_FORMATS)}.",
             show_default=False,
         ),
     ],

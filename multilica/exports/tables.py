@@ -1,19 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extrinsics as a CSV table."""
+"""Extrinsics as a TOML table without the figures of a run, and as a CSV table."""
 
 import csv
 from collections.abc import Mapping
 from io import StringIO
 from pathlib import Path
 
-from multilica.exports.frame_tree import extrinsics_of_poses
-from multilica.exports.values import numbers, pose_of_quaternion, read_text
-from multilica.extrinsics import Extrinsics
+from multilica.exports.values import extrinsics_of_poses, numbers, pose_of_quaternion, read_text
+from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.geometry import RigidTransform
+from multilica.sinks.files.result_files import toml_text
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
 _XYZ, _QUATERNION, _ANGLES = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw"), ("roll_deg", "pitch_deg", "yaw_deg")
 _READ = ("target", "source", *_XYZ, *_QUATERNION)
+
+
+def toml_extrinsics(extrinsics: Extrinsics) -> str:
+    """Return the table with a pose per frame."""
+    poses = {pose.source: pose for pose in child_poses(extrinsics)}
+    return toml_text(extrinsics_table(Extrinsics(extrinsics.target, poses)))
 
 
 def csv_text(extrinsics: Extrinsics) -> str:
@@ -28,11 +34,7 @@ def csv_text(extrinsics: Extrinsics) -> str:
 
 
 def read_csv(path: Path) -> Extrinsics:
-    """Read a table with these columns, in any order; others are ignored.
-
-    Raises:
-        ValueError: a column is missing, a row is wrong, or the transforms are no tree.
-    """
+    """Read a table with these columns, in any order; others are ignored."""
     rows = csv.DictReader(StringIO(read_text(path)))
     try:
         missing = [name for name in _READ if name not in (rows.fieldnames or ())]

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS node `static_transform_publisher` in launch files and command lines.
+
+Arguments of ROS 1: ``x y z qx qy qz qw parent child`` or ``x y z yaw pitch roll parent child``; the node of the package
+`tf` also takes a period in milliseconds. ROS 2: named arguments; those of ROS 1 are deprecated.
+"""
+
+import ast
+import json
+import re
+import shlex
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import quoteattr
+
+from multilica.documents import MAX_YAML_BYTES, parse_yaml, read_limited
+from multilica.errors import UsageError
+from multilica.exports.values import extrinsics_of_poses, numbers, pose_of_quaternion, pose_of_rpy, read_text
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
+from multilica.ingest.transforms.urdf import parse_xml
+from multilica.sinks.text.extrinsics_text import child_poses, number_text
+
+EXECUTABLE = "static_transform_publisher"
+PACKAGE = "tf2_ros"
+_LEGACY_PACKAGE = "tf"
+_MAX_COMMAND = 4096
+"""The splitter needs a second per 100,000 characters."""
+_TRANSLATION, _ANGLES, _QUATERNION = ("x", "y", "z"), ("roll", "pitch", "yaw"), ("qx", "qy", "qz", "qw")
+_PARENT, _CHILD = "frame-id", "child-frame-id"
+_NAMES = (*_TRANSLATION, *_ANGLES, *_QUATERNION, _PARENT, _CHILD)
+_FRAME = re.compile(r"[^\s\"'`$\\/&|;<>()#*?~{}\[\]!-][^\s\"'`$\\&|;<>()#*?~{}\[\]!]*")
+_PYTHON = """\
+from launch import LaunchDescription
+from launch_ros.actions import Node
+
+
+def generate_launch_description():
+    return LaunchDescription(
+        [
+{nodes}        ]
+    )
+"""
+_NODE = """\
+            Node(
+                package="{package}",
+                executable="{executable}",
+                name="{name}",
+                arguments={arguments},
+            ),
+"""
+
+
+def launch_python(extrinsics: Extrinsics) -> str:
+    """Return a launch file in Python."""
+    nodes = (
+        _NODE.format(
+            package=PACKAGE, executable=EXECUTABLE, name=node_name(pose), arguments=json.dumps(ros2_arguments(pose))
+        )
+        for pose in child_poses(extrinsics)
+    )
+    return _PYTHON.format(nodes="".join(nodes))
+
+
+def launch_yaml(extrinsics: Extrinsics) -> str:
+    """Return a launch file in YAML."""
+    nodes = (
+        f"  - node:\n      pkg: {PACKAGE}\n      exec: {EXECUTABLE}\n      name: {node_name(pose)}\n"
+        f'      args: "{" ".join(ros2_arguments(pose))}"\n'
+        for pose in child_poses(extrinsics)
+    )
+    return f"launch:\n{''.join(nodes)}"
+
+
+def command_lines(extrinsics: Extrinsics) -> str:
+    """Return a command per frame; each of them runs until it is stopped."""
+    return "".join(
+        f"ros2 run {PACKAGE} {EXECUTABLE} {' '.join(ros2_arguments(pose))}\n" for pose in child_poses(extrinsics)
+    )
+
+
+def ros1_launch_xml(extrinsics: Extrinsics) -> str:
+    """Return a launch file of ROS 1."""
+    return _launch_xml(extrinsics, "type", ros1_arguments)
+
+
+def ros2_launch_xml(extrinsics: Extrinsics) -> str:
+    """Return a launch file of ROS 2."""
+    return _launch_xml(extrinsics, "exec", ros2_arguments)
+
+
+def _launch_xml(extrinsics: Extrinsics, key: str, arguments: Callable[[RigidTransform], tuple[str, ...]]) -> str:
+    nodes = (
+        f'  <node pkg="{PACKAGE}" {key}="{EXECUTABLE}" name={quoteattr(node_name(pose))}\n'
+        f"        args={quoteattr(' '.join(arguments(pose)))}/>\n"
+        for pose in child_poses(extrinsics)
+    )
+    return f"<launch>\n{''.join(nodes)}</launch>\n"
+
+
+def read_launch_python(path: Path) -> Extrinsics:
+    """Read the static transforms of a launch file in Python, without running it."""
+    text = read_text(path)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tree = ast.parse(text)
+        return extrinsics_of_poses(_constant_pose(call) for call in ast.walk(tree) if _publishes(call))
+    except (SyntaxError, RecursionError, MemoryError) as error:
+        raise ValueError("it is not Python") from error
+
+
+def _publishes(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and any(
+        keyword.arg in ("executable", "node_executable")
+        and isinstance(keyword.value, ast.Constant)
+        and keyword.value.value == EXECUTABLE
+        for keyword in node.keywords
+    )
+
+
+def _constant_pose(call: ast.AST) -> RigidTransform:
+    line = getattr(call, "lineno", 0)
+    given = {keyword.arg: keyword.value for keyword in getattr(call, "keywords", ())}
+    if "condition" in given:
+        raise ValueError(f"the node in line {line} has a condition; expected none")
+    try:
+        package = ast.literal_eval(given.get("package", given.get("node_package", ast.Constant(PACKAGE))))
+        words = [str(word) for word in ast.literal_eval(given["arguments"])]
+    except (KeyError, ValueError, TypeError) as error:
+        raise ValueError(f"the node in line {line} has arguments that are not constants") from error
+    return pose_of_arguments(str(package), words)
+
+
+def read_launch_yaml(path: Path) -> Extrinsics:
+    """Read the static transforms of a launch file in YAML."""
+    return extrinsics_of_poses(_yaml_poses(parse_yaml(read_limited(path, MAX_YAML_BYTES)), conditional=False))
+
+
+def _yaml_poses(value: object, *, conditional: bool) -> Iterator[RigidTransform]:
+    if isinstance(value, list):
+        for item in value:
+            yield from _yaml_poses(item, conditional=conditional)
+    elif isinstance(value, dict):
+        depends = conditional or "if" in value or "unless" in value
+        if value.get("exec") == EXECUTABLE:
+            if depends:
+                raise ValueError(f"node '{value.get('name', '')}' has a condition; expected none")
+            yield pose_of_arguments(str(value.get("pkg", "")), split_arguments(str(value.get("args", ""))))
+            return
+        for item in value.values():
+            yield from _yaml_poses(item, conditional=depends)
+
+
+def read_command_lines(path: Path) -> Extrinsics:
+    """Read command lines of ROS 1 or ROS 2; other lines are ignored."""
+    lines = read_text(path).replace("\\\n", " ").splitlines()
+    return extrinsics_of_poses(_pose_of_command(line) for line in lines if EXECUTABLE in line.partition("#")[0])
+
+
+def _pose_of_command(line: str) -> RigidTransform:
+    words = [word for word in split_arguments(line) if word != "&"]
+    at = words.index(EXECUTABLE) if EXECUTABLE in words else len(words)
+    return pose_of_arguments(words[at - 1] if at else "", words[at + 1 :])
+
+
+def read_launch_xml(path: Path) -> Extrinsics:
+    """Read the static transforms of a launch file of ROS 1 or ROS 2; files that it includes are not read."""
+    root = parse_xml(path, "launch")
+    if root.tag != "launch":
+        raise ValueError(f"it begins with <{root.tag}>; expected <launch>")
+    return extrinsics_of_poses(_xml_poses(root, conditional=False))
+
+
+def _xml_poses(element: Element, *, conditional: bool) -> Iterator[RigidTransform]:
+    for child in element:
+        depends = conditional or child.get("if") is not None or child.get("unless") is not None
+        if child.tag == "node" and EXECUTABLE in (child.get("exec"), child.get("type")):
+            if depends:
+                raise ValueError(f"node '{child.get('name', '')}' has a condition; expected none")
+            yield pose_of_arguments(child.get("pkg", ""), split_arguments(child.get("args", "")))
+        else:
+            yield from _xml_poses(child, conditional=depends)
+
+
+def ros1_arguments(pose: RigidTransform) -> tuple[str, ...]:
+    """Return the arguments for `tf2_ros` of ROS 1."""
+    values = (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist())
+    return (*map(number_text, values), _frame(pose.target), _frame(pose.source))
+
+
+def ros2_arguments(pose: RigidTransform) -> tuple[str, ...]:
+    """Return the arguments for `tf2_ros` of ROS 2."""
+    values = dict(
+        zip((*_TRANSLATION, *_QUATERNION), (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
+    )
+    given = {name: number_text(value) for name, value in values.items()}
+    given |= {_PARENT: _frame(pose.target), _CHILD: _frame(pose.source)}
+    return tuple(word for name, value in given.items() for word in (f"--{name}", value))
+
+
+def node_name(pose: RigidTransform) -> str:
+    """Return a valid name of a ROS node that publishes the pose."""
+    return "static_transform_" + re.sub(r"\W", "_", pose.source, flags=re.ASCII)
+
+
+def split_arguments(text: str) -> list[str]:
+    """Return the words of a command; raise ValueError, with a clause, if it is none."""
+    if len(text) > _MAX_COMMAND:
+        raise ValueError(f"it has a command of more than {_MAX_COMMAND} characters")
+    return shlex.split(text, comments=True)
+
+
+def pose_of_arguments(package: str, arguments: Sequence[str]) -> RigidTransform:
+    """Return ``T_parent_child`` of the arguments of a node; raise ValueError, with a clause, if they are wrong."""
+    words = list(arguments)
+    if "--ros-args" in words:
+        words = words[: words.index("--ros-args")]
+    if any("$(" in word for word in words):
+        raise ValueError(f"'{' '.join(words)}' has a substitution; expected numbers and frames")
+    if any(word.startswith("--") for word in words):
+        return _named(words)
+    if package == _LEGACY_PACKAGE:
+        words = words[:-1]
+    if len(words) not in (8, 9):
+        raise ValueError(f"'{' '.join(arguments)}' has {len(arguments)} arguments; expected 6 or 7 numbers, two frames")
+    *values, parent, child = words
+    xyz_m, turn = values[:3], numbers(values[3:], f"the rotation of '{child}'")
+    if len(turn) == 4:
+        return _pose(parent, child, xyz_m, xyzw=turn)
+    return _pose(parent, child, xyz_m, rpy_rad=turn[::-1])
+
+
+def _named(words: Sequence[str]) -> RigidTransform:
+    names = [word.removeprefix("--") for word in words[::2]]
+    if len(words) % 2 or any(name not in _NAMES for name in names) or len(set(names)) < len(names):
+        raise ValueError(f"'{' '.join(words)}' has other arguments than pairs of a name of {EXECUTABLE} and a value")
+    given = dict(zip(names, words[1::2], strict=True))
+    if _PARENT not in given or _CHILD not in given:
+        raise ValueError(f"'{' '.join(words)}' lacks --{_PARENT} or --{_CHILD}")
+    parent, child = given[_PARENT], given[_CHILD]
+    xyz_m = [given.get(name, "0") for name in _TRANSLATION]
+    if not any(name in given for name in _ANGLES):
+        turn = [given.get(name, "1" if name == "qw" else "0") for name in _QUATERNION]
+        return _pose(parent, child, xyz_m, xyzw=numbers(turn, f"the rotation of '{child}'"))
+    if any(name in given for name in _QUATERNION):
+        raise ValueError(f"'{child}' has both angles and a quaternion")
+    turn = [given.get(name, "0") for name in _ANGLES]
+    return _pose(parent, child, xyz_m, rpy_rad=numbers(turn, f"the rotation of '{child}'"))
+
+
+def _pose(
+    parent: str,
+    child: str,
+    xyz: Sequence[str],
+    *,
+    xyzw: Sequence[float] = (),
+    rpy_rad: Sequence[float] = (),
+) -> RigidTransform:
+    parent, child = parent.removeprefix("/"), child.removeprefix("/")
+    if not parent or not child:
+        raise ValueError("a frame has no name")
+    xyz_m = numbers(xyz, f"the translation of '{child}'")
+    if xyzw:
+        return pose_of_quaternion(parent, child, xyz_m, xyzw)
+    return pose_of_rpy(parent, child, xyz_m, rpy_rad)
+
+
+def _frame(name: str) -> str:
+    """Return a name that needs no quotes in shells and launch files, and does not begin with a slash or dash."""
+    if not _FRAME.fullmatch(name):
+        raise UsageError(f"A ROS launch file cannot have the frame '{name}'; rename the LiDAR or give --frames ids.")
+    return name
