@@ -4,7 +4,6 @@
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
@@ -111,12 +110,12 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
 
 def _row(check: LidarCheck) -> str:
     cells = [_text(check.lidar), f"**{_WORDS[check.verdict]}**" if check.verdict != "within" else check.verdict]
-    if check.error is None or check.share is None:
+    if check.distance_m is None or check.angle_deg is None or check.share is None:
         cells += ["-", "-", "-"]
     else:
         cells += [
-            _with_sigma(1000.0 * check.error.distance_m, check.sigma_m and 1000.0 * check.sigma_m, "mm", 1),
-            _with_sigma(check.error.angle_deg, check.sigma_deg, "deg", 3),
+            _with_sigma(1000.0 * check.distance_m, check.sigma_m and 1000.0 * check.sigma_m, "mm", 1),
+            _with_sigma(check.angle_deg, check.sigma_deg, "deg", 3),
             f"`{_bar(check.share)}` {100.0 * check.share:.0f} %",
         ]
     return f"| {' | '.join([*cells, _text(check.reason)])} |"
@@ -176,12 +175,9 @@ def _findings(rigs: Sequence[RigCheck]) -> Iterator[tuple[RigCheck, LidarCheck]]
 
 def _printable(rig: RigCheck) -> RigCheck:
     """Show controls, which names in logs may have and XML and UTF-8 may not, as escapes."""
-    return replace(
-        rig,
-        name=escape_controls(rig.name),
-        root=escape_controls(rig.root),
-        lidars=tuple(
-            replace(each, lidar=escape_controls(each.lidar), reason=escape_controls(each.reason)) for each in rig.lidars
-        ),
-        notes=tuple(map(escape_controls, rig.notes)),
+    lidars = tuple(
+        each.model_copy(update={"lidar": escape_controls(each.lidar), "reason": escape_controls(each.reason)})
+        for each in rig.lidars
     )
+    names = {"name": escape_controls(rig.name), "root": escape_controls(rig.root)}
+    return rig.model_copy(update={**names, "lidars": lidars, "notes": tuple(map(escape_controls, rig.notes))})

@@ -6,12 +6,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from pydantic import Field, model_serializer
 
 from multilica.checks.tolerances import RigTolerances, Tolerance
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.results import LidarPlacement
+from multilica.results.document.values import Entry, Number, Vector3
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import SavedRun
 
@@ -21,36 +23,38 @@ CheckVerdict = Literal["within", "outside", "undecided"]
 _SIGMAS = 3.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LidarCheck:
-    """One LiDAR against its reference.
+class LidarCheck(Entry):
+    """One LiDAR against its reference; in JSON an entry under its name.
 
     Args:
         reason: of the verdict, for people.
-        error: found - reference pose, along the axes of the root; None where the LiDAR has no pose or no reference.
+        distance_m, angle_deg, translation_m, rotation_rad: found - reference pose, along the axes of the root; None
+            where the LiDAR has no pose or no reference.
         sigma_m, sigma_deg: largest standard deviation of the found pose; None where it is not known.
+        max_translation_m, max_rotation_deg: the tolerance.
     """
 
-    lidar: str
+    lidar: str = Field(exclude=True)
     verdict: CheckVerdict
     reason: str
-    tolerance: Tolerance
-    error: PoseError | None = None
-    sigma_m: float | None = None
-    sigma_deg: float | None = None
+    distance_m: Number = None
+    angle_deg: Number = None
+    translation_m: Vector3 | None = None
+    rotation_rad: Vector3 | None = None
+    sigma_m: Number = None
+    sigma_deg: Number = None
+    max_translation_m: float
+    max_rotation_deg: float
 
     @property
     def share(self) -> float | None:
         """The difference as a share of the tolerance, in translation or rotation, whichever is larger."""
-        if self.error is None:
+        if self.distance_m is None or self.angle_deg is None:
             return None
-        return max(
-            self.error.distance_m / self.tolerance.translation_m, self.error.angle_deg / self.tolerance.rotation_deg
-        )
+        return max(self.distance_m / self.max_translation_m, self.angle_deg / self.max_rotation_deg)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RigCheck:
+class RigCheck(Entry):
     """A rig against its reference.
 
     Args:
@@ -88,6 +92,27 @@ class RigCheck:
             return f"All {len(self.lidars) + 1} LiDARs are where the reference has them."
         return f"{'; '.join(parts)}."
 
+    @model_serializer
+    def _serialize(self) -> dict[str, object]:
+        lidars = {each.lidar: each for each in self.lidars}
+        names = ("name", "verdict", "sentence", "root", "moved")
+        return {name: getattr(self, name) for name in names} | {"lidars": lidars, "notes": self.notes}
+
+
+class CheckDocument(Entry):
+    """The output of `multilica check --json` and `multilica verify --json`: all runs and recordings of a check."""
+
+    schema_: Literal["multilica/check/1"] = Field("multilica/check/1", alias="schema")
+    verdict: CheckVerdict
+    reference: str
+    rigs: tuple[RigCheck, ...]
+
+
+def check_document(rigs: Sequence[RigCheck], reference: str) -> CheckDocument:
+    """Return the document of several checks."""
+    verdict = joint_verdict([rig.verdict for rig in rigs])
+    return CheckDocument(verdict=verdict, reference=reference, rigs=tuple(rigs))
+
 
 def joint_verdict(verdicts: Sequence[CheckVerdict]) -> CheckVerdict:
     """Return the verdict over several."""
@@ -124,7 +149,7 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
         notes.append(f"the reference has no pose of {_and(extra)}")
     if absent:
         notes.append(f"{found.name} has no LiDAR {_and(absent)}")
-    return RigCheck(found.name, root, checks, tuple(notes))
+    return RigCheck(name=found.name, root=root, lidars=checks, notes=tuple(notes))
 
 
 def _require_names(found: SavedRun, reference: Extrinsics, common: Sequence[str], tolerances: RigTolerances) -> None:
@@ -177,8 +202,10 @@ def _poses(
 def _check(
     placement: LidarPlacement, root: LidarPlacement | None, target: str, reference: Extrinsics, tolerance: Tolerance
 ) -> LidarCheck:
+    limits = {"max_translation_m": tolerance.translation_m, "max_rotation_deg": tolerance.rotation_deg}
     if placement.T_target_source is None or root is None or root.T_target_source is None:
-        return LidarCheck(placement.lidar, "undecided", f"not placed: {placement.reason}", tolerance)
+        reason = f"not placed: {placement.reason}"
+        return LidarCheck(lidar=placement.lidar, verdict="undecided", reason=reason, **limits)
     error = PoseError.between(*_poses(root, placement, reference))
     covariance = relative_covariance(root, placement, target)
     if covariance is None:
@@ -191,14 +218,14 @@ def _check(
         _decide(error.angle_deg, tolerance.rotation_deg, of_rotation, 1.0, "deg"),
     ]
     verdict = joint_verdict([one for one, _ in verdicts])
-    return LidarCheck(
-        placement.lidar,
-        verdict,
-        "; ".join(text for one, text in verdicts if one == verdict),
-        tolerance,
+    return LidarCheck.of(
         error,
-        None if of_translation is None else of_translation.largest,
-        None if of_rotation is None else of_rotation.largest,
+        lidar=placement.lidar,
+        verdict=verdict,
+        reason="; ".join(text for one, text in verdicts if one == verdict),
+        sigma_m=None if of_translation is None else of_translation.largest,
+        sigma_deg=None if of_rotation is None else of_rotation.largest,
+        **limits,
     )
 
 

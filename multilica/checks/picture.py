@@ -45,13 +45,13 @@ def _x(share: float) -> float:
 
 
 def _draw_bars(pen: ImageDraw.ImageDraw, check: LidarCheck, y: int) -> None:
-    if check.error is None:
+    if check.distance_m is None or check.angle_deg is None:
         pen.text(
             (_x(0.0) + 8, y + 6), "not placed", fill=_COLOURS[check.verdict], font=ImageFont.load_default(_FONT_PX)
         )
         return
-    of_translation = check.error.distance_m, check.sigma_m, check.tolerance.translation_m
-    of_rotation = check.error.angle_deg, check.sigma_deg, check.tolerance.rotation_deg
+    of_translation = check.distance_m, check.sigma_m, check.max_translation_m
+    of_rotation = check.angle_deg, check.sigma_deg, check.max_rotation_deg
     for top, (off, sigma, limit) in zip((y + 4, y + 20), (of_translation, of_rotation), strict=True):
         pen.rectangle((_x(0.0), top, max(_x(off / limit), _x(0.0) + 1), top + 12), fill=_COLOURS[check.verdict])
         if sigma is not None:

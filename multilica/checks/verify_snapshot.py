@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check of known extrinsics against a snapshot."""
 
-from dataclasses import replace
+from collections.abc import Iterable
 
 from multilica.checks.comparison import LidarCheck, RigCheck, check_rig
 from multilica.checks.tolerances import RigTolerances
@@ -37,7 +37,7 @@ def check_found(rig: CalibrationResult, snapshot: Snapshot, known: Extrinsics, t
     """
     found = check_rig(SavedRun(snapshot.source or "snapshot", rig.target, rig.placements), known, tolerances)
     far = {each.lidar for each in rig.placements if each.contradicts_prior}
-    return replace(found, lidars=tuple(_far(each) if each.lidar in far else each for each in found.lidars))
+    return _with_lidars(found, (_far(each) if each.lidar in far else each for each in found.lidars))
 
 
 def decide_unplaced(
@@ -51,25 +51,23 @@ def decide_unplaced(
 
     A search asks for more evidence than a test of known poses.
     """
-    unplaced = {each.lidar for each in check.lidars if each.verdict == "undecided" and each.error is None}
+    unplaced = {each.lidar for each in check.lidars if each.verdict == "undecided" and each.distance_m is None}
     if not unplaced & known.members:
         return check
     near = verify_snapshot(snapshot, known, tolerances, config)
     decided = {each.lidar: each for each in near.lidars if each.verdict != "undecided"}
     if check.root in decided and decided[check.root].verdict == "outside":
         return check
-    return replace(
-        check,
-        lidars=tuple(
-            _from_known(decided[each.lidar], near.root) if each.lidar in unplaced & decided.keys() else each
-            for each in check.lidars
-        ),
-    )
+    how = f"compared to {near.root}, registered from the reference, as the calibration did not place it"
+    told = {
+        name: decided[name].model_copy(update={"reason": f"{decided[name].reason}; {how}"})
+        for name in unplaced & decided.keys()
+    }
+    return _with_lidars(check, (told.get(each.lidar, each) for each in check.lidars))
 
 
-def _from_known(check: LidarCheck, root: str) -> LidarCheck:
-    how = f"compared to {root}, registered from the reference, as the calibration did not place it"
-    return replace(check, reason=f"{check.reason}; {how}")
+def _with_lidars(check: RigCheck, lidars: Iterable[LidarCheck]) -> RigCheck:
+    return check.model_copy(update={"lidars": tuple(lidars)})
 
 
 def _far(check: LidarCheck) -> LidarCheck:
@@ -77,4 +75,4 @@ def _far(check: LidarCheck) -> LidarCheck:
     reason = (
         f"its beams contradict the known pose, and it is too far off to be followed ({check.reason}); calibrate anew"
     )
-    return replace(check, verdict="outside", reason=reason)
+    return check.model_copy(update={"verdict": "outside", "reason": reason})

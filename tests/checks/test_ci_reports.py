@@ -52,7 +52,8 @@ def junit_errors(report: str) -> list[str]:
 
 def test_junit_is_valid_against_its_schema(rigs):
     name = "a<b>&\"'\x01\x1b[0m\ud800"
-    hostile = replace(rigs[0], name=name, lidars=tuple(replace(each, lidar=name) for each in rigs[0].lidars))
+    lidars = tuple(each.model_copy(update={"lidar": name}) for each in rigs[0].lidars)
+    hostile = rigs[0].model_copy(update={"name": name, "lidars": lidars})
     assert {each.verdict for each in rigs[0].lidars} == {"within", "outside", "undecided"}
     for checks in ([], rigs, rigs[1:], [hostile]):
         assert junit_errors(junit_xml(checks, TIME)) == []
@@ -106,8 +107,9 @@ def test_annotations_name_what_is_not_within(rigs):
 
 def test_a_name_cannot_end_an_annotation_or_a_table():
     check = checked(run_with({"rear": SHIFT}))
-    hostile = replace(check, lidars=tuple(replace(each, lidar="a|b\n::error::x%<b>") for each in check.lidars))
-    (line, *_) = github_annotations([replace(hostile, lidars=hostile.lidars[-1:])])
+    lidars = tuple(each.model_copy(update={"lidar": "a|b\n::error::x%<b>"}) for each in check.lidars)
+    hostile = check.model_copy(update={"lidars": lidars})
+    (line, *_) = github_annotations([hostile.model_copy(update={"lidars": lidars[-1:]})])
     assert "\n" not in line
     assert "\\x0a%3A%3Aerror" in line
     assert "a\\|b" in summary_markdown([hostile], "x")
@@ -152,7 +154,7 @@ def test_the_picture_has_sigmas_where_they_are_known():
     bare = replace(run, placements=tuple(replace(each, covariance=None) for each in run.placements))
     ends = []
     for each in (run, bare):
-        check = replace(checked(each), lidars=checked(each).lidars[-1:])
+        check = checked(each).model_copy(update={"lidars": checked(each).lidars[-1:]})
         image = Image.open(io.BytesIO(check_png([check]))).convert("RGB")
         row = 24 + 44 + 4 + 6
         ends.append([x for x in range(700, 960) if image.getpixel((x, row)) == ink])

@@ -63,14 +63,14 @@ def test_the_lidar_that_moved_is_named(lidar, motion):
     assert (check.verdict, check.moved) == ("outside", (lidar,))
     (found,) = (each for each in check.lidars if each.lidar == lidar)
     expected = (0.05, 0.0) if motion is SHIFT else (0.0, 0.5)
-    assert (found.error.distance_m, found.error.angle_deg) == pytest.approx(expected, abs=1e-9)
+    assert (found.distance_m, found.angle_deg) == pytest.approx(expected, abs=1e-9)
     assert check.root != lidar
 
 
 def test_differences_are_along_the_axes_of_the_root():
     (found,) = (each for each in checked(run_with({"left": SHIFT})).lidars if each.lidar == "left")
     expected = POSES["left"].rotation @ SHIFT[0]
-    assert found.error.translation_m == pytest.approx(expected, abs=1e-12)
+    assert found.translation_m == pytest.approx(expected, abs=1e-12)
 
 
 def test_the_frame_of_the_reference_does_not_matter():

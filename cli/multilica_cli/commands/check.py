@@ -59,15 +59,11 @@ class Gate:
 
     def limits(self, reference: Path) -> RigTolerances:
         """Return the tolerances; refuse a reference that is not there before anything takes time."""
-        from multilica.checks import read_tolerances
-        from multilica.errors import SourceNotFoundError
+        from multilica.checks import read_tolerances, require_reference
 
         default = _tolerances(self.max_translation_m, self.max_rotation_deg)
         found = default if self.tolerances is None else read_tolerances(self.tolerances, default.default)
-        if not reference.exists():
-            raise SourceNotFoundError(
-                f"No reference at {reference}; give a calibration.toml, a run, or another file of poses."
-            )
+        require_reference(reference)
         return found
 
 

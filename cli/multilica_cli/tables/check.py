@@ -37,14 +37,16 @@ def print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Co
 
 
 def _cells(check: LidarCheck) -> tuple[str, ...]:
-    limits = f"{1000.0 * check.tolerance.translation_m:g}", f"{check.tolerance.rotation_deg:g}"
-    if check.error is None:
-        return "-", "-", limits[0], "-", "-", limits[1]
+    limits = f"{1000.0 * check.max_translation_m:g}", f"{check.max_rotation_deg:g}"
     return (
-        f"{1000.0 * check.error.distance_m:.1f}",
-        "-" if check.sigma_m is None else f"{1000.0 * check.sigma_m:.1f}",
+        _figure(check.distance_m, 1000.0, 1),
+        _figure(check.sigma_m, 1000.0, 1),
         limits[0],
-        f"{check.error.angle_deg:.3f}",
-        "-" if check.sigma_deg is None else f"{check.sigma_deg:.3f}",
+        _figure(check.angle_deg, 1.0, 3),
+        _figure(check.sigma_deg, 1.0, 3),
         limits[1],
     )
+
+
+def _figure(value: float | None, scale: float, digits: int) -> str:
+    return "-" if value is None else f"{scale * value:.{digits}f}"
