@@ -7,7 +7,8 @@ NODE_READY := tests/node/node_modules/.installed
 ROS2_READY := tests/ros2/.venv/.installed
 SAMPLE := recordings/samples/edgar-street.mcap
 
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadgroup
+# One worker runs a module, so that its fixtures are made once.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Compiled modules are kept wherever make runs: without them each start of Python takes longer than most tests.

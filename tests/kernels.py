@@ -28,7 +28,7 @@ SAME_ON_ANY_CPU = (
     "tests/sinks/mcap/test_foxglove_studio.py",
 )
 IGNORED = [f"--ignore={path}" for path in SAME_ON_ANY_CPU]
-PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadgroup", "-q", *IGNORED]
+PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-q", *IGNORED]
 VARIABLES = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
 ALIASES = {"Katmai": "Prescott"}  # OpenBLAS has one kernel for both and reports the first name.
 

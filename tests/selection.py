@@ -46,7 +46,7 @@ def pytest_report_header() -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what this run leaves out, and keep each module on one worker, whose fixtures are then made once."""
+    """Skip what this run leaves out."""
     changed = changed_paths(os.environ.get("MULTILICA_BASE", ""))
     for item in items:
         for mark in item.iter_markers("shows"):
@@ -56,8 +56,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="nothing that it shows has changed"))
         if not NIGHTLY and item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.skip(reason="make nightly runs it"))
-        if item.get_closest_marker("xdist_group") is None:
-            item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
 
 
 def shows_a_change(changed: tuple[str, ...] | None, paths: Iterable[str]) -> bool:

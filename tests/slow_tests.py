@@ -79,7 +79,7 @@ class CpuTimes:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         for name, spent in getattr(report, "cpu_times", {}).items():
-            self._lines.append((spent, f"{report.nodeid.split('@')[0]} {name}"))
+            self._lines.append((spent, f"{report.nodeid} {name}"))
 
     def pytest_sessionfinish(self, session: pytest.Session) -> None:
         if self._table is not None and not hasattr(session.config, "workerinput"):

@@ -28,7 +28,7 @@ from multilica.simulate import true_extrinsics
 from tests.fleet.support.buckets import bucket
 from tests.fleet.support.small_fleet import PLAN, tables, write_small_fleet
 
-pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("fleet")]
+pytestmark = pytest.mark.slow
 OPTIONS = FleetOptions(CalibrationConfig(target="left", ingest=IngestConfig(window="auto")), workers=2)
 BROKEN = {log.path for log in PLAN.logs if log.fault}
 COPIES = {log.path for log in PLAN.logs if log.duplicate_of}

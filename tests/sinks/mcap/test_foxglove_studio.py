@@ -17,7 +17,6 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.slow,
     pytest.mark.shows(*RUN_FILES),
-    pytest.mark.xdist_group("browser"),
     pytest.mark.skipif(not has_studio(), reason="run: npm install --prefix tests/node --no-package-lock"),
 ]
 DRAWN_S = 60.0

@@ -15,7 +15,7 @@ from multilica.sinks.report.extrinsics_texts import extrinsics_texts
 from tests.selection import RUN_FILES
 from tests.sinks.report.conftest import made_contents, with_name, with_values
 
-pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES), pytest.mark.xdist_group("browser")]
+pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES)]
 
 NO_CLIPBOARD = """Object.defineProperty(navigator, "clipboard", { value: undefined });
 document.addEventListener("copy", () => { window.copied = document.activeElement.value; });"""

@@ -7,7 +7,7 @@ import pytest
 
 from tests.selection import RUN_FILES
 
-pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES), pytest.mark.xdist_group("browser")]
+pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES)]
 
 WIDTHS = (390, 800, 1400)
 REPORTS = ("complete", "partial", "uncertain", "failed", "long names")

@@ -13,7 +13,7 @@ from playwright.sync_api import Page, expect
 
 from tests.selection import RUN_FILES
 
-pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES), pytest.mark.xdist_group("browser")]
+pytestmark = [pytest.mark.slow, pytest.mark.shows(*RUN_FILES)]
 IS_PAINTED = "(element) => element.checkVisibility({ contentVisibilityAuto: true })"
 NO_WEBGL = "HTMLCanvasElement.prototype.getContext = () => null;"
 

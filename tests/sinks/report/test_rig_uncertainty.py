@@ -89,7 +89,6 @@ def test_without_any_covariance_there_is_no_drawing():
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("browser")
 def test_an_uncertain_lidar_stands_out(open_report):
     page = open_report("uncertain")
     ellipses = page.locator(".sigma.uncertain ellipse")
