@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 from pathlib import Path
 
@@ -13,6 +14,11 @@ from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import ROOT, Invoke
 
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+ABOUT_SOURCES = [page for page in PAGES if page.name not in {"CHANGELOG.md", "cookbook.md"}]
+"""The cookbook has folders of a user, the changelog names that are gone."""
+OF_OTHERS = {"evaluation_rel.py", "evaluation.py"}
+"""Sources of the published code of the paper."""
+FOLDERS = ("multilica", "cli", "tests", "docs")
 
 
 def blocks(page: Path, language: str) -> list[str]:
@@ -55,3 +61,25 @@ def test_links_lead_somewhere(page: Path) -> None:
 def test_generated_pages_are_up_to_date() -> None:
     found = {name: (FOLDER / name).read_text(encoding="utf-8") for name in generated_pages()}
     assert [name for name, text in generated_pages().items() if found[name] != text] == [], "run `make docs`"
+
+
+@pytest.mark.parametrize("page", ABOUT_SOURCES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_sources_that_a_page_names_exist(page: Path) -> None:
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    named = set(re.findall(r"`([\w./-]+(?:\.py|/))`", text)) - OF_OTHERS
+    assert sorted(name for name in named if not any(source.endswith(f"/{name}") for source in sources())) == []
+
+
+def test_modules_of_the_architecture_exist() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    packages = text.split("## Packages\n")[1].split("\n## ")[0]
+    modules = {Path(source).stem for source in sources()}
+    assert sorted(set(re.findall(r"`([a-z_]+)`", packages)) - modules) == []
+
+
+@functools.cache
+def sources() -> tuple[str, ...]:
+    """The sources of the project, and its folders with a slash at their end."""
+    files = [path.relative_to(ROOT) for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
+    folders = {folder for path in files for folder in path.parents}
+    return (*(f"/{path.as_posix()}" for path in files), *(f"/{folder.as_posix()}/" for folder in folders))
