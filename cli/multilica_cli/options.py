@@ -81,7 +81,8 @@ Topics = Annotated[
     ),
 ]
 Frames = Annotated[
-    int | None, option("--frames N", "Frames to accumulate per LiDAR.", show_default="10; all of a file made by record")
+    int | None,
+    option("--frames N", "Frames to accumulate per LiDAR.", show_default="10; all frames of a file made by record"),
 ]
 Start = Annotated[
     str | None,
@@ -105,7 +106,7 @@ Workers = Annotated[
     int | None,
     option(
         "--workers N",
-        "Worker processes; 1: none. Results are the same bits with any number.",
+        "Worker processes; 1: none. Any number gives the same result.",
         show_default="one per core",
     ),
 ]

@@ -10,7 +10,7 @@ class AcceptanceConfig(Section):
     """Limits that a registration has to keep, alone and against competing poses."""
 
     min_evidence: float = Field(
-        2.3, description="log-odds that a pose needs to be taken for the true one: 10 to 1; see docs/concepts.md"
+        2.3, description="log-odds that a pose needs to count as the true one: 10 to 1; see docs/concepts.md"
     )
     min_log_odds_margin: Positive = Field(
         4.6, description="log-odds that it needs against every other pose, and against the rig as a whole: 100 to 1"
@@ -23,11 +23,11 @@ class AcceptanceConfig(Section):
         15.0, description="largest distance between two LiDARs of one vehicle; every stage drops poses beyond it"
     )
     perturbation_m: PositiveMetres = Field(
-        0.3, description="push along the weakest direction; rotations count as arcs at 10 m"
+        0.3, description="perturbation along the weakest direction; rotations count as arcs at 10 m"
     )
     max_perturbed_offset_m: PositiveMetres = Field(
         0.15,
-        description="a pose slides if a pushed or thinned registration ends farther away than this: half the push",
+        description="a pose slides if a perturbed or thinned registration ends farther away; half of perturbation_m",
     )
     min_well_constrained_eigenvalue: NotNegative = Field(
         8.0,

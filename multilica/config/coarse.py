@@ -14,7 +14,7 @@ class CoarseConfig(Section):
     solver: Literal["cliques", "maximum_clique", "teaserpp", "kiss_matcher"] = Field(
         "cliques",
         description="cliques: several hypotheses, by the idea of TEASER++; maximum_clique: TEASER++ itself; teaserpp: "
-        "the same by teaserpp_python where that is installed",
+        "the same by teaserpp_python if it is installed",
     )
     noise_bound_m: PositiveMetres = Field(0.35, description="largest error of a correct match; about one voxel")
     max_hypotheses: Count = Field(24, description="largest number of distinct hypotheses per pair")

@@ -37,7 +37,7 @@ class CorrespondConfig(Section):
     mutual: bool = Field(default=True, description="keep a match only if each is the other's nearest neighbour")
     engine: Literal["brute_force", "kd_tree"] = Field(
         "brute_force",
-        description="search of the nearest; brute_force: in single precision; kd_tree: in double precision",
+        description="nearest-neighbour search; brute_force: in single precision; kd_tree: in double precision",
     )
     max_keypoints: int = Field(
         8000, ge=0, description="descriptors per LiDAR that are matched; more are drawn evenly; 0: all"
@@ -45,6 +45,6 @@ class CorrespondConfig(Section):
     max_matches: int = Field(
         2000,
         ge=0,
-        description="the nearest matches that the coarse stage gets; bounds its memory; 0: all, in the order of the "
+        description="nearest matches for the coarse stage, which limit its memory; 0: all, in the order of the "
         "source's points",
     )

@@ -17,7 +17,7 @@ class FineConfig(Section):
         "cloud, not at the sensor",
     )
     voxel_size_m: PositiveMetres = Field(
-        0.15, description="voxel grid of GICP; on a finer one range noise bends the normals, and so turns the pose"
+        0.15, description="voxel grid of GICP; on a finer grid, range noise tilts the normals and rotates the pose"
     )
     max_points: Count = Field(50_000, description="a cloud with more points is thinned on a coarser grid")
     max_correspondence_distances_m: tuple[PositiveMetres, ...] = Field(

@@ -13,7 +13,7 @@ class IngestConfig(Section):
     """Which part of the recording is read."""
 
     frames: Count = Field(
-        10, description="frames accumulated per LiDAR; of a recorded snapshot all, unless this is given"
+        10, description="frames accumulated per LiDAR; a recorded snapshot uses all its frames unless this is given"
     )
     start_s: float = Field(0.0, ge=0.0, description="start of the window, in seconds after the first frame")
     start_at: str = Field(

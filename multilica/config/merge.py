@@ -13,9 +13,9 @@ class MergeConfig(Section):
 
     mode: Literal["graph", "algorithm1", "target_first"] = Field(
         "graph",
-        description="graph: accepted pairs join their LiDARs, groups are registered only where none does; algorithm1: "
-        "the best pair first, then what its LiDARs share with others again, as in the paper; target_first: each LiDAR "
-        "to the target, then the rest to the merged cloud, as the published code of the paper",
+        description="graph: accepted pairs join their LiDARs, groups are registered only if no such pair joins them; "
+        "algorithm1: the best pair first, then the pairs of its LiDARs again, as in the paper; target_first: "
+        "each LiDAR to the target, then the others to the merged cloud, as in the published code of the paper",
     )
     fitness_threshold: Share = Field(0.2, description="without verification, a pair needs a larger fitness")
 
@@ -26,7 +26,7 @@ class RefineConfig(Section):
     enabled: bool = Field(default=True, description="off: poses stay as merged")
     distance_m: PositiveMetres = Field(0.2, description="points nearer than this to the other cloud constrain the pose")
     max_points: Count = Field(20_000, description="common points to which a pose is fitted; more are thinned evenly")
-    min_sigma_m: PositiveMetres = Field(0.005, description="residuals are not taken to be smaller than this")
+    min_sigma_m: PositiveMetres = Field(0.005, description="lower bound of the residuals")
     outlier_sigma: Positive = Field(3.0, description="a pair off by this many sigma keeps half its weight")
     max_iterations: Count = Field(20, description="Gauss-Newton steps")
     epsilon: Positive = Field(1e-9, description="converged when no pose moves by more (rad, m)")

@@ -15,11 +15,11 @@ class RuntimeConfig(Section):
         0,
         ge=0,
         description="worker processes; 0: one per core that this process may use; 1: none, this process does all work; "
-        "any number gives the same bits",
+        "any number gives the same result",
     )
     max_time_s: NotNegative = Field(
         0.0,
-        description="no pair is searched later than this after the start; 0: no limit; with one, equal runs may differ",
+        description="no search starts later than this after the start; 0: no limit; with one, equal runs may differ",
     )
     seed: int = Field(0, ge=0, description="seed of everything random")
 
@@ -33,5 +33,5 @@ class RecordConfig(Section):
         "matches; slim: no raw clouds and descriptors, small samples of the rest",
     )
     max_megabytes: Positive = Field(
-        100.0, description="a larger recording is thinned to this size, which its log says; full: no limit"
+        100.0, description="a larger recording is thinned to this size, and its log says so; full: no limit"
     )

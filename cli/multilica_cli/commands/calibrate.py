@@ -23,7 +23,9 @@ def calibrate(
     target: Annotated[
         str | None,
         option(
-            "--target NAME", "LiDAR whose frame the result is given in.", show_default="the one with the most overlap"
+            "--target NAME",
+            "LiDAR whose frame is the frame of the result.",
+            show_default="the one with the most overlap",
         ),
     ] = None,
     out: Annotated[
@@ -33,7 +35,7 @@ def calibrate(
         str | None,
         option(
             "--prior tf|FILE",
-            "Known poses to try as well: tf (the recording's /tf_static), or a TOML, URDF or other file of poses.",
+            "Known poses to test in addition: tf (the recording's /tf_static), or a TOML, URDF or other file of poses.",
         ),
     ] = None,
     reading: Reading,
@@ -49,7 +51,8 @@ def calibrate(
     until: Annotated[str | None, option("--until STAGE", "Stop after this stage.")] = None,
     workers: Workers = None,
     max_time_s: Annotated[
-        float | None, option("--max-time S", "Search no pair later than this; ends with what it has, and says so.")
+        float | None,
+        option("--max-time S", "Start no search of a pair later than this, then finish with the pairs found."),
     ] = None,
     ground: Annotated[bool, option("--ground", "Also estimate roll, pitch and height above ground.")] = False,
     base: Annotated[

@@ -36,8 +36,12 @@ if TYPE_CHECKING:
     from multilica.checks import RigCheck, RigTolerances
     from multilica.config import CalibrationConfig
 
-_MaxTranslation = Annotated[float, option("--max-translation M", "Largest distance that is no drift.", min=1e-6)]
-_MaxRotation = Annotated[float, option("--max-rotation DEG", "Largest rotation that is no drift.", min=1e-6)]
+_MaxTranslation = Annotated[
+    float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6)
+]
+_MaxRotation = Annotated[
+    float, option("--max-rotation DEG", "Largest rotation that does not count as drift.", min=1e-6)
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,7 @@ class Gate:
     max_translation_m: _MaxTranslation = 0.03
     max_rotation_deg: _MaxRotation = 0.3
     tolerances: Annotated[
-        Path | None, option("--tolerances FILE", r"TOML with \[default] and \[lidars.NAME] that differ from these.")
+        Path | None, option("--tolerances FILE", r"TOML with \[default] and \[lidars.NAME], which replace these.")
     ] = None
     junit: Annotated[Path | None, output("--junit FILE", "Also write a JUnit report.")] = None
     summary: Annotated[
@@ -101,7 +105,7 @@ def check(
 ) -> int:
     """Compare the poses of a run with a reference, LiDAR by LiDAR, in units of tolerance and sigma.
 
-    Ends with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
+    Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
     from multilica.checks import check_rig, decide_unplaced, read_reference
     from multilica.runs.run_documents import is_run, read_run_document, saved_run
@@ -146,9 +150,9 @@ def verify(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
-    """Tell whether extrinsics are still right on a recording, without a search, and which LiDAR has moved.
+    """Test known extrinsics on a recording, without a search, and name a LiDAR that has moved.
 
-    Ends with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
+    Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
     from multilica.checks import read_reference, verify_snapshot
     from multilica.ingest import frames_recorded, read_snapshot
@@ -177,7 +181,7 @@ def accept(
 ) -> None:
     """Write the extrinsics of a reviewed run, with their provenance, into the file that pipelines check against.
 
-    Shows the difference to what the file had. Refuses a run that does not place every LiDAR, or is in another frame.
+    Shows the difference to the earlier file. Refuses a run that does not place every LiDAR, or is in another frame.
     """
     from multilica.checks import accept_run
     from multilica_cli.tables.check import print_check

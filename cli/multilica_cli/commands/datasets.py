@@ -31,15 +31,13 @@ def datasets(
     ] = None,
     scenes: Annotated[int, option("--scenes N", "Largest number of scenes.")] = 10,
     frames: Annotated[int, option("--frames N", "Frames per LiDAR and scene.")] = 5,
-    target: Annotated[str | None, option("--target NAME", "Target LiDAR.", show_default="that of the data set")] = None,
+    target: Annotated[str | None, option("--target NAME", "Target LiDAR.", show_default="from the data set")] = None,
     topics: Annotated[
         list[str] | None, option("--topic NAME=/topic", "edgar: the topic of a LiDAR of the truth. Repeatable.")
     ] = None,
     truth: Annotated[
         Path | None,
-        option(
-            "--truth FILE", "True poses, as TOML or as the authors' config.yaml.", show_default="that of the data set"
-        ),
+        option("--truth FILE", "True poses, as TOML or as the authors' config.yaml.", show_default="from the data set"),
     ] = None,
     settings: Settings = None,
     within_m: WithinM = 0.02,
@@ -47,7 +45,7 @@ def datasets(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> None:
-    """Run the presets on still moments of a data set of the paper, and print the paper's tables beside its figures."""
+    """Run the presets on standstills of a data set of the paper, and print the paper's tables next to its figures."""
     from multilica.config import PRESETS
     from multilica.datasets import READERS, SceneRequest, published, run_presets
     from multilica.datasets.document import dataset_document

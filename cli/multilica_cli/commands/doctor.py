@@ -21,9 +21,9 @@ _NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 def doctor(*, as_json: Json = False) -> int:
-    """Check the installation: libraries, viewer, disk, what is missing and the command that mends it.
+    """Check the installation: libraries, viewer, disk, and the commands that repair missing parts.
 
-    Ends with 0 if the core works, with 1 if something that it needs is missing or broken.
+    Exits with 0 if the core works, with 1 if a required part is missing or broken.
     """
     from multilica.installation import examine_installation
 

@@ -23,7 +23,7 @@ def export(
         str,
         option(
             "--to FORMAT",
-            f"{_listed(FORMATS)}; of the stitched cloud {_listed(CLOUD_FORMATS)}.",
+            f"{_listed(FORMATS)}; for the stitched cloud {_listed(CLOUD_FORMATS)}.",
             show_default=False,
         ),
     ],
@@ -31,7 +31,7 @@ def export(
         str,
         option(
             "--out FILE",
-            "File to write; of an existing URDF or Autoware file, only the poses of the LiDARs change.",
+            "File to write; in an existing URDF or Autoware file, only the poses of the LiDARs change.",
             show_default=False,
         ),
     ],
@@ -41,7 +41,7 @@ def export(
             "--base FRAME",
             "Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, the run's base frame or another "
             "name of the target.",
-            show_default="that of calibrate --rig, else the target",
+            show_default="the frame of calibrate --rig, else the target",
         ),
     ] = None,
     rig: Annotated[
@@ -56,7 +56,7 @@ def export(
 ) -> int:
     """Write the poses of a run as a file for other programs, or its clouds in one frame.
 
-    Ends with 4 if a LiDAR of the run is not placed.
+    Exits with 4 if a LiDAR of the run is not placed.
     """
     from multilica.exports import export_run
 

@@ -62,17 +62,21 @@ def run(
         Literal["when-needed", "always"],
         typer.Option(
             metavar="WHEN",
-            help="always, or when-needed: only where the vehicle's last accepted poses do not hold any more.",
+            help="always, or when-needed: only where the vehicle's last accepted poses no longer hold.",
         ),
     ] = "when-needed",
     target: Annotated[
         str | None, typer.Option(metavar="NAME", help="LiDAR that all poses are relative to.", show_default="chosen")
     ] = None,
     max_translation_m: Annotated[
-        float, typer.Option("--max-translation", metavar="M", min=1e-6, help="Largest distance that is no motion.")
+        float,
+        typer.Option(
+            "--max-translation", metavar="M", min=1e-6, help="Largest distance that does not count as motion."
+        ),
     ] = 0.03,
     max_rotation_deg: Annotated[
-        float, typer.Option("--max-rotation", metavar="DEG", min=1e-6, help="Largest rotation that is no motion.")
+        float,
+        typer.Option("--max-rotation", metavar="DEG", min=1e-6, help="Largest rotation that does not count as motion."),
     ] = 0.3,
     workers: Annotated[
         int | None,
@@ -89,10 +93,10 @@ def run(
         ),
     ] = "",
     max_log_time_s: Annotated[
-        float, typer.Option("--max-log-time", metavar="S", min=1.0, help="A log that takes longer is given up.")
+        float, typer.Option("--max-log-time", metavar="S", min=1.0, help="Time limit of a log, in seconds.")
     ] = 600.0,
     max_log_memory_mb: Annotated[
-        float, typer.Option("--max-log-memory", metavar="MB", min=100.0, help="A log that takes more is given up.")
+        float, typer.Option("--max-log-memory", metavar="MB", min=100.0, help="Memory limit of a log.")
     ] = 4000.0,
     retries: Annotated[int, typer.Option(metavar="N", min=0, help="Tries after a lost connection or a kill.")] = 5,
     newest_first: Annotated[bool, typer.Option("--newest-first", help="Begin with the newest logs.")] = False,
@@ -107,9 +111,9 @@ def run(
     quiet: options.Quiet = False,
     as_json: options.Json = False,
 ) -> int:
-    """Verify or calibrate each log that the store does not have yet; an interrupted run goes on where it was.
+    """Verify or calibrate each log that the store does not have yet; an interrupted run continues.
 
-    Ends with 0 if every log has a result, 4 if a log of this run was refused or failed.
+    Exits with 0 if every log has a result, 4 if a log of this run was refused or failed.
     """
     from multilica.checks import RigTolerances, Tolerance
     from multilica.fleet.fleet_run import FleetOptions, run_fleet
@@ -154,7 +158,7 @@ def query(
     store: _Store,
     form: _Format = "table",
 ) -> None:
-    """Ask anything of the tables `lidars` (a row per LiDAR and log) and `logs`."""
+    """Query the tables `lidars` (a row per LiDAR and log) and `logs` in SQL."""
     from multilica.fleet.store.query import ask
     from multilica_cli.tables.answer import print_answer
 
@@ -189,7 +193,7 @@ def show(
     store: _Store,
     form: _Format = "table",
 ) -> None:
-    """List where each LiDAR of a vehicle was, log by log."""
+    """List the poses of each LiDAR of a vehicle, log by log."""
     from multilica.fleet.store import query as questions
     from multilica_cli.tables.answer import print_answer
 
@@ -212,13 +216,13 @@ def drift(
         ),
     ] = None,
     false_alarm_rate: Annotated[
-        float, typer.Option(metavar="SHARE", help="Share of LiDARs that never moved and are reported all the same.")
+        float, typer.Option(metavar="SHARE", help="Share of unmoved LiDARs that are reported nevertheless.")
     ] = 0.001,
     as_json: options.Json = False,
 ) -> int:
-    """List the LiDARs that jumped, creep, are lost or sit elsewhere than designed, with dates and figures.
+    """List the LiDARs that jumped, creep, are lost or are not at their design pose, with dates and figures.
 
-    Ends with 0 if there are none, else with 5.
+    Exits with 0 if there are none, else with 5.
     """
     from multilica.exports.reading import read_extrinsics
     from multilica.fleet.drift.drift import find_drift
@@ -250,7 +254,7 @@ fleet.command()(report)
 
 @fleet.command()
 def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
-    """Join the small parts of each vehicle and month into one; not while a run writes into the store."""
+    """Join the small parts of each vehicle and month into one; do not use it while a run writes into the store."""
     from multilica.fleet.store.compact import compact_store
 
     before, after = compact_store(_opened(store))
@@ -269,7 +273,7 @@ def prune(
     ] = 365.0,
     quiet: options.Quiet = False,
 ) -> None:
-    """Remove recordings, reports and MCAP files that are older; tables and poses are kept."""
+    """Remove old recordings, reports and MCAP files; tables and poses are kept."""
     from multilica.fleet.store.recordings import prune_recordings
 
     pruned = prune_recordings(_opened(store), success_days=success_days, failure_days=failure_days)

@@ -11,7 +11,7 @@ from multilica_cli.terminal import print_json, stderr_console, stdout_console
 
 
 def inspect(sources: Sources, *, reading: Reading, as_json: Json = False) -> None:
-    """List the topics of a recording and what calibrate would use."""
+    """List the topics of a recording, and those that calibrate would use."""
     from multilica.ingest import frames_recorded, inspect_source
     from multilica.ingest.locate import locate
     from multilica_cli.tables.source import print_summary, summary_document

@@ -24,7 +24,7 @@ def explain(
     *,
     as_json: Json = False,
 ) -> None:
-    """Explain a run: which LiDARs are placed and how accurately, which are not and why, and what would help."""
+    """Explain a run: the placed LiDARs with their accuracy, the others with cause and remedy."""
     from multilica import diagnosis
     from multilica.runs.run_documents import read_run_document
     from multilica_cli.tables.result import print_placements
@@ -52,11 +52,11 @@ def diff(
     ] = 1e-3,
     as_json: Json = False,
 ) -> int:
-    """Compare two runs: which poses moved, which LiDARs changed status, which stage differs first.
+    """Compare two runs: changed poses, changed statuses, and the first stage that differs.
 
     With a file of poses, in any format of export, only the poses are compared.
 
-    Ends with 0 if both place the same LiDARs at the same places, with 5 if not.
+    Exits with 0 if both place the same LiDARs at the same places, with 5 if not.
     """
     from multilica.runs.difference import compare_poses, compare_runs, difference_document
     from multilica.runs.run_documents import is_run, read_run_document

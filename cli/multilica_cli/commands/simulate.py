@@ -50,7 +50,7 @@ def simulate(
         _many(
             "--fleet DIR",
             "New folder for logs of many vehicles over a year, in several formats, with LiDARs that jump, creep "
-            "or die, broken files and duplicates; fleet.truth.json says which.",
+            "or die, broken files and duplicates; fleet.truth.json lists them.",
             callback=local_path,
         ),
     ] = None,
