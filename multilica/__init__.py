@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where every LiDAR of a vehicle sits, from one stationary snapshot."""
+"""Extrinsic calibration of the LiDARs of a vehicle, from one stationary snapshot."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING

@@ -12,7 +12,7 @@ _MIB = 1 << 20
 def keep_freed_memory() -> None:
     """Let this process use the memory of freed arrays again, instead of asking the system for each large one.
 
-    The system clears and hands out page by page, which takes 3 % of the time of a calibration. Where the C library is
+    The system clears and hands out page by page, which takes 3 % of the time of a calibration. If the C library is
     not glibc, nothing is changed.
     """
     with suppress(OSError, AttributeError):

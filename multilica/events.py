@@ -12,7 +12,7 @@ from multilica.snapshot import Snapshot
 
 
 class Event:
-    """What `calibrate` reports."""
+    """One thing that happens during `calibrate`."""
 
     __slots__ = ()
 
@@ -195,7 +195,7 @@ class SnapshotRefused:
 
 
 RunEvent = Event | SnapshotStarted | InputNoted | SnapshotRefused
-"""What `run_calibration` reports: the events of each calibration, and those of reading its input."""
+"""Reports of `run_calibration`: the events of each calibration, and those of reading its input."""
 RunObserver = Callable[[RunEvent], None]
 
 

@@ -108,7 +108,7 @@ class Library:
 
 @dataclass(frozen=True, slots=True)
 class Viewer:
-    """What `multilica view` can do here.
+    """Abilities of `multilica view` on this machine.
 
     Args:
         screen: whether a window can be opened.
@@ -152,7 +152,7 @@ class Installation:
 
     @property
     def works(self) -> bool:
-        """Whether the core is complete."""
+        """True if the core is complete."""
         return all(library.state == "works" for library in self.core)
 
     @property

@@ -15,7 +15,7 @@ DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "
 """`PointField.datatype` -> NumPy type without its byte order."""
 
 LIDAR_NAME_KEY = "multilica:lidar"
-"""Where the metadata of an MCAP channel of point clouds names the LiDAR."""
+"""Key of the LiDAR's name in the metadata of an MCAP channel of point clouds."""
 SNAPSHOT_METADATA_NAME = "multilica:snapshot"
 """The metadata record of an MCAP file of a snapshot; `frames` is the requested number per LiDAR."""
 

@@ -53,7 +53,7 @@ class CalibrationRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Request:
-    """What all snapshots of a run have in common."""
+    """Settings that all snapshots of a run share."""
 
     config: CalibrationConfig
     prior: str | Extrinsics | None

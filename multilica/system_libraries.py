@@ -19,7 +19,7 @@ OPEN3D: Mapping[str, str] = {
     "libidn2.so.0": "libidn2-0",
     "libgomp.so.1": "libgomp1",
 }
-"""What the import of Open3D loads: name of the library -> package of Debian and Ubuntu."""
+"""Libraries that the import of Open3D loads: name of the library -> package of Debian and Ubuntu."""
 SOFTWARE_DRIVER = "lvp_icd"
 """The Vulkan driver that draws without a GPU."""
 _VIEWER: Mapping[str, str] = {"libudev.so.1": "libudev1", "libvulkan.so.1": "libvulkan1"}

@@ -84,9 +84,9 @@ def check_cycles(
 ) -> list[PairRegistration]:
     """Leave accepted pairs undecided that together put two LiDARs where they cannot both be.
 
-    A chain of accepted pairs implies a pose between its ends. Where that is contradicted, by beams or by another
-    accepted pair, one of the chain is wrong. What beams say against the implied pose is taken from the evidence of
-    each pair; of a cycle that does not close, the pair with the least evidence goes, with those that hardly have more.
+    A chain of accepted pairs implies a pose between its ends. If beams or another accepted pair contradict that pose,
+    one pair of the chain is wrong. The evidence of the beams against the implied pose is subtracted from that of each
+    pair. In a cycle that does not close, the pair with the least evidence goes, with those that hardly have more.
 
     Returns:
         The pairs in their order, some with another verdict.

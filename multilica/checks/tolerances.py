@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far a LiDAR may be from its reference."""
+"""Largest differences of a LiDAR from its reference that are accepted."""
 
 from collections.abc import Mapping
 from pathlib import Path

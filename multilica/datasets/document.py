@@ -29,7 +29,7 @@ class RefusedEntry(Entry):
 
 
 class PublishedEntry(Entry):
-    """What is published on the data set; `table` is null if no poses are."""
+    """Published statements and figures of the data set; `table` is null if no poses are published."""
 
     statements: tuple[str, ...]
     label: str

@@ -20,7 +20,7 @@ from multilica.ingest.locate import find_source
 def read_scenes(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
     """Yield a scene per recording or folder of point files, in name order.
 
-    Of a recording, its longest standstill is used. The truth of a scene is in its folder, else in `path`.
+    The longest standstill of a recording is used. The truth of a scene is in its folder, else in `path`.
 
     Raises:
         SourceNotFoundError: the path does not exist.

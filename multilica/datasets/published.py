@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the paper and its published code say of each data set."""
+"""Statements of the paper and its published code on each data set."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -13,7 +13,7 @@ from multilica.snapshot import Snapshot
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DatasetScene:
-    """What a vehicle that stands still saw.
+    """The scans of a vehicle that stands still, with the truth.
 
     Args:
         name: unique in the data set, and valid as the name of a folder.

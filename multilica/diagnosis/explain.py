@@ -165,7 +165,7 @@ def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
     if "dirty" in codes:
         return "dirty_sensor"
     cleaned = (document.stages.preprocess or {}).get(name) if document.stages is not None else None
-    # Of several snapshots, the one that is shown may lack the LiDAR.
+    # The one of several snapshots that is shown may lack the LiDAR.
     return "no_returns_in_range" if cleaned is not None and cleaned.points == 0 and not silent else None
 
 

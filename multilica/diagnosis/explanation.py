@@ -129,7 +129,7 @@ class Explanation:
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """What a table of the placed LiDARs lacks as plain text, a sentence per line, details indented."""
+        """The facts beside the table of placed LiDARs as plain text, a sentence per line, details indented."""
         return (self.headline, self.input, *self.known, *self._findings())
 
     @property

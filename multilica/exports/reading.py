@@ -22,7 +22,7 @@ def read_extrinsics(
 ) -> Extrinsics:
     """Read extrinsics from a file of any format of `multilica.exports.FORMATS`, or from a recording's `/tf_static`.
 
-    Where a file holds a tree of frames, the common frame is its root, and every frame is a member.
+    If a file holds a tree of frames, the common frame is its root, and every frame is a member.
 
     Args:
         format: the format; by default it is told by the suffix and the content.

@@ -38,7 +38,7 @@ class RunExport:
 
     @property
     def complete(self) -> bool:
-        """Whether every LiDAR of the run is placed."""
+        """True if every LiDAR of the run is placed."""
         return not self.missing and not self.uncertain
 
 

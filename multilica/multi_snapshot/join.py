@@ -67,7 +67,7 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
     """Place every LiDAR of a rig from all its snapshots.
 
     Contradictions between snapshots are resolved by majority first. Then one pose graph takes the trusted registrations
-    of all snapshots, each weighted with its information. Where the snapshots scatter more than their covariances
+    of all snapshots, each weighted with its information. If the snapshots scatter more than their covariances
     predict, the covariance is widened to the scatter; it is never narrowed.
 
     Args:

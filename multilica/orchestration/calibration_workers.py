@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from multilica.config import CalibrationConfig
 from multilica.workers import Workers, open_workers
 
-# What tasks need, imported once for all workers.
+# Modules that tasks need, imported once for all workers.
 _MODULES = ("multilica.orchestration.worker_imports",)
 
 

@@ -38,7 +38,7 @@ class SearchRequest:
 
 @dataclass(slots=True, eq=False)
 class PairSearch:
-    """What the stages found for a pair, as far as they went.
+    """Results of the stages for a pair, up to the last stage that ran.
 
     Args:
         verified: None where verification is off.

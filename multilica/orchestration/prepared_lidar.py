@@ -19,7 +19,7 @@ _NO_POINTS = np.empty((0, 3))
 
 @dataclass(frozen=True, eq=False)
 class PreparedLidar:
-    """What all searches and registrations of one LiDAR share; clouds for GICP are built on first use.
+    """Data that all searches and registrations of one LiDAR share; clouds for GICP are built on first use.
 
     Args:
         cloud: its points; the returns are left out.

@@ -117,7 +117,7 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     """Test the poses of pairs that accepted pairs link, and check the accepted pairs against each other.
 
     Returns:
-        Whether a verdict changed, so that pairs may have to be searched.
+        True if a verdict changed, so that pairs may have to be searched.
     """
     poses = {
         pair: pose

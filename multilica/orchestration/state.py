@@ -72,7 +72,7 @@ class CalibrationState:
 
     @property
     def out_of_time(self) -> bool:
-        """Whether the time of the whole calibration is over."""
+        """True if the time of the whole calibration is over."""
         return time.monotonic() > self.deadline_s
 
     @property

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What tasks use, imported once for all worker processes."""
+"""Modules that tasks use, imported once for all worker processes."""

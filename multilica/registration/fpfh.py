@@ -92,7 +92,7 @@ def estimate_normals(points_m: FloatArray, around: Neighbourhoods) -> FloatArray
 def compute_fpfh(points_m: FloatArray, normals: FloatArray, around: Neighbourhoods) -> FloatArray:
     """Compute the descriptors (N, 33) of points (N, 3) with unit normals (N, 3)."""
     size = around.points * FPFH_BINS
-    # What is not kept is counted in a row that is cut off.
+    # Pairs that are not kept are counted in a row that is cut off.
     rows = np.where(around.kept, around.pairs, around.points)
     counted = sum(
         np.bincount(row * FPFH_BINS + of_angle, minlength=size + FPFH_BINS)[:size]
@@ -128,7 +128,7 @@ def _bins(points_m: FloatArray, normals: FloatArray, pairs: IndexArray) -> npt.N
         nearer = np.abs(of_second) - np.abs(of_first)
         angles = of_first, of_second, turned, triple
         bins[:, :, chunk] = _bins_of(angles, nearer > 0.0)
-        # Where both are as near, each point is the source of its own pair.
+        # If both are equally near, each point is the source of its own pair.
         if len(alike := np.flatnonzero(np.abs(nearer) <= _ROUNDING)):
             for side, is_second in enumerate((False, True)):
                 bins[side][:, start + alike] = _bins_of([each[alike] for each in angles], is_second)

@@ -90,7 +90,7 @@ def fit_planes(
     McClure, 1985, with the scale from the median residual).
 
     Returns:
-        The pose and its information. Where too few points match, the given pose and None; where the fit moves the pose
+        The pose and its information. If too few points match, the given pose and None; if the fit moves the pose
         by more than `distance_m`, the given one.
     """
     overlap = _overlap(target, source, T_target_source, config)
@@ -162,7 +162,7 @@ def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = 
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
     if sigma_m is None:
         sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))
-    # Where both clouds' normals lie 20 degrees apart, a quarter of the weight is lost; at 33 degrees, half.
+    # If the normals of both clouds differ by 20 degrees, a quarter of the weight is lost; at 33 degrees, half.
     root = flatness * agreement**2 / (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2)
     return _Residuals(residual_m, root**2, normals, arms, points_m, sigma_m)
 

@@ -165,7 +165,7 @@ def _matched(
     """Return which points on surfaces, all or those that face a direction (3,), match, and their normals there."""
     points_m, normals = (values @ pose[:3, :3].T for values in source.flat)
     points_m += pose[:3, 3]
-    # What lies beyond the target's range may well be new.
+    # Points beyond the target's range may well be new.
     kept = lengths(points_m) < target.range_m
     if facing is not None:
         kept &= np.abs(normals @ facing) > _MIN_ALIKE

@@ -50,13 +50,13 @@ class SnapshotDeviation:
 
     @property
     def text(self) -> str:
-        """How far, for people."""
+        """Distance and angle as text."""
         return f"{1000.0 * self.distance_m:.1f} mm, {self.angle_deg:.3f} deg"
 
 
 @dataclass(frozen=True, slots=True)
 class SnapshotReport:
-    """What one snapshot contributed to a joint result.
+    """Contribution of one snapshot to a joint result.
 
     Args:
         deviations: of the LiDARs that it places, in name order.
@@ -78,7 +78,7 @@ class SnapshotReport:
 
     @property
     def text(self) -> str:
-        """What became of it, for people."""
+        """The outcome of the snapshot as text."""
         if self.refusal:
             return f"left out: {self.refusal}"
         parts = [
@@ -95,7 +95,7 @@ class SnapshotReport:
 
 @dataclass(frozen=True, slots=True)
 class TimeLimit:
-    """What a calibration left out because its time was over; an equal run may come farther, or less far.
+    """Searches that a calibration left out because its time was over; an equal run may do more or fewer.
 
     Args:
         not_reached: pairs that could have placed a LiDAR.

@@ -95,7 +95,7 @@ class Hypothesis:
 
     @property
     def name(self) -> str:
-        """Where it comes from, for people."""
+        """The origin of the pose as text."""
         return pose_name(self.index, self.origin, self.derivation)
 
 

@@ -14,7 +14,7 @@ PlacementStatus = Literal["placed", "uncertain", "not_placed"]
 """Uncertain: one pose stands alone and uncontradicted, but its standard deviation is above the limit."""
 
 SigmaOrigin = Literal["residuals", "snapshots"]
-"""What a covariance rests on: the residuals of the registrations, or those widened to the spread over snapshots."""
+"""Basis of a covariance: the residuals of the registrations, or these widened to the spread over snapshots."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,12 +157,12 @@ class LidarPlacement:
 
     @property
     def placed(self) -> bool:
-        """Whether it has a pose that may be used without a second look."""
+        """True if the LiDAR has a pose that can be used without further checks."""
         return self.status == "placed"
 
     @property
     def uncertain(self) -> bool:
-        """Whether it has a pose whose standard deviation is above the limit."""
+        """True if the LiDAR has a pose whose standard deviation is above the limit."""
         return self.status == "uncertain"
 
     @property

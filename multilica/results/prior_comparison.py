@@ -27,7 +27,7 @@ def surprises(result: CalibrationResult) -> tuple[str, ...]:
 def exchanged_names(placements: Sequence[LidarPlacement], target: str) -> tuple[str, str] | None:
     """Find two LiDARs with which all poses agree with the prior once their names are exchanged.
 
-    The play of a mount is allowed. Where the poses agree as they are named, nothing is exchanged.
+    The play of a mount is allowed. If the poses agree as they are named, nothing is exchanged.
     """
     poses = {
         placement.lidar: (placement.T_target_source_prior, placement.T_target_source)

@@ -14,7 +14,7 @@ from multilica.results.visibility_score import VisibilityScore
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """How far a registered pose moves when it is disturbed. Rotations count as arcs at `LEVER_ARM_M`.
+    """Motion of a registered pose after perturbations. Rotations count as arcs at `LEVER_ARM_M`.
 
     Args:
         sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where
@@ -106,7 +106,7 @@ class Reason:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether a registration is accepted.
+    """Verdict on a registration, with its reasons.
 
     Args:
         outcome: `accept` has no reasons; `uncertain` is a pose without competitor whose standard deviation is above
@@ -118,7 +118,7 @@ class Verdict:
 
     @property
     def accepted(self) -> bool:
-        """Whether the registration may be merged."""
+        """True if the registration may be merged."""
         return self.outcome == "accept"
 
     @property

@@ -34,7 +34,7 @@ FEW_POINTS = 10
 
 
 class BeamLabel(IntEnum):
-    """What a sensor's beams say of a point that another sensor measured."""
+    """Evidence of a sensor's beams on a point that another sensor measured."""
 
     UNSEEN = 0
     """Outside the field of view, or between beams that are too far apart."""

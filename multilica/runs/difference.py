@@ -80,12 +80,12 @@ class RunDifference:
 
     @property
     def same(self) -> bool:
-        """Whether both place the same LiDARs at the same poses, within the limits."""
+        """True if both place the same LiDARs at the same poses, within the limits."""
         return not self.statuses and not any(move.moved for move in self.moves)
 
     @property
     def places_nothing(self) -> bool:
-        """Whether neither run places a LiDAR, the target included."""
+        """True if neither run places a LiDAR, the target included."""
         return bool(self.neither) and self.target in {each.lidar for each in self.neither} and not self.statuses
 
 

@@ -18,10 +18,10 @@ _BRANCHES = 10
 def maximum_clique(graph: BoolArray) -> IndexArray:
     """Find a largest set of nodes that are all connected with each other; of noise, dense and large, a large one.
 
-    A greedy clique is a lower bound. What cannot belong to a clique as large is removed. Of a sparse rest, NetworkX
-    searches the branches; for a dense one, HiGHS solves an integer program: each takes for ever where the other is
-    fast (docs/decisions/0007-exact-maximum-clique.md). Of several as large, one whose nodes have few connections is
-    taken. The library of TEASER++ searches such nodes first, but may take another one.
+    A greedy clique is a lower bound. Nodes and edges that cannot belong to a clique as large are removed. If the rest
+    is sparse, NetworkX searches the branches; if it is dense, HiGHS solves an integer program. Each is endless where
+    the other is fast (docs/decisions/0007-exact-maximum-clique.md). Among cliques of one size, one whose nodes have few
+    connections is taken. The library of TEASER++ searches such nodes first, but may take another one.
 
     Args:
         graph: (M, M) symmetric, M >= 1; the diagonal is ignored.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a solver finds."""
+"""The result of a solver."""
 
 from dataclasses import dataclass
 

@@ -23,7 +23,7 @@ _SHARPEST = 1e100
 def solve_by_maximum_clique(matches: Correspondences, config: CoarseConfig) -> Solution:
     """Solve as TEASER++ does, without scale: the largest clique of consistent matches, its rotation, its translation.
 
-    Of several cliques as large, TEASER++ may take another one.
+    Among several cliques of one size, TEASER++ may take another one.
 
     Raises:
         MissingDependencyError: NetworkX is not installed.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a rig file has the LiDARs in the vehicle's base frame."""
+"""Poses of the LiDARs in the vehicle's base frame, from a rig file."""
 
 from multilica.config import CalibrationConfig
 from multilica.errors import UnknownNameError, UsageError

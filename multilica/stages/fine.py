@@ -180,8 +180,8 @@ class _Pair:
     ) -> list[PairRegistration]:
         """Register on fewer points; keep what is distinct from each other, and from others beside.
 
-        Good hypotheses come from a short GICP and need few iterations. What has not converged then goes on only if it
-        may win.
+        Good hypotheses come from a short GICP and need few iterations. A registration that has not
+        converged then continues only if it may win.
         """
         clouds = self.target.thinned, self.source.thinned
         begun = [self._register(*clouds, hypothesis, self.target.finalist_gicp) for hypothesis in hypotheses]

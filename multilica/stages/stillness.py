@@ -65,7 +65,7 @@ _LOST_BELOW = 0.3
 def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
     """Detect motion by registering the last frame of a LiDAR to its first, through the middle one.
 
-    Where this leaves too few surfaces in common, the LiDAR is followed from frame to frame.
+    If too few surfaces in common are left, the LiDAR is tracked from frame to frame.
 
     Args:
         scans: frames of one LiDAR, oldest first.

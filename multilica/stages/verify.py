@@ -98,7 +98,7 @@ def _promising(
 ) -> list[Hypothesis]:
     """Select the hypotheses that beams do not contradict as they are, the one with the most evidence first.
 
-    That of the prior is always one of them.
+    The hypothesis of the prior is always one of them.
     """
     score = partial(score_visibility, target.view.alone, source.view.alone)
     poses = [each.T_target_source for each in hypotheses]

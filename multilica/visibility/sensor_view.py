@@ -41,7 +41,7 @@ _GRAZING = float(np.sin(np.deg2rad(15.0)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorView:
-    """What one sensor sees, prepared for scoring poses.
+    """The view of one sensor, prepared for scoring poses.
 
     Args:
         image: its beams; None if there are too few.

@@ -6,7 +6,7 @@ from typing import Any
 
 
 class Shared:
-    """What all tasks of a pool can use; in a worker process, arrays are read-only."""
+    """Values that all tasks of a pool can use; in a worker process, arrays are read-only."""
 
     def __init__(self) -> None:
         self._values: dict[str, Any] = {}

@@ -17,9 +17,9 @@ _NARROWEST = 8
 class FoldingTable:
     """A table without colours that fits the width of the console.
 
-    What is too wide loses the spare gaps first, then the columns that are not needed. If that is not enough, the
-    columns continue in a further table below, which repeats the key columns. Texts wrap between words; a word is broken
-    only if it leaves no room for one column beside the keys.
+    A table that is too wide loses the spare gaps first, then the columns that are not needed. If that is not enough,
+    the columns continue in a further table below, which repeats the key columns. Texts wrap between words; a word is
+    broken only if it leaves no room for one column beside the keys.
 
     Args:
         columns: headings.

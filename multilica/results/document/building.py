@@ -40,7 +40,7 @@ _DISTRIBUTIONS = ("numpy", "scipy", "open3d", "open3d-cpu", "small-gicp", "kiss-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Provenance:
-    """What must be the same for two runs to give the same result; versions are those of installed packages."""
+    """The origin of a result: runs that share it give the same result; versions are those of installed packages."""
 
     versions: Mapping[str, str]
     input: InputEntry

@@ -11,12 +11,12 @@ from multilica.geometry import FloatArray, lengths, read_only
 # At this distance a point counts half, or a quarter: what is near is more likely to be what the wheels stand on.
 NEAR_M = 5.0
 _BELOW_DISTANCES = 4.0
-# How far ground is from a plane, one standard deviation: crests of 500 m radius, the change of that curvature within
+# Distance of ground from a plane, one standard deviation: crests of 500 m radius, the change of that curvature within
 # some 10 m, and an error that grows with the fourth power of the distance.
 _CURVATURE_1_M = 0.002
 _CURVATURE_CHANGE_1_M2 = 2e-4
 _MODEL_ERROR_1_M3 = 7e-7
-# What a wheel stands on is not seen: ruts, stones, the tyre itself.
+# The ground below a wheel is not seen: ruts, stones, the tyre itself.
 _UNEVENNESS_M = 0.002
 _FITS = 15
 _HIGHEST_M = 0.5
@@ -73,8 +73,8 @@ def fit_surface(
 ) -> GroundSurface:
     """Fit a polynomial of third degree to the points (N, 3) near a plane, robustly (Tukey's biweight).
 
-    What is not seen under the vehicle follows from what is around it, as far as ground is smooth: its curvature and
-    the change of that are unknowns with a standard deviation each, and widen the covariance where they matter. So do
+    The ground under the vehicle is extrapolated from the ground around it, which is smooth. Its curvature and the
+    change of curvature are unknowns with a standard deviation each, and widen the covariance if they matter. So do
     errors that neighbours share: it is the sandwich of scores that are summed over tiles (Liang and Zeger, 1986).
 
     Args:
