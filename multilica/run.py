@@ -22,8 +22,8 @@ from multilica.ingest import (
     require_lidar,
 )
 from multilica.ingest.locate import PathLike, locate
+from multilica.ingest.metadata import config_for
 from multilica.ingest.remote.address import local_output, stem_of
-from multilica.ingest.snapshot_metadata import config_for
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.orchestration.calibration_workers import open_calibration_workers
 from multilica.orchestration.required_libraries import require_libraries

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readers of recordings of every format as snapshots."""
 
-from multilica.ingest.snapshot_metadata import frames_recorded
+from multilica.ingest.metadata import frames_recorded
 from multilica.ingest.snapshot_reader import TakenSnapshot, read_snapshot, take_snapshot
 from multilica.ingest.split_sources import SnapshotSource, find_snapshots, require_calibratable, require_lidar
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source

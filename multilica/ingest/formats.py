@@ -33,9 +33,8 @@ class FileFormat:
         suffixes: lower case; the longest one that a file's name ends in decides.
         content: what the reader yields.
         reader: module in `multilica.ingest`, imported on first use, with `open_file(path, where) -> Recording` for
-            recordings, `decode_cloud(message) -> Cloud` for point clouds, `open_packed(path, where, open_file)` for
-            others; `where` is the file's name for messages. The first and the last raise `DamagedRecordingError` if
-            not a single message can be read.
+            recordings or `decode_cloud(message) -> Cloud` for point clouds; `where` is the file's name for messages.
+            `open_file` raises `DamagedRecordingError` if not a single message can be read.
         magic: first bytes, any of these; none if only the suffix tells.
         first_words: words that the first line that is no comment may start with.
         reads_ranges: the reader takes remote files; for other formats they are copied to disk first.
@@ -68,9 +67,7 @@ _ENTRIES = (
         "sqlite3", "an SQLite file (ROS 2 bag)", (".db3",), _MESSAGES, "containers.ros2_sqlite", (b"SQLite format 3\0",)
     ),
     FileFormat("ros1", "a ROS 1 bag", (".bag", ".bag.active"), _MESSAGES, "containers.ros1_bag", (b"#ROSBAG V2.0",)),
-    FileFormat(
-        "zstd", "compressed with zstd", (".zst", ".zstd"), Content.FILE, "containers.packed_file", (ZSTD_MAGIC,)
-    ),
+    FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), Content.FILE, "", (ZSTD_MAGIC,)),
     FileFormat("ply", "a PLY file", (".ply",), _CLOUD, "point_files.ply", (b"ply\n", b"ply\r")),
     FileFormat("las", "a LAS file", (".las", ".laz"), _CLOUD, "point_files.las", (b"LASF",)),
     FileFormat("npy", "a NumPy file", (".npy",), _CLOUD, "point_files.raw_arrays", (b"\x93NUMPY",)),

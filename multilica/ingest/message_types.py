@@ -1,21 +1,34 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The registry of message types with points.
+"""The registry of message types with points, and their decoding.
 
 To add a message type, write its decoder in `messages/` and add one entry to `MESSAGE_TYPES`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
+from typing import cast
 
+from multilica.errors import UnreadableSourceError
+from multilica.ingest.damage import reason_of
 from multilica.ingest.formats import FORMATS, Content
+from multilica.ingest.memory import require_decodable
+from multilica.ingest.recording import RawMessage, Topic
 from multilica.optional_libraries import OPTIONAL_LIBRARIES
+from multilica.snapshot import Scan
 
 OUSTER_TURN = "ouster"
 """Encoding of a message that holds the sensor's metadata and all packets of one turn."""
 OTHER_PACKETS = "ouster, no returns"
 """Encoding of packets without returns, such as those of the IMU."""
 OUSTER = "ouster.sdk.core:LidarFrame"
+
+_ROS = ("cdr", "ros1")
+
+_MAX_NAME = 32
+_MAX_STAMP_NS = 1 << 64
+"""Stamps beyond are no times, and overflow."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +62,6 @@ def _decodable(packets: str, module: str, driver: str) -> str:
     return f"{packets}; `{command}`, or replay the log through the driver {driver}"
 
 
-_ROS = ("cdr", "ros1")
 MESSAGE_TYPES = {
     name: entry
     for entry in (
@@ -109,3 +121,55 @@ def is_installed(requires: str) -> bool:
         return not requires or hasattr(import_module(module), attribute or "__name__")
     except ImportError:
         return False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cloud:
+    """One decoded frame.
+
+    Args:
+        frame_id: without slashes at its ends; empty if the format has none.
+        remark: what the user should know about the topic, as a predicate; empty for nothing.
+    """
+
+    scan: Scan
+    frame_id: str = ""
+    remark: str = ""
+
+
+def is_cloud(of: Topic | RawMessage) -> bool:
+    """Return whether a message, or those on a topic, can be decoded to points."""
+    known = MESSAGE_TYPES.get(of.message_type)
+    return known is not None and of.encoding in known.encodings and is_installed(known.requires)
+
+
+def obstacle(topic: Topic) -> str:
+    """Return why a topic with points cannot be decoded and what to do about it; empty for every other topic."""
+    known = MESSAGE_TYPES.get(topic.message_type)
+    if known is None or is_cloud(topic) or topic.encoding == OTHER_PACKETS:
+        return ""
+    if known.packets:
+        return known.incomplete if known.requires and is_installed(known.requires) else known.packets
+    expected = " or ".join(known.encodings)
+    return f"{topic.message_type} in the encoding {topic.encoding[:_MAX_NAME]!r}; expected {expected}"
+
+
+def decode_cloud(message: RawMessage) -> Cloud:
+    """Decode a message for which `is_cloud` is true; raise UnreadableSourceError if it is broken."""
+    if message.fault:
+        raise UnreadableSourceError(f"{message.origin} {message.fault}.")
+    try:
+        require_decodable(len(message.data))
+        cloud = _decoder(MESSAGE_TYPES[message.message_type].decoder)(message)
+    except ValueError as error:
+        raise UnreadableSourceError(f"{message.origin} {error}.") from error
+    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as error:
+        raise UnreadableSourceError(f"{message.origin} cannot be decoded: {reason_of(error)}.") from error
+    if abs(cloud.scan.stamp_ns) >= _MAX_STAMP_NS:
+        return replace(cloud, scan=replace(cloud.scan, stamp_ns=message.log_time_ns))
+    return cloud
+
+
+@cache
+def _decoder(module: str) -> Callable[[RawMessage], Cloud]:
+    return cast(Callable[[RawMessage], Cloud], import_module(f"multilica.ingest.{module}").decode_cloud)

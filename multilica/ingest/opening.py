@@ -1,19 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
 """The opening of a source with the readers of its files."""
 
-from contextlib import ExitStack, closing
+import heapq
+import shutil
+from collections import Counter
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import ExitStack, closing, suppress
+from dataclasses import replace
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-from multilica.errors import UnreadableSourceError
-from multilica.ingest.containers.combined_recordings import JoinedRecording, SplitRecording
+import zstandard
+
+from multilica.errors import UnreadableSourceError, UsageError
 from multilica.ingest.containers.ouster_recording import with_turns
+from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.formats import Content, FileFormat, detect_format
 from multilica.ingest.locate import Source, locate
+from multilica.ingest.message_types import decode_cloud, is_cloud
 from multilica.ingest.point_files.cloud_files import CloudFiles
-from multilica.ingest.recording import Recording
+from multilica.ingest.recording import (
+    Messages,
+    RawMessage,
+    Recording,
+    Span,
+    Topic,
+    WrappedRecording,
+    joint_span,
+    joint_topics,
+)
 from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
+from multilica.scratch import scratch_folder
+
+_BLOCK_BYTES = 1 << 20
+_MAX_RATIO = 200
+_ALWAYS_BYTES = 64 << 20
+"""Scans shrink to a half or a fifth; a file that grows to more than 200 times its size and this is malicious."""
+
+_MAX_TRIES = 4
+"""Scans to try for the frame id; the first ones may be broken."""
 
 
 def open_source(source: Source) -> Recording:
@@ -29,22 +56,13 @@ def open_source(source: Source) -> Recording:
 
 def _open_file(file: SourceFile) -> Recording:
     found = detect_format(file)
-    reader = _reader(found)
     if found.content is Content.FILE:
-        return cast(Recording, reader.open_packed(path_on_disk(file, "a compressed file"), str(file), _open_unpacked))
-    path = file if found.reads_ranges else path_on_disk(file, found.title)
-    return cast(Recording, reader.open_file(path, str(file)))
+        return _open_packed(path_on_disk(file, "a compressed file"), str(file))
+    return _read_by(found, file if found.reads_ranges else path_on_disk(file, found.title), str(file))
 
 
-def _open_unpacked(path: Path, where: str) -> Recording:
-    found = detect_format(path)
-    if found.content is not Content.RECORDING:
-        raise UnreadableSourceError(f"{where} does not unpack to a recording; unpack it with `zstd -d`.")
-    return cast(Recording, _reader(found).open_file(path, where))
-
-
-def _reader(found: FileFormat) -> Any:  # noqa: ANN401 - a module
-    return import_module(f"multilica.ingest.{found.reader}")
+def _read_by(found: FileFormat, path: SourceFile, where: str) -> Recording:
+    return cast(Recording, import_module(f"multilica.ingest.{found.reader}").open_file(path, where))
 
 
 def _open_recorders(sources: tuple[Source, ...]) -> Recording:
@@ -72,3 +90,165 @@ def _open_parts(files: tuple[SourceFile, ...], missing: tuple[str, ...]) -> Reco
     if missing:
         damage = f"the bag lacks {missing[0]}, which its metadata.yaml names"
     return SplitRecording(parts, damage)
+
+
+def _open_packed(path: Path, where: str) -> Recording:
+    """Unpack a file that was compressed with zstd into a temporary folder and open it there."""
+    with ExitStack() as stack:
+        unpacked = stack.enter_context(scratch_folder()) / path.stem
+        _unpack(path, unpacked, where)
+        found = detect_format(unpacked)
+        if found.content is not Content.RECORDING:
+            raise UnreadableSourceError(f"{where} does not unpack to a recording; unpack it with `zstd -d`.")
+        return _PackedRecording(_read_by(found, unpacked, where), stack.pop_all())
+
+
+class _PackedRecording(WrappedRecording):
+    """A recording in a temporary folder, which is removed when it is closed."""
+
+    def __init__(self, recording: Recording, folder: ExitStack) -> None:
+        super().__init__(recording)
+        self.format = f"{recording.format}, zstd"
+        self._folder = folder
+
+    def close(self) -> None:
+        """Close the recording and remove the unpacked file."""
+        super().close()
+        self._folder.close()
+
+
+def _unpack(path: Path, target: Path, where: str) -> None:
+    """Unpack a file; if it ends too early, unpack what it holds."""
+    allowed = min(max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size), shutil.disk_usage(target.parent).free // 2)
+    with path.open("rb") as file, target.open("wb") as unpacked:
+        blocks = zstandard.ZstdDecompressor().read_to_iter(file, write_size=_BLOCK_BYTES)
+        try:
+            for block in blocks:
+                if unpacked.tell() + len(block) > allowed:
+                    raise DamagedRecordingError(
+                        where, f"it unpacks to more than {allowed} bytes; unpack it with `zstd -d` if that is right"
+                    )
+                unpacked.write(block)
+        except zstandard.ZstdError as error:
+            if not unpacked.tell():
+                raise DamagedRecordingError(where, "compressed data cannot be unpacked") from error
+
+
+class SplitRecording:
+    """Several open recordings, one after the other, oldest first."""
+
+    def __init__(self, parts: Sequence[Recording], damage: str = "") -> None:
+        files = "1 file" if len(parts) == 1 else f"{len(parts)} files"
+        self.format = f"{parts[0].format}, {files}"
+        self.damage = damage or next((part.damage for part in parts if part.damage), "")
+        self.is_indexed = all(part.is_indexed for part in parts)
+        self.topics = joint_topics((topic, topic.count) for part in parts for topic in part.topics)
+        self._parts = tuple(parts)
+
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Return the span over all parts."""
+        return joint_span(part.span_ns(topics) for part in self._parts)
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """Yield messages part after part; damage in one part does not affect the next ones."""
+        damage: DamagedRecordingError | None = None
+        for part in self._parts:
+            try:
+                yield from part.messages(topics, start_ns)
+            except DamagedRecordingError as error:
+                damage = damage or error
+        if damage is not None:
+            raise damage
+
+    def close(self) -> None:
+        """Close every part."""
+        for part in self._parts:
+            part.close()
+
+
+class JoinedRecording:
+    """Recordings of the same moment; a topic in several of them is prefixed with its file, as in ``left.bag:/points``.
+
+    Raises:
+        UsageError: two of them hold the same LiDAR.
+    """
+
+    def __init__(self, parts: Sequence[tuple[SourceFile, Recording]]) -> None:
+        _require_disjoint(parts)
+        recordings = [recording for _, recording in parts]
+        counts = Counter(name for part in recordings for name in {topic.name for topic in part.topics})
+        self._parts = tuple(
+            (
+                recording,
+                {
+                    topic.name: topic.name if counts[topic.name] == 1 else f"{path.name}:{topic.name}"
+                    for topic in recording.topics
+                },
+            )
+            for path, recording in parts
+        )
+        self.format = " beside ".join(sorted({recording.format for recording in recordings}))
+        self.is_indexed = all(recording.is_indexed for recording in recordings)
+        self.damage = next((recording.damage for recording in recordings if recording.damage), "")
+        topics = (replace(topic, name=names[topic.name]) for part, names in self._parts for topic in part.topics)
+        self.topics: tuple[Topic, ...] = tuple(sorted(topics, key=lambda topic: topic.name))
+
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Return the span over all recordings."""
+        return joint_span(part.span_ns(_own(names, topics)) for part, names in self._parts)
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """Yield messages by log time; damage of one recording is raised after the others have ended."""
+        damage: list[DamagedRecordingError] = []
+        streams = [
+            _renamed(part, names, own, start_ns, damage) for part, names in self._parts if (own := _own(names, topics))
+        ]
+        yield from heapq.merge(*streams, key=lambda message: message.log_time_ns)
+        if damage:
+            raise damage[0]
+
+    def close(self) -> None:
+        """Close all recordings."""
+        with ExitStack() as stack:
+            for part, _ in self._parts:
+                stack.enter_context(closing(part))
+
+
+def _own(names: dict[str, str], topics: Collection[str]) -> list[str]:
+    """Return the names of topics within their recording."""
+    return [own for own, public in names.items() if public in topics]
+
+
+def _renamed(
+    part: Recording, names: dict[str, str], topics: list[str], start_ns: int, damage: list[DamagedRecordingError]
+) -> Iterator[RawMessage]:
+    try:
+        for message in part.messages(topics, start_ns):
+            yield replace(message, topic=names[message.topic])
+    except DamagedRecordingError as error:
+        damage.append(error)
+
+
+def _require_disjoint(parts: Sequence[tuple[SourceFile, Recording]]) -> None:
+    """Refuse two recordings of one LiDAR: of the same name, or with the same frame id on the same topic."""
+    holders: dict[tuple[str, str], SourceFile] = {}
+    for path, recording in parts:
+        clouds = [topic for topic in recording.topics if is_cloud(topic) and topic.count]
+        for key in sorted({_identity(recording, topic) for topic in clouds}):
+            if key in holders:
+                raise UsageError(
+                    f"{holders[key]} and {path} both hold the LiDAR '{key[1] or key[0]}'; recordings of one snapshot "
+                    "must hold different LiDARs."
+                )
+            holders[key] = path
+
+
+def _identity(recording: Recording, topic: Topic) -> tuple[str, str]:
+    """Return the topic and the frame id of a LiDAR; only its name if the recording names it."""
+    if topic.lidar:
+        return "", topic.lidar
+    with suppress(DamagedRecordingError), closing(recording.messages([topic.name])) as messages:
+        for message in islice(messages, _MAX_TRIES):
+            with suppress(UnreadableSourceError):
+                return topic.name, decode_cloud(message).frame_id
+    return topic.name, ""

@@ -11,17 +11,17 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
-from multilica.errors import UsageError
+from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
+from multilica.ingest.metadata import config_for, notes_recorded
 from multilica.ingest.opening import open_source
 from multilica.ingest.plausibility import plausibility_notes
 from multilica.ingest.recording import MessageObserver, Recording, sanitize_text
-from multilica.ingest.remote.address import is_live, without_secrets
+from multilica.ingest.remote.address import is_live, require_valid, without_secrets
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 from multilica.ingest.selection.topics import choose_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
-from multilica.ingest.snapshot_metadata import config_for, notes_recorded
 from multilica.ingest.transforms.static_transforms import StaticTransforms, read_static_transforms
 from multilica.snapshot import LidarScans, Snapshot
 
@@ -68,8 +68,6 @@ def take_snapshot(
         return TakenSnapshot(snapshot, sum(file.stat().st_size for file in find_source(files).files))
     if len(sources) > 1:
         raise UsageError(f"{without_secrets(live[0])} is given among other sources; give it alone.")
-    from multilica.ingest.live.listen import listen
-
     return listen(live[0], config=config, observe=observe)
 
 
@@ -112,6 +110,60 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         snapshot = assemble_snapshot(found.label, given, window, static, sha256.result(), unread)
         noted = with_recorded_notes(snapshot, recording, found.files)
     return replace(noted, reading_s=time.perf_counter() - start_s)
+
+
+def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObserver | None = None) -> TakenSnapshot:
+    """Take `config.frames` frames of each LiDAR from a vehicle that runs foxglove_bridge or a foxglove-sdk server.
+
+    Stops when all frames have arrived, or after `config.timeout_s` with those that have. Reconnects if the connection
+    is lost.
+
+    Args:
+        config: topics and number of frames; without topics, all point cloud topics that are offered at first.
+        observe: called with each chosen topic and 0, then with each message.
+
+    Raises:
+        UnreadableSourceError: no such server answers.
+        UnfitSnapshotError: there are no point clouds, or no LiDAR sends any; with `config.strict`, any fault.
+        UnknownNameError: a topic is not offered in time.
+        UsageError: a window is configured, or the address is not valid.
+    """
+    from multilica.ingest.live.live_recording import LiveRecording
+
+    config = config or IngestConfig()
+    report: MessageObserver = observe or (lambda _topic, _count: None)
+    require_valid(url)
+    label = without_secrets(url)
+    if config.start_s or config.start_at or config.window_s or config.window == "auto":
+        raise UsageError(f"Found a window for {label}; a live snapshot begins now and takes one scan after the other.")
+    with (
+        limited_memory(config.max_memory_mb, label),
+        closing(LiveRecording(url, config.frames, config.timeout_s, report)) as recording,
+    ):
+        recording.wait_for(lambda: _is_offered(recording, config))
+        given = choose_topics(recording, config.topics, label, config.only)
+        for topic in sorted(given):
+            report(topic, 0)
+        window = collect_frames(recording, given.keys(), config, label)
+        if not window.clouds:
+            raise UnfitSnapshotError(
+                f"{label} sent no readable scan on {', '.join(sorted(given))} within {config.timeout_s:g} s; "
+                "check that the LiDARs run, or give a longer --timeout."
+            )
+        if config.strict and window.faults:
+            raise UnfitSnapshotError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
+        static = read_static_transforms(recording)
+        unread = [*unread_notes(recording), *recording.notes]
+    silent = tuple(sorted(given.keys() - window.clouds.keys()))
+    return TakenSnapshot(assemble_snapshot(label, given, window, static, notes=unread), silent=silent)
+
+
+def _is_offered(recording: Recording, config: IngestConfig) -> bool:
+    try:
+        choose_topics(recording, config.topics, "", config.only)
+    except (UnknownNameError, UnfitSnapshotError):
+        return False
+    return True
 
 
 def assemble_snapshot(

@@ -12,13 +12,12 @@ from multilica.errors import InputError, UnfitSnapshotError
 from multilica.geometry import RigidTransform
 from multilica.ingest.locate import PathLike, find_source
 from multilica.ingest.memory import limited_memory
-from multilica.ingest.message_types import OUSTER_TURN
-from multilica.ingest.messages.cloud import Cloud, is_cloud
+from multilica.ingest.message_types import OUSTER_TURN, Cloud, is_cloud
+from multilica.ingest.metadata import config_for
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
 from multilica.ingest.selection.topics import choose_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
-from multilica.ingest.snapshot_metadata import config_for
 from multilica.ingest.snapshot_reader import assemble_snapshot, with_recorded_notes
 from multilica.ingest.split_sources import require_calibratable
 from multilica.ingest.transforms.static_transforms import read_static_transforms

@@ -17,8 +17,8 @@ import zstandard
 from mcap.writer import CompressionType, Writer
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest import inspect_source, read_snapshot
-from multilica.ingest.containers import chunked, packed_file
+from multilica.ingest import inspect_source, opening, read_snapshot
+from multilica.ingest.containers import chunked
 from multilica.ingest.decompression import MAX_UNPACKED_BYTES, unpack, unpack_zstd_message
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.support.format_writers import write_raw_mcap
@@ -110,7 +110,7 @@ def test_a_chunk_that_is_a_bomb(tmp_path: Path, claimed: int) -> None:
 
 
 def test_a_packed_bag_that_is_a_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packed_file, "_ALWAYS_BYTES", 1 << 20)
+    monkeypatch.setattr(opening, "_ALWAYS_BYTES", 1 << 20)
     (tmp_path / "a.mcap.zstd").write_bytes(zstandard.ZstdCompressor().compress(b"\x89MCAP0\r\n" + bytes(50 << 20)))
     with pytest.raises(UnreadableSourceError, match=r"it unpacks to more than 1048576 bytes; unpack it with `zstd -d`"):
         read_snapshot(tmp_path / "a.mcap.zstd")

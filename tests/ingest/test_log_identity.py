@@ -3,7 +3,7 @@
 import pytest
 
 from multilica.fleet.simulated.simulated_logs import write_fleet
-from multilica.ingest.log_identity import LogIdentity, identify_log
+from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.simulate import plan_fleet
 
 PLAN = plan_fleet(2, 8, 1, frames=1, keep_every=60, jumps=0, creeps=0, dead=0, broken=0, duplicates=0)

@@ -12,7 +12,7 @@ from mcap.writer import Writer
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.ingest import read_snapshot
-from multilica.ingest.live.listen import listen
+from multilica.ingest.snapshot_reader import listen
 from tests.ingest.support.format_writers import livox_messages, write_raw_mcap
 from tests.ingest.support.processes import served
 from tests.ingest.support.recording_writers import START_NS, make_snapshot

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.messages.cloud import Cloud, decode_cloud
+from multilica.ingest.message_types import Cloud, decode_cloud
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import PointCloud2
 from tests.ingest.support.recording_writers import CLOUD, header, ros1_types, ros2_types

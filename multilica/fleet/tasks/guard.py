@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict
 from multilica.fleet.store.records import PASSING
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks.log_task import LogTask, LogTaskSummary, failed_row
-from multilica.ingest.log_identity import LogIdentity
+from multilica.ingest.metadata import LogIdentity
 
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}

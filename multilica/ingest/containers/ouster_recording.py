@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.message_types import MESSAGE_TYPES, OTHER_PACKETS, OUSTER, OUSTER_TURN, is_installed
-from multilica.ingest.messages.ros_wire import WireReader
+from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import Messages, RawMessage, Recording, Topic, WrappedRecording
 
 if TYPE_CHECKING:

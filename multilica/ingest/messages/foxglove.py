@@ -12,7 +12,7 @@ import pybase64
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from google.protobuf.message import DecodeError
 
-from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage, sanitize_text
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan

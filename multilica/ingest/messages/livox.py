@@ -3,8 +3,8 @@
 
 import numpy as np
 
-from multilica.ingest.messages.cloud import Cloud
-from multilica.ingest.messages.ros_wire import WireReader
+from multilica.ingest.message_types import Cloud
+from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import PointField, finite_records, point_dtype
 from multilica.snapshot import Scan

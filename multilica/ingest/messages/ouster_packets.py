@@ -11,7 +11,7 @@ import numpy as np
 from ouster.sdk import core
 
 from multilica.geometry import FloatArray
-from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from multilica.ingest.damage import reason_of
-from multilica.ingest.messages.cloud import Cloud
-from multilica.ingest.messages.ros_wire import WireReader, message_bytes
+from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
+from multilica.ingest.memory import require_decodable
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan
@@ -24,6 +26,11 @@ _VELODYNE = {
     "velodyne_msgs/msg/VelodynePacket": f"{{time}} stamp\nuint8[{_PACKET_BYTES}] data",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
 }
+
+_layout = cache(struct.Struct)
+_CUT_OFF = "cannot be unpacked: it ends too early"
+_ENCAPSULATION_BYTES = 4
+_SEQUENCE_BYTES = 4
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
@@ -77,3 +84,100 @@ def _types(encoding: str) -> Typestore:
         time = "time" if is_ros1 else "builtin_interfaces/Time"
         store.register(get_types_from_msg(definition.format(time=time), name))
     return store
+
+
+@dataclass(slots=True)
+class WireReader:
+    """A reader of one value after the other, without copies.
+
+    Every method raises ValueError, with a predicate as its text, if the message is lost, broken or ends before.
+
+    Args:
+        order: byte order, as in `struct`.
+        alignment: of numbers of four bytes; 1 if nothing is aligned.
+        place: position of the next value.
+    """
+
+    data: memoryview
+    order: str
+    alignment: int
+    place: int
+
+    @classmethod
+    def of_message(cls, message: RawMessage) -> WireReader:
+        """Start at the beginning of a message."""
+        data = message_bytes(message)
+        if message.encoding == "ros1":
+            return cls(data, "<", 1, 0)
+        if len(data) < _ENCAPSULATION_BYTES:
+            raise ValueError(_CUT_OFF)
+        return cls(data, "<" if data[1] & 1 else ">", 4, _ENCAPSULATION_BYTES)
+
+    @property
+    def remaining(self) -> int:
+        """Number of bytes left; negative beyond the end."""
+        return len(self.data) - self.place
+
+    def numbers(self, codes: str) -> tuple[int, ...]:
+        """Read numbers without gaps by their codes of `struct`."""
+        layout = _layout(self.order + codes)
+        try:
+            found = layout.unpack_from(self.data, self.place)
+        except struct.error as error:
+            raise ValueError(_CUT_OFF) from error
+        self.place += layout.size
+        return found
+
+    def header(self) -> tuple[int, str]:
+        """Read stamp in nanoseconds and frame id of a ``std_msgs/Header``."""
+        is_ros1 = self.alignment == 1
+        if is_ros1:
+            self.skip(_SEQUENCE_BYTES)
+        seconds, nanoseconds = self.numbers("II" if is_ros1 else "iI")
+        return seconds * 10**9 + nanoseconds, self.text().strip("/")
+
+    def uint32(self) -> int:
+        """Read an aligned number of four bytes."""
+        self.align(4)
+        return self.numbers("I")[0]
+
+    def float64s(self, count: int) -> tuple[float, ...]:
+        """Read aligned numbers of eight bytes."""
+        self.align(8)
+        return self.numbers(f"{count}d")
+
+    def text(self) -> str:
+        """Read a string."""
+        return str(self.octets(), "utf-8", "replace").rstrip("\0")
+
+    def octets(self) -> memoryview:
+        """Read a sequence of bytes."""
+        length = self.uint32()
+        begin, self.place = self.place, self.place + length
+        if self.place > len(self.data):
+            raise ValueError(_CUT_OFF)
+        return self.data[begin : self.place]
+
+    def align(self, size: int) -> None:
+        """Skip the padding before a number of `size` bytes."""
+        if self.alignment > 1:
+            self.place += (_ENCAPSULATION_BYTES - self.place) % size
+
+    def skip(self, size: int) -> None:
+        """Skip `size` bytes."""
+        self.place += size
+
+
+def message_bytes(message: RawMessage) -> memoryview:
+    """Return the serialised message, unpacked if it is compressed; errors as of `WireReader`."""
+    if message.fault:
+        raise ValueError(message.fault)
+    # Only the bag's metadata.yaml announces message compression, but a serialised message never begins like this.
+    if message.data[:4] != ZSTD_MAGIC:
+        return memoryview(message.data)
+    try:
+        unpacked = unpack_zstd_message(message.data)
+    except ValueError as error:
+        raise ValueError(f"cannot be unpacked: {error}") from error
+    require_decodable(len(unpacked))
+    return unpacked

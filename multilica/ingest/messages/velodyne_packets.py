@@ -8,7 +8,7 @@ import velodyne_decoder
 
 from multilica.geometry import Float32Array
 from multilica.ingest.damage import reason_of
-from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.messages.ros import deserialize
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points

@@ -18,7 +18,7 @@ from multilica.ingest.damage import reason_of
 from multilica.ingest.decompression import MAX_UNPACKED_BYTES
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
 from multilica.optional_libraries import needed_for, require_library
 from multilica.pointcloud2 import finite_points

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.point_files.point_table import MAX_HEADER_BYTES, Points, PointTable, row_count
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import DATATYPES, PointField, finite_points

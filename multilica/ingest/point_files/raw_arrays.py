@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from multilica.documents import shown
 from multilica.ingest.formats import FORMATS, require_format
-from multilica.ingest.messages.cloud import Cloud
+from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan

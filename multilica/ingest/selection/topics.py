@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError
-from multilica.ingest.message_types import is_packets
-from multilica.ingest.messages.cloud import is_cloud, obstacle
+from multilica.ingest.message_types import is_cloud, is_packets, obstacle
 from multilica.ingest.recording import Recording, Topic, normal_type
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from multilica.documents import MAX_LENGTH_M
 from multilica.geometry import RigidTransform
 from multilica.ingest.damage import DamagedRecordingError
-from multilica.ingest.messages.ros_wire import WireReader
+from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import RawMessage, Recording
 
 StaticTransforms = tuple[tuple[RigidTransform, ...], tuple[str, ...]]

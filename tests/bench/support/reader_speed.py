@@ -35,7 +35,7 @@ def main(reader: str, path: Path) -> None:
 def _decoded(path: Path) -> tuple[int, int]:
     from multilica.ingest.damage import DamagedRecordingError
     from multilica.ingest.locate import find_source
-    from multilica.ingest.messages.cloud import decode_cloud, is_cloud
+    from multilica.ingest.message_types import decode_cloud, is_cloud
     from multilica.ingest.opening import open_source
 
     size = points = 0

@@ -12,7 +12,7 @@ from multilica.errors import UnreadableSourceError
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks import run_task, task_server
 from multilica.fleet.tasks.log_task import LogTaskSummary, failed_row
-from multilica.ingest import log_identity
+from multilica.ingest import metadata
 from multilica.ingest.remote.error_texts import ConnectionLostError
 
 
@@ -51,10 +51,10 @@ def identify_log(address):
     if "offline" in address and not tried.exists():
         tried.touch()
         raise ConnectionLostError("The connection was lost.")
-    return log_identity.LogIdentity("v7", 7)
+    return metadata.LogIdentity("v7", 7)
 
 
 if __name__ == "__main__":
-    log_identity.identify_log = identify_log
+    metadata.identify_log = identify_log
     run_task.run_log_task = run_log_task
     task_server.main()

@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from mcap.writer import CompressionType
 
-from multilica.ingest.containers import mcap_unindexed, ros1_bag, unindexed
+from multilica.ingest.containers import mcap_file, ros1_bag, unindexed
 from multilica.ingest.containers.chunked import PackedChunk
-from multilica.ingest.containers.mcap_unindexed import open_unindexed
+from multilica.ingest.containers.mcap_file import open_unindexed
 from multilica.ingest.containers.unindexed import Part, UnindexedRecording
 from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.recording import RawMessage
@@ -71,7 +71,7 @@ def test_a_recording_kept_in_part_is_read_like_one_kept_whole(
     else:
         write_mcap(snapshot, path, indexed=False, chunked=make == "mcap", chunk_size=20_000)
     os.truncate(path, int(cut * path.stat().st_size))
-    open_file = ros1_bag.open_unindexed if make == "bag" else mcap_unindexed.open_unindexed
+    open_file = ros1_bag.open_unindexed if make == "bag" else mcap_file.open_unindexed
     whole = open_file(path, "a")
     names = {topic.name for topic in whole.topics}
     expected = all_of(whole.messages(names))
@@ -119,7 +119,7 @@ def test_what_lies_before_the_window_is_not_unpacked_again(
         write_mcap(make_snapshot(frames=40, points=200), path, indexed=make == "survey", chunk_size=20_000)
     os.truncate(path, int(0.9 * path.stat().st_size))
     monkeypatch.setattr(unindexed, "_MARK_BYTES", 1)
-    open_file = ros1_bag.open_unindexed if make == "bag" else mcap_unindexed.open_unindexed
+    open_file = ros1_bag.open_unindexed if make == "bag" else mcap_file.open_unindexed
     whole = open_file(path, "a")
     monkeypatch.setattr(unindexed, "_MAX_KEPT_BYTES", 0)
     recording = open_file(path, "a")

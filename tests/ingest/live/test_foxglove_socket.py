@@ -16,8 +16,9 @@ from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.ingest.live import foxglove_socket
 from multilica.ingest.live.foxglove_socket import Advertised, ConnectionLost, FoxgloveSocket, Oddity, Withdrawn
-from multilica.ingest.live.listen import LiveRecording, listen
+from multilica.ingest.live.live_recording import LiveRecording
 from multilica.ingest.recording import Topic
+from multilica.ingest.snapshot_reader import listen
 from tests.ingest.support.recording_writers import (
     CLOUD,
     START_NS,

@@ -14,7 +14,7 @@ import pytest
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UnreadableSourceError, UsageError
 from multilica.ingest import TakenSnapshot
-from multilica.ingest.live.listen import listen
+from multilica.ingest.snapshot_reader import listen
 from tests.ingest.support.bridge_server import POSE, vehicle
 from tests.ingest.support.processes import served
 

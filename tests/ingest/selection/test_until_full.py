@@ -16,8 +16,7 @@ from multilica.ingest.containers.chunked import ChunkedRecording
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Messages
-from multilica.ingest.selection.sampling import until_full
-from multilica.ingest.selection.topic_frames import TopicFrames
+from multilica.ingest.selection.window import TopicFrames, until_full
 from multilica.snapshot import Snapshot
 from tests.ingest.support.recording_writers import PERIOD_NS, START_NS, make_snapshot, write_mcap, write_ros1_bag
 

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metadata of recordings: those that `multilica record` saves, vehicle and time of a log."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import closing, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from multilica.config import IngestConfig
+from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_json, parse_yaml, read_limited
+from multilica.errors import MultilicaError
+from multilica.ingest.containers.mcap_file import mcap_metadata
+from multilica.ingest.damage import DamagedRecordingError
+from multilica.ingest.locate import PathLike, find_source, locate
+from multilica.ingest.memory import limited_memory
+from multilica.ingest.opening import open_source
+from multilica.ingest.recording import sanitize_text
+from multilica.ingest.remote.address import is_live
+from multilica.ingest.remote.error_texts import ConnectionLostError
+from multilica.ingest.remote.remote_file import SourceFile
+from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
+
+_PREFIX = "When it was recorded: "
+_MAX_FRAMES = 1_000_000
+
+VEHICLE_KEYS = ("vehicle", "vehicle_id", "vehicle_name", "robot", "robot_id")
+"""Keys, in any metadata record of an MCAP file or in `custom_data` of a ROS 2 bag, of the vehicle's name."""
+
+_LATEST_NS = 2**63
+
+
+def _frames(text: object) -> object:
+    """Return the number of frames in the text of it; 0 for anything else."""
+    return int(text) if isinstance(text, str) and re.fullmatch("[0-9]{1,7}", text) else 0
+
+
+def _list(text: object) -> object:
+    """Return the list in a JSON text; an empty one for anything else."""
+    try:
+        found = parse_json(text) if isinstance(text, str) else None
+    except DocumentError:
+        found = None
+    return found if isinstance(found, list) else []
+
+
+class SnapshotMetadata(BaseModel):
+    """The metadata record of a snapshot; `frames` is 0 if they are not known."""
+
+    model_config = ConfigDict(frozen=True)
+
+    frames: Annotated[int, BeforeValidator(_frames), Field(le=_MAX_FRAMES)] = 0
+    notes: Annotated[tuple[object, ...], BeforeValidator(_list)] = ()
+
+
+def config_for(sources: Sequence[PathLike]) -> IngestConfig:
+    """Return the defaults; for recorded snapshots, with all of their frames."""
+    frames = frames_recorded(sources)
+    return IngestConfig() if frames is None else IngestConfig(frames=frames)
+
+
+def frames_recorded(sources: Sequence[PathLike]) -> int | None:
+    """Return the largest number of frames per LiDAR that `multilica record` was asked for.
+
+    None unless all sources are such snapshots.
+    """
+    if any(map(is_live, sources)):
+        return None
+    counts = [_snapshot_metadata(locate(source)).frames for source in sources]
+    return max(counts) if counts and all(counts) else None
+
+
+def notes_recorded(files: Sequence[SourceFile], known: Collection[str]) -> list[str]:
+    """Return the notes saved when the snapshots were taken, without the known ones."""
+    notes = [note for file in files for note in _notes(file) if note not in known]
+    return [note if note.startswith(_PREFIX) else f"{_PREFIX}{note}" for note in notes]
+
+
+def _notes(path: SourceFile) -> list[str]:
+    return [" ".join(sanitize_text(note).split()) for note in _snapshot_metadata(path).notes if isinstance(note, str)]
+
+
+def _snapshot_metadata(path: SourceFile) -> SnapshotMetadata:
+    """Return the metadata; empty for every other file, and for a file that cannot be read, which fails later."""
+    with suppress(ValidationError):
+        return SnapshotMetadata.model_validate(_texts(path))
+    return SnapshotMetadata()
+
+
+def _texts(path: SourceFile) -> dict[str, str]:
+    return next((record.metadata for record in mcap_metadata(path) if record.name == SNAPSHOT_METADATA_NAME), {})
+
+
+@dataclass(frozen=True, slots=True)
+class LogIdentity:
+    """Vehicle, empty if the log does not say it, and time of the first message, None if it has none."""
+
+    vehicle: str
+    time_ns: int | None
+
+
+def identify_log(source: PathLike) -> LogIdentity:
+    """Read vehicle and time of a log, as far as it can be read.
+
+    Raises:
+        ConnectionLostError: a server does not answer.
+    """
+    vehicle, time_ns = "", None
+    try:
+        file = locate(source)
+        vehicle = next((texts[key] for texts in _metadata(file) for key in VEHICLE_KEYS if texts.get(key)), "")
+        found = find_source(file)
+        with limited_memory(IngestConfig().max_memory_mb, found.label), closing(open_source(found)) as recording:
+            span = recording.span_ns([topic.name for topic in recording.topics])
+            time_ns = span[0] if span and 0 < span[0] < _LATEST_NS else None
+    except ConnectionLostError:
+        raise
+    except (MultilicaError, DamagedRecordingError, OSError):
+        pass
+    return LogIdentity(sanitize_text(vehicle), time_ns)
+
+
+def _metadata(file: SourceFile) -> Iterator[Mapping[str, str]]:
+    if isinstance(file, Path) and file.is_dir():
+        yield _custom_data(file / "metadata.yaml")
+        return
+    yield from (record.metadata for record in mcap_metadata(file))
+    if isinstance(file, Path):
+        yield _custom_data(file.parent / "metadata.yaml")
+
+
+def _custom_data(path: Path) -> Mapping[str, str]:
+    with suppress(OSError, DocumentError, TypeError, KeyError, AttributeError):
+        values = parse_yaml(read_limited(path, MAX_YAML_BYTES))["rosbag2_bagfile_information"]["custom_data"]
+        return {str(key): str(value) for key, value in values.items()}
+    return {}
