@@ -8,7 +8,7 @@ from multilica.exports.values import extrinsics_of_poses
 from multilica.extrinsics import Extrinsics
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
-from multilica.ingest.transforms.static_transforms import read_static_transforms
+from multilica.ingest.transforms.prior import read_static_transforms
 from multilica.sinks.mcap.snapshot_mcap import static_transforms_mcap
 from multilica.sinks.text.extrinsics_text import child_poses
 

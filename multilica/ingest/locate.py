@@ -12,7 +12,6 @@ from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
 from multilica.ingest.formats import FORMATS, Content, detect_format, name_unpacked, named_format
-from multilica.ingest.point_files.cloud_files import FrameFiles
 from multilica.ingest.remote.address import require_readable, scheme_of
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 
@@ -22,6 +21,15 @@ _LISTED = 5
 _METADATA = "metadata.yaml"
 _PART = re.compile(r"\s*-\s+[\"']?(.+?)[\"']?\s*")
 _NUSCENES = ".pcd.bin"
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFiles:
+    """The files of one LiDAR, oldest first; `topic` is the name of the file or folder."""
+
+    topic: str
+    lidar: str
+    files: tuple[SourceFile, ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,10 +11,9 @@ from importlib import import_module
 from typing import cast
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.damage import reason_of
 from multilica.ingest.formats import FORMATS, Content
 from multilica.ingest.memory import require_decodable
-from multilica.ingest.recording import RawMessage, Topic
+from multilica.ingest.recording import RawMessage, Topic, reason_of
 from multilica.optional_libraries import OPTIONAL_LIBRARIES
 from multilica.snapshot import Scan
 

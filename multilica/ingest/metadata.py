@@ -8,22 +8,17 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
-
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from multilica.config import IngestConfig
 from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_json, parse_yaml, read_limited
 from multilica.errors import MultilicaError
 from multilica.ingest.containers.mcap_file import mcap_metadata
-from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
-from multilica.ingest.recording import sanitize_text
+from multilica.ingest.recording import DamagedRecordingError, sanitize_text
 from multilica.ingest.remote.address import is_live
-from multilica.ingest.remote.error_texts import ConnectionLostError
-from multilica.ingest.remote.remote_file import SourceFile
+from multilica.ingest.remote.remote_file import ConnectionLostError, SourceFile
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
 
 _PREFIX = "When it was recorded: "
@@ -33,29 +28,6 @@ VEHICLE_KEYS = ("vehicle", "vehicle_id", "vehicle_name", "robot", "robot_id")
 """Keys, in any metadata record of an MCAP file or in `custom_data` of a ROS 2 bag, of the vehicle's name."""
 
 _LATEST_NS = 2**63
-
-
-def _frames(text: object) -> object:
-    """Return the number of frames in the text of it; 0 for anything else."""
-    return int(text) if isinstance(text, str) and re.fullmatch("[0-9]{1,7}", text) else 0
-
-
-def _list(text: object) -> object:
-    """Return the list in a JSON text; an empty one for anything else."""
-    try:
-        found = parse_json(text) if isinstance(text, str) else None
-    except DocumentError:
-        found = None
-    return found if isinstance(found, list) else []
-
-
-class SnapshotMetadata(BaseModel):
-    """The metadata record of a snapshot; `frames` is 0 if they are not known."""
-
-    model_config = ConfigDict(frozen=True)
-
-    frames: Annotated[int, BeforeValidator(_frames), Field(le=_MAX_FRAMES)] = 0
-    notes: Annotated[tuple[object, ...], BeforeValidator(_list)] = ()
 
 
 def config_for(sources: Sequence[PathLike]) -> IngestConfig:
@@ -71,28 +43,32 @@ def frames_recorded(sources: Sequence[PathLike]) -> int | None:
     """
     if any(map(is_live, sources)):
         return None
-    counts = [_snapshot_metadata(locate(source)).frames for source in sources]
+    counts = [_frames(_snapshot_metadata(locate(source))) for source in sources]
     return max(counts) if counts and all(counts) else None
 
 
 def notes_recorded(files: Sequence[SourceFile], known: Collection[str]) -> list[str]:
     """Return the notes saved when the snapshots were taken, without the known ones."""
-    notes = [note for file in files for note in _notes(file) if note not in known]
+    notes = [note for file in files for note in _notes(_snapshot_metadata(file)) if note not in known]
     return [note if note.startswith(_PREFIX) else f"{_PREFIX}{note}" for note in notes]
 
 
-def _notes(path: SourceFile) -> list[str]:
-    return [" ".join(sanitize_text(note).split()) for note in _snapshot_metadata(path).notes if isinstance(note, str)]
+def _frames(saved: Mapping[str, str]) -> int:
+    """Return the number of frames; 0 if there is no valid one."""
+    text = saved.get("frames", "")
+    frames = int(text) if re.fullmatch("[0-9]{1,7}", text) else 0
+    return frames if frames <= _MAX_FRAMES else 0
 
 
-def _snapshot_metadata(path: SourceFile) -> SnapshotMetadata:
-    """Return the metadata; empty for every other file, and for a file that cannot be read, which fails later."""
-    with suppress(ValidationError):
-        return SnapshotMetadata.model_validate(_texts(path))
-    return SnapshotMetadata()
+def _notes(saved: Mapping[str, str]) -> list[str]:
+    with suppress(DocumentError):
+        notes = parse_json(saved.get("notes", ""))
+        return [" ".join(sanitize_text(note).split()) for note in notes if isinstance(note, str)]
+    return []
 
 
-def _texts(path: SourceFile) -> dict[str, str]:
+def _snapshot_metadata(path: SourceFile) -> Mapping[str, str]:
+    """Return the record of a snapshot; empty for other files, and for a file that cannot be read, which fails later."""
     return next((record.metadata for record in mcap_metadata(path) if record.name == SNAPSHOT_METADATA_NAME), {})
 
 

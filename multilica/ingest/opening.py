@@ -4,11 +4,11 @@
 import heapq
 import shutil
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from importlib import import_module
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import cast
 
@@ -16,18 +16,21 @@ import zstandard
 
 from multilica.errors import UnreadableSourceError, UsageError
 from multilica.ingest.containers.ouster_recording import with_turns
-from multilica.ingest.damage import DamagedRecordingError
-from multilica.ingest.formats import Content, FileFormat, detect_format
-from multilica.ingest.locate import Source, locate
+from multilica.ingest.formats import Content, FileFormat, detect_format, named_format
+from multilica.ingest.locate import FrameFiles, Source, locate
+from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import decode_cloud, is_cloud
-from multilica.ingest.point_files.cloud_files import CloudFiles
+from multilica.ingest.point_files import pcd, ply
+from multilica.ingest.point_files.point_table import MAX_HEADER_BYTES
 from multilica.ingest.recording import (
+    DamagedRecordingError,
     Messages,
     RawMessage,
     Recording,
     Span,
     Topic,
     WrappedRecording,
+    damage_named,
     joint_span,
     joint_topics,
 )
@@ -42,11 +45,16 @@ _ALWAYS_BYTES = 64 << 20
 _MAX_TRIES = 4
 """Scans to try for the frame id; the first ones may be broken."""
 
+_CLAIMED: Mapping[str, Callable[[bytes], int]] = {"pcd": pcd.claimed_bytes, "ply": ply.claimed_bytes}
+"""Format -> function from the beginning of a file to the bytes that its header claims."""
+_MAX_FILE_BYTES = 1 << 30
+"""A file with thirty million points is a map, not a scan."""
+
 
 def open_source(source: Source) -> Recording:
     """Open the files of a source as one recording; raise UnreadableSourceError if none can be read."""
     if source.frames:
-        return CloudFiles(source.frames)
+        return _CloudFiles(source.frames)
     if source.recorders:
         return _open_recorders(source.recorders)
     files = source.recordings
@@ -71,7 +79,7 @@ def _open_recorders(sources: tuple[Source, ...]) -> Recording:
         for source in sources:
             parts.append((locate(source.label), open_source(source)))
             opened.enter_context(closing(parts[-1][1]))
-        joined = JoinedRecording(parts)
+        joined = _JoinedRecording(parts)
         opened.pop_all()
     return joined
 
@@ -89,7 +97,7 @@ def _open_parts(files: tuple[SourceFile, ...], missing: tuple[str, ...]) -> Reco
     damage = str(errors[0]).rstrip(".") if errors else ""
     if missing:
         damage = f"the bag lacks {missing[0]}, which its metadata.yaml names"
-    return SplitRecording(parts, damage)
+    return _SplitRecording(parts, damage)
 
 
 def _open_packed(path: Path, where: str) -> Recording:
@@ -134,7 +142,7 @@ def _unpack(path: Path, target: Path, where: str) -> None:
                 raise DamagedRecordingError(where, "compressed data cannot be unpacked") from error
 
 
-class SplitRecording:
+class _SplitRecording:
     """Several open recordings, one after the other, oldest first."""
 
     def __init__(self, parts: Sequence[Recording], damage: str = "") -> None:
@@ -166,7 +174,7 @@ class SplitRecording:
             part.close()
 
 
-class JoinedRecording:
+class _JoinedRecording:
     """Recordings of the same moment; a topic in several of them is prefixed with its file, as in ``left.bag:/points``.
 
     Raises:
@@ -252,3 +260,66 @@ def _identity(recording: Recording, topic: Topic) -> tuple[str, str]:
             with suppress(UnreadableSourceError):
                 return topic.name, decode_cloud(message).frame_id
     return topic.name, ""
+
+
+class _CloudFiles:
+    """Point files as a recording whose topics are files or folders.
+
+    Raises:
+        UnreadableSourceError: a LiDAR's first file is empty or not a point file.
+    """
+
+    format = "point files"
+    damage = ""
+    is_indexed = True
+
+    def __init__(self, lidars: Sequence[FrameFiles]) -> None:
+        self._files = {lidar.topic: lidar.files for lidar in lidars}
+        self.topics = tuple(sorted(map(_topic, lidars), key=lambda topic: topic.name))
+
+    def span_ns(self, topics: Collection[str]) -> None:
+        """Return None: point files have no time."""
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """Yield the first frame of each topic, then the second of each; `start_ns` is ignored."""
+        del start_ns
+        chosen = [topic for topic in self.topics if topic.name in topics]
+        for row in zip_longest(*(self._files[topic.name] for topic in chosen)):
+            for topic, path in zip(chosen, row, strict=True):
+                if path is not None:
+                    yield _message(topic, path)
+
+    def close(self) -> None:
+        """Do nothing: no file stays open."""
+
+
+def _topic(lidar: FrameFiles) -> Topic:
+    encoding = _encoding(lidar.files[0])
+    return Topic(lidar.topic, encoding.upper(), encoding, len(lidar.files), lidar.lidar)
+
+
+def _encoding(path: SourceFile) -> str:
+    return (named_format(path) or detect_format(path)).name
+
+
+def _message(topic: Topic, path: SourceFile) -> RawMessage:
+    with damage_named(str(path)):
+        size = path.stat().st_size
+        if size > _MAX_FILE_BYTES:
+            raise UnreadableSourceError(
+                f"{path} has {size} bytes; expected one scan of at most {_MAX_FILE_BYTES} bytes."
+            )
+        encoding = _encoding(path)
+        data = memory_budget().keep(_content(path, encoding, size))
+        return RawMessage(topic.name, encoding.upper(), encoding, 0, data, str(path))
+
+
+def _content(path: SourceFile, encoding: str, size: int) -> bytes:
+    """Return the content of a file; of one with more bytes than its header claims, only the claimed ones."""
+    with path.open("rb") as file:
+        head = file.read(MAX_HEADER_BYTES)
+        claimed = _CLAIMED[encoding](head) if encoding in _CLAIMED else size
+        length = min(size, max(claimed, len(head)))
+        memory_budget().require(length)
+        file.seek(0)
+        return file.read(length)

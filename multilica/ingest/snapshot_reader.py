@@ -22,7 +22,7 @@ from multilica.ingest.remote.address import is_live, require_valid, without_secr
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 from multilica.ingest.selection.topics import choose_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
-from multilica.ingest.transforms.static_transforms import StaticTransforms, read_static_transforms
+from multilica.ingest.transforms.prior import StaticTransforms, read_static_transforms
 from multilica.snapshot import LidarScans, Snapshot
 
 WHOLE_FILE_BYTES = 256 << 20

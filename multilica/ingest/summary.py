@@ -20,7 +20,7 @@ from multilica.ingest.selection.topics import choose_topics, unread_notes
 from multilica.ingest.selection.window import Window, collect_frames, require_frames
 from multilica.ingest.snapshot_reader import assemble_snapshot, with_recorded_notes
 from multilica.ingest.split_sources import require_calibratable
-from multilica.ingest.transforms.static_transforms import read_static_transforms
+from multilica.ingest.transforms.prior import read_static_transforms
 from multilica.snapshot import Snapshot
 
 _NS_PER_S = 1e9

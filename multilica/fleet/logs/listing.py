@@ -21,8 +21,7 @@ from multilica.fleet.logs.log import FleetLog, fingerprint_of
 from multilica.fleet.store.store import vehicle_name
 from multilica.ingest.formats import Content, name_unpacked, named_format
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
-from multilica.ingest.remote.error_texts import remote_failures_named
-from multilica.ingest.remote.remote_file import open_file_system
+from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 
 _MANIFESTS = (".csv", ".parquet")
 _BUCKETS = ("s3", "gs")

@@ -45,8 +45,7 @@ from multilica.fleet.store.records import (
 )
 from multilica.fleet.times import month_of
 from multilica.ingest.remote.address import scheme_of, without_secrets
-from multilica.ingest.remote.error_texts import remote_failures_named
-from multilica.ingest.remote.remote_file import open_file_system
+from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 from multilica.optional_libraries import needed_for
 from multilica.sinks.files.atomic import atomic_file
 

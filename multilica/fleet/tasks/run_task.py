@@ -24,7 +24,7 @@ from multilica.fleet.tasks.task_rows import calibrated_rows, verified_rows
 from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError
-from multilica.ingest.remote.error_texts import ConnectionLostError
+from multilica.ingest.remote.remote_file import ConnectionLostError
 from multilica.results.document import ResultDocument
 from multilica.run import run_calibration
 from multilica.runs.run_documents import read_run_document

@@ -45,7 +45,7 @@ def main() -> None:
 def _answer(request: dict[str, Any], run_task: Any) -> dict[str, Any]:  # noqa: ANN401 - a module that takes time to load
     from multilica.fleet.tasks.log_task import LogTask
     from multilica.ingest.metadata import identify_log
-    from multilica.ingest.remote.error_texts import ConnectionLostError
+    from multilica.ingest.remote.remote_file import ConnectionLostError
 
     try:
         if "identify" in request:

@@ -14,10 +14,9 @@ from functools import partial
 from itertools import count
 
 from multilica.ingest.containers.exact_reader import ExactReader
-from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.decompression import UNCOMPRESSED, require_checksum, unpack
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.recording import Messages, RawMessage, Span, Topic
+from multilica.ingest.recording import DamagedRecordingError, Messages, RawMessage, Span, Topic, damage_named
 
 _AHEAD = 1
 """Compressed chunks that are unpacked ahead; see docs/decisions/0005-chunks-unpacked-ahead.md."""

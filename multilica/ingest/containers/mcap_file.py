@@ -28,10 +28,19 @@ from mcap.summary import Summary
 from multilica.ingest.containers.chunked import ChunkedRecording, ChunkPlace, PackedChunk
 from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader, unpack_head
 from multilica.ingest.containers.unindexed import Part, Survey, UnindexedRecording
-from multilica.ingest.damage import DamagedRecordingError, damage_named, reason_of
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES, require_checksum
 from multilica.ingest.formats import FORMATS, named_format
-from multilica.ingest.recording import RawMessage, Recording, Span, Topic, joint_topics, normal_type
+from multilica.ingest.recording import (
+    DamagedRecordingError,
+    RawMessage,
+    Recording,
+    Span,
+    Topic,
+    damage_named,
+    joint_topics,
+    normal_type,
+    reason_of,
+)
 from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
 from multilica.pointcloud2 import LIDAR_NAME_KEY
 

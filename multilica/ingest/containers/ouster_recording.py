@@ -9,10 +9,9 @@ from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.message_types import MESSAGE_TYPES, OTHER_PACKETS, OUSTER, OUSTER_TURN, is_installed
 from multilica.ingest.messages.ros import WireReader
-from multilica.ingest.recording import Messages, RawMessage, Recording, Topic, WrappedRecording
+from multilica.ingest.recording import DamagedRecordingError, Messages, RawMessage, Recording, Topic, WrappedRecording
 
 if TYPE_CHECKING:
     from multilica.ingest.messages.ouster_packets import Sensor

@@ -16,9 +16,16 @@ from typing import TypeAlias
 from multilica.ingest.containers.chunked import ChunkedRecording, ChunkPlace, PackedChunk
 from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader, unpack_head
 from multilica.ingest.containers.unindexed import Part, UnindexedRecording
-from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES
-from multilica.ingest.recording import RawMessage, Recording, Topic, joint_topics, normal_type
+from multilica.ingest.recording import (
+    DamagedRecordingError,
+    RawMessage,
+    Recording,
+    Topic,
+    damage_named,
+    joint_topics,
+    normal_type,
+)
 
 _OFFSET = struct.Struct("<Q")
 _COUNT = struct.Struct("<4sI")

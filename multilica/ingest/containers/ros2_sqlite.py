@@ -14,10 +14,19 @@ from urllib.parse import quote
 import apsw
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.damage import DamagedRecordingError, damage_named
 from multilica.ingest.decompression import MAX_UNPACKED_BYTES
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.recording import Messages, Recording, Span, Topic, joint_span, joint_topics, normal_type
+from multilica.ingest.recording import (
+    DamagedRecordingError,
+    Messages,
+    Recording,
+    Span,
+    Topic,
+    damage_named,
+    joint_span,
+    joint_topics,
+    normal_type,
+)
 
 Tallies: TypeAlias = Mapping[int, tuple[int, int, int]]
 """Topic id of the database -> number of messages, first and last log time in nanoseconds."""

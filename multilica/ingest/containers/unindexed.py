@@ -8,8 +8,16 @@ from dataclasses import dataclass, field
 from operator import itemgetter
 from typing import cast
 
-from multilica.ingest.damage import DamagedRecordingError, damage_named
-from multilica.ingest.recording import Messages, RawMessage, Span, Topic, joint_span, joint_topics
+from multilica.ingest.recording import (
+    DamagedRecordingError,
+    Messages,
+    RawMessage,
+    Span,
+    Topic,
+    damage_named,
+    joint_span,
+    joint_topics,
+)
 
 Part = tuple[int, Iterator[RawMessage]]
 """Position behind a record of the file, and the messages of the record, which may be a chunk."""

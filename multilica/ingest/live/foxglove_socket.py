@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, TypeAdapter, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
 from multilica.documents import DocumentError, first_problem, parse_json
 from multilica.errors import UnreadableSourceError
@@ -58,13 +58,6 @@ class Advertised:
     oddity: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class Withdrawn:
-    """Numbers of channels that the server no longer offers."""
-
-    numbers: frozenset[int]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Received:
     """A message of the channel with the number `subscription`."""
@@ -72,13 +65,6 @@ class Received:
     subscription: int
     log_time_ns: int
     data: memoryview
-
-
-@dataclass(frozen=True, slots=True)
-class Oddity:
-    """A message that makes no sense; `what` says why, as a predicate."""
-
-    what: str
 
 
 def _sanitized(value: object) -> object:
@@ -128,7 +114,6 @@ class OtherMessage(BaseModel):
 
 
 _MESSAGES: Mapping[str, type[BaseModel]] = {"advertise": AdvertiseMessage, "unadvertise": UnadvertiseMessage}
-_OTHER = TypeAdapter(OtherMessage)
 
 
 class FoxgloveSocket:
@@ -179,8 +164,12 @@ class FoxgloveSocket:
         except (OSError, WebSocketException) as error:
             raise ConnectionLost(str(error)) from error
 
-    def receive(self, timeout_s: float) -> Advertised | Withdrawn | Received | Oddity | None:
-        """Return the next event, None for others or without any in time; raise ConnectionLost if the server is gone."""
+    def receive(self, timeout_s: float) -> Advertised | UnadvertiseMessage | Received | str | None:
+        """Return the next event, None for others or without any in time, or what is wrong with it, as a predicate.
+
+        Raises:
+            ConnectionLost: the server is gone.
+        """
         try:
             frame = self._socket.recv(timeout=timeout_s)
         except TimeoutError:
@@ -190,7 +179,7 @@ class FoxgloveSocket:
             oddity = f"has more than {_MAX_MESSAGE_BYTES} bytes" if is_too_big else ""
             raise ConnectionLost(str(error), oddity) from error
         except (UnicodeDecodeError, RecursionError) as error:
-            return Oddity(f"is not valid: {type(error).__name__}")
+            return f"is not valid: {type(error).__name__}"
         return _text(frame) if isinstance(frame, str) else _binary(frame)
 
     def close(self) -> None:
@@ -198,22 +187,19 @@ class FoxgloveSocket:
         self._socket.close()
 
 
-def _text(frame: str) -> Advertised | Withdrawn | Oddity | None:
+def _text(frame: str) -> Advertised | UnadvertiseMessage | str | None:
     try:
         table = parse_json(frame)
-        model = _MESSAGES.get(_OTHER.validate_python(table).op)
+        model = _MESSAGES.get(OtherMessage.model_validate(table).op)
         message = None if model is None else model.model_validate(table)
     except DocumentError as error:
-        return Oddity(f"is not JSON: {error}")
+        return f"is not JSON: {error}"
     except ValidationError as error:
         where, what, _ = first_problem(error)
-        return Oddity(f"is not of the protocol: {where or 'it'}: {what}")
-    match message:
-        case AdvertiseMessage(channels=entries):
-            return _advertised(entries)
-        case UnadvertiseMessage(channelIds=numbers):
-            return Withdrawn(frozenset(numbers))
-    return None
+        return f"is not of the protocol: {where or 'it'}: {what}"
+    if isinstance(message, AdvertiseMessage):
+        return _advertised(message.channels)
+    return message if isinstance(message, UnadvertiseMessage) else None
 
 
 def _advertised(entries: Iterable[object]) -> Advertised:
@@ -230,9 +216,9 @@ def _advertised(entries: Iterable[object]) -> Advertised:
     return Advertised(channels, oddity)
 
 
-def _binary(frame: bytes) -> Received | Oddity | None:
+def _binary(frame: bytes) -> Received | str | None:
     if not frame or (frame[0] == _MESSAGE_DATA and len(frame) < _MESSAGE_HEAD.size):
-        return Oddity(f"has {len(frame)} bytes, fewer than its head")
+        return f"has {len(frame)} bytes, fewer than its head"
     if frame[0] != _MESSAGE_DATA:
         return None
     _, subscription, log_time_ns = _MESSAGE_HEAD.unpack_from(frame)

@@ -11,9 +11,8 @@ from multilica.ingest.live.foxglove_socket import (
     Advertised,
     ConnectionLost,
     FoxgloveSocket,
-    Oddity,
     Received,
-    Withdrawn,
+    UnadvertiseMessage,
 )
 from multilica.ingest.recording import MessageObserver, Messages, RawMessage, Topic
 from multilica.ingest.remote.address import without_secrets
@@ -141,10 +140,10 @@ class LiveRecording:
                     return None
                 self._channels |= channels
                 self._subscribe([number for number, topic in channels.items() if topic.name in self._wanted])
-            case Withdrawn(numbers):
+            case UnadvertiseMessage(channelIds=numbers):
                 self._channels = {key: topic for key, topic in self._channels.items() if key not in numbers}
-            case Oddity(what):
-                self._count_oddity(what)
+            case str(oddity):
+                self._count_oddity(oddity)
             case Received(subscription) if subscription in self._channels:
                 return self._message(self._channels[subscription], received)
         return None

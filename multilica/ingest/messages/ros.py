@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from multilica.ingest.damage import reason_of
 from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
 from multilica.ingest.memory import require_decodable
 from multilica.ingest.message_types import Cloud
-from multilica.ingest.recording import RawMessage
+from multilica.ingest.recording import RawMessage, reason_of
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan
 

@@ -7,10 +7,9 @@ import numpy as np
 import velodyne_decoder
 
 from multilica.geometry import Float32Array
-from multilica.ingest.damage import reason_of
 from multilica.ingest.message_types import Cloud
 from multilica.ingest.messages.ros import deserialize
-from multilica.ingest.recording import RawMessage
+from multilica.ingest.recording import RawMessage, reason_of
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan
 

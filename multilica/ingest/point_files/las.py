@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from multilica.ingest.damage import reason_of
 from multilica.ingest.decompression import MAX_UNPACKED_BYTES
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud
-from multilica.ingest.recording import RawMessage
+from multilica.ingest.recording import RawMessage, reason_of
 from multilica.optional_libraries import needed_for, require_library
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A file on a server, with the part of `pathlib.Path` that readers use.
+"""A file on a server, with the part of `pathlib.Path` that readers use, and its errors as one sentence.
 
 `UPath` does not fit: for a signed address, its `name`, `suffix` and text contain the signature.
 """
@@ -11,16 +11,17 @@ import os
 import stat
 import time
 import weakref
-from contextlib import ExitStack, closing, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path, PurePosixPath
 from typing import IO, TYPE_CHECKING, Any, TypeAlias, cast
 from urllib.parse import urlsplit
 
-from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.errors import MultilicaError, SourceNotFoundError, UnreadableSourceError
 from multilica.ingest.remote.address import scheme_of, without_secrets
-from multilica.ingest.remote.error_texts import ConnectionLostError, WithoutRangesError, remote_failures_named
+from multilica.optional_libraries import raise_missing
 from multilica.scratch import scratch_folder
 
 if TYPE_CHECKING:
@@ -37,6 +38,24 @@ _READ_S = 30
 _SLOWEST_BYTES_PER_S = 50_000
 """A read ends after `_READ_S` and the time that its bytes take at this speed, however steadily a server drips them."""
 _LONGEST_S = 600
+
+_CREDENTIALS = {
+    "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or AWS_PROFILE, or FSSPEC_S3_ANON=true for a public bucket",
+    "gs": "run `gcloud auth application-default login`, or set FSSPEC_GS_TOKEN=anon for a public bucket",
+}
+_LIBRARIES = {"s3": "s3fs", "gs": "gcsfs"}
+_NO_CREDENTIALS = {
+    "CredentialRetrievalError",
+    "DefaultCredentialsError",
+    "NoCredentialsError",
+    "PartialCredentialsError",
+    "ProfileNotFound",
+    "RefreshError",
+}
+_LATE = {"FSTimeoutError", "TimeoutError", "ConnectTimeoutError", "ReadTimeoutError"}
+_LOST = {"ClientConnectionError", "ClientPayloadError", "ConnectionError", "HTTPClientError", "IncompleteReadError"}
+_NO_HTTP = {"HttpProcessingError", "BadHttpMessage", "ContentEncodingError"}
+_BAD_REDIRECTS = {"InvalidURL", "InvalidUrlClientError", "RedirectClientError"}
 
 
 class RemoteFile:
@@ -276,3 +295,70 @@ def _options(url: str) -> dict[str, Any]:
     client = {"timeout": timeout, "headers": {"Accept-Encoding": "identity"}}
     # The signature of an address covers its exact text.
     return {"client_kwargs": client, "encoded": "%" in url}
+
+
+class ConnectionLostError(UnreadableSourceError):
+    """A server does not answer; trying again may help."""
+
+
+class WithoutRangesError(UnreadableSourceError):
+    """A server does not serve parts of files."""
+
+
+@contextmanager
+def remote_failures_named(where: str, scheme: str) -> Iterator[None]:
+    """Turn any error of a client library into one sentence, without its text, which may contain a key."""
+    try:
+        yield
+    except MultilicaError:
+        raise
+    except ImportError as error:
+        raise_missing(f"Reading {where}", _LIBRARIES.get(scheme, "fsspec"), error)
+    except Exception as error:
+        raise _explained(error, where, scheme) from error
+
+
+def _explained(error: Exception, where: str, scheme: str) -> MultilicaError:  # noqa: C901, PLR0911 - one per reason
+    causes = list(_causes(error))
+    # By name, so that no client library is imported to recognise its exceptions.
+    names = {kind.__name__ for cause in causes for kind in type(cause).__mro__}
+    # A body that ends early has the status of bad HTTP.
+    status = None if "ClientPayloadError" in names else _status(causes, names)
+    hint = _CREDENTIALS.get(scheme, "check that the address is complete and still valid")
+    if "TooManyRedirects" in names:
+        return UnreadableSourceError(f"The server of {where} redirects without end; check the address.")
+    if names & _BAD_REDIRECTS:
+        return UnreadableSourceError(f"The server of {where} redirects to an address that is not valid.")
+    if names & _NO_HTTP and not names & _LOST:
+        return UnreadableSourceError(f"The server of {where} does not answer in valid HTTP; download the file.")
+    if names & _NO_CREDENTIALS:
+        return UnreadableSourceError(f"No credentials were found for {where}; {hint}.")
+    if status in (401, 403):
+        return UnreadableSourceError(f"Access to {where} is denied; {hint}.")
+    if status in (404, 410):
+        return SourceNotFoundError(f"Nothing exists at {where}.")
+    if status is not None:
+        return UnreadableSourceError(f"The server of {where} answers with status {status}; try again later.")
+    if names & _LATE:
+        return ConnectionLostError(f"The server of {where} did not answer in time; try again, or download the file.")
+    if names & _LOST:
+        return ConnectionLostError(f"The connection to the server of {where} failed; check the address, try again.")
+    if any("range requests" in str(cause) for cause in causes):
+        return WithoutRangesError(f"The server of {where} does not serve parts of files; download the file.")
+    return UnreadableSourceError(f"{where} cannot be read ({type(error).__name__}); try to download the file.")
+
+
+def _status(causes: list[BaseException], names: set[str]) -> int | None:
+    """Return the status of HTTP, also if a client library has raised a built-in exception for it."""
+    found = (getattr(cause, name, None) for cause in causes for name in ("status", "code"))
+    status = next((code for code in found if isinstance(code, int) and code >= 400), None)
+    if status is not None or names & (_LATE | _LOST):
+        return status
+    return 403 if "PermissionError" in names else 404 if "FileNotFoundError" in names else None
+
+
+def _causes(error: BaseException) -> Iterator[BaseException]:
+    seen: BaseException | None = error
+    while seen is not None:
+        yield seen
+        seen = seen.__cause__

@@ -12,10 +12,9 @@ import numpy as np
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnreadableSourceError
-from multilica.ingest.damage import DamagedRecordingError
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud
-from multilica.ingest.recording import RawMessage, Recording
+from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
 from multilica.ingest.selection.time_range import PATIENCE_NS, TimeRange, evenly, find_time_range, sampled
 from multilica.snapshot import Scan
 

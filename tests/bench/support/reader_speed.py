@@ -33,10 +33,10 @@ def main(reader: str, path: Path) -> None:
 
 
 def _decoded(path: Path) -> tuple[int, int]:
-    from multilica.ingest.damage import DamagedRecordingError
     from multilica.ingest.locate import find_source
     from multilica.ingest.message_types import decode_cloud, is_cloud
     from multilica.ingest.opening import open_source
+    from multilica.ingest.recording import DamagedRecordingError
 
     size = points = 0
     with closing(open_source(find_source(path))) as recording, suppress(DamagedRecordingError):

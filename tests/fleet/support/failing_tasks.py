@@ -13,7 +13,7 @@ from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks import run_task, task_server
 from multilica.fleet.tasks.log_task import LogTaskSummary, failed_row
 from multilica.ingest import metadata
-from multilica.ingest.remote.error_texts import ConnectionLostError
+from multilica.ingest.remote.remote_file import ConnectionLostError
 
 
 def run_log_task(request):

@@ -15,8 +15,7 @@ from multilica.ingest.containers import mcap_file, ros1_bag, unindexed
 from multilica.ingest.containers.chunked import PackedChunk
 from multilica.ingest.containers.mcap_file import open_unindexed
 from multilica.ingest.containers.unindexed import Part, UnindexedRecording
-from multilica.ingest.damage import DamagedRecordingError
-from multilica.ingest.recording import RawMessage
+from multilica.ingest.recording import DamagedRecordingError, RawMessage
 from tests.ingest.support.recording_writers import PERIOD_NS, START_NS, make_snapshot, write_mcap, write_ros1_bag
 
 CHUNK_BYTES = 10_000

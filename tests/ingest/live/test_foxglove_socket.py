@@ -15,7 +15,7 @@ from websockets.sync.server import ServerConnection, serve
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError
 from multilica.ingest.live import foxglove_socket
-from multilica.ingest.live.foxglove_socket import Advertised, ConnectionLost, FoxgloveSocket, Oddity, Withdrawn
+from multilica.ingest.live.foxglove_socket import Advertised, ConnectionLost, FoxgloveSocket, UnadvertiseMessage
 from multilica.ingest.live.live_recording import LiveRecording
 from multilica.ingest.recording import Topic
 from multilica.ingest.snapshot_reader import listen
@@ -82,14 +82,14 @@ def heard(frames: list[str | bytes]) -> list[object]:
 
 def test_other_operations_are_passed_over() -> None:
     goodbye = json.dumps({"op": "unadvertise", "channelIds": [2]})
-    assert heard([*OF_OTHER_OPERATIONS, goodbye]) == [None, None, Withdrawn(frozenset({2}))]
+    assert heard([*OF_OTHER_OPERATIONS, goodbye]) == [None, None, UnadvertiseMessage(op="unadvertise", channelIds=(2,))]
 
 
 def test_what_makes_no_sense_is_an_oddity() -> None:
     goodbye = json.dumps({"op": "unadvertise", "channelIds": [2]})
     *odd, last = heard([*ODDITIES, goodbye])
-    assert all(isinstance(each, Oddity) and each.what for each in odd)
-    assert last == Withdrawn(frozenset({2}))
+    assert all(isinstance(each, str) and each for each in odd)
+    assert last == UnadvertiseMessage(op="unadvertise", channelIds=(2,))
 
 
 def test_oddities_are_counted_and_told() -> None:
