@@ -59,25 +59,40 @@ class FileFormat:
 
 
 _MESSAGES, _CLOUD = Content.RECORDING, Content.CLOUD
-_ENTRIES = (
-    FileFormat(
-        "mcap", "an MCAP file", (".mcap",), _MESSAGES, "containers.mcap_file", (b"\x89MCAP0\r\n",), reads_ranges=True
-    ),
-    FileFormat(
-        "sqlite3", "an SQLite file (ROS 2 bag)", (".db3",), _MESSAGES, "containers.ros2_sqlite", (b"SQLite format 3\0",)
-    ),
-    FileFormat("ros1", "a ROS 1 bag", (".bag", ".bag.active"), _MESSAGES, "containers.ros1_bag", (b"#ROSBAG V2.0",)),
-    FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), Content.FILE, "", (ZSTD_MAGIC,)),
-    FileFormat("ply", "a PLY file", (".ply",), _CLOUD, "point_files.ply", (b"ply\n", b"ply\r")),
-    FileFormat("las", "a LAS file", (".las", ".laz"), _CLOUD, "point_files.las", (b"LASF",)),
-    FileFormat("npy", "a NumPy file", (".npy",), _CLOUD, "point_files.raw_arrays", (b"\x93NUMPY",)),
-    FileFormat("pcd", "a PCD file", (".pcd",), _CLOUD, "point_files.pcd", (b"# .PCD",), (b"VERSION", b"FIELDS")),
-    FileFormat("kitti", "a float32 file (KITTI)", (".bin",), _CLOUD, "point_files.raw_arrays"),
-    FileFormat("nuscenes", "a float32 file (nuScenes)", (".pcd.bin",), _CLOUD, "point_files.raw_arrays"),
-)
-FORMATS = {entry.name: entry for entry in _ENTRIES}
+FORMATS = {
+    entry.name: entry
+    for entry in (
+        FileFormat(
+            "mcap",
+            "an MCAP file",
+            (".mcap",),
+            _MESSAGES,
+            "containers.mcap_file",
+            (b"\x89MCAP0\r\n",),
+            reads_ranges=True,
+        ),
+        FileFormat(
+            "sqlite3",
+            "an SQLite file (ROS 2 bag)",
+            (".db3",),
+            _MESSAGES,
+            "containers.ros2_sqlite",
+            (b"SQLite format 3\0",),
+        ),
+        FileFormat(
+            "ros1", "a ROS 1 bag", (".bag", ".bag.active"), _MESSAGES, "containers.ros1_bag", (b"#ROSBAG V2.0",)
+        ),
+        FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), Content.FILE, "", (ZSTD_MAGIC,)),
+        FileFormat("ply", "a PLY file", (".ply",), _CLOUD, "point_files.ply", (b"ply\n", b"ply\r")),
+        FileFormat("las", "a LAS file", (".las", ".laz"), _CLOUD, "point_files.las", (b"LASF",)),
+        FileFormat("npy", "a NumPy file", (".npy",), _CLOUD, "point_files.raw_arrays", (b"\x93NUMPY",)),
+        FileFormat("pcd", "a PCD file", (".pcd",), _CLOUD, "point_files.pcd", (b"# .PCD",), (b"VERSION", b"FIELDS")),
+        FileFormat("kitti", "a float32 file (KITTI)", (".bin",), _CLOUD, "point_files.raw_arrays"),
+        FileFormat("nuscenes", "a float32 file (nuScenes)", (".pcd.bin",), _CLOUD, "point_files.raw_arrays"),
+    )
+}
 """Name -> format; the first one that matches is taken."""
-_NAMED = {suffix: entry for entry in _ENTRIES for suffix in entry.suffixes if entry.content is not Content.FILE}
+_NAMED = {suffix: entry for entry in FORMATS.values() for suffix in entry.suffixes if entry.content is not Content.FILE}
 
 _UNSUPPORTED = (
     (b"#ROSBAG", "a ROS 1 bag of an old version; convert it with `rosbag migrate`"),

@@ -70,7 +70,10 @@ def find_source(source: PathLike | Sequence[PathLike]) -> Source:
     if not paths:
         raise UsageError("No source was given; expected a recording, a folder or point files.")
     try:
-        return _find(paths)
+        missing = [path for path in paths if not path.exists()]
+        if missing:
+            raise SourceNotFoundError(f"Nothing exists at {missing[0]}.")
+        return _several(paths) if len(paths) > 1 else _look_at(paths[0])
     except OSError as error:
         raise UnreadableSourceError(f"{error.filename} cannot be opened: {error.strerror}.") from error
 
@@ -88,13 +91,6 @@ def require_distinct(paths: Sequence[SourceFile]) -> None:
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise UsageError(f"{repeated[0]} is given more than once.")
-
-
-def _find(paths: list[SourceFile]) -> Source:
-    for path in paths:
-        if not path.exists():
-            raise SourceNotFoundError(f"Nothing exists at {path}.")
-    return _several(paths) if len(paths) > 1 else _look_at(paths[0])
 
 
 def _look_at(path: SourceFile) -> Source:

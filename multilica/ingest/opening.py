@@ -275,7 +275,9 @@ class _CloudFiles:
 
     def __init__(self, lidars: Sequence[FrameFiles]) -> None:
         self._files = {lidar.topic: lidar.files for lidar in lidars}
-        self.topics = tuple(sorted(map(_topic, lidars), key=lambda topic: topic.name))
+        named = ((lidar, _encoding(lidar.files[0])) for lidar in lidars)
+        topics = (Topic(each.topic, name.upper(), name, len(each.files), each.lidar) for each, name in named)
+        self.topics = tuple(sorted(topics, key=lambda topic: topic.name))
 
     def span_ns(self, topics: Collection[str]) -> None:
         """Return None: point files have no time."""
@@ -291,11 +293,6 @@ class _CloudFiles:
 
     def close(self) -> None:
         """Do nothing: no file stays open."""
-
-
-def _topic(lidar: FrameFiles) -> Topic:
-    encoding = _encoding(lidar.files[0])
-    return Topic(lidar.topic, encoding.upper(), encoding, len(lidar.files), lidar.lidar)
 
 
 def _encoding(path: SourceFile) -> str:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from multilica.geometry import FloatArray, RigidTransform, lengths
 from multilica.ingest.transforms.prior import poses_from
 from multilica.ingest.transforms.urdf import Joint
-from multilica.snapshot import LidarScans, Scan
+from multilica.snapshot import LidarScans
 
 _MAX_POINTS = 4000
 _MIN_POINTS = 200
@@ -65,17 +65,15 @@ def _sample(lidar: LidarScans) -> FloatArray:
 def _copies(lidars: Sequence[LidarScans]) -> Iterator[str]:
     for one, other in combinations(lidars, 2):
         frames = min(len(one.scans), len(other.scans))
-        same = sum(_is_copy(*pair) for pair in zip(one.scans, other.scans, strict=False))
+        same = sum(
+            len(scan.points_m) >= _MIN_POINTS and np.array_equal(scan.points_m, twin.points_m)
+            for scan, twin in zip(one.scans, other.scans, strict=False)
+        )
         if same:
             yield (
                 f"{one.name} and {other.name} have identical points in {same} of {frames} frames: one LiDAR may be "
                 "recorded under two names."
             )
-
-
-def _is_copy(one: Scan, other: Scan) -> bool:
-    """Return whether two frames have the same points, in the same order."""
-    return len(one.points_m) >= _MIN_POINTS and np.array_equal(one.points_m, other.points_m)
 
 
 def _extent_note(points_m: FloatArray) -> str:

@@ -243,10 +243,12 @@ def _next_head(stream: ExactReader) -> tuple[int, int]:
 
 def _add_chunk(stream: ExactReader, end: int, found: Survey, known: _KnownChannels) -> None:
     start, read_end = stream.tell(), min(end, stream.tell() + stream.remaining)
-    span, unpacked_bytes = _chunk_claims(stream.read(min(_CHUNK_HEAD_BYTES, read_end - start)))
-    found.latest_ns = max(found.latest_ns, span[1])
+    first_ns, last_ns, unpacked_bytes, _, _ = unpack_head(
+        _CHUNK_HEAD, stream.read(min(_CHUNK_HEAD_BYTES, read_end - start))
+    )
+    found.latest_ns = max(found.latest_ns, last_ns)
     stream.seek(read_end)
-    indexed = _message_indexes(stream, span)
+    indexed = _message_indexes(stream, (first_ns, last_ns))
     behind = stream.tell()
     if indexed and indexed.keys() <= known.topics.keys():
         for channel, (count, times) in indexed.items():
@@ -327,12 +329,6 @@ def _chunk_of(record: memoryview) -> PackedChunk:
         raise EndOfFileError
     compression = str(record[_CHUNK_HEAD.size : end], "utf-8")
     return PackedChunk(compression, data, size, crc32, is_whole=length == len(data))
-
-
-def _chunk_claims(record: bytes) -> tuple[Span, int]:
-    """Return the span of a chunk and its unpacked size in bytes, as the head of its record claims."""
-    first_ns, last_ns, size, _, _ = unpack_head(_CHUNK_HEAD, record)
-    return (first_ns, last_ns), size
 
 
 def _topic_of(channel: Channel, schemas: Mapping[int, Schema]) -> Topic:

@@ -67,13 +67,14 @@ class Received:
     data: memoryview
 
 
-def _sanitized(value: object) -> object:
-    """Replace what is no valid text: JSON may hold half a surrogate pair."""
-    return sanitize_text(value) if isinstance(value, str) else value
-
-
 _Number = Annotated[int, Strict(), Field(ge=0, lt=1 << 32)]
-_Text = Annotated[str, BeforeValidator(_sanitized), Strict(), Field(max_length=1024)]
+_Text = Annotated[
+    str,
+    BeforeValidator(lambda value: sanitize_text(value) if isinstance(value, str) else value),
+    Strict(),
+    Field(max_length=1024),
+]
+"""JSON may hold half a surrogate pair, which is no valid text."""
 
 
 class ChannelMessage(BaseModel):

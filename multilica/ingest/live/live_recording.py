@@ -87,7 +87,10 @@ class LiveRecording:
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield messages as they arrive up to the time limit, and earlier static transforms; ignore `start_ns`."""
         del start_ns
-        self._subscribe_topics(topics)
+        static = {topic.name for topic in self._channels.values() if topic.name.endswith(_STATIC_SUFFIX)}
+        added = (static | set(topics)) - self._wanted
+        self._wanted |= added
+        self._subscribe([number for number, topic in self._channels.items() if topic.name in added])
         yield from (message for message in self._static if message.topic in topics)
         limit_s = self._limit_s(topics)
         while (left_s := limit_s - time.monotonic()) > 0.0:
@@ -109,12 +112,6 @@ class LiveRecording:
 
     def _left_s(self) -> float:
         return self._end_s - time.monotonic()
-
-    def _subscribe_topics(self, topics: Collection[str]) -> None:
-        static = {topic.name for topic in self._channels.values() if topic.name.endswith(_STATIC_SUFFIX)}
-        added = (static | set(topics)) - self._wanted
-        self._wanted |= added
-        self._subscribe([number for number, topic in self._channels.items() if topic.name in added])
 
     def _subscribe(self, numbers: Collection[int]) -> None:
         if numbers:

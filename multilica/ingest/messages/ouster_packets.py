@@ -77,7 +77,8 @@ def decode_cloud(message: RawMessage) -> Cloud:
     sensor = sensor_of(metadata)
     frame = _frame(sensor, data[_LENGTH.size + head_bytes :])
     seen = frame.field(core.ChanField.RANGE) > 0
-    x, y, z = _points_m(metadata, frame)[seen].T
+    in_sensor_m, T_sensor_lidar = _directions(metadata)
+    x, y, z = ((in_sensor_m(frame) - T_sensor_lidar[:3, 3]) @ T_sensor_lidar[:3, :3])[seen].T
     points_m, intensity = finite_points(x, y, z, _intensity(frame)[seen])
     stamps_ns = frame.timestamp[frame.timestamp > 0]
     stamp_ns = int(stamps_ns[0]) if len(stamps_ns) else message.log_time_ns
@@ -94,12 +95,6 @@ def _frame(sensor: Sensor, packets: memoryview) -> Any:  # noqa: ANN401 - the cl
         except (RuntimeError, ValueError) as error:
             raise ValueError("cannot be unpacked: its packets contradict the sensor's metadata") from error
     return frame
-
-
-def _points_m(metadata: str, frame: Any) -> FloatArray:  # noqa: ANN401 - see _frame
-    in_sensor_m, T_sensor_lidar = _directions(metadata)
-    points_m: FloatArray = (in_sensor_m(frame) - T_sensor_lidar[:3, 3]) @ T_sensor_lidar[:3, :3]
-    return points_m
 
 
 @lru_cache(maxsize=16)

@@ -145,7 +145,10 @@ class RemoteFile:
             is_folder = handle.details.get("type") == "directory"
         if is_folder:
             raise UnreadableSourceError(f"{self} is a folder; expected the address of a file.")
-        on_disk = self._path_on_disk()
+        stack = ExitStack()
+        folder = stack.enter_context(scratch_folder())
+        weakref.finalize(self, stack.close)
+        on_disk = folder / (self.name or "download")
         with remote_failures_named(str(self), self._scheme):
             return self._cached(system, path, handle, on_disk)
 
@@ -192,21 +195,12 @@ class RemoteFile:
                 while data := bytes(source.read(_PIECE_BYTES)):
                     size += file.write(data)
                     self._require_size(size, why)
-                    self._require_speed(size, time.monotonic() - start_s)
+                    taken_s = time.monotonic() - start_s
+                    if taken_s > _READ_S + size / _SLOWEST_BYTES_PER_S:
+                        raise UnreadableSourceError(
+                            f"The server of {self} sent only {size} bytes in {taken_s:.0f} s; try again later."
+                        )
         return size
-
-    def _require_speed(self, size: int, taken_s: float) -> None:
-        if taken_s > _READ_S + size / _SLOWEST_BYTES_PER_S:
-            raise UnreadableSourceError(
-                f"The server of {self} sent only {size} bytes in {taken_s:.0f} s; try again later."
-            )
-
-    def _path_on_disk(self) -> Path:
-        """Return a path in a folder that is removed together with this object."""
-        stack = ExitStack()
-        folder = stack.enter_context(scratch_folder())
-        weakref.finalize(self, stack.close)
-        return folder / (self.name or "download")
 
     def _fetch(self, start: int, end: int) -> bytes:
         begin_s = time.monotonic()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace
@@ -52,8 +53,12 @@ def collect_frames(recording: Recording, topics: Collection[str], config: Ingest
         UnreadableSourceError: it is damaged before the first frame.
     """
     times = find_time_range(recording, config, label)
-    streams = [TopicFrames(topic, _wanted(recording, topic, config)) for topic in sorted(topics)]
-    damage = _fill({stream.topic: stream for stream in streams}, recording, times, config.frames)
+    counts: Counter[str] = Counter()
+    for topic in filter(is_cloud, recording.topics):
+        counts[topic.name] += topic.count
+    frames = config.frames
+    streams = [TopicFrames(name, frames if recording.damage else min(frames, counts[name])) for name in sorted(topics)]
+    damage = _fill({stream.topic: stream for stream in streams}, recording, times, frames)
     faults = [fault for stream in streams for fault in stream.faults()]
     shortages = [note for stream in streams for note in _shortages(stream, streams, damage)]
     if damage and all(stream.is_full for stream in streams):
@@ -87,13 +92,6 @@ def require_frames(window: Window, topics: Collection[str], config: IngestConfig
             raise UnfitSnapshotError(f"{label} has no scan of '{topic}' after {config.start_s:g} s.")
     if not has_frames:
         raise UnfitSnapshotError(f"{label} has no readable scan after {config.start_s:g} s.")
-
-
-def _wanted(recording: Recording, topic: str, config: IngestConfig) -> int:
-    if recording.damage:
-        return config.frames
-    count = sum(known.count for known in recording.topics if known.name == topic and is_cloud(known))
-    return min(config.frames, count)
 
 
 def _fill(streams: Mapping[str, TopicFrames], recording: Recording, times: TimeRange, frames: int) -> str:
