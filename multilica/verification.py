@@ -7,7 +7,7 @@ from threadpoolctl import threadpool_limits
 
 from multilica import events
 from multilica.acceptance.pair_graph import PairGraph
-from multilica.acceptance.placement import place, place_target, unplaced_near_known
+from multilica.acceptance.placement import place, unplaced_near_known
 from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
@@ -79,10 +79,8 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     limits = state.config.acceptance
 
     def placement(name: str) -> LidarPlacement:
-        if name == root:
-            return place_target(name)
         if name in rig.poses:
-            return place(rig.poses[name], rig.covariances[name], limits)
+            return place(rig.poses[name], rig.covariances.get(name), limits)
         return unplaced_near_known(name, rig.poses, scores, found, limits)
 
     placements = tuple(map(placement, state.snapshot.names))

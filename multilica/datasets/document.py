@@ -10,14 +10,14 @@ from multilica.datasets.presets import DatasetRuns
 from multilica.datasets.published import Published
 from multilica.results.document.values import Entry, Number
 from multilica.runs import Tolerances
-from multilica.runs.paper_document import PaperDocument, paper_document
+from multilica.runs.paper_table import PaperTable
 
 
 class PresetEntry(Entry):
     """One preset on all scenes; `table` is null if no scene has a truth."""
 
     median_stages_s: Number
-    table: PaperDocument | None
+    table: PaperTable | None
 
 
 class RefusedEntry(Entry):
@@ -33,7 +33,7 @@ class PublishedEntry(Entry):
 
     statements: tuple[str, ...]
     label: str
-    table: PaperDocument | None
+    table: PaperTable | None
 
 
 class DatasetDocument(Entry):
@@ -50,22 +50,14 @@ class DatasetDocument(Entry):
 
 def dataset_document(dataset: str, found: DatasetRuns, known: Published, limits: Tolerances) -> DatasetDocument:
     """Convert the runs on a data set to their JSON document."""
-    tables = {each.preset: each.table(limits) for each in found.presets}
     return DatasetDocument(
         dataset=dataset,
         scenes=found.scenes,
         without_truth=found.without_truth,
         refused=tuple(RefusedEntry(scene=one, preset=name, reason=why) for one, name, why in found.refused),
         presets={
-            each.preset: PresetEntry(
-                median_stages_s=each.median_stages_s,
-                table=None if (table := tables[each.preset]) is None else paper_document(table),
-            )
+            each.preset: PresetEntry(median_stages_s=each.median_stages_s, table=each.table(limits))
             for each in found.presets
         },
-        published=PublishedEntry(
-            statements=known.statements,
-            label=known.label,
-            table=None if known.table is None else paper_document(known.table),
-        ),
+        published=PublishedEntry.of(known),
     )

@@ -1,42 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of two runs."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from math import isclose
+from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BaseModel, Field
 
+from multilica.config import STAGES
 from multilica.diagnosis import explain
 from multilica.errors import InputError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray
 from multilica.results.document import ResultDocument
 from multilica.results.document.values import Entry, Number, Vector3
-from multilica.runs.first_difference import Change, StageDifference, stage_differences
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import RunDocument
+
+# On another CPU equal runs agree to this.
+_SAME = 1e-6
 
 PlacementStatus = Literal["placed", "uncertain", "not placed", "missing"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Move:
-    """A LiDAR of which both runs have a pose.
+class Move(Entry):
+    """A LiDAR of which both runs have a pose; second run - first run, along the axes of the first run's target.
 
-    Args:
-        uncertain: whether one of the two poses is uncertain.
-        error: second pose - first pose, along the axes of the first run's target.
-        sigmas: the largest of the six differences divided by its standard deviation; None without covariances.
-        moved: whether it moved by more than the limits.
+    It moved by more than the limits if `moved`; one of the two poses is uncertain if `uncertain`. `sigmas` is the
+    largest of the six differences divided by its standard deviation; null without covariances.
     """
 
-    lidar: str
-    error: PoseError
-    sigmas: float | None
     moved: bool
     uncertain: bool
+    distance_m: float
+    angle_deg: float
+    translation_m: Vector3
+    rotation_deg: Vector3
+    sigmas: Number
 
 
 class StatusChange(Entry):
@@ -56,65 +57,43 @@ class PlacedByNeither(Entry):
     after: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RunDifference:
-    """Differences between two runs.
+class Change(Entry):
+    """A value that differs between two runs; None in a run that lacks it."""
+
+    what: str = Field(description="Names of the keys that lead to it, joined by dots.")
+    before: Any
+    after: Any
+
+
+class RunDifference(Entry):
+    """Differences between two runs, the output of `multilica diff --json`; null stands for what is not known.
 
     Args:
+        same: whether both place the same LiDARs at the same poses, within the limits.
         target: LiDAR in whose axes the moves are.
         moves: per LiDAR of which both have a pose, in name order, without the target.
+        placed_by_neither: per LiDAR that none of them placed, in name order.
         statuses: per LiDAR that they do not agree on.
-        neither: per LiDAR that none of them placed, in name order.
-        stage_differences: steps at which the runs differ, in order.
+        differences: per step at which the runs differ, in order: `input`, `config`, `versions`, or a stage.
         notes: what could not be compared.
     """
-
-    names: tuple[str, str]
-    target: str
-    targets: tuple[str, str]
-    moves: tuple[Move, ...]
-    statuses: tuple[StatusChange, ...]
-    neither: tuple[PlacedByNeither, ...]
-    stage_differences: tuple[StageDifference, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def same(self) -> bool:
-        """True if both place the same LiDARs at the same poses, within the limits."""
-        return not self.statuses and not any(move.moved for move in self.moves)
-
-    @property
-    def places_nothing(self) -> bool:
-        """True if neither run places a LiDAR, the target included."""
-        return bool(self.neither) and self.target in {each.lidar for each in self.neither} and not self.statuses
-
-
-class MoveEntry(Entry):
-    """A LiDAR of which both runs have a pose; second run - first run, along the axes of the first run's target."""
-
-    moved: bool
-    uncertain: bool
-    distance_m: float
-    angle_deg: float
-    translation_m: Vector3
-    rotation_deg: Vector3
-    sigmas: Number
-
-
-class DifferenceDocument(Entry):
-    """The output of `multilica diff --json`; null stands for what is not known."""
 
     schema_: Literal["multilica/difference/1"] = Field("multilica/difference/1", alias="schema")
     runs: tuple[str, str]
     same: bool
     target: str
     targets: tuple[str, str]
-    moves: Mapping[str, MoveEntry]
+    moves: Mapping[str, Move]
     placed_by_neither: Mapping[str, PlacedByNeither]
     statuses: Mapping[str, StatusChange]
-    first_difference: str | None
+    first_difference: str | None = None
     differences: Mapping[str, tuple[Change, ...]]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @property
+    def places_nothing(self) -> bool:
+        """True if neither run places a LiDAR, the target included."""
+        return self.target in self.placed_by_neither and not self.statuses
 
 
 def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, within_rad: float) -> RunDifference:
@@ -132,33 +111,40 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
     rigs = Extrinsics(first.target, first.poses), Extrinsics(second.target, second.poses)
     common = {*first.poses} & {*second.poses}
     found = {name: (_status(first, name), _status(second, name)) for name in sorted({*first.lidars, *second.lidars})}
+    limits = within_m, within_rad
+    moves = {
+        name: _move(
+            first.target,
+            name,
+            rigs,
+            _variances(first, second, name),
+            limits,
+            uncertain="uncertain" in found[name],
+        )
+        for name in sorted(common - {first.target})
+        if first.target in common
+    }
+    statuses = [
+        StatusChange(lidar=name, before=status, after=later, why=_why((second, first), name))
+        for name, (status, later) in found.items()
+        if status != later
+    ]
+    neither = {
+        name: PlacedByNeither(lidar=name, before=_why((first,), name), after=_why((second,), name))
+        for name, both in found.items()
+        if both == ("not placed", "not placed")
+    }
+    differences = stage_differences(first, second)
     return RunDifference(
-        names=(str(before.path), str(after.path)),
+        runs=(str(before.path), str(after.path)),
+        same=_same_poses(moves, statuses),
         target=first.target,
         targets=(first.target, second.target),
-        moves=tuple(
-            _move(
-                first.target,
-                name,
-                rigs,
-                _variances(first, second, name),
-                (within_m, within_rad),
-                uncertain="uncertain" in found[name],
-            )
-            for name in sorted(common - {first.target})
-            if first.target in common
-        ),
-        statuses=tuple(
-            StatusChange(lidar=name, before=status, after=later, why=_why((second, first), name))
-            for name, (status, later) in found.items()
-            if status != later
-        ),
-        neither=tuple(
-            PlacedByNeither(lidar=name, before=_why((first,), name), after=_why((second,), name))
-            for name, statuses in found.items()
-            if statuses == ("not placed", "not placed")
-        ),
-        stage_differences=stage_differences(first, second),
+        moves=moves,
+        placed_by_neither=neither,
+        statuses={change.lidar: change for change in statuses},
+        first_difference=next(iter(differences), None),
+        differences=differences,
         notes=_notes(before, after),
     )
 
@@ -178,24 +164,30 @@ def compare_poses(
     rigs, limits = (before, after), (within_m, within_rad)
     # The common frame of a file may be that of the vehicle.
     compared = (before.members | after.members) - {before.target, after.target} | {*common}
+    moves = {name: _move(target, name, rigs, None, limits, uncertain=False) for name in common if name != target}
+    statuses = {
+        name: StatusChange(
+            lidar=name,
+            before="placed" if name in before.members else "missing",
+            after="placed" if name in after.members else "missing",
+            why="only one of the two has it",
+        )
+        for name in sorted(compared - {*common})
+    }
     return RunDifference(
-        names=names,
+        runs=names,
+        same=_same_poses(moves, statuses),
         target=target,
         targets=(target, target),
-        moves=tuple(_move(target, name, rigs, None, limits, uncertain=False) for name in common if name != target),
-        statuses=tuple(
-            StatusChange(
-                lidar=name,
-                before="placed" if name in before.members else "missing",
-                after="placed" if name in after.members else "missing",
-                why="only one of the two has it",
-            )
-            for name in sorted(compared - {*common})
-        ),
-        neither=(),
-        stage_differences=(),
-        notes=(),
+        moves=moves,
+        placed_by_neither={},
+        statuses=statuses,
+        differences={},
     )
+
+
+def _same_poses(moves: Mapping[str, Move], statuses: Collection[object]) -> bool:
+    return not statuses and not any(move.moved for move in moves.values())
 
 
 def _move(
@@ -216,7 +208,7 @@ def _move(
     # Rounding gives equal poses an angle.
     equal = np.array_equal(before.matrix, after.matrix)
     moved = not equal and (error.distance_m > limits[0] or error.angle_rad > limits[1])
-    return Move(lidar, error, sigmas, moved, uncertain)
+    return Move.of(error, moved=moved, uncertain=uncertain, rotation_deg=np.rad2deg(error.rotation_rad), sigmas=sigmas)
 
 
 def _variances(before: ResultDocument, after: ResultDocument, lidar: str) -> FloatArray | None:
@@ -258,17 +250,40 @@ def _notes(before: RunDocument, after: RunDocument) -> tuple[str, ...]:
     return (*without, *unplaced)
 
 
-def difference_document(difference: RunDifference) -> DifferenceDocument:
-    """Convert a difference to its JSON document."""
-    return DifferenceDocument.of(
-        difference,
-        runs=difference.names,
-        moves={
-            move.lidar: MoveEntry.of(move, move.error, rotation_deg=np.rad2deg(move.error.rotation_rad))
-            for move in difference.moves
-        },
-        placed_by_neither={each.lidar: each for each in difference.neither},
-        statuses={change.lidar: change for change in difference.statuses},
-        first_difference=difference.stage_differences[0].step if difference.stage_differences else None,
-        differences={difference.step: difference.changes for difference in difference.stage_differences},
-    )
+def stage_differences(before: ResultDocument, after: ResultDocument) -> dict[str, tuple[Change, ...]]:
+    """Return every step at which two runs differ, in order; stages are compared if both have figures of them."""
+    return {step: changes for step, changes in _steps(before, after) if changes}
+
+
+def _steps(before: ResultDocument, after: ResultDocument) -> Iterator[tuple[str, tuple[Change, ...]]]:
+    # The same bytes under another name are the same input.
+    unread = {"source"} if before.input.sha256 and before.input.sha256 == after.input.sha256 else set()
+    yield "input", _changes(before.input, after.input, unread)
+    yield "config", _changes(before.config, after.config)
+    yield "versions", tuple(changes_between(before.versions, after.versions))
+    figures = [each.stages.model_dump(mode="json") if each.stages else {} for each in (before, after)]
+    for stage in STAGES:
+        if all(stage in each for each in figures):
+            yield stage, tuple(changes_between(figures[0][stage], figures[1][stage]))
+
+
+def _changes(before: BaseModel, after: BaseModel, exclude: Collection[str] = ()) -> tuple[Change, ...]:
+    first, second = (each.model_dump(mode="json", exclude={*exclude}) for each in (before, after))
+    return tuple(changes_between(first, second))
+
+
+def changes_between(before: object, after: object, what: str = "") -> Iterator[Change]:
+    """Yield the leaves in which two documents differ, floats by more than 1e-6."""
+    if isinstance(before, Mapping) and isinstance(after, Mapping):
+        for key in [*before, *(key for key in after if key not in before)]:
+            yield from changes_between(before.get(key), after.get(key), f"{what}.{key}" if what else str(key))
+    elif not _same(before, after):
+        yield Change(what=what, before=before, after=after)
+
+
+def _same(before: object, after: object) -> bool:
+    if isinstance(before, float) and isinstance(after, float):
+        return isclose(before, after, rel_tol=_SAME, abs_tol=_SAME)
+    if isinstance(before, list) and isinstance(after, list):
+        return len(before) == len(after) and all(_same(*pair) for pair in zip(before, after, strict=True))
+    return before == after

@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison of runs with ground truth."""
+"""Comparison of runs with ground truth, also as JSON, Parquet and CSV."""
 
+import csv
+import io
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Any, BinaryIO, Literal, get_args
 
 import numpy as np
+from pydantic import Field, InstanceOf
 
 from multilica.errors import InputError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.results import LidarPlacement
-from multilica.results.document.values import Entry
+from multilica.results.document.values import Entry, Number
 from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
 from multilica.runs.run_documents import SavedRun
+from multilica.sinks.files.atomic import atomic_file
 
 Outcome = Literal["within", "between", "false_accept", "false_refuse", "uncertain_within", "uncertain_beyond"]
+OUTCOMES: tuple[Outcome, ...] = get_args(Outcome)
 
 UNCERTAIN_SIGMA = 3.0
 """An uncertain pose that is off by more of its own sigma (`as_sigma`) is `uncertain_beyond`."""
@@ -27,8 +33,8 @@ class Tolerances:
     """Limits of a right and of a wrong placement.
 
     Args:
-        within_m, within_rad: a placed LiDAR off by no more than both is a success.
-        wrong_m, wrong_rad: a placed LiDAR off by more than either is a false accept.
+        within_m, within_deg: a placed LiDAR off by no more than both is a success.
+        wrong_m, wrong_deg: a placed LiDAR off by more than either is a false accept.
         wrong_sigma: so is one that is off by more sigma of its own covariance (`as_sigma`).
 
     Raises:
@@ -36,19 +42,19 @@ class Tolerances:
     """
 
     within_m: float = 0.02
-    within_rad: float = math.radians(0.1)
+    within_deg: float = 0.1
     wrong_m: float = 0.05
-    wrong_rad: float = math.radians(0.5)
+    wrong_deg: float = 0.5
     wrong_sigma: float = 4.0
 
     def __post_init__(self) -> None:
-        for unit, scale, within, wrong in (
-            ("m", 1.0, self.within_m, self.wrong_m),
-            ("deg", math.degrees(1.0), self.within_rad, self.wrong_rad),
+        for unit, within, wrong in (
+            ("m", self.within_m, self.wrong_m),
+            ("deg", self.within_deg, self.wrong_deg),
         ):
             if not 0.0 < within <= wrong < math.inf:
                 raise UsageError(
-                    f"Found 'within' {within * scale:g} {unit} and 'wrong' {wrong * scale:g} {unit}; "
+                    f"Found 'within' {within:g} {unit} and 'wrong' {wrong:g} {unit}; "
                     "expected limits above zero, 'within' not above 'wrong'."
                 )
         if not 0.0 < self.wrong_sigma < math.inf:
@@ -66,11 +72,11 @@ class Tolerances:
         if uncertain:
             right = normalised is not None and as_sigma(normalised) <= UNCERTAIN_SIGMA
             return "uncertain_within" if right else "uncertain_beyond"
-        if error.distance_m > self.wrong_m or error.angle_rad > self.wrong_rad:
+        if error.distance_m > self.wrong_m or error.angle_deg > self.wrong_deg:
             return "false_accept"
         if normalised is not None and as_sigma(normalised) > self.wrong_sigma:
             return "false_accept"
-        right = error.distance_m <= self.within_m and error.angle_rad <= self.within_rad
+        right = error.distance_m <= self.within_m and error.angle_deg <= self.within_deg
         return "within" if right else "between"
 
 
@@ -85,27 +91,33 @@ class Truth:
         return lidar in self.extrinsics.members
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Comparison:
-    """One LiDAR of one run compared with the truth.
+class Comparison(Entry):
+    """One LiDAR of one run compared with the truth; errors are null if it is neither placed nor uncertain.
 
-    Args:
-        error: None if the run has no pose of the LiDAR.
-        normalised: the `normalised_error`; None also if the run has no covariance.
+    `error_normalised` is the `normalised_error`, `error_sigma` the same as the deviation of one normal variable; both
+    are null if the run has no covariance.
     """
 
     run: str
     truth: str
     target: str
-    placement: LidarPlacement
-    error: PoseError | None
-    normalised: float | None
+    lidar: str
+    placed: bool
+    uncertain: bool
     outcome: Outcome
-
-    @property
-    def error_sigma(self) -> float | None:
-        """The normalised error as the deviation of one normal variable, see `as_sigma`."""
-        return None if self.normalised is None else as_sigma(self.normalised)
+    error_x_m: Number = None
+    error_y_m: Number = None
+    error_z_m: Number = None
+    error_distance_m: Number = None
+    error_roll_deg: Number = None
+    error_pitch_deg: Number = None
+    error_yaw_deg: Number = None
+    error_angle_deg: Number = None
+    error_normalised: Number = None
+    error_sigma: Number = None
+    fitness: Number = None
+    reason: str
+    error: InstanceOf[PoseError] | None = Field(None, exclude=True)
 
 
 class LeftOut(Entry):
@@ -116,61 +128,56 @@ class LeftOut(Entry):
     reason: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Summary:
-    """Counts of outcomes, with statistics per component of the absolute errors of placed LiDARs; None without any."""
+class ErrorFigures(Entry):
+    """Errors along and about the axes of the run's target; null if no LiDAR was placed."""
 
+    x_m: Number = None
+    y_m: Number = None
+    z_m: Number = None
+    distance_m: Number = None
+    roll_deg: Number = None
+    pitch_deg: Number = None
+    yaw_deg: Number = None
+    angle_deg: Number = None
+
+
+class Summary(Entry):
+    """Counts of outcomes, with statistics of the absolute errors of all placed LiDARs."""
+
+    lidars: int
     within: int
     between: int
     false_accept: int
     false_refuse: int
     uncertain_within: int
     uncertain_beyond: int
-    rmse: PoseError | None
-    median: PoseError | None
-    largest: PoseError | None
-
-    @property
-    def lidars(self) -> int:
-        """Number of compared LiDARs."""
-        return self.within + self.between + self.false_accept + self.false_refuse + self.uncertain
-
-    @property
-    def uncertain(self) -> int:
-        """Number of compared LiDARs whose pose the run calls uncertain."""
-        return self.uncertain_within + self.uncertain_beyond
+    success_rate: float
+    rmse: ErrorFigures
+    median: ErrorFigures
+    largest: ErrorFigures
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Evaluation:
-    """All runs compared with the truth, in the given order, per LiDAR in name order; targets are not compared."""
+class Runs(Entry):
+    """The evaluated runs; `faultless` are those of which every compared LiDAR is within the limits."""
 
+    given: tuple[str, ...]
+    compared: int
+    faultless: int
+
+
+class Evaluation(Entry):
+    """All runs compared with the truth, in the given order, per LiDAR in name order; targets are not compared.
+
+    This is the output of `multilica evaluate --json`; null stands for what is not known.
+    """
+
+    schema_: Literal["multilica/evaluation/1"] = Field("multilica/evaluation/1", alias="schema")
     tolerances: Tolerances
-    runs: tuple[str, ...]
-    comparisons: tuple[Comparison, ...]
+    runs: Runs
+    overall: Summary
+    by_lidar: Mapping[str, Summary]
+    lidars: tuple[Comparison, ...]
     left_out: tuple[LeftOut, ...]
-
-    @property
-    def overall(self) -> Summary:
-        """Summary over all LiDARs and runs."""
-        return summarise(self.comparisons)
-
-    @property
-    def by_lidar(self) -> dict[str, Summary]:
-        """Summary over all runs, per LiDAR in name order."""
-        names = sorted({comparison.placement.lidar for comparison in self.comparisons})
-        return {name: summarise([one for one in self.comparisons if one.placement.lidar == name]) for name in names}
-
-    @property
-    def compared_runs(self) -> tuple[str, ...]:
-        """Runs with at least one compared LiDAR."""
-        return tuple(dict.fromkeys(comparison.run for comparison in self.comparisons))
-
-    @property
-    def faultless_runs(self) -> tuple[str, ...]:
-        """Runs of which every compared LiDAR is within the limits."""
-        faulty = {comparison.run for comparison in self.comparisons if comparison.outcome != "within"}
-        return tuple(run for run in self.compared_runs if run not in faulty)
 
 
 def evaluate(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: Tolerances | None = None) -> Evaluation:
@@ -185,36 +192,40 @@ def evaluate(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: Tole
     repeated = [name for name, count in Counter(names).items() if count > 1]
     if repeated:
         raise UsageError(f"Run {repeated[0]} is given more than once; give each run once, or it counts twice.")
-    comparisons: list[Comparison] = []
+    found: list[Comparison] = []
     left_out: list[LeftOut] = []
     for run, truth in zip(runs, truth_per_run(truths, len(runs)), strict=True):
         left_out += _left_out(run, truth)
-        found = [
-            one
-            for one in run.placements
-            if one.lidar != run.target and {one.lidar, run.target} <= truth.extrinsics.members
-        ]
-        comparisons += [_comparison(run, truth, one, tolerances) for one in found]
-    if not comparisons:
+        common = [one for one in run.placements if {one.lidar, run.target} <= truth.extrinsics.members]
+        found += [_comparison(run, truth, one, tolerances) for one in common if one.lidar != run.target]
+    if not found:
         why = f": {left_out[0].reason}" if left_out else ""
         raise InputError(f"No LiDAR of {', '.join(names) or 'no run'} can be compared with the truth{why}.")
-    return Evaluation(tolerances, tuple(names), tuple(comparisons), tuple(left_out))
+    compared, faulty = {one.run for one in found}, {one.run for one in found if one.outcome != "within"}
+    lidars = sorted({one.lidar for one in found})
+    return Evaluation(
+        tolerances=tolerances,
+        runs=Runs(given=tuple(names), compared=len(compared), faultless=len(compared - faulty)),
+        overall=_summary(found),
+        by_lidar={lidar: _summary([one for one in found if one.lidar == lidar]) for lidar in lidars},
+        lidars=tuple(found),
+        left_out=tuple(left_out),
+    )
 
 
-def summarise(comparisons: Sequence[Comparison]) -> Summary:
-    """Return counts and statistics of comparisons."""
-    counts = Counter(one.outcome for one in comparisons)
-    errors = [one.error for one in comparisons if one.error is not None and not one.placement.uncertain]
+def _summary(compared: Sequence[Comparison]) -> Summary:
+    counts = Counter(one.outcome for one in compared)
+    errors = [one.error for one in compared if one.error is not None and not one.uncertain]
+    statistics = {
+        "rmse": PoseError.statistic(errors, lambda rows: np.sqrt(np.mean(rows**2, axis=0))),
+        "median": PoseError.statistic(errors, lambda rows: np.median(rows, axis=0)),
+        "largest": PoseError.statistic(errors, lambda rows: np.max(rows, axis=0)),
+    }
     return Summary(
-        within=counts["within"],
-        between=counts["between"],
-        false_accept=counts["false_accept"],
-        false_refuse=counts["false_refuse"],
-        uncertain_within=counts["uncertain_within"],
-        uncertain_beyond=counts["uncertain_beyond"],
-        rmse=PoseError.statistic(errors, lambda rows: np.sqrt(np.mean(rows**2, axis=0))),
-        median=PoseError.statistic(errors, lambda rows: np.median(rows, axis=0)),
-        largest=PoseError.statistic(errors, lambda rows: np.max(rows, axis=0)),
+        lidars=len(compared),
+        **{outcome: counts[outcome] for outcome in OUTCOMES},
+        success_rate=counts["within"] / len(compared),
+        **{name: ErrorFigures(**({} if each is None else each.figures)) for name, each in statistics.items()},
     )
 
 
@@ -245,12 +256,78 @@ def _left_out(run: SavedRun, truth: Truth) -> list[LeftOut]:
     return [LeftOut(run=run.name, lidar=name, reason=reason) for name, reason in reasons.items()]
 
 
-def _comparison(run: SavedRun, truth: Truth, placement: LidarPlacement, tolerances: Tolerances) -> Comparison:
+def _comparison(run: SavedRun, truth: Truth, found: LidarPlacement, tolerances: Tolerances) -> Comparison:
     error, normalised = None, None
-    if placement.T_target_source is not None:
-        true_pose = truth.extrinsics.between(run.target, placement.lidar)
-        error = PoseError.between(placement.T_target_source, true_pose)
-        if placement.covariance is not None:
-            normalised = normalised_error(placement.T_target_source, true_pose, placement.covariance)
-    outcome = tolerances.outcome(error, normalised, uncertain=placement.uncertain)
-    return Comparison(run.name, truth.name, run.target, placement, error, normalised, outcome)
+    if found.T_target_source is not None:
+        true_pose = truth.extrinsics.between(run.target, found.lidar)
+        error = PoseError.between(found.T_target_source, true_pose)
+        if found.covariance is not None:
+            normalised = normalised_error(found.T_target_source, true_pose, found.covariance)
+    return Comparison(
+        run=run.name,
+        truth=truth.name,
+        target=run.target,
+        lidar=found.lidar,
+        placed=error is not None and not found.uncertain,
+        uncertain=found.uncertain,
+        outcome=tolerances.outcome(error, normalised, uncertain=found.uncertain),
+        **({} if error is None else {f"error_{name}": value for name, value in error.figures.items()}),
+        error_normalised=normalised,
+        error_sigma=None if normalised is None else as_sigma(normalised),
+        fitness=found.fitness,
+        reason=found.reason,
+        error=error,
+    )
+
+
+_TABLE_SUFFIXES = (".parquet", ".csv")
+_COLUMNS = [name for name, field in Comparison.model_fields.items() if not field.exclude]
+_TEXT_COLUMNS = frozenset({"run", "truth", "target", "lidar", "outcome", "reason"})
+
+
+def require_table_name(path: Path) -> None:
+    """Check that the name ends in a known suffix.
+
+    Raises:
+        UsageError: it does not.
+    """
+    if path.suffix not in _TABLE_SUFFIXES:
+        raise UsageError(f"Found the table name {path}; expected one that ends in {' or '.join(_TABLE_SUFFIXES)}.")
+
+
+def write_table(evaluation: Evaluation, path: Path) -> None:
+    """Write the rows in the format of the suffix; missing folders are created.
+
+    Columns name their unit. Errors of a LiDAR without a pose are null, in CSV empty. Parquet has the rest of the
+    evaluation as JSON in its metadata, under the key `multilica`.
+
+    Raises:
+        UsageError: unknown suffix.
+    """
+    require_table_name(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(path) as file:
+        (_write_parquet if path.suffix == ".parquet" else _write_csv)(evaluation, file)
+
+
+def _write_csv(evaluation: Evaluation, file: BinaryIO) -> None:
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(row.model_dump() for row in evaluation.lidars)
+    file.write(text.getvalue().encode("utf-8"))
+
+
+def _write_parquet(evaluation: Evaluation, file: BinaryIO) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    types = {name: _column_type(pa, name) for name in _COLUMNS}
+    schema = pa.schema(types, metadata={"multilica": evaluation.model_dump_json(exclude={"lidars"})})
+    parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in evaluation.lidars], schema=schema), file)
+
+
+def _column_type(pa: Any, name: str) -> Any:  # noqa: ANN401
+    if name in _TEXT_COLUMNS:
+        return pa.string()
+    return pa.bool_() if name in ("placed", "uncertain") else pa.float64()

@@ -7,128 +7,80 @@ scripts that the authors publish with their code.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from itertools import combinations
-from typing import Self
+from typing import Literal
 
 import numpy as np
+from pydantic import Field, InstanceOf
 
-from multilica.geometry import FloatArray, RigidTransform, read_only, rotation_angle_rad
+from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
-from multilica.runs.evaluation import Evaluation, Tolerances, Truth, evaluate, truth_per_run
+from multilica.results.document.values import Entry, Number
+from multilica.runs.evaluation import LeftOut, Tolerances, Truth, evaluate, truth_per_run
+from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import SavedRun
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AxisError:
-    """The error of ``T_target_source`` as the paper computes it, or the root mean square of many.
+class AxisFigures(Entry):
+    """Errors along the target's axes and about the source's; null if nothing was placed."""
 
-    Args:
-        translation_m: (3,) found - true, along the target's axes.
-        rotation_rad: (3,) roll, pitch, yaw (extrinsic xyz) of ``inverse(true) @ found``, about the source's axes.
-        angle_rad: angle of that rotation.
-    """
-
-    translation_m: FloatArray
-    rotation_rad: FloatArray
-    angle_rad: float
-
-    @classmethod
-    def between(cls, found: RigidTransform, true: RigidTransform) -> Self:
-        """Compute the error of a found pose."""
-        turn = true.rotation.T @ found.rotation
-        rpy_rad = RigidTransform.from_rotation_translation("", "", turn, np.zeros(3)).rpy_rad
-        shift_m = read_only(found.xyz_m - true.xyz_m, np.float64)
-        return cls(shift_m, read_only(rpy_rad, np.float64), rotation_angle_rad(turn))
-
-    @classmethod
-    def root_mean_square(cls, errors: Sequence[Self]) -> Self | None:
-        """Compute the root mean square per component; None without errors."""
-        if not errors:
-            return None
-        rows = np.array([[*one.translation_m, *one.rotation_rad, one.angle_rad] for one in errors])
-        values = read_only(np.sqrt(np.mean(rows**2, axis=0)), np.float64)
-        return cls(values[:3], values[3:6], float(values[6]))
-
-    def within(self, limits: Tolerances) -> bool:
-        """Return whether distance and angle are within the limits of a success."""
-        distance_m = float(np.linalg.norm(self.translation_m))
-        return distance_m <= limits.within_m and self.angle_rad <= limits.within_rad
+    x_m: Number = None
+    y_m: Number = None
+    z_m: Number = None
+    roll_deg: Number = None
+    pitch_deg: Number = None
+    yaw_deg: Number = None
+    angle_deg: Number = None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PairError:
-    """The pose of one LiDAR relative to another in one run.
-
-    Args:
-        error: None unless the run places both.
-        success: both are placed, and the error is within the limits.
-    """
+class PaperRow(AxisFigures):
+    """One LiDAR relative to another in one run; a success if both are placed and the error is within the limits."""
 
     run: str
     target: str
     source: str
-    error: AxisError | None
     success: bool
+    error: InstanceOf[PoseError] | None = Field(None, exclude=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperSummary:
-    """Errors over scenes and LiDARs; `rmse` covers the placed ones, wrong ones included, None without any."""
+class PaperSummary(Entry):
+    """Figures over scenes; `lidar` is null for pairs, `pair` for LiDARs, both for all.
 
+    `rmse` covers the placed LiDARs, wrong ones included.
+    """
+
+    lidar: str | None = None
+    pair: tuple[str, str] | None = None
     poses: int
     placed: int
     successes: int
-    rmse: AxisError | None
+    placed_rate: Number
+    success_rate: Number
+    rmse: AxisFigures
 
     @property
-    def placed_rate(self) -> float:
-        """Share of the poses that the runs give; nan without poses."""
-        return self.placed / self.poses if self.poses else math.nan
-
-    @property
-    def success_rate(self) -> float:
-        """Share of the poses that are right; nan without poses."""
-        return self.successes / self.poses if self.poses else math.nan
+    def name(self) -> str:
+        """The LiDAR, or the pair, for people; ``all`` over all of them."""
+        return f"{self.pair[1]} in {self.pair[0]}" if self.pair else self.lidar or "all"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PaperTable:
-    """The paper's table of a set of runs.
+class PaperTable(Entry):
+    """The paper's table of a set of runs, the output of `multilica evaluate --table paper --json`.
 
-    Args:
-        evaluation: the comparison of the same runs with the same truths, with its limits and what it left out.
-        to_target: every compared LiDAR of every run, relative to the run's target.
-        between: every two compared LiDARs of every run, names in order, the target among them.
+    `rows` are of every compared LiDAR of every run, relative to the run's target; `between_rows` of every two compared
+    LiDARs, names in order, the target among them. Null stands for what is not known.
     """
 
-    evaluation: Evaluation
-    to_target: tuple[PairError, ...]
-    between: tuple[PairError, ...]
-
-    @property
-    def overall(self) -> PaperSummary:
-        """Figures over all scenes and LiDARs, relative to the target: those that the paper shows."""
-        return summarise_pairs(self.to_target)
-
-    @property
-    def overall_between(self) -> PaperSummary:
-        """Figures over all scenes and pairs of LiDARs."""
-        return summarise_pairs(self.between)
-
-    @property
-    def by_lidar(self) -> dict[str, PaperSummary]:
-        """Figures over all scenes, per LiDAR in name order."""
-        names = sorted({one.source for one in self.to_target})
-        return {name: summarise_pairs(one for one in self.to_target if one.source == name) for name in names}
-
-    @property
-    def by_pair(self) -> dict[tuple[str, str], PaperSummary]:
-        """Figures over all scenes, per pair (target, source) in name order."""
-        pairs = sorted({(one.target, one.source) for one in self.between})
-        return {
-            pair: summarise_pairs(one for one in self.between if (one.target, one.source) == pair) for pair in pairs
-        }
+    schema_: Literal["multilica/paper-table/1"] = Field("multilica/paper-table/1", alias="schema")
+    within_m: float
+    within_deg: float
+    to_target: PaperSummary
+    by_lidar: tuple[PaperSummary, ...]
+    between: PaperSummary
+    by_pair: tuple[PaperSummary, ...]
+    rows: tuple[PaperRow, ...]
+    between_rows: tuple[PaperRow, ...]
+    left_out: tuple[LeftOut, ...]
 
 
 def paper_table(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: Tolerances | None = None) -> PaperTable:
@@ -139,35 +91,64 @@ def paper_table(runs: Sequence[SavedRun], truths: Sequence[Truth], tolerances: T
         InputError: no LiDAR of any run could be compared.
     """
     evaluation = evaluate(runs, truths, tolerances)
-    to_target: list[PairError] = []
-    between: list[PairError] = []
+    limits = evaluation.tolerances
+    to_target: list[PaperRow] = []
+    between: list[PaperRow] = []
     for run, truth in zip(runs, truth_per_run(truths, len(runs)), strict=True):
         if run.target not in truth:
             continue
         known = sorted((one for one in run.placements if one.lidar in truth), key=lambda one: one.lidar)
         target = next((one for one in known if one.lidar == run.target), LidarPlacement(run.target, ""))
-        pairs = [(target, one) for one in known if one.lidar != run.target]
-        to_target += [_pair_error(run, truth, *pair, evaluation.tolerances) for pair in pairs]
-        between += [_pair_error(run, truth, *pair, evaluation.tolerances) for pair in combinations(known, 2)]
-    return PaperTable(evaluation, tuple(to_target), tuple(between))
+        to_target += [_row(run, truth, target, one, limits) for one in known if one.lidar != run.target]
+        between += [_row(run, truth, *pair, limits) for pair in combinations(known, 2)]
+    lidars = sorted({one.source for one in to_target})
+    pairs = sorted({(one.target, one.source) for one in between})
+    return PaperTable(
+        within_m=limits.within_m,
+        within_deg=limits.within_deg,
+        to_target=summarise(to_target),
+        by_lidar=tuple(summarise((one for one in to_target if one.source == name), lidar=name) for name in lidars),
+        between=summarise(between),
+        by_pair=tuple(
+            summarise((one for one in between if (one.target, one.source) == pair), pair=pair) for pair in pairs
+        ),
+        rows=tuple(to_target),
+        between_rows=tuple(between),
+        left_out=evaluation.left_out,
+    )
 
 
-def summarise_pairs(pairs: Iterable[PairError]) -> PaperSummary:
-    """Return counts and root mean squares of errors."""
-    pairs = list(pairs)
-    errors = [one.error for one in pairs if one.error is not None]
-    return PaperSummary(len(pairs), len(errors), sum(one.success for one in pairs), AxisError.root_mean_square(errors))
+def summarise(rows: Iterable[PaperRow], **names: object) -> PaperSummary:
+    """Return counts and root mean squares of errors; `names` are those of the summary."""
+    rows = list(rows)
+    errors = [one.error for one in rows if one.error is not None]
+    successes = sum(one.success for one in rows)
+    rmse = PoseError.statistic(errors, lambda each: np.sqrt(np.mean(each**2, axis=0)))
+    return PaperSummary.of(
+        poses=len(rows),
+        placed=len(errors),
+        successes=successes,
+        placed_rate=len(errors) / len(rows) if rows else math.nan,
+        success_rate=successes / len(rows) if rows else math.nan,
+        rmse=AxisFigures(**_figures(rmse)),
+        **names,
+    )
 
 
-def _pair_error(
-    run: SavedRun, truth: Truth, target: LidarPlacement, source: LidarPlacement, limits: Tolerances
-) -> PairError:
+def _figures(error: PoseError | None) -> dict[str, float]:
+    return {} if error is None else {name: error.figures[name] for name in AxisFigures.model_fields}
+
+
+def _row(run: SavedRun, truth: Truth, target: LidarPlacement, source: LidarPlacement, limits: Tolerances) -> PaperRow:
     poses = [_placed_pose(run, one) for one in (target, source)]
-    if poses[0] is None or poses[1] is None:
-        return PairError(run.name, target.lidar, source.lidar, None, success=False)
-    found = poses[0].inverse() @ poses[1]
-    error = AxisError.between(found, truth.extrinsics.between(target.lidar, source.lidar))
-    return PairError(run.name, target.lidar, source.lidar, error, success=error.within(limits))
+    error = None
+    if poses[0] is not None and poses[1] is not None:
+        true = truth.extrinsics.between(target.lidar, source.lidar)
+        error = PoseError.between(poses[0].inverse() @ poses[1], true, about="source")
+    success = error is not None and error.distance_m <= limits.within_m and error.angle_deg <= limits.within_deg
+    return PaperRow(
+        run=run.name, target=target.lidar, source=source.lidar, success=success, error=error, **_figures(error)
+    )
 
 
 def _placed_pose(run: SavedRun, placement: LidarPlacement) -> RigidTransform | None:

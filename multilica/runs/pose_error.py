@@ -4,7 +4,7 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,11 +34,25 @@ class PoseError:
         """Angle in degrees."""
         return math.degrees(self.angle_rad)
 
+    @property
+    def figures(self) -> dict[str, float]:
+        """All components, by the names that documents give them."""
+        angles_deg = zip(("roll_deg", "pitch_deg", "yaw_deg"), np.rad2deg(self.rotation_rad).tolist(), strict=True)
+        lengths_m = zip(("x_m", "y_m", "z_m"), self.translation_m.tolist(), strict=True)
+        return {**dict(lengths_m), "distance_m": self.distance_m, **dict(angles_deg), "angle_deg": self.angle_deg}
+
     @classmethod
-    def between(cls, found: RigidTransform, true: RigidTransform) -> Self:
-        """Compute the error of a found `T_target_source`."""
-        turn, shift_m = found.rotation @ true.rotation.T, found.xyz_m - true.xyz_m
-        rpy_rad = RigidTransform.from_rotation_translation(found.target, found.target, turn, shift_m).rpy_rad
+    def between(
+        cls, found: RigidTransform, true: RigidTransform, *, about: Literal["target", "source"] = "target"
+    ) -> Self:
+        """Compute the error of a found `T_target_source`.
+
+        Args:
+            about: whose axes the rotation is about; the translation is along those of the target.
+        """
+        shift_m = found.xyz_m - true.xyz_m
+        turn = found.rotation @ true.rotation.T if about == "target" else true.rotation.T @ found.rotation
+        rpy_rad = RigidTransform.from_rotation_translation("", "", turn, shift_m).rpy_rad
         return cls(
             read_only(shift_m, np.float64),
             read_only(rpy_rad, np.float64),

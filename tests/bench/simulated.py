@@ -72,7 +72,7 @@ def claims(lidars: Sequence[LidarOutcome], least_good: float) -> list[Claim]:
     count = Counter(each.standing for each in lidars)
     good, total = count["within"], len(lidars)
     wrong, missed = count["wrong"], count["missed"]
-    sigmas, normalised = (_own_errors(lidars, name) for name in ("error_sigma", "normalised"))
+    sigmas, normalised = (_own_errors(lidars, name) for name in ("error_sigma", "error_normalised"))
     within, median = float(np.mean(sigmas <= 3.0)), float(np.median(normalised))
     doubtful = [each.comparison.error_sigma for each in lidars if each.uncertain]
     covered = sum(sigma is not None and sigma <= 3.0 for sigma in doubtful)
@@ -110,7 +110,7 @@ def figures(lidars: Sequence[LidarOutcome]) -> list[object]:
     if not errors:
         return [len(lidars), *counts, *("-" * 4)]
     metres, radians = (np.median([getattr(error, name) for error in errors]) for name in ("distance_m", "angle_rad"))
-    sigmas, normalised = (_own_errors(lidars, name) for name in ("error_sigma", "normalised"))
+    sigmas, normalised = (_own_errors(lidars, name) for name in ("error_sigma", "error_normalised"))
     return [
         len(lidars),
         *counts,

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import platform
 import time
@@ -23,8 +22,8 @@ from multilica.errors import UnfitSnapshotError
 from multilica.geometry import RigidTransform
 from multilica.pipeline import calibrate
 from multilica.results import LidarPlacement
-from multilica.runs import SavedRun, Tolerances, Truth
-from multilica.runs.paper_table import AxisError, PairError, PaperTable, paper_table, summarise_pairs
+from multilica.runs import PoseError, SavedRun, Tolerances, Truth
+from multilica.runs.paper_table import AxisFigures, PaperRow, PaperTable, paper_table, summarise
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import Snapshot
 from tests.bench.support.cases import NEW_SEEDS, Case
@@ -146,11 +145,13 @@ def page(outcomes: Sequence[Outcome]) -> str:
             "## To the target\n",
             _markdown(
                 ("rig", "system", *COLUMNS, "CPU s"),
-                [(*key, *cells(table.to_target), f"{cpu_s[key]:.1f}") for key, table in tables.items()],
+                [(*key, *cells(table.rows), f"{cpu_s[key]:.1f}") for key, table in tables.items()],
             ),
             "## Between LiDARs\n",
             "The same figures for any two LiDARs of a rig.\n",
-            _markdown(("rig", "system", *COLUMNS), [(*key, *cells(table.between)) for key, table in tables.items()]),
+            _markdown(
+                ("rig", "system", *COLUMNS), [(*key, *cells(table.between_rows)) for key, table in tables.items()]
+            ),
             "## Versions\n",
             _markdown(("package", "version"), list(_versions().items())),
         ]
@@ -161,8 +162,8 @@ def _head() -> str:
     rigs = ", ".join(f"`{rig}` ({target})" for rig, target in TARGETS.items())
     scenes, presets = (", ".join(f"`{name}`" for name in names) for names in (SCENES, PRESETS))
     seeds = ", ".join(map(str, SEEDS))
-    within = f"{1e3 * _LIMITS.within_m:g} mm and {math.degrees(_LIMITS.within_rad):g} degrees"
-    wrong = f"{1e3 * _LIMITS.wrong_m:g} mm or {math.degrees(_LIMITS.wrong_rad):g} degrees"
+    within = f"{1e3 * _LIMITS.within_m:g} mm and {_LIMITS.within_deg:g} degrees"
+    wrong = f"{1e3 * _LIMITS.wrong_m:g} mm or {_LIMITS.wrong_deg:g} degrees"
     return f"""# Benchmark
 
 `make bench-tables` writes this page: the tables of the paper on simulated rigs, with exact truth.
@@ -182,28 +183,28 @@ def _table(outcomes: Sequence[Outcome]) -> PaperTable:
     return paper_table([each.run for each in outcomes], [each.truth for each in outcomes], _LIMITS)
 
 
-def cells(pairs: Sequence[PairError]) -> tuple[str, ...]:
+def cells(pairs: Sequence[PaperRow]) -> tuple[str, ...]:
     """Format errors for the columns of the page."""
-    summary = summarise_pairs(pairs)
+    summary = summarise(pairs)
     errors = [one.error for one in pairs if one.error is not None]
     counts = (summary.poses, summary.placed, summary.successes, sum(map(_is_wrong, errors)))
     return *map(str, counts), *_error_cells(summary.rmse, errors)
 
 
-def _error_cells(rmse: AxisError | None, errors: Sequence[AxisError]) -> tuple[str, ...]:
-    if rmse is None:
+def _error_cells(rmse: AxisFigures, errors: Sequence[PoseError]) -> tuple[str, ...]:
+    if not errors:
         return ("-",) * 9
-    angles_rad = (*rmse.rotation_rad, rmse.angle_rad)
+    values = rmse.model_dump()
     return (
-        *(f"{1e3 * value:.1f}" for value in rmse.translation_m),
-        *(f"{math.degrees(value):.3f}" for value in angles_rad),
-        f"{1e3 * median(float(np.linalg.norm(one.translation_m)) for one in errors):.1f}",
-        f"{math.degrees(median(one.angle_rad for one in errors)):.3f}",
+        *(f"{1e3 * values[f'{axis}_m']:.1f}" for axis in "xyz"),
+        *(f"{values[f'{name}_deg']:.3f}" for name in ("roll", "pitch", "yaw", "angle")),
+        f"{1e3 * median(one.distance_m for one in errors):.1f}",
+        f"{median(one.angle_deg for one in errors):.3f}",
     )
 
 
-def _is_wrong(error: AxisError) -> bool:
-    return float(np.linalg.norm(error.translation_m)) > _LIMITS.wrong_m or error.angle_rad > _LIMITS.wrong_rad
+def _is_wrong(error: PoseError) -> bool:
+    return error.distance_m > _LIMITS.wrong_m or error.angle_deg > _LIMITS.wrong_deg
 
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -14,7 +14,7 @@ from multilica.errors import InputError, UnreadableSourceError, UsageError
 from multilica.extrinsics import read_extrinsics
 from multilica.geometry import RigidTransform
 from multilica.runs import Evaluation, Tolerances, Truth, evaluate, read_run
-from multilica.runs.evaluation_document import comparison_row
+from multilica.runs.evaluation import ErrorFigures
 from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
 from tests.runs.made_runs import Offset, covariance, made_truth, write_run, write_truth
 
@@ -29,7 +29,7 @@ def evaluated(tmp_path: Path, *runs: dict[str, Offset | None], truth: Truth = TR
 
 def test_errors_are_those_that_were_made(tmp_path: Path) -> None:
     evaluation = evaluated(tmp_path, {"left": ((0.01, -0.02, 0.03), (1.0, -2.0, 3.0))})
-    (one,) = evaluation.comparisons
+    (one,) = evaluation.lidars
     assert one.error is not None
     np.testing.assert_allclose(one.error.translation_m, [0.01, -0.02, 0.03], atol=1e-9)
     np.testing.assert_allclose(np.rad2deg(one.error.rotation_rad), [1.0, -2.0, 3.0], atol=1e-9)
@@ -46,12 +46,9 @@ def test_the_angle_is_that_of_the_relative_rotation(angle_deg: float) -> None:
 def test_rmse_goes_over_lidars_and_runs(tmp_path: Path) -> None:
     offsets = [{"left": ((0.003, 0, 0), STILL), "rear": ((-0.004, 0, 0), STILL)}, {"left": (STILL, STILL)}]
     overall = evaluated(tmp_path, *offsets).overall
-    assert overall.rmse is not None
-    assert overall.median is not None
-    assert overall.largest is not None
-    assert overall.rmse.translation_m[0] == pytest.approx(math.sqrt((9e-6 + 16e-6) / 3))
-    assert overall.median.translation_m[0] == pytest.approx(0.003)
-    assert overall.largest.translation_m[0] == pytest.approx(0.004)
+    assert overall.rmse.x_m == pytest.approx(math.sqrt((9e-6 + 16e-6) / 3))
+    assert overall.median.x_m == pytest.approx(0.003)
+    assert overall.largest.x_m == pytest.approx(0.004)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +66,7 @@ def test_rmse_goes_over_lidars_and_runs(tmp_path: Path) -> None:
 )
 def test_outcomes(tmp_path: Path, offset: Offset | None, outcome: str) -> None:
     evaluation = evaluated(tmp_path, {"left": offset})
-    assert [one.outcome for one in evaluation.comparisons] == [outcome]
+    assert [one.outcome for one in evaluation.lidars] == [outcome]
     assert getattr(evaluation.overall, outcome) == evaluation.overall.lidars == 1
 
 
@@ -89,7 +86,7 @@ def test_more_than_four_sigma_is_a_false_accept(
 ) -> None:
     sigmas = None if sigma_m is None else (0.05, sigma_m)
     run = read_run(write_run(tmp_path / "run", {"left": ((0.0, offset_m, 0.0), STILL)}, sigmas=sigmas))
-    (one,) = evaluate([run], [TRUTH]).comparisons
+    (one,) = evaluate([run], [TRUTH]).lidars
     assert one.outcome == outcome
     assert (one.error_sigma is None) == (sigma_m is None)
 
@@ -105,11 +102,11 @@ def test_an_uncertain_pose_is_held_against_its_own_sigma(
     file = write_run(tmp_path / "run", offsets, sigmas=(0.05, sigma_m), status="uncertain") / "result.json"
     evaluation = evaluate([read_run(file)], [TRUTH])
     overall = evaluation.overall
-    assert [one.outcome for one in evaluation.comparisons] == [outcome]
-    assert getattr(overall, outcome) == overall.uncertain == overall.lidars == 1
-    assert (overall.within, overall.false_accept, overall.false_refuse, overall.rmse) == (0, 0, 0, None)
-    assert evaluation.faultless_runs == ()
-    row = comparison_row(evaluation.comparisons[0])
+    assert [one.outcome for one in evaluation.lidars] == [outcome]
+    assert getattr(overall, outcome) == overall.lidars == 1
+    assert (overall.within, overall.false_accept, overall.false_refuse, overall.rmse.x_m) == (0, 0, 0, None)
+    assert evaluation.runs.faultless == 0
+    (row,) = evaluation.lidars
     assert (row.placed, row.uncertain, row.error_distance_m) == (False, True, pytest.approx(offset_m))
 
 
@@ -162,13 +159,14 @@ def test_a_covariance_that_is_none_is_refused(tmp_path: Path, damage: object) ->
 
 def test_nothing_placed_has_no_statistics(tmp_path: Path) -> None:
     overall = evaluated(tmp_path, {"left": None}).overall
-    assert (overall.false_refuse, overall.rmse, overall.median, overall.largest) == (1, None, None, None)
+    assert overall.false_refuse == 1
+    assert {overall.rmse, overall.median, overall.largest} == {ErrorFigures()}
 
 
 def test_what_only_one_side_has_is_left_out(tmp_path: Path) -> None:
     truth = Truth("t.toml", read_extrinsics(write_truth(tmp_path / "t.toml", ["front", "rear"])))
     evaluation = evaluated(tmp_path, {"left": (STILL, STILL), "rear": None}, {"rear": None}, {}, truth=truth)
-    assert [one.placement.lidar for one in evaluation.comparisons] == ["rear", "rear"]
+    assert [one.lidar for one in evaluation.lidars] == ["rear", "rear"]
     told = [(Path(left.run).name, left.lidar, left.reason) for left in evaluation.left_out]
     assert told == [
         ("run0", "left", "t.toml does not have it"),
@@ -181,7 +179,8 @@ def test_a_run_whose_target_the_truth_lacks_is_left_out(tmp_path: Path) -> None:
     known = read_run(write_run(tmp_path / "known", {"rear": (STILL, STILL)}, target="left"))
     unknown = read_run(write_run(tmp_path / "unknown", {"rear": (STILL, STILL)}, target="front"))
     evaluation = evaluate([unknown, known], [truth])
-    assert evaluation.compared_runs == evaluation.faultless_runs == (known.name,)
+    assert (evaluation.runs.compared, evaluation.runs.faultless) == (1, 1)
+    assert {one.run for one in evaluation.lidars} == {known.name}
     assert [(left.lidar, left.reason) for left in evaluation.left_out] == [
         (None, "t.toml does not have its target 'front'")
     ]
@@ -197,7 +196,7 @@ def test_each_run_has_its_own_truth(tmp_path: Path) -> None:
     )
     shifted = Truth("shifted", type(shifted.extrinsics)("base", poses))
     runs = [read_run(write_run(tmp_path / name, {"left": (STILL, STILL)})) for name in ("a", "b")]
-    outcomes = [one.outcome for one in evaluate(runs, [TRUTH, shifted]).comparisons]
+    outcomes = [one.outcome for one in evaluate(runs, [TRUTH, shifted]).lidars]
     assert outcomes == ["within", "false_accept"]
 
 
@@ -210,7 +209,7 @@ def test_wrong_requests(tmp_path: Path) -> None:
     for limits in (
         {"within_m": 0.0},
         {"within_m": 0.06},
-        {"wrong_rad": float("nan")},
+        {"wrong_deg": float("nan")},
         {"wrong_m": float("inf")},
         {"wrong_sigma": 0.0},
         {"wrong_sigma": float("nan")},

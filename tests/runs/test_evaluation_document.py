@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from multilica.errors import UsageError
 from multilica.runs import Evaluation, Truth, evaluate, read_run
-from multilica.runs.evaluation_document import comparison_row, write_table
+from multilica.runs.evaluation import write_table
 from tests.runs.made_runs import made_truth, write_run
 
 
@@ -24,7 +24,7 @@ def evaluation(tmp_path: Path) -> Evaluation:
 def test_parquet_holds_every_row(evaluation: Evaluation, tmp_path: Path) -> None:
     write_table(evaluation, tmp_path / "deep" / "table.parquet")
     table = parquet.read_table(tmp_path / "deep" / "table.parquet")
-    assert table.to_pylist() == [comparison_row(one).model_dump() for one in evaluation.comparisons]
+    assert table.to_pylist() == [one.model_dump() for one in evaluation.lidars]
     assert table["error_yaw_deg"].to_pylist() == [pytest.approx(0.05), None]
     assert table["error_normalised"].to_pylist() == [pytest.approx(math.sqrt(2.0 / 6.0)), None]
     assert table["error_sigma"].to_pylist() == [pytest.approx(0.1008, abs=0.001), None]

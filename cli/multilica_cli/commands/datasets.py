@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """`multilica datasets`: the presets side by side on a data set of the paper."""
 
-from math import radians
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -53,7 +52,7 @@ def datasets(
     from multilica_cli.progress import show_progress
     from multilica_cli.tables.datasets import print_dataset
 
-    limits = Tolerances(within_m, radians(within_deg), max(0.05, within_m), radians(max(0.5, within_deg)))
+    limits = Tolerances(within_m, within_deg, max(0.05, within_m), max(0.5, within_deg))
     request = SceneRequest(scenes, frames, topic_names(topics or ()) or {}, truth)
     with show_progress(quiet=quiet) as observe:
         found = run_presets(

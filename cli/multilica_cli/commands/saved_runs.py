@@ -58,7 +58,7 @@ def diff(
 
     Exits with 0 if both place the same LiDARs at the same places, with 5 if not.
     """
-    from multilica.runs.difference import compare_poses, compare_runs, difference_document
+    from multilica.runs.difference import compare_poses, compare_runs
     from multilica.runs.run_documents import is_run, read_run_document
     from multilica_cli.tables.errors import print_difference
 
@@ -71,7 +71,7 @@ def diff(
     else:
         difference = compare_runs(read_run_document(run_a), read_run_document(run_b), **limits)
     if as_json:
-        typer.echo(difference_document(difference).model_dump_json(indent=2))
+        typer.echo(difference.model_dump_json(indent=2))
     else:
         print_difference(difference, stdout_console())
     return ExitCode.DONE if difference.same else ExitCode.DIFFERENT
@@ -107,15 +107,14 @@ def evaluate(
     """Compare runs with ground truth: RMSE per axis, success rate, false accepts and false refusals."""
     from multilica import read_extrinsics
     from multilica import runs as saved
-    from multilica.runs.evaluation_document import evaluation_document, require_table_name, write_table
-    from multilica.runs.paper_document import paper_document
+    from multilica.runs.evaluation import require_table_name, write_table
     from multilica.runs.paper_table import paper_table
     from multilica_cli.tables.errors import print_evaluation
     from multilica_cli.tables.paper import print_paper_table
 
     if out is not None:
         require_table_name(out)
-    tolerances = saved.Tolerances(within_m, radians(within_deg), wrong_m, radians(wrong_deg), wrong_sigma)
+    tolerances = saved.Tolerances(within_m, within_deg, wrong_m, wrong_deg, wrong_sigma)
     known = [saved.Truth(str(path), read_extrinsics(path)) for path in truths]
     read = [saved.read_run(path) for path in runs]
     evaluation = saved.evaluate(read, known, tolerances)
@@ -123,8 +122,7 @@ def evaluate(
     if out is not None:
         write_table(evaluation, out)
     if as_json:
-        document = paper_document(of_paper) if of_paper else evaluation_document(evaluation)
-        typer.echo(document.model_dump_json(indent=2))
+        typer.echo((of_paper or evaluation).model_dump_json(indent=2))
         return
     console = stdout_console(quiet=quiet)
     if of_paper:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from rich.console import Console
@@ -14,7 +14,7 @@ from multilica_cli.tables.paper import summary_cells, summary_table
 if TYPE_CHECKING:
     from multilica.datasets import DatasetRuns, Published
     from multilica.runs import Tolerances
-    from multilica.runs.paper_table import PaperSummary, PaperTable
+    from multilica.runs.paper_table import PaperSummary
 
 
 def print_dataset(dataset: str, found: DatasetRuns, known: Published, limits: Tolerances, console: Console) -> None:
@@ -23,8 +23,10 @@ def print_dataset(dataset: str, found: DatasetRuns, known: Published, limits: To
     if known.table is not None:
         tables[known.label] = known.table
     console.print(f"{dataset}: {len(found.scenes)} scene{'s' * (len(found.scenes) != 1)}: {', '.join(found.scenes)}")
-    _print_summaries("RMSE over all scenes, to the target", tables, limits, _to_target, console)
-    _print_summaries("RMSE over all scenes, between LiDARs", tables, limits, _between, console)
+    to_target = {label: (*table.by_lidar, table.to_target) for label, table in tables.items()}
+    between = {label: (*table.by_pair, table.between) for label, table in tables.items()}
+    _print_summaries("RMSE over all scenes, to the target", to_target, limits, console)
+    _print_summaries("RMSE over all scenes, between LiDARs", between, limits, console)
     for each in found.presets:
         if each.stages_s:
             console.print(f"{each.preset}: {each.median_stages_s:.1f} s per scene (median, stages only, one process)")
@@ -36,31 +38,17 @@ def print_dataset(dataset: str, found: DatasetRuns, known: Published, limits: To
         console.print(f"without truth, in no table: {', '.join(found.without_truth)}")
     first = next((tables[each.preset] for each in found.presets if each.preset in tables), None)
     if first is not None:
-        print_left_out(first.evaluation, console)
+        print_left_out(first.left_out, console)
 
 
 def _print_summaries(
-    title: str,
-    tables: Mapping[str, PaperTable],
-    limits: Tolerances,
-    rows: Callable[[PaperTable], Mapping[str, PaperSummary]],
-    console: Console,
+    title: str, tables: Mapping[str, Sequence[PaperSummary]], limits: Tolerances, console: Console
 ) -> None:
     if not tables:
         return
     printed = summary_table(title, ("preset", "LiDAR"), limits)
-    for label, table in tables.items():
-        for name, summary in rows(table).items():
-            printed.add_row(label, name, *summary_cells(summary))
-            label = ""  # noqa: PLW2901 - once per block
+    for label, summaries in tables.items():
+        for summary in summaries:
+            printed.add_row(label if summary is summaries[0] else "", summary.name, *summary_cells(summary))
         printed.add_section()
     console.print(printed)
-
-
-def _to_target(table: PaperTable) -> dict[str, PaperSummary]:
-    return {**table.by_lidar, "all": table.overall}
-
-
-def _between(table: PaperTable) -> dict[str, PaperSummary]:
-    pairs = {f"{source} in {target}": summary for (target, source), summary in table.by_pair.items()}
-    return {**pairs, "all": table.overall_between}

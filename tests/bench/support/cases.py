@@ -54,7 +54,7 @@ class LidarOutcome:
     @property
     def lidar(self) -> str:
         """Its name."""
-        return self.comparison.placement.lidar
+        return self.comparison.lidar
 
     @property
     def placed(self) -> bool:
@@ -86,9 +86,9 @@ def run_case(case: Case, config: CalibrationConfig, *, with_trial: bool = False)
     groups = () if result.status == "complete" else result.decisions[-1].groups
     trials = try_truth(watch, groups, simulation.truth, config) if with_trial and groups else {}
     compared = _compared(case, result.target, result.placements, simulation)
-    names = [one.placement.lidar for one in compared]
+    names = [one.lidar for one in compared]
     return [
-        LidarOutcome(case, one, _codes(watch, groups, name), trials.get(name), one.placement.uncertain)
+        LidarOutcome(case, one, _codes(watch, groups, name), trials.get(name), one.uncertain)
         for name, one in zip(names, compared, strict=True)
     ]
 
@@ -105,7 +105,7 @@ def _compared(
     case: Case, target: str, placements: Iterable[LidarPlacement], simulation: Simulation
 ) -> tuple[Comparison, ...]:
     truth = Truth(simulation.snapshot.source, simulation.truth)
-    return evaluate([SavedRun(str(case), target, tuple(placements))], [truth]).comparisons
+    return evaluate([SavedRun(str(case), target, tuple(placements))], [truth]).lidars
 
 
 def _codes(watch: Watch, groups: Sequence[Members], lidar: str) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from itertools import product
 
 from multilica.config import preset, with_overrides
 from multilica.runs import SavedRun, Truth
-from multilica.runs.paper_table import PairError, paper_table
+from multilica.runs.paper_table import PaperRow, paper_table
 from multilica.simulate import simulate_snapshot
 from tests.bench.__main__ import one_thread_each
 from tests.bench.support.cases import Case
@@ -44,12 +44,12 @@ def main() -> None:
     print_table(("clause", *COLUMNS), [(clause, *cells(errors)) for clause, errors in rows.items()])
 
 
-def _run(task: tuple[str, Case]) -> tuple[PairError, ...]:
+def _run(task: tuple[str, Case]) -> tuple[PaperRow, ...]:
     clause, case = task
     simulation = simulate_snapshot(case.rig, case.scene, case.seed)
     config = with_overrides(preset("default"), [f"target={case.target}", "runtime.workers=1", *CLAUSES[clause]])
     run = SavedRun(f"{clause} {case}", case.target, tuple(place_by_config(config, simulation.snapshot)))
-    return paper_table([run], [Truth(str(case), simulation.truth)]).to_target
+    return paper_table([run], [Truth(str(case), simulation.truth)]).rows
 
 
 if __name__ == "__main__":

@@ -80,5 +80,5 @@ def test_the_peer_and_a_preset_place_a_rig():
         run = SavedRun(system, case.target, tuple(place(system, simulation.snapshot, case.target)))
         outcome = Outcome(system, case, run, Truth("truth", simulation.truth), 1.0)
         assert {each.lidar for each in outcome.run.placements} == {"top", "left", "right"}
-        (row,) = [tables.cells(tables._table([outcome]).to_target)]
+        (row,) = [tables.cells(tables._table([outcome]).rows)]
         assert row[:4] == ("2", "2", "2", "0")

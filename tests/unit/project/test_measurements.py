@@ -15,6 +15,7 @@ from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
 from multilica.runs import PoseError
 from multilica.runs.evaluation import Comparison
+from multilica.runs.pose_error import as_sigma
 from tests import opencalib
 from tests.bench import __main__ as bench
 from tests.bench import harder, peers, real_scans, repeat, scaling, simulated, speed
@@ -31,8 +32,19 @@ _STILL = RigidTransform.identity("top", "left")
 
 def _lidar(outcome, *codes, normalised=1.0, trial=None, uncertain=False):
     error = None if outcome == "false_refuse" else PoseError.between(_STILL, _STILL)
-    placement = LidarPlacement("left", "made")
-    comparison = Comparison("run", "truth", "top", placement, error, None if error is None else normalised, outcome)
+    comparison = Comparison(
+        run="run",
+        truth="truth",
+        target="top",
+        lidar="left",
+        placed=error is not None,
+        uncertain=uncertain,
+        outcome=outcome,
+        error_normalised=None if error is None else normalised,
+        error_sigma=None if error is None or normalised is None else as_sigma(normalised),
+        reason="made",
+        error=error,
+    )
     return LidarOutcome(_CASE, comparison, codes, trial, uncertain)
 
 
