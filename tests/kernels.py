@@ -17,7 +17,7 @@ FOLDERS = ("tests/unit", "tests/property", "tests/pipeline", "tests/sinks")
 NUMERIC = (
     *(f"tests/unit/{name}" for name in ("acceptance", "registration", "solvers", "stages", "visibility")),
     "tests/property",
-    "tests/pipeline",
+    *(f"tests/pipeline/test_{name}.py" for name in ("pair_search", "prior", "real_scans", "simulated", "stillness")),
 )
 PUSH_KERNEL = "Prescott"
 # The rules of the house, and what is drawn by a viewer or a browser.

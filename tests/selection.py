@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -84,6 +84,11 @@ def push_seed() -> int:
 def seeds(count: int, *, at_night: int) -> range:
     """Return seeds that differ from push to push, or the larger set of each night, which stays the same."""
     return range(at_night) if NIGHTLY else range(push_seed(), push_seed() + count)
+
+
+def some_of(cases: Sequence[object], count: int) -> list[object]:
+    """Return some cases of a set in which each is known to hold, others from push to push, and all at night."""
+    return list(cases) if NIGHTLY else [cases[(push_seed() + index) % len(cases)] for index in range(count)]
 
 
 def _git(*arguments: str) -> list[str] | None:

@@ -163,6 +163,7 @@ def cluster(**security):
         yield made.scheduler_address
 
 
+@pytest.mark.nightly  # a push runs it with TLS
 @pytest.mark.filterwarnings("ignore")
 def test_a_dask_cluster_gives_the_same_tables(whole, fleet, tmp_path):
     store = open_store(tmp_path / "store", create=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files damaged by seed, for every reader; `python -m tests.bench fuzz` tries thousands more."""
+"""Files damaged by seed, others at each push, for every reader; `python -m tests.bench fuzz` tries thousands more."""
 
 from __future__ import annotations
 
@@ -10,15 +10,21 @@ import pytest
 
 from multilica.ingest.containers import unindexed
 from tests.ingest.support.mutations import SEEDS, mutated, read_or_refuse, write_seed
+from tests.selection import seeds
 
-MUTATIONS = 200
-SLOW = {"a.laz": 10, "b.laz": 10, "packed.db3.zstd": 100, "ouster.mcap": 50}
+MUTATIONS = 100
+SLOW = {"a.laz": 5, "b.laz": 5, "packed.db3.zstd": 50, "ouster.mcap": 25}
 """Readers that start a process or unpack a file to disk, and files that are large."""
 ONCE_FAILED = [
     ("messages.db3", 42),  # a compressed message that cannot be unpacked
     ("a.laz", 23),  # sizes for which the engine ends its process
     ("b.laz", 21),
 ]
+
+
+def mutations(name: str) -> range:
+    count = SLOW.get(name, MUTATIONS)
+    return seeds(count, at_night=10 * count)
 
 
 @pytest.mark.parametrize("name", SEEDS)
@@ -34,10 +40,10 @@ def test_damaged_files_give_points_or_a_sentence(tmp_path: Path, capfd: pytest.C
     path = write_seed(name, tmp_path)
     content = path.read_bytes()
     read = 0
-    for seed in range(SLOW.get(name, MUTATIONS)):
+    for seed in mutations(name):
         path.write_bytes(mutated(content, np.random.default_rng(seed)))
         read += read_or_refuse(path, inspect=seed % 8 == 0) is not None
-    assert read < SLOW.get(name, MUTATIONS)
+    assert read < len(mutations(name))
     assert capfd.readouterr() == ("", "")
 
 
@@ -51,10 +57,10 @@ def test_damaged_files_too_large_to_be_kept(
     path = write_seed(name, tmp_path)
     content = path.read_bytes()
     read = 0
-    for seed in range(MUTATIONS):
+    for seed in mutations(name):
         path.write_bytes(mutated(content, np.random.default_rng(seed)))
         read += read_or_refuse(path) is not None
-    assert 0 < read < MUTATIONS
+    assert 0 < read < len(mutations(name))
 
 
 @pytest.mark.parametrize(("name", "seed"), ONCE_FAILED)

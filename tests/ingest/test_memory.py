@@ -170,7 +170,7 @@ def test_what_is_needed_decides_over_the_limit(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_released_memory_counts_no_more() -> None:
     budget = MemoryBudget(1.0)
-    for _ in range(100):
+    for _ in range(5):
         view = budget.empty(600_000)
         assert budget.taken_bytes == 600_000
         part = view[10:]

@@ -26,7 +26,9 @@ pytestmark = pytest.mark.slow
 _REFERENCE = json.loads((Path(__file__).parent / "paper_reference.json").read_text(encoding="utf-8"))
 _SOURCES = {"opencalib-0001": DATA, "edgar-street": SAMPLE}
 _REAL = pytest.mark.skipif(not DATA.is_dir(), reason=MISSING)
-_INPUTS = [pytest.param("opencalib-0001", marks=_REAL), "edgar-street"]
+# The larger input takes longer than all else of this file; a push runs it where the real scans are missing.
+_ALGORITHM1 = [pytest.param("opencalib-0001", marks=_REAL)]
+_ALGORITHM1 += [pytest.param("edgar-street", marks=pytest.mark.nightly) if DATA.is_dir() else "edgar-street"]
 _PAIRS = [pytest.param("opencalib-0001", source, marks=_REAL) for source in ("left", "right")]
 _PAIRS += [("edgar-street", source) for source in ("front", "rear", "right")]
 
@@ -87,7 +89,7 @@ def test_one_lidar_is_8_m_off_as_with_the_published_code():
     assert np.linalg.norm(result["front"].T_target_source.xyz_m - [-0.663831, -1.365528, -0.147009]) > 8.0
 
 
-@pytest.mark.parametrize("name", _INPUTS)
+@pytest.mark.parametrize("name", _ALGORITHM1)
 def test_algorithm1_goes_as_far_as_the_published_code_and_ends(name):
     """The published code crashes after these placements, with LiDARs left that were merged into others."""
     result, seen = _run(name, "paper-algorithm1")

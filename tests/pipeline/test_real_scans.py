@@ -1,5 +1,4 @@
 # SPDX-License-Identifier: Apache-2.0
-import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
@@ -14,21 +13,29 @@ def clouds():
     return read_clouds()
 
 
-@pytest.mark.parametrize("seed", [None, 1, 2, 3])
+@pytest.fixture(scope="module")
+def result(clouds):
+    return calibrate(turned_snapshot(clouds, {}), CONFIG)
+
+
+def test_both_sides_are_found(result):
+    assert result.status == "complete"
+    for name in SOURCES:
+        assert is_true(result[name].T_target_source), (name, result[name].T_target_source)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
 def test_both_sides_are_found_from_any_orientation(clouds, seed):
-    rotations = {}
-    if seed is not None:
-        rotations = {name: Rotation.random(random_state=seed).as_matrix() for name in SOURCES}
+    rotations = {name: Rotation.random(random_state=seed).as_matrix() for name in SOURCES}
     result = calibrate(turned_snapshot(clouds, rotations), CONFIG)
     assert result.status == "complete"
     for name in SOURCES:
-        found = unturned(result[name].T_target_source, rotations.get(name, np.eye(3)))
+        found = unturned(result[name].T_target_source, rotations[name])
         assert is_true(found), (name, found.xyz_m, found.rpy_deg)
 
 
-def test_two_runs_give_the_same_bits(clouds):
-    snapshot = turned_snapshot(clouds, {})
-    first, second = (calibrate(snapshot, CONFIG) for _ in range(2))
+def test_two_runs_give_the_same_bits(clouds, result):
+    again = calibrate(turned_snapshot(clouds, {}), CONFIG)
     for name in SOURCES:
-        assert first[name].T_target_source.matrix.tobytes() == second[name].T_target_source.matrix.tobytes()
-        assert first[name].fitness == second[name].fitness
+        assert again[name].T_target_source.matrix.tobytes() == result[name].T_target_source.matrix.tobytes()
+        assert again[name].fitness == result[name].fitness

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -37,6 +38,18 @@ def run_into(directory, stop_after: int | None = None):
     return run
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The directory of a whole run, which tests read or copy."""
+    directory = tmp_path_factory.mktemp("finished") / "run"
+    run_into(directory)
+    return directory
+
+
+def lay(finished, directory):
+    shutil.copytree(finished, directory, dirs_exist_ok=True)
+
+
 @pytest.mark.slow
 def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
     run = run_into(tmp_path / "deep" / "run")
@@ -46,19 +59,16 @@ def test_a_finished_run_leaves_every_file_and_nothing_else(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_mcap_file_holds_what_the_others_wrote(tmp_path):
-    run_into(tmp_path)
-    with (tmp_path / "result.mcap").open("rb") as file:
+def test_the_mcap_file_holds_what_the_others_wrote(finished):
+    with (finished / "result.mcap").open("rb") as file:
         attached = {one.name: one.data for one in make_reader(file).iter_attachments()}
     for name in ("calibration.toml", "result.json", "report.html"):
-        assert attached[name] == (tmp_path / name).read_bytes()
+        assert attached[name] == (finished / name).read_bytes()
 
 
 @pytest.mark.slow
-def test_sinks_that_share_a_state_tell_what_each_tells_alone(tmp_path):
-    shared, alone = tmp_path / "shared", tmp_path / "alone"
-    run_into(shared)
-    alone.mkdir()
+def test_sinks_that_share_a_state_tell_what_each_tells_alone(finished, tmp_path):
+    shared, alone = finished, tmp_path
     sinks = (RerunRecording(alone / "recording.rrd"), ResultMcap(alone / "result.mcap"), ResultFiles(alone))
     with ExitStack() as stack:
         for sink in sinks[:-1]:
@@ -88,9 +98,8 @@ def test_what_a_sink_was_not_told_it_does_not_take_for_done(tmp_path, monkeypatc
 
 
 @pytest.mark.slow
-def test_the_resolved_configuration_can_be_given_back(tmp_path):
-    run_into(tmp_path)
-    assert load_config(tmp_path / "config.toml") == CONFIG
+def test_the_resolved_configuration_can_be_given_back(finished):
+    assert load_config(finished / "config.toml") == CONFIG
 
 
 def files_in(directory):
@@ -98,8 +107,8 @@ def files_in(directory):
 
 
 @pytest.mark.slow
-def test_an_earlier_result_stays_until_the_new_one_is_whole(tmp_path):
-    run_into(tmp_path)
+def test_an_earlier_result_stays_until_the_new_one_is_whole(finished, tmp_path):
+    lay(finished, tmp_path)
     (tmp_path / "notes.txt").write_text("mine")
     before = files_in(tmp_path)
     run = run_into(tmp_path, stop_after=8)
@@ -131,15 +140,17 @@ def test_what_a_killed_run_was_writing_goes_with_it(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_run_that_never_started_leaves_an_earlier_one_alone(tmp_path):
-    before = run_into(tmp_path).written
-    assert run_into(tmp_path, stop_after=0).written == before
+def test_a_run_that_never_started_leaves_an_earlier_one_alone(finished, tmp_path):
+    lay(finished, tmp_path)
+    before = files_in(tmp_path)
+    assert {*run_into(tmp_path, stop_after=0).written} == {tmp_path / name for name in NAMES}
+    assert files_in(tmp_path) == before
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moved", range(8))
-def test_the_next_run_finishes_a_replacement_that_was_killed(tmp_path, monkeypatch, moved):
-    run_into(tmp_path)
+def test_the_next_run_finishes_a_replacement_that_was_killed(finished, tmp_path, monkeypatch, moved):
+    lay(finished, tmp_path)
     replace, left = Path.replace, iter(range(moved))
 
     def replace_some(path, target):
@@ -161,8 +172,8 @@ def test_the_next_run_finishes_a_replacement_that_was_killed(tmp_path, monkeypat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("listed", ['["../mine.txt", "config.toml"]', "not JSON", "7", "[1]"])
-def test_a_list_that_no_run_wrote_moves_nothing_else(tmp_path, listed):
-    run_into(tmp_path / "run")
+def test_a_list_that_no_run_wrote_moves_nothing_else(finished, tmp_path, listed):
+    lay(finished, tmp_path / "run")
     run_into(tmp_path / "run", stop_after=8)
     (tmp_path / "run" / "mine.txt").write_text("mine")
     (tmp_path / "run" / "unfinished" / ".whole.json").write_text(listed)
@@ -203,8 +214,8 @@ def test_a_refused_snapshot_leaves_every_file(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_refused_snapshot_leaves_an_earlier_result_alone(tmp_path):
-    run_into(tmp_path)
+def test_a_refused_snapshot_leaves_an_earlier_result_alone(finished, tmp_path):
+    lay(finished, tmp_path)
     before = files_in(tmp_path)
     run = refuse_into(tmp_path)
     assert json.loads((tmp_path / "unfinished" / "result.json").read_text())["refusal"]["code"] == "moving_vehicle"

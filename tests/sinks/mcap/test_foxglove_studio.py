@@ -15,7 +15,6 @@ from tests.sinks.mcap.studio import has_studio, served_studio
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.slow,
     pytest.mark.shows(*RUN_FILES),
     pytest.mark.skipif(not has_studio(), reason="run: npm install --prefix tests/node --no-package-lock"),
 ]
@@ -23,8 +22,15 @@ DRAWN_S = 60.0
 MIN_PIXELS = 30
 
 
-@pytest.mark.parametrize("outcome", ["complete", "partial"])
-@pytest.mark.parametrize("encoding", ["foxglove", "ros2"])
+@pytest.mark.parametrize(
+    ("encoding", "outcome"),
+    [
+        ("foxglove", "complete"),
+        ("ros2", "partial"),
+        pytest.param("foxglove", "partial", marks=pytest.mark.nightly),
+        pytest.param("ros2", "complete", marks=pytest.mark.nightly),
+    ],
+)
 def test_placed_clouds_are_drawn_without_a_problem(tmp_path, browser, encoding, outcome):
     with ResultMcap(tmp_path / "result.mcap", encoding) as observe:
         for event in made_events(outcome):

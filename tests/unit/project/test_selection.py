@@ -74,8 +74,10 @@ def test_the_seed_of_a_push_can_be_repeated(monkeypatch):
     selection.push_seed.cache_clear()
     monkeypatch.setenv("MULTILICA_SEED", "12")
     assert selection.seeds(3, at_night=9) == range(12, 15)
+    assert selection.some_of("abcde", 4) == ["c", "d", "e", "a"]
     monkeypatch.setattr(selection, "NIGHTLY", True)
     assert selection.seeds(3, at_night=9) == range(9)
+    assert selection.some_of("abcde", 4) == [*"abcde"]
 
 
 @pytest.mark.parametrize(
