@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state of an installation: libraries, viewer, machine, and the commands that mend what is missing."""
+"""The state of an installation: libraries, viewer, machine, and the commands that repair missing parts."""
 
 import json
 import os
@@ -94,7 +94,7 @@ class Library:
         problem: why it is broken; empty if it is not.
         extra: the extra that installs it; empty if it is part of the core, or no extra has it.
         purpose: what works with it only.
-        command: mends it; empty if it works.
+        command: repairs it; empty if it works.
     """
 
     name: str
@@ -157,7 +157,7 @@ class Installation:
 
     @property
     def commands(self) -> tuple[str, ...]:
-        """The commands that mend or install all that is not there."""
+        """The commands that install or repair everything that is missing."""
         libraries = [library for library in (*self.core, *self.optional) if library.state != "works"]
         extras = {each.extra for each in libraries if each.extra and each.state == "missing"}
         every = extras == {library.extra for library in OPTIONAL_LIBRARIES.values() if library.extra}

@@ -117,5 +117,5 @@ def raise_missing(wanted: str, module: str, error: ImportError | None, instead: 
         state, mend = f"cannot be loaded ({error})", f"on Debian and Ubuntu `{command}` installs what it lacks"
     else:
         command = f"pip install --force-reinstall {name}"
-        state, mend = f"cannot be loaded ({error})", f"`{command}` mends an installation"
+        state, mend = f"cannot be loaded ({error})", f"`{command}` repairs it"
     raise MissingDependencyError(f"{wanted} needs the library {name}, which {state}; {mend}{otherwise}.") from error

@@ -84,7 +84,7 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: C901, 
         case ImportError() if "shared object" in str(failure):
             return ExitCode.BROKEN, (
                 f"A library that multilica needs cannot be loaded ({failure}); `multilica doctor` names the command "
-                "that mends it."
+                "that repairs it."
             )
         case ModuleNotFoundError(name=str(name)) if name.partition(".")[0] not in _OWN:
             return ExitCode.BROKEN, (

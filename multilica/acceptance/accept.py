@@ -97,7 +97,7 @@ def _weaknesses(best: Registration, distance_m: float, config: AcceptanceConfig)
         "too_little_evidence": f"only {score.distinctive:.0f} points lie on walls and objects that both measured",
         "empty_space_violated": f"{score.violation_share:.1%} of the points lie in space that the other sensor's beams "
         "passed through",
-        "structure_unexplained": f"of {seen} points on walls and objects in view of both, {hidden} would be hidden",
+        "structure_unexplained": f"{hidden} of {seen} points on walls and objects in view of both would be hidden",
         "too_far_apart": f"the LiDARs would be {distance_m:.1f} m apart",
     }
     odds = f"(evidence {best.evidence:z.1f}, limit {config.min_evidence:g})"
@@ -122,7 +122,7 @@ def _competition(registrations: Sequence[Registration], config: AcceptanceConfig
     along_m = float(np.abs(shift_m @ best.visibility.slide_direction))
     lead = best.evidence - other.evidence
     evidence = f"evidence {other.evidence:z.1f} against {best.evidence:z.1f}"
-    fits = f"fits as well ({evidence}, which needs {config.min_log_odds_margin:g} more)"
+    fits = f"fits as well ({evidence}, required margin {config.min_log_odds_margin:g})"
     if radians < _SLID_RAD and along_m > _SLID_SHARE * metres:
         direction = _axis_text(np.concatenate([np.zeros(3), shift_m]), best.T_target_source.target)
         text = f"the scene does not constrain the pose {direction}: a pose {metres:.2f} m away {fits}"
@@ -137,7 +137,7 @@ def _slide(best: Registration, config: AcceptanceConfig) -> Reason | None:
         return None
     text = f"with fewer points it ends {found.thinned_offset_m:.2f} m away"
     if found.perturbed_offset_m > config.max_perturbed_offset_m:
-        text = f"pushed by {found.perturbation_m:g} m it ends {found.perturbed_offset_m:.2f} m away"
+        text = f"perturbed by {found.perturbation_m:g} m it ends {found.perturbed_offset_m:.2f} m away"
     off_m = max(found.perturbed_offset_m, found.thinned_offset_m)
     direction = _axis_text(best.visibility.weakest_direction, best.T_target_source.target)
     text = f"the scene does not constrain the pose {direction} ({text}, limit {config.max_perturbed_offset_m:g} m)"

@@ -93,7 +93,7 @@ def why_unplaced(
         return f"the run stopped after stage {until} (--until)"
     missed = sorted({*chain.from_iterable(pair for pair in not_reached if lidar in pair)} - {lidar})
     if missed:
-        return f"the time was over (--max-time) before its pairs with {', '.join(missed)} were searched"
+        return f"the time limit (--max-time) ended the search before its pairs with {', '.join(missed)} were searched"
     best = _best_of(lidar, pairs)
     if best is None:
         return "no pose was found against any other LiDAR"
@@ -168,7 +168,7 @@ def unplaced_near_known(
         (other,) = best.lidars - {lidar}
         reason = f"no pose near the known one fits {other}: {best.verdict.text or 'too few points match'}"
     elif any(lidar in pair for pair in scores):
-        reason = f"it sees too little of what {' and '.join(sorted(placed))} see"
+        reason = f"it shares too few surfaces with {' and '.join(sorted(placed))}"
     else:
         reason = "it has no returns in range, or no known pose"
     return LidarPlacement(lidar, reason, contradicts_prior=contradicted)

@@ -172,7 +172,7 @@ def _symmetry(pose: RigidTransform, competing: Registration, seen_by: PairRegist
     metres, radians = pose.distance_to(competing.T_target_source)
     text = (
         f"{seen_by.target} and {seen_by.source} see a scene that looks the same when turned by "
-        f"{np.rad2deg(radians):.0f} deg, so the pose {metres:.2f} m away that follows is possible as well"
+        f"{np.rad2deg(radians):.0f} deg, so another pose {metres:.2f} m away is also possible"
     )
     return Reason("ambiguous", 1.0, 0.0, text, competing)
 

@@ -102,7 +102,10 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
         lines += ["Upper bars: translation; lower bars: rotation; thin lines: one sigma.", ""]
     for rig in map(_printable, rigs):
         lines += [f"### {_text(rig.name)}", "", _text(rig.sentence), ""]
-        lines += ["| LiDAR | verdict | translation | rotation | of the tolerance | why |", "|---|---|---|---|---|---|"]
+        lines += [
+            "| LiDAR | verdict | translation | rotation | of the tolerance | reason |",
+            "|---|---|---|---|---|---|",
+        ]
         lines += [_row(each) for each in rig.lidars]
         lines += ["", f"Compared to {_text(rig.root)}.", *(f"Note: {_text(note)}." for note in rig.notes), ""]
     return "\n".join(lines)

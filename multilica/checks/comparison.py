@@ -89,7 +89,7 @@ class RigCheck(Entry):
         if undecided:
             parts.append(f"{_and(undecided)} cannot be decided")
         if not parts:
-            return f"All {len(self.lidars) + 1} LiDARs are where the reference has them."
+            return f"All {len(self.lidars) + 1} LiDARs agree with the reference."
         return f"{'; '.join(parts)}."
 
     @model_serializer
@@ -183,7 +183,7 @@ def _root(
     rival = next((name for name in others if len(agreeing[name]) == len(agreeing[root])), None)
     if rival is None:
         return root, []
-    return root, [f"as many LiDARs agree with {root} as with {rival}: which of them moved cannot be told"]
+    return root, [f"equally many LiDARs agree with {root} and with {rival}, so the one that moved is unknown"]
 
 
 def _agrees(error: PoseError, tolerance: Tolerance) -> bool:
@@ -250,7 +250,7 @@ def _decide(off: float, limit: float, sigmas: _Sigmas | None, scale: float, unit
     """Return the verdict on one of translation and rotation, with its reason."""
     size, most = f"{scale * off:.3g} {unit}", f"{scale * limit:.3g} {unit}"
     if sigmas is not None and off > limit and off <= _SIGMAS * sigmas.along:
-        return "undecided", f"{size} is above {most}, yet within three sigma ({scale * sigmas.along:.2g} {unit})"
+        return "undecided", f"{size} is above {most}, but within three sigma ({scale * sigmas.along:.2g} {unit})"
     if off > limit:
         return "outside", f"{size} is above {most}"
     if sigmas is not None and sigmas.largest > limit:

@@ -40,7 +40,7 @@ WORDS: Mapping[Cause, str] = {
     "not_joined": "it is connected only to LiDARs that are not placed",
     "disputed": "the snapshots contradict each other, without a majority",
     "stopped_early": "the run was set to stop before LiDARs are placed",
-    "out_of_time": "the time was over (--max-time) before all of its pairs were searched",
+    "out_of_time": "the time limit (--max-time) ended the search before all of its pairs were searched",
     "unfinished": "the run ended before it was placed",
     "unknown": "no registration with another LiDAR was accepted",
 }
@@ -61,7 +61,7 @@ _STEPS_WITHOUT_PAIR: Mapping[Cause, str] = {
 }
 
 ADVICE: Mapping[Cause, tuple[str, ...]] = {
-    "dead_sensor": ("check power, network and driver of the LiDAR, then whether `multilica inspect` shows points",),
+    "dead_sensor": ("check power, network and driver of the LiDAR; `multilica inspect` shows if it sends points",),
     "no_returns_in_range": ("check preprocess.min_range_m and preprocess.max_range_m, and remove any cover",),
     "dirty_sensor": ("clean the window, take off covers, and record again",),
     "moving_vehicle": (

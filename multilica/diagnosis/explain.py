@@ -173,8 +173,8 @@ def _time_warnings(document: ResultDocument) -> Iterator[str]:
     if document.time_limit is not None:
         not_reached = ", ".join(f"{one} - {other}" for one, other in document.time_limit.not_reached) or "none"
         yield (
-            f"the time was over (--max-time {document.time_limit.max_time_s:g} s) before the search was. Pairs that "
-            f"were not reached: {not_reached}. An equal run may come farther or less far."
+            f"the time limit (--max-time {document.time_limit.max_time_s:g} s) ended the search. Pairs that "
+            f"were not reached: {not_reached}. Another run on the same input may reach more or fewer."
         )
 
 

@@ -65,7 +65,7 @@ def rig_of_run(
     wanted = {name: pose for name, pose in document.poses.items() if with_uncertain or document.lidars[name].placed}
     missing = {name: entry.status for name, entry in document.lidars.items() if name not in wanted}
     if not {*wanted} - {document.target}:
-        raise InputError("The run has no placed LiDAR besides the target, so that there is nothing to export.")
+        raise InputError("The run has no placed LiDAR besides the target, so there is nothing to export.")
     named = _frames(document, wanted, frames)
     target = named[document.target]
     poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}

@@ -58,8 +58,8 @@ def require_joinable(config: CalibrationConfig) -> None:
     if not config.refine.enabled or config.fine.engine != "small_gicp":
         raise UsageError(
             f"Found several snapshots with refine.enabled={str(config.refine.enabled).lower()} and "
-            f"fine.engine={config.fine.engine} (preset {config.preset}); a joint result weighs pairs by what "
-            "refinement measures with small_gicp: use both, or give one snapshot."
+            f"fine.engine={config.fine.engine} (preset {config.preset}); a joint result weighs pairs by the "
+            "information from refinement with small_gicp: use both, or give one snapshot."
         )
 
 

@@ -37,7 +37,7 @@ TABLE_COLUMNS: Mapping[str, str] = {
     "sigma_about_z_deg": "the same",
     "fitness": "share of the points that lie near a surface of the target cloud, 0 to 1",
     "rmse_m": "RMS distance of those points to their nearest target point, metres",
-    "reason": "how it was placed, or why it is uncertain or not placed",
+    "reason": "the pair that placed it, or the reason why it is uncertain or not placed",
 }
 """Name of each column -> its meaning; numbers are NaN where they are not known."""
 

@@ -63,13 +63,11 @@ def surprise(placement: LidarPlacement, target: str, exchanged: tuple[str, str] 
         return None
     distance, angle = f"{off_m:.2f} m", f"{np.rad2deg(off_rad):.0f} deg"
     axis = _main_axis(prior.rotation.T @ found.rotation) if angle != _NO_ANGLE else ""
-    cause = f"{placement.lidar} or {target} is not where the prior has it"
+    cause = f"the pose of {placement.lidar} or {target} differs from the prior"
     if axis and off_rad >= _HALF_TURN_RAD:
         cause = f"{placement.lidar} or {target} is mounted {_MOUNTED[axis]}, or the prior is wrong"
     if exchanged is not None:
-        cause = (
-            f"{exchanged[0]} and {exchanged[1]} have exchanged their names, here or in the prior, and all else agrees"
-        )
+        cause = f"{exchanged[0]} and {exchanged[1]} have exchanged names, here or in the prior; everything else agrees"
     turned = f"turned by {angle}{f' about its {axis} axis' if axis else ''} against its prior"
     if angle == _NO_ANGLE:
         difference = f"{distance} away from its prior"

@@ -18,9 +18,9 @@ from multilica.simulate.shapes.vehicles import pedestrian, truck
 DISTURBANCES: Mapping[str, str] = {
     "dead:<lidar>": "that LiDAR returns nothing",
     "dirty:<lidar>": "a connected half of that LiDAR's beams is blocked at its window",
-    "ego_masked": "returns of the own vehicle are left out, as by most drivers",
+    "ego_masked": "returns from the vehicle itself are left out, as most drivers do",
     "low_overlap": "rig chain only: neighbours share about one tenth of their field of view",
-    "moving": "the vehicle drives on at 3 m/s",
+    "moving": "the vehicle moves at 3 m/s",
     "pedestrians": "people walk around the vehicle",
     "rain": "2 % of the returns are strays at random nearer ranges",
     "truck": "a truck beside the vehicle blocks about half of one LiDAR's view",

@@ -53,7 +53,7 @@ def test_an_unchanged_rig_is_within():
     check = checked(run_with())
     assert (check.verdict, check.moved, check.notes, check.root) == ("within", (), (), "top")
     assert [each.lidar for each in check.lidars] == ["front", "left", "rear"]
-    assert check.sentence == "All 4 LiDARs are where the reference has them."
+    assert check.sentence == "All 4 LiDARs agree with the reference."
 
 
 @pytest.mark.parametrize("motion", [SHIFT, TURN])
@@ -144,7 +144,7 @@ def test_of_two_which_one_moved_cannot_be_told():
     run = run_with(moved, without=("front", "left"))
     check = checked(run, reference=Extrinsics("top", poses))
     assert check.moved == ("rear",)
-    assert "which of them moved cannot be told" in check.notes[0]
+    assert "so the one that moved is unknown" in check.notes[0]
 
 
 def test_own_tolerances_count():

@@ -66,7 +66,7 @@ def test_a_missing_core_library_is_a_failure(versions: dict[str, str], invoke: I
     assert "small-gicp       missing" in outcome.out
     assert outcome.out.splitlines()[-3:] == [
         "The core does not work.",
-        "To mend or add the rest:",
+        "To install or repair the other parts:",
         "  pip install small-gicp",
     ]
 
@@ -116,7 +116,7 @@ def test_it_fits_eighty_columns(missing: tuple[str, ...], versions: dict[str, st
     for name in missing:
         del versions[name]
     lines = invoke("doctor").out.splitlines()
-    commands = lines.index("To mend or add the rest:") if missing else len(lines)
+    commands = lines.index("To install or repair the other parts:") if missing else len(lines)
     assert max(map(len, lines[:commands])) <= 80
 
 

@@ -49,7 +49,7 @@ def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
     assert outcome.code == ExitCode.NOT_PLACED
     assert outcome.out.splitlines() == [
         "2 logs, 0 of them finished before: 1 calibrated, 1 failed.",
-        "See why with: multilica fleet failures --store store",
+        "For the reasons: multilica fleet failures --store store",
     ]
     assert "truck-7: logs/truck-7/broken.mcap: failed:" in outcome.err
     found = rows(

@@ -274,7 +274,9 @@ def test_lidar_missing_in_the_shown_snapshot_is_not_dead(partial):
 
 
 def test_every_code_of_the_decision_has_a_cause():
-    decide = "".join((ROOT / "multilica" / "acceptance" / f"{name}.py").read_text() for name in ("accept", "rig"))
+    decide = "".join(
+        (ROOT / "multilica" / "acceptance" / f"{name}.py").read_text() for name in ("accept", "rig", "placement")
+    )
     codes = set(re.findall(r'(?:Reason\(\s*|_CODE = |^        )"(\w+)"(?=[,:\n])', decide, re.MULTILINE))
     assert len(codes) == 9
     assert {code for code in codes if cause_of_codes([code]) == "unknown"} == set()

@@ -27,7 +27,10 @@ def test_what_is_not_reached_is_told(monkeypatch):
     result, _ = watched(snapshot, base=CONFIG)
     assert result.time_limit == TimeLimit(600.0, (("left", "right"), ("left", "top"), ("right", "top")))
     assert (result.status, result.pairs) == ("failed", ())
-    assert result["left"].reason == "the time was over (--max-time) before its pairs with right, top were searched"
+    assert (
+        result["left"].reason
+        == "the time limit (--max-time) ended the search before its pairs with right, top were searched"
+    )
     document = result_document(result, CONFIG, provenance_of(snapshot))
     explanation = explain(document)
     assert [missing.cause for missing in explanation.missing] == ["out_of_time"] * 2

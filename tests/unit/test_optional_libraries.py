@@ -72,7 +72,7 @@ def test_a_missing_system_library_names_its_package(monkeypatch: pytest.MonkeyPa
 
 
 def test_a_broken_library_is_to_be_installed_again() -> None:
-    told = r"laspy, which cannot be loaded \(no name x\); `pip install --force-reinstall laspy` mends"
+    told = r"laspy, which cannot be loaded \(no name x\); `pip install --force-reinstall laspy` repairs it"
     with pytest.raises(MissingDependencyError, match=told), needed_for("Reading a.las", "laspy"):
         raise ImportError("no name x")
 

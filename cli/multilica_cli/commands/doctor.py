@@ -64,7 +64,7 @@ def _lines(found: Installation) -> Iterator[str]:
     yield ""
     yield "The core works." if found.works else "The core does not work."
     if found.commands:
-        yield "To mend or add the rest:"
+        yield "To install or repair the other parts:"
         yield from (f"  {command}" for command in found.commands)
 
 

@@ -144,7 +144,7 @@ def run(
         console = stdout_console(quiet=quiet)
         console.print(f"{outcome.found} logs, {outcome.skipped} of them finished before: {counts}.")
         if outcome.without_result:
-            console.print(f"See why with: multilica fleet failures --store {store}")
+            console.print(f"For the reasons: multilica fleet failures --store {store}")
     return ExitCode.NOT_PLACED if outcome.without_result else ExitCode.DONE
 
 

@@ -116,7 +116,7 @@ class DecisionEntry(Entry):
     step: int = Field(description="Number of the step, from 0.")
     candidates: tuple[CandidateEntry, ...] = Field(description="Pairs that could have been chosen, the best first.")
     chosen: CandidateEntry | None = Field(description="The pair that was merged; null if the merge stopped here.")
-    reason: str = Field(description="Why, with its figures.")
+    reason: str = Field(description="Reason for the decision, with its figures.")
     groups: tuple[tuple[str, ...], ...] = Field(description="Connected LiDARs after the step, the largest group first.")
 
 

@@ -87,7 +87,7 @@ class GroundEntry(Entry):
     )
     xyz_m: Vector3 = Field(description="Position of that pose.")
     rpy_deg: Vector3 = Field(description="Roll, pitch, yaw of that pose.")
-    inlier_share: Number = Field(description="Share of the area that is seen near the vehicle that is ground.")
+    inlier_share: Number = Field(description="Share of ground in the area that is seen near the vehicle.")
     area_m2: Number = Field(description="Area of the ground that is seen.")
     residual_m: Number = Field(description="RMS distance of its points from a smooth surface.")
     sigma_z_m: Number = Field(description="Standard deviation of the height.")
@@ -131,7 +131,7 @@ class ResultDocument(Entry):
     refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     ground_refusal: str = Field("", description="Why there is no ground plane although one was asked for; else empty.")
-    time_limit: TimeLimitEntry | None = Field(None, description="Set if the time was over before the search was.")
+    time_limit: TimeLimitEntry | None = Field(None, description="Set if the time limit ended the search.")
     timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
     input: InputEntry = Field(description="The snapshot that was calibrated.")
     config: Annotated[CalibrationConfig, WithJsonSchema({"type": "object"})] = Field(

@@ -37,7 +37,7 @@ def test_a_run_agrees_with_itself(invoke: Invoke, result: Path) -> None:
     for source in (result, result.parent):
         outcome = invoke("check", source, "--against", result)
         assert (outcome.code, outcome.err) == (ExitCode.DONE, "")
-        assert "All 3 LiDARs are where the reference has them." in outcome.out
+        assert "All 3 LiDARs agree with the reference." in outcome.out
 
 
 def test_a_reference_elsewhere_is_outside(invoke: Invoke, result: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -105,7 +105,7 @@ def test_a_recording_is_calibrated_before_it_is_checked(invoke: Invoke, two_lida
     truth = truth_with(tmp_path / "truth.toml", "left", 0.5)
     outcome = invoke("check", two_lidars, "--against", truth, "--out", "run", "--workers", "1", "--quiet")
     assert outcome.code == ExitCode.DIFFERENT
-    assert "which of them moved cannot be told" in invoke("check", "run", "--against", truth).out
+    assert "so the one that moved is unknown" in invoke("check", "run", "--against", truth).out
 
 
 @pytest.mark.slow

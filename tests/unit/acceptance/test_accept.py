@@ -56,7 +56,7 @@ _FAR = pose("t", "s", (14.0, 0.0, 0.0))
     [
         (_registration(distinctive=20), "too_little_evidence", "only 20 points lie on walls and objects"),
         (_registration(violate=30), "empty_space_violated", "2.1% of the points lie in space"),
-        (_registration(structure=(0, 5000)), "structure_unexplained", "of 5000 points on walls and objects"),
+        (_registration(structure=(0, 5000)), "structure_unexplained", "5000 of 5000 points on walls and objects"),
         (_registration(_FAR, distinctive=300), "too_far_apart", "the LiDARs would be 14.0 m apart"),
     ],
     ids=["few points", "empty space", "hidden", "far apart"],
@@ -111,7 +111,7 @@ def test_a_competing_pose_leaves_it_undecided():
     assert reason.competing is competing
     assert reason.value == pytest.approx(best.evidence - competing.evidence)
     assert 0.0 < reason.value < reason.limit == _CONFIG.min_log_odds_margin
-    odds = f"evidence {competing.evidence:.1f} against {best.evidence:.1f}, which needs 4.6 more"
+    odds = f"evidence {competing.evidence:.1f} against {best.evidence:.1f}, required margin 4.6"
     assert reason.text == f"a pose 5.00 m and 90 deg away fits as well ({odds})"
 
 
@@ -134,13 +134,13 @@ def test_a_competing_pose_along_the_slide_is_not_observable():
     sliding = replace(best, stability=replace(_STABLE, perturbed_offset_m=0.3))
     both = _accept(sliding, _registration(slid))
     assert both.codes == ("not_observable",)
-    assert "pushed by" in both.text
+    assert "perturbed by" in both.text
 
 
 @pytest.mark.parametrize(
     ("moved", "value", "figures"),
     [
-        ({"perturbed_offset_m": 0.26}, 0.26, "pushed by 0.3 m it ends 0.26 m away, limit 0.15 m"),
+        ({"perturbed_offset_m": 0.26}, 0.26, "perturbed by 0.3 m it ends 0.26 m away, limit 0.15 m"),
         ({"thinned_offset_m": 0.75}, 0.75, "with fewer points it ends 0.75 m away, limit 0.15 m"),
     ],
     ids=["pushed", "thinned"],
