@@ -53,9 +53,10 @@ def show_fleet(*, quiet: bool) -> Iterator[Callable[[LogsPlanned | LogFinished],
             console.print(f"{event.found} logs, {event.found - to_do} of them finished before.")
             return
         done += 1
-        if event.summary.state in _BAD:
+        row = event.row
+        if row.state in _BAD:
             bad += 1
-            console.print(f"{event.vehicle}: {event.source}: {event.summary.state}: {event.summary.reason_text}")
+            console.print(f"{row.vehicle}: {row.source}: {row.state}: {row.reason_text}")
         elif bars.disable and done % max(1, to_do // 20) == 0:
             console.print(f"{done} of {to_do} logs, {bad} without a result")
         bars.update(task, completed=done, description=f"logs, {bad} without a result" if bad else "logs")

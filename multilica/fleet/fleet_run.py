@@ -5,26 +5,27 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import closing
-from dataclasses import dataclass, field
+from contextlib import closing, suppress
+from dataclasses import asdict, dataclass, field
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.fleet.logs.listing import LogPattern, find_logs
 from multilica.fleet.logs.log import config_digest
 from multilica.fleet.logs.plan import Plan, QueuedLog
+from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import Store, vehicle_name
 from multilica.fleet.tasks.executors import open_executor
 from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, run_guarded
-from multilica.fleet.tasks.log_task import Calibrate, LogTask, LogTaskSummary
+from multilica.fleet.tasks.log_task import Calibrate, LogTask
 from multilica.scratch import scratch_folder
 
 # Tasks that wait at the executor for each that runs, so that none waits for the driver.
 _AHEAD = 2
 
-RunLogTask = Callable[[LogTask, LogTaskLimits], LogTaskSummary]
+RunLogTask = Callable[[LogTask, LogTaskLimits], LogRow]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +45,7 @@ class LogsPlanned:
 class LogFinished:
     """A log has its rows in the store."""
 
-    vehicle: str
-    source: str
-    summary: LogTaskSummary
+    row: LogRow
 
 
 FleetObserver = Callable[[LogsPlanned | LogFinished], None]
@@ -124,10 +123,10 @@ def run_fleet(
         outcome.found, to_do = plan.counts()
         outcome.skipped = outcome.found - to_do
         observe(LogsPlanned(outcome.found, to_do))
-        chains = (_Chain(plan.logs_of(vehicle), store, options, digest) for vehicle in plan.vehicles())
-        for log, summary in _run_chains(chains, executor, _AHEAD * slots, options.limits, run_log_task):
-            outcome.states[summary.state] = outcome.states.get(summary.state, 0) + 1
-            observe(LogFinished(log.vehicle, log.source, summary))
+        vehicles = (_vehicle_tasks(plan.logs_of(vehicle), store, options, digest) for vehicle in plan.vehicles())
+        for row in _run_vehicles(vehicles, executor, _AHEAD * slots, options.limits, run_log_task):
+            outcome.states[row.state] = outcome.states.get(row.state, 0) + 1
+            observe(LogFinished(row))
     outcome.elapsed_s = time.monotonic() - start_s
     return outcome
 
@@ -135,9 +134,7 @@ def run_fleet(
 def _identified(
     executor: Executor, addresses: Sequence[str], limits: LogTaskLimits
 ) -> Iterator[tuple[str, int | None]]:
-    waiting: deque[Future[tuple[str, int | None]]] = deque()
-    for address in addresses:
-        waiting.append(executor.submit(_identify, address, limits))
+    waiting = deque(executor.submit(_identify, address, limits) for address in addresses)
     while waiting:
         yield waiting.popleft().result()
 
@@ -147,65 +144,48 @@ def _identify(address: str, limits: LogTaskLimits) -> tuple[str, int | None]:
     return (vehicle_name(found.vehicle) if found.vehicle else ""), found.time_ns
 
 
-class _Chain:
-    """The logs of a vehicle, each with the poses that hold before it."""
-
-    def __init__(self, logs: Iterator[QueuedLog], store: Store, options: FleetOptions, config_sha256: str) -> None:
-        self._logs, self._store, self._options, self._config_sha256 = logs, store, options, config_sha256
-        self._reference = ""
-
-    def next(self) -> LogTask | None:
-        """Return what is to be done next; None at the end."""
-        for log in self._logs:
-            if not log.finished:
-                return self._request(log)
-            self._reference = log.accepted or self._reference
-        return None
-
-    def take(self, summary: LogTaskSummary) -> None:
-        self._reference = summary.calibration or self._reference
-
-    def _request(self, log: QueuedLog) -> LogTask:
-        options = self._options
-        return LogTask(
-            key=log.key,
-            address=log.address,
-            source=log.source,
-            fingerprint=log.fingerprint,
-            size_bytes=log.size_bytes,
-            vehicle=log.vehicle,
-            time_ns=log.time_ns,
-            store=self._store.address,
+def _vehicle_tasks(
+    logs: Iterator[QueuedLog], store: Store, options: FleetOptions, config_sha256: str
+) -> Generator[LogTask, LogRow, None]:
+    """Yield the tasks of a vehicle, each with the poses that hold before it; the row of each is sent back."""
+    reference = ""
+    for log in logs:
+        if log.finished:
+            reference = log.accepted or reference
+            continue
+        row = yield LogTask(
+            **{name: value for name, value in asdict(log).items() if name not in ("finished", "accepted")},
+            store=store.address,
             config=options.config,
-            config_sha256=self._config_sha256,
+            config_sha256=config_sha256,
             tolerances=options.tolerances,
             calibrate=options.calibrate,
-            reference=self._reference,
+            reference=reference,
         )
+        reference = row.calibration or reference
 
 
-def _run_chains(
-    chains: Iterable[_Chain], executor: Executor, most: int, limits: LogTaskLimits, run_log_task: RunLogTask
-) -> Iterator[tuple[LogTask, LogTaskSummary]]:
-    """Run one log of each of several vehicles at a time; yield each with its outcome as it ends."""
-    running: dict[Future[LogTaskSummary], tuple[_Chain, LogTask]] = {}
-    waiting = iter(chains)
+def _run_vehicles(
+    vehicles: Iterator[Generator[LogTask, LogRow, None]],
+    executor: Executor,
+    most: int,
+    limits: LogTaskLimits,
+    run_log_task: RunLogTask,
+) -> Iterator[LogRow]:
+    """Run one log of each of several vehicles at a time; yield the row of each as it ends."""
+    running: dict[Future[LogRow], Generator[LogTask, LogRow, None]] = {}
 
-    def start(chain: _Chain) -> bool:
-        request = chain.next()
-        if request is None:
-            return False
-        running[executor.submit(run_log_task, request, limits)] = chain, request
-        return True
+    def start(vehicle: Generator[LogTask, LogRow, None], task: LogTask | None) -> None:
+        if task is not None:
+            running[executor.submit(run_log_task, task, limits)] = vehicle
 
     while True:
-        while len(running) < most and (chain := next(waiting, None)) is not None:
-            start(chain)
+        while len(running) < most and (vehicle := next(vehicles, None)) is not None:
+            start(vehicle, next(vehicle, None))
         if not running:
             return
         for future in wait(running, return_when=FIRST_COMPLETED).done:
-            chain, request = running.pop(future)
-            summary = future.result()
-            chain.take(summary)
-            start(chain)
-            yield request, summary
+            vehicle, row = running.pop(future), future.result()
+            with suppress(StopIteration):
+                start(vehicle, vehicle.send(row))
+            yield row

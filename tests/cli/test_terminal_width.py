@@ -14,7 +14,7 @@ from rich.console import Console
 
 from multilica.config import preset, with_overrides
 from multilica.fleet.fleet_run import LogFinished, LogsPlanned
-from multilica.fleet.tasks.log_task import LogTaskSummary
+from multilica.fleet.store.records import LogRow
 from multilica.run import run_calibration
 from multilica_cli.commands.demo import find_sample
 from multilica_cli.commands.fleet import fleet
@@ -203,13 +203,13 @@ def test_progress_of_the_fleet_fits(capsys, monkeypatch, width):
     monkeypatch.setenv("COLUMNS", str(width))
     monkeypatch.setenv("FORCE_COLOR", "1")
     told = "the file is damaged near its end and cannot be read any further than its first chunk"
-    summary = LogTaskSummary(
-        state="failed", reason="damaged", reason_text=told, calibration="", source_sha256="", lidars=0, placed=0
+    row = LogRow(
+        "k", "truck-0123456789", 0, "s3://bucket/truck/2026-03-01.mcap", "f", 1, "failed", "damaged", reason_text=told
     )
     with show_fleet(quiet=False) as observe:
         observe(LogsPlanned(12_000, 12_000))
         for _ in range(2_000):
-            observe(LogFinished("truck-0123456789", "s3://bucket/truck/2026-03-01.mcap", summary))
+            observe(LogFinished(row))
     text = _CODES.sub("", capsys.readouterr().err)
     assert max(map(cell_len, text.splitlines())) <= width
     assert set(told.split()) <= set(text.split())

@@ -10,7 +10,7 @@ from multilica.fleet.store.compact import compact_store
 from multilica.fleet.store.query import ask, failures, status
 from multilica.fleet.store.records import MEASURED, LidarRow
 from multilica.fleet.store.store import open_store
-from multilica.fleet.tasks.log_task import LogTaskSummary, failed_row
+from multilica.fleet.tasks.log_task import failed_row
 
 FLEET = {"v1": 5, "v2": 3, "v3": 4}
 
@@ -43,7 +43,7 @@ class Tasks:
         open_store(request.store, create=False).finish(row, lidars)
         with self._lock:
             self.running[request.vehicle] -= 1
-        return LogTaskSummary.of(row)
+        return row
 
 
 @pytest.fixture

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Logs as units of work, each with its key."""
+"""Logs of vehicles, each with its key."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class FleetLog:
     time_ns: int | None = None
 
 
-def unit_key(log: FleetLog, config_sha256: str) -> str:
+def log_key(log: FleetLog, config_sha256: str) -> str:
     """Return the key of a log's row: equal if the same source is treated by the same version in the same way."""
     identity = [log.source, log.size_bytes, log.fingerprint, config_sha256, multilica.__version__]
     return hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:32]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,7 @@ from typing import Any
 import pyarrow as pa
 
 import multilica
-from multilica.fleet.logs.log import FleetLog, unit_key
+from multilica.fleet.logs.log import FleetLog, log_key
 from multilica.fleet.store.records import PASSING
 from multilica.fleet.store.store import Store
 from multilica.optional_libraries import needed_for
@@ -27,37 +27,28 @@ with needed_for("`multilica fleet`", "duckdb"):
 _BATCH = 2000
 _PARTS = 500
 _MEMORY = "256MB"
+_TEXTS = ("address", "source", "fingerprint", "vehicle", "key")
 _LOGS = pa.schema(
     [
-        ("key", pa.string()),
-        ("address", pa.string()),
-        ("source", pa.string()),
-        ("size_bytes", pa.int64()),
-        ("fingerprint", pa.string()),
-        ("vehicle", pa.string()),
-        ("time_ns", pa.int64()),
+        (name, pa.string() if name in _TEXTS else pa.int64())
+        for name in (*(field.name for field in fields(FleetLog)), "key")
     ]
 )
 
 
 @dataclass(frozen=True, slots=True)
-class QueuedLog:
+class QueuedLog(FleetLog):
     """A log in the order of its vehicle.
 
     Args:
-        finished: whether the store has its row.
+        key: of its row.
+        finished: whether the store has that row.
         accepted: path in the store of poses that it gave; empty if it gave none.
     """
 
-    key: str
-    address: str
-    source: str
-    size_bytes: int
-    fingerprint: str
-    vehicle: str
-    time_ns: int | None
-    finished: bool
-    accepted: str
+    key: str = ""
+    finished: bool = False
+    accepted: str = ""
 
 
 class Plan:
@@ -72,7 +63,7 @@ class Plan:
     def __init__(self, folder: Path, store: Store, config_sha256: str, *, newest_first: bool = False) -> None:
         self._base = duckdb.connect(str(folder / "plan.duckdb"))
         self._base.execute(f"SET memory_limit='{_MEMORY}'; SET threads=1; SET temp_directory='{folder}'")
-        columns = ", ".join(f"{name} {_sql_type(name)}" for name in _LOGS.names)
+        columns = ", ".join(f"{name} {'VARCHAR' if name in _TEXTS else 'BIGINT'}" for name in _LOGS.names)
         self._base.execute(f"CREATE TABLE found ({columns})")
         self._base.execute(
             "CREATE TABLE done (key VARCHAR, source VARCHAR, fingerprint VARCHAR, vehicle VARCHAR, "
@@ -96,9 +87,9 @@ class Plan:
             self._base.unregister("stored")
 
     def _stored(self, store: Store) -> Iterator[pa.Table]:
-        names = ["key", "source", "fingerprint", "vehicle", "time", "state", "reason", "calibration"]
+        columns = ["key", "source", "fingerprint", "vehicle", "time", "state", "reason", "calibration"]
+        columns += ["config_sha256", "version"]
         parts = store.parts("logs")
-        columns = [*names, "config_sha256", "version"]
         while some := list(islice(parts, _PARTS)):
             try:
                 yield store.dataset("logs", some).to_table(columns=columns)
@@ -112,7 +103,7 @@ class Plan:
         """Add logs; return how many."""
         count, waiting = 0, iter(logs)
         while batch := list(islice(waiting, _BATCH)):
-            values = [{"key": unit_key(log, self._config_sha256)} | asdict(log) for log in batch]
+            values = [{"key": log_key(log, self._config_sha256)} | asdict(log) for log in batch]
             self._base.register("batch", pa.Table.from_pylist(values, schema=_LOGS))
             self._base.execute(f"INSERT INTO found SELECT {', '.join(_LOGS.names)} FROM batch")  # noqa: S608
             self._base.unregister("batch")
@@ -162,7 +153,7 @@ class Plan:
             SELECT own.*, past.key IS NOT NULL, coalesce(past.accepted, '')
             FROM own LEFT JOIN past ON own.key = past.key
             UNION ALL
-            SELECT key, '', source, 0, fingerprint, vehicle, time_ns, true, accepted
+            SELECT '', source, 0, fingerprint, vehicle, time_ns, key, true, accepted
             FROM past WHERE key NOT IN (SELECT key FROM own)
             ORDER BY time_ns {self._order} NULLS LAST, source, key""",  # noqa: S608 - no text from outside
             [vehicle],
@@ -178,10 +169,6 @@ class Plan:
             cursor.execute(query, list(values))
             while rows := cursor.fetchmany(_BATCH):
                 yield from rows
-
-
-def _sql_type(name: str) -> str:
-    return "BIGINT" if name in ("size_bytes", "time_ns") else "VARCHAR"
 
 
 def _folder(source: str) -> str:

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
-from typing import Any, Literal
+from typing import Literal, get_args, get_type_hints
 
 import pyarrow as pa
 
@@ -99,75 +99,33 @@ class LogRow:
     finished_at: datetime | None = None
 
 
-_TIME = pa.timestamp("us", tz="UTC")
-_TEXT = pa.string()
-_NUMBER = pa.float64()
+_ARROW_TYPES = {
+    str: pa.string(),
+    int: pa.int32(),
+    float: pa.float64(),
+    tuple[float, ...]: pa.list_(pa.float64()),
+    datetime: pa.timestamp("us", tz="UTC"),
+}
 
 
-def _schema(name: str, fields: Sequence[tuple[str, pa.DataType]]) -> pa.Schema:
-    metadata = {"multilica.table": name, "multilica.schema_version": str(SCHEMA_VERSION)}
-    return pa.schema([pa.field(*field) for field in fields], metadata=metadata)
+def _schema(table: str, row: type[LidarRow | LogRow]) -> pa.Schema:
+    """Return a schema with a column for each field of a row; the folders of a part give `vehicle` and `month`."""
+    columns = []
+    for name, hint in get_type_hints(row).items():
+        kind = next((each for each in (hint, *get_args(hint)) if each in _ARROW_TYPES), str)
+        if name == "time_ns":
+            columns.append(pa.field("time", _ARROW_TYPES[datetime]))
+        elif name != "vehicle":
+            columns.append(pa.field(name, pa.int64() if name == "size_bytes" else _ARROW_TYPES[kind]))
+    metadata = {"multilica.table": table, "multilica.schema_version": str(SCHEMA_VERSION)}
+    return pa.schema(columns, metadata=metadata)
 
 
-LIDARS_SCHEMA = _schema(
-    "lidars",
-    [
-        ("key", _TEXT),
-        ("time", _TIME),
-        ("source", _TEXT),
-        ("lidar", _TEXT),
-        ("target", _TEXT),
-        ("how", _TEXT),
-        ("status", _TEXT),
-        ("reason", _TEXT),
-        ("reason_text", _TEXT),
-        *((name, _NUMBER) for name in ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")),
-        ("covariance", pa.list_(_NUMBER)),
-        ("sigma_mm", _NUMBER),
-        ("sigma_deg", _NUMBER),
-        ("evidence", _NUMBER),
-    ],
-)
-"""Schema of the parts of `lidars`; the folders of a part give `vehicle` and `month`."""
-LOGS_SCHEMA = _schema(
-    "logs",
-    [
-        ("key", _TEXT),
-        ("time", _TIME),
-        ("source", _TEXT),
-        ("fingerprint", _TEXT),
-        ("size_bytes", pa.int64()),
-        ("state", _TEXT),
-        ("reason", _TEXT),
-        ("reason_text", _TEXT),
-        ("source_sha256", _TEXT),
-        ("lidars", pa.int32()),
-        ("placed", pa.int32()),
-        ("reference", _TEXT),
-        ("calibration", _TEXT),
-        ("recording", _TEXT),
-        ("report", _TEXT),
-        ("mcap", _TEXT),
-        ("version", _TEXT),
-        ("config_sha256", _TEXT),
-        ("elapsed_s", _NUMBER),
-        ("cpu_s", _NUMBER),
-        ("memory_mb", _NUMBER),
-        ("artifacts_mb", _NUMBER),
-        ("attempts", pa.int32()),
-        ("finished_at", _TIME),
-    ],
-)
-"""Schema of the parts of `logs`; the folders of a part give `vehicle` and `month`."""
+LIDARS_SCHEMA = _schema("lidars", LidarRow)
+LOGS_SCHEMA = _schema("logs", LogRow)
 
 
 def table_of(rows: Sequence[LidarRow] | Sequence[LogRow], schema: pa.Schema) -> pa.Table:
     """Return rows as a table."""
-    values = [_values(row) for row in rows]
+    values = [asdict(row) | {"time": None if row.time_ns is None else moment(row.time_ns)} for row in rows]
     return pa.Table.from_pylist([{name: value[name] for name in schema.names} for value in values], schema=schema)
-
-
-def _values(row: LidarRow | LogRow) -> dict[str, Any]:
-    values = asdict(row)
-    values["time"] = None if row.time_ns is None else moment(row.time_ns)
-    return values

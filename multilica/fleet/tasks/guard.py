@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units in a process of their own, with limits of time and memory.
+"""Log tasks in a process of their own, with limits of time and memory.
 
 Every executor runs `run_guarded`, in a thread of this process or of a Dask worker. Each such thread keeps one child
 process, so that libraries are loaded once, and one that crashes, hangs or takes too much memory ends only that.
@@ -8,30 +8,27 @@ process, so that libraries are loaded once, and one that crashes, hangs or takes
 from __future__ import annotations
 
 import atexit
-import json
 import os
-import select
 import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError
 from contextlib import suppress
+from multiprocessing import Pipe
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
-from multilica.fleet.store.records import PASSING
+from multilica.fleet.store.records import PASSING, LogRow
 from multilica.fleet.store.store import open_store
-from multilica.fleet.tasks.log_task import LogTask, LogTaskSummary, failed_row
+from multilica.fleet.tasks.log_task import LogTask, TaskFailure, failed_row
 from multilica.ingest.metadata import LogIdentity
 
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
-_READ_BYTES = 1 << 16
 _SERVER = "multilica.fleet.tasks.task_server"
 _IDENTIFY_S = 60.0
 _LOCAL = threading.local()
@@ -55,33 +52,30 @@ class LogTaskLimits(BaseModel):
     retries: int = 5
 
 
-def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogTaskSummary:
+def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
     """Run a task, again after what may pass; write the row of one that ended without."""
     tried = request
 
-    def ask(attempt: int) -> dict[str, Any]:
+    def ask(attempt: int) -> Any:  # noqa: ANN401 - what the server answers
         nonlocal tried
         tried = request.model_copy(update={"attempt": attempt})
-        return _process(limits).ask({"task": tried.model_dump(mode="json")}, limits.time_s)
+        return _process(limits).ask(tried, limits.time_s)
 
-    answer = _tried(ask, limits)
-    if "summary" in answer:
-        return LogTaskSummary.model_validate(answer["summary"])
-    row = failed_row(tried, answer["reason"], answer["text"])
-    open_store(request.store, create=False).finish(row, [])
-    return LogTaskSummary.of(row)
+    answer: LogRow | TaskFailure = _tried(ask, limits)
+    if isinstance(answer, TaskFailure):
+        answer = failed_row(tried, answer.reason, answer.text)
+        open_store(request.store, create=False).finish(answer, [])
+    return answer
 
 
 def identify_guarded(address: str, limits: LogTaskLimits) -> LogIdentity:
     """Read vehicle and time of a log, again after what may pass; nothing if that takes too much."""
-    answer = _tried(
-        lambda _: _process(limits).ask({"identify": address}, min(_IDENTIFY_S, limits.time_s)),
-        limits,
-    )
-    return LogIdentity(answer.get("vehicle", ""), answer.get("time_ns"))
+    time_s = min(_IDENTIFY_S, limits.time_s)
+    answer: LogIdentity | TaskFailure = _tried(lambda _: _process(limits).ask(address, time_s), limits)
+    return LogIdentity("", None) if isinstance(answer, TaskFailure) else answer
 
 
-def _tried(ask: Callable[[int], dict[str, Any]], limits: LogTaskLimits) -> dict[str, Any]:
+def _tried(ask: Callable[[int], Any], limits: LogTaskLimits) -> Any:  # noqa: ANN401 - as above
     """Ask up to an answer, or a failure that does not pass."""
     for attempt in range(limits.retries + 1):
         if attempt:
@@ -89,7 +83,7 @@ def _tried(ask: Callable[[int], dict[str, Any]], limits: LogTaskLimits) -> dict[
         answer = ask(attempt + 1)
         if _STOPPED.is_set():
             raise CancelledError
-        if answer.get("reason") not in PASSING:
+        if not (isinstance(answer, TaskFailure) and answer.reason in PASSING):
             break
     return answer
 
@@ -120,58 +114,43 @@ def _process(limits: LogTaskLimits) -> _TaskProcess:
 class _TaskProcess:
     def __init__(self, memory_mb: float) -> None:
         self.memory_mb = memory_mb
-        self._process = subprocess.Popen(  # noqa: S603 - a module of this package
-            [sys.executable, "-m", _SERVER, str(memory_mb)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env=os.environ | _ONE_THREAD,
-            start_new_session=True,
-        )
+        self._connection, server = Pipe()
+        with server:
+            self._process = subprocess.Popen(  # noqa: S603 - a module of this package
+                [sys.executable, "-m", _SERVER, str(server.fileno()), str(memory_mb)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                env=os.environ | _ONE_THREAD,
+                start_new_session=True,
+                pass_fds=[server.fileno()],
+            )
         _RUNNING.add(self)
 
     @property
     def is_alive(self) -> bool:
         return self._process.poll() is None
 
-    def ask(self, request: dict[str, Any], time_s: float) -> dict[str, Any]:
-        """Return the answer, or the reason why there is none."""
+    def ask(self, request: LogTask | str, time_s: float) -> Any:  # noqa: ANN401 - what the server answers
+        """Return the answer, or the TaskFailure that says why there is none."""
         try:
-            line = self._answer(json.dumps(request).encode() + b"\n", time_s)
-        except TimeoutError:
-            self.end()
-            return {"reason": "timeout", "text": f"The log took more than {time_s:g} s."}
-        except OSError:
-            line = b""
-        if not line.endswith(b"\n"):
+            self._connection.send(request)
+            if self._connection.poll(time_s):
+                return self._connection.recv()
+        except (OSError, EOFError):
             return self._death()
-        answer: dict[str, Any] = json.loads(line)
-        return answer
+        self.end()
+        return TaskFailure("timeout", f"The log took more than {time_s:g} s.")
 
-    def _answer(self, request: bytes, time_s: float) -> bytes:
-        assert self._process.stdin and self._process.stdout  # noqa: S101, PT018
-        end_s = time.monotonic() + time_s
-        self._process.stdin.write(request)
-        self._process.stdin.flush()
-        line, output = b"", self._process.stdout.fileno()
-        while not line.endswith(b"\n"):
-            if not select.select([output], [], [], max(0.0, end_s - time.monotonic()))[0]:
-                raise TimeoutError
-            data = os.read(output, _READ_BYTES)
-            if not data:
-                break
-            line += data
-        return line
-
-    def _death(self) -> dict[str, Any]:
+    def _death(self) -> TaskFailure:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(5.0)
         self.end()
         code = self._process.returncode
-        if code is not None and -code in _KILLED:
-            return {"reason": "killed", "text": f"The process of the log was killed ({signal.Signals(-code).name})."}
-        how = f"signal {signal.Signals(-code).name}" if code is not None and code < 0 else f"code {code}"
-        return {"reason": "crashed", "text": f"The process of the log ended with {how}; a library crashed on it."}
+        if -code in _KILLED:
+            return TaskFailure("killed", f"The process of the log was killed ({signal.Signals(-code).name}).")
+        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
+        return TaskFailure("crashed", f"The process of the log ended with {how}; a library crashed on it.")
 
     def end(self) -> None:
         """Kill the process and what it started."""
@@ -179,10 +158,8 @@ class _TaskProcess:
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
-            with suppress(OSError):
-                if stream:
-                    stream.close()
+        assert self._process.stdin  # noqa: S101
+        self._process.stdin.close()  # the connection stays open: another thread may wait at it
         _RUNNING.discard(self)
 
 

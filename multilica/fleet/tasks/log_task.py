@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What goes to a task, and what comes back."""
+"""Request to a task, with the rows of logs without a result."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Literal
 
@@ -59,23 +59,12 @@ class LogTask(BaseModel):
         )
 
 
-class LogTaskSummary(BaseModel):
-    """What the driver needs to know of a finished log."""
+@dataclass(frozen=True, slots=True)
+class TaskFailure:
+    """Why a task ended without a row."""
 
-    model_config = ConfigDict(frozen=True)
-
-    state: str
     reason: str
-    reason_text: str
-    calibration: str
-    source_sha256: str
-    lidars: int
-    placed: int
-
-    @classmethod
-    def of(cls, row: LogRow) -> LogTaskSummary:
-        """Return the summary of a row."""
-        return cls.model_validate({name: getattr(row, name) for name in cls.model_fields})
+    text: str
 
 
 def failed_row(request: LogTask, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed") -> LogRow:

@@ -9,19 +9,22 @@ from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import tomli_w
 
 import multilica
+from multilica.checks import check_found, relative_covariance
 from multilica.config import CalibrationConfig
+from multilica.diagnosis import explain
+from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
 from multilica.fleet.store.records import LidarRow, LogRow
 from multilica.fleet.store.store import Store, folder_name, open_store
-from multilica.fleet.tasks.log_task import LogTask, LogTaskSummary, failed_row
-from multilica.fleet.tasks.task_rows import calibrated_rows, verified_rows
-from multilica.geometry import RigidTransform
+from multilica.fleet.tasks.log_task import LogTask, failed_row
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.remote.remote_file import ConnectionLostError
@@ -30,13 +33,14 @@ from multilica.run import run_calibration
 from multilica.runs.run_documents import read_run_document
 from multilica.scratch import scratch_folder
 from multilica.snapshot import Snapshot
+from multilica.verification import register_from_known
 
 _REFERENCE = "reference.toml"
-_FILES = ("recording.rrd", "report.html", "result.mcap")
+_COLUMNS = {"recording.rrd": "recording", "report.html": "report", "result.mcap": "mcap"}
 _ALSO = ("result.json", "calibration.toml")
 
 
-def run_log_task(request: LogTask) -> LogTaskSummary:
+def run_log_task(request: LogTask) -> LogRow:
     """Verify or calibrate a log, and write its files and rows into the store.
 
     A log that another driver has finished meanwhile is written again, with the same content.
@@ -60,7 +64,7 @@ def run_log_task(request: LogTask) -> LogTaskSummary:
         finished_at=datetime.now(UTC),
     )
     store.finish(row, lidars)
-    return LogTaskSummary.of(row)
+    return row
 
 
 def _code(failure: MultilicaError) -> str:
@@ -81,7 +85,7 @@ def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]
     require_calibratable(snapshot)
     known = _reference(request, store)
     if known is not None and request.calibrate == "when-needed" and {*snapshot.names} <= known.members:
-        rows = verified_rows(request, snapshot, known)
+        rows = _verified_rows(request, snapshot, known)
         if rows:
             return replace(row, state="verified", placed=len(rows)), rows
     return _calibrated(request, store, row, known, snapshot)
@@ -121,7 +125,7 @@ def _calibrated(
             run_calibration(request.address, out, _recorded(config, "full"), prior=prior)
         document = read_run_document(out).document
         row = _stored(request, store, replace(row, state="calibrated"), out, document, known)
-    return row, calibrated_rows(request, document)
+    return row, _calibrated_rows(request, document)
 
 
 def _recorded(config: CalibrationConfig, detail: str) -> CalibrationConfig:
@@ -142,16 +146,10 @@ def _stored(
         reference = _joined(Extrinsics(target, poses), known)
         store.write(f"{place}/{_REFERENCE}", tomli_w.dumps(extrinsics_table(reference)).encode())
         row = replace(row, calibration=f"{place}/{_REFERENCE}")
-    size = sum(store.put(out / name, f"{place}/{name}") for name in (*_FILES, *_ALSO) if (out / name).exists())
-    written = {name: f"{place}/{name}" if (out / name).exists() else "" for name in _FILES}
-    return replace(
-        row,
-        placed=len(poses),
-        artifacts_mb=size / 1e6,
-        recording=written["recording.rrd"],
-        report=written["report.html"],
-        mcap=written["result.mcap"],
-    )
+    names = [name for name in (*_COLUMNS, *_ALSO) if (out / name).exists()]
+    size = sum(store.put(out / name, f"{place}/{name}") for name in names)
+    written: dict[str, Any] = {column: f"{place}/{name}" for name, column in _COLUMNS.items() if name in names}
+    return replace(row, placed=len(poses), artifacts_mb=size / 1e6, **written)
 
 
 def _joined(found: Extrinsics, known: Extrinsics | None) -> Extrinsics:
@@ -165,3 +163,76 @@ def _joined(found: Extrinsics, known: Extrinsics | None) -> Extrinsics:
 def _cpu_s() -> float:
     own, below = resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN)
     return own.ru_utime + own.ru_stime + below.ru_utime + below.ru_stime
+
+
+def _verified_rows(request: LogTask, snapshot: Snapshot, known: Extrinsics) -> list[LidarRow]:
+    """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were."""
+    found = register_from_known(snapshot, known, request.config)
+    if known.target not in found.poses or check_found(found, snapshot, known, request.tolerances).verdict != "within":
+        return []
+    target, T_target_root = found[known.target], found.poses[known.target].inverse()
+    rows = []
+    for name in snapshot.names:
+        covariance = None if name == known.target else relative_covariance(target, found[name], found.target)
+        pose = T_target_root @ found.poses[name]
+        rows.append(_row(request, name, known.target, "verified", "placed", pose, covariance))
+    return rows
+
+
+def _calibrated_rows(request: LogTask, document: ResultDocument) -> list[LidarRow]:
+    """Return the poses of a calibration, and why LiDARs have none or an uncertain one."""
+    outcome = explain(document)
+    causes: dict[str, Missing | Uncertain] = {each.lidar: each for each in outcome.missing}
+    causes |= {each.lidar: each for each in outcome.uncertain}
+    evidence: dict[str, float] = {}
+    for pair in document.pairs:
+        for name in (pair.target, pair.source) if pair.verdict.accepted else ():
+            evidence[name] = max(evidence.get(name, 0.0), pair.evidence)
+    rows = []
+    for name, entry in document.lidars.items():
+        pose = entry.T_target_source
+        cause = causes.get(name)
+        rows.append(
+            _row(
+                request,
+                name,
+                document.target,
+                "calibrated",
+                entry.status,
+                None if pose is None else RigidTransform(document.target, name, np.asarray(pose)),
+                None if entry.covariance is None or name == document.target else np.asarray(entry.covariance),
+                reason="" if cause is None else cause.cause,
+                reason_text="" if cause is None else cause.headline,
+                evidence=evidence.get(name),
+            )
+        )
+    return rows
+
+
+def _row(
+    request: LogTask,
+    lidar: str,
+    target: str,
+    how: Literal["verified", "calibrated"],
+    status: Literal["placed", "uncertain", "not_placed"],
+    pose: RigidTransform | None,
+    covariance: FloatArray | None,
+    **more: Any,  # noqa: ANN401 - fields of the row
+) -> LidarRow:
+    row = LidarRow(request.key, request.time_ns, request.source, lidar, target, how, status, **more)
+    if pose is not None:
+        x_m, y_m, z_m = pose.xyz_m.tolist()
+        qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
+        row = replace(row, x_m=x_m, y_m=y_m, z_m=z_m, qx=qx, qy=qy, qz=qz, qw=qw)
+    if covariance is not None:
+        sigma_rad, sigma_m = (
+            float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0)))
+            for block in (covariance[:3, :3], covariance[3:, 3:])
+        )
+        row = replace(
+            row,
+            covariance=tuple(covariance.ravel().tolist()),
+            sigma_mm=1000.0 * sigma_m,
+            sigma_deg=float(np.rad2deg(sigma_rad)),
+        )
+    return row

@@ -1,62 +1,54 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process that tasks run in: a request per line on stdin, an answer per line on stdout.
+"""The process that tasks run in: it answers what comes over a connection.
 
-It ends when stdin does, so never outlives the process that started it.
+It ends when its stdin does, so never outlives the process that started it.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import queue
 import resource
 import signal
 import sys
 import threading
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-MAX_LINE_BYTES = 4 << 20
+if TYPE_CHECKING:
+    from multilica.fleet.tasks.log_task import LogTask
 
 
 def main() -> None:
-    """Answer requests until stdin ends."""
+    """Answer requests until stdin ends: a LogTask with its row, the address of a log with its LogIdentity."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver ends it
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what a library prints is no answer
-    requests: queue.SimpleQueue[str] = queue.SimpleQueue()
-    threading.Thread(target=_read, args=(requests,), daemon=True).start()
+    threading.Thread(target=_end_with_stdin, daemon=True).start()
 
     from multilica.fleet.tasks import run_task
 
-    _limit_memory(float(sys.argv[1]))
-    while True:
-        request = json.loads(requests.get())
-        try:
-            answer = _answer(request, run_task)
-        except MemoryError:
-            answer = {"reason": "memory", "text": "The log takes more memory than a task may have."}
-        except Exception as failure:  # noqa: BLE001 - one log must not end the others
-            text = f"This is a bug in multilica, not in the log ({type(failure).__name__}: {failure})."
-            answer = {"reason": "bug", "text": text[:500]}
-        print(json.dumps(answer), file=answers, flush=True)
+    _limit_memory(float(sys.argv[2]))
+    with Connection(int(sys.argv[1])) as requests:
+        while True:
+            requests.send(_answer(requests.recv(), run_task))
 
 
-def _answer(request: dict[str, Any], run_task: Any) -> dict[str, Any]:  # noqa: ANN401 - a module that takes time to load
-    from multilica.fleet.tasks.log_task import LogTask
+def _answer(request: LogTask | str, run_task: Any) -> object:  # noqa: ANN401 - a module that takes time to load
+    from multilica.fleet.tasks.log_task import TaskFailure
     from multilica.ingest.metadata import identify_log
     from multilica.ingest.remote.remote_file import ConnectionLostError
 
     try:
-        if "identify" in request:
-            identity = identify_log(request["identify"])
-            return {"vehicle": identity.vehicle, "time_ns": identity.time_ns}
-        return {"summary": run_task.run_log_task(_below_folder(LogTask.model_validate(request["task"]))).model_dump()}
+        return identify_log(request) if isinstance(request, str) else run_task.run_log_task(_below_folder(request))
     except ConnectionLostError as failure:
-        return {"reason": "network", "text": str(failure)}
+        return TaskFailure("network", str(failure))
+    except MemoryError:
+        return TaskFailure("memory", "The log takes more memory than a task may have.")
+    except Exception as failure:  # noqa: BLE001 - one log must not end the others
+        text = f"This is a bug in multilica, not in the log ({type(failure).__name__}: {failure})."
+        return TaskFailure("bug", text[:500])
 
 
-def _below_folder(request: Any) -> Any:  # noqa: ANN401 - as above
+def _below_folder(request: LogTask) -> LogTask:
     """Read a local log by its path below what was given, so that files and tables hold no path of the machine."""
     folder = request.address.removesuffix(request.source)
     if folder not in {"", request.address} and Path(folder).is_dir():
@@ -65,9 +57,8 @@ def _below_folder(request: Any) -> Any:  # noqa: ANN401 - as above
     return request
 
 
-def _read(requests: queue.SimpleQueue[str]) -> None:
-    for line in sys.stdin:
-        requests.put(line)
+def _end_with_stdin() -> None:
+    sys.stdin.read()
     os._exit(0)
 
 

@@ -17,7 +17,7 @@ from multilica.fleet.fleet_run import FleetOptions, run_fleet
 from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks.guard import LogTaskLimits
-from multilica.fleet.tasks.log_task import LogTask, LogTaskSummary, failed_row
+from multilica.fleet.tasks.log_task import LogTask, failed_row
 from tests.bench.support.claims import at_most, print_claims, print_table
 
 _FEW, _MANY = 10_000, 100_000
@@ -75,12 +75,12 @@ def _drive(count: int) -> dict[str, float]:
     }
 
 
-def _millisecond(request: LogTask, limits: LogTaskLimits) -> LogTaskSummary:
+def _millisecond(request: LogTask, limits: LogTaskLimits) -> LogRow:
     del limits
     time.sleep(_UNIT_S)
     row: LogRow = failed_row(request, "stub", "", state="refused")
     open_store(request.store, create=False).finish(row, [])
-    return LogTaskSummary.of(row)
+    return row
 
 
 if __name__ == "__main__":
