@@ -7,7 +7,7 @@ import pytest
 
 from multilica.fleet.fleet_run import FleetOptions, LogsPlanned, run_fleet
 from multilica.fleet.store.compact import compact_store
-from multilica.fleet.store.query import ask, failures, status
+from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.records import MEASURED, LidarRow
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks.log_task import failed_row
@@ -116,12 +116,12 @@ def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest):
     store, offline = open_store(tmp_path / "store", create=True), "s3://logs/v2/1.mcap"
     outcome, _ = run(manifest, store, Tasks(failing=[offline]))
     assert outcome.without_result == 1
-    with failures(store) as answer:
+    with ask(store, FAILURES) as answer:
         assert [row[2:7] for row in answer.rows()] == [(offline, "", "failed", "network", "lost")]
     outcome, _ = run(manifest, store, tasks := Tasks())
     assert tasks.done == [offline]
     assert outcome.without_result == 0
-    with failures(store) as answer:
+    with ask(store, FAILURES) as answer:
         assert list(answer.rows()) == []
 
 
@@ -192,7 +192,7 @@ def _killed(*_):
 def test_the_status_counts_per_vehicle(tmp_path, manifest):
     store = open_store(tmp_path / "store", create=True)
     run(manifest, store, Tasks())
-    with status(store) as answer:
+    with ask(store, STATUS) as answer:
         rows = [dict(zip(answer.columns, row, strict=True)) for row in answer.rows()]
     assert [(row["vehicle"], row["logs"], row["verified"], row["calibrated"]) for row in rows] == [
         ("v1", 5, 3, 2),

@@ -21,7 +21,7 @@ from multilica.fleet.report import page as page_module
 from multilica.fleet.report.charts import LidarHistory
 from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, drawn_vehicles, fleet_page
 from multilica.fleet.report.store_report import store_report
-from multilica.fleet.store import query
+from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.store import open_store
 from tests.fleet.support.made_store import SIGMA_DEG, SIGMA_MM, add_log, key_of, lidar_row, made_store
 from tests.fleet.support.requests import DAY_NS, START_NS
@@ -112,7 +112,7 @@ def text(store, tmp_path_factory):
 
 
 def test_the_overview_has_the_numbers_of_the_tables(store, text):
-    with query.status(store) as answer:
+    with ask(store, STATUS) as answer:
         expected = [
             [row[0], *(str(each or "-") for each in (row[1], f"{row[2]:%Y-%m-%d}", f"{row[3]:%Y-%m-%d}", *row[4:8]))]
             for row in answer.rows()
@@ -120,7 +120,7 @@ def test_the_overview_has_the_numbers_of_the_tables(store, text):
     rows = Tables(text).body("overview")
     assert [row[:8] for row in rows] == expected
     assert [row[8] for row in rows] == ["front: jump", "rear: lost rear: dead_sensor", "-"]
-    with query.ask(store, "SELECT count(*), count(*) FILTER (state = 'verified') FROM logs") as answer:
+    with ask(store, "SELECT count(*), count(*) FILTER (state = 'verified') FROM logs") as answer:
         ((logs, verified),) = answer.rows()
     assert f"{logs} logs from 2026-01-02 to 2026-10-01: {verified} verified, 6 calibrated, 1 without a result." in text
     assert "<h1>1 LiDAR moved on 1 of 3 vehicles.</h1>" in text
@@ -137,7 +137,7 @@ def test_the_lines_show_the_largest_distance_to_the_median(store, text):
 
 
 def test_the_failures_are_those_of_the_command(store, text):
-    with query.failures(store) as answer:
+    with ask(store, FAILURES) as answer:
         expected = sorted(row[6] for row in answer.rows())
     tables = Tables(text)
     assert sorted(row[3] for row in tables.body("failures")) == expected
@@ -145,7 +145,7 @@ def test_the_failures_are_those_of_the_command(store, text):
     _, lost, broken = tables.body("failures")
     assert lost[:3] == ["v02", "2026-09-30", "rear: dead_sensor"]
     assert broken[1:] == ["no time", "unreadable", "v03/broken.bag is empty.", "v03/broken.bag"]
-    with query.ask(store, "SELECT recording FROM logs WHERE source = 'v02/272.mcap'") as answer:
+    with ask(store, "SELECT recording FROM logs WHERE source = 'v02/272.mcap'") as answer:
         ((recording,),) = answer.rows()
     assert lost[4] == f"v02/272.mcap{recording}"
     assert [link for link in tables.links if not link.startswith("#")] == []

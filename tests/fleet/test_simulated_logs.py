@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from multilica.errors import InputError, UsageError, WorkerDiedError
-from multilica.fleet.simulated.simulated_logs import write_fleet
-from multilica.fleet.simulated.simulated_truth import FLEET_TRUTH_SCHEMA, TRUTH_NAME, fleet_truth
+from multilica.fleet.simulated_logs import FLEET_TRUTH_SCHEMA, TRUTH_NAME, fleet_truth, write_fleet
 from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
 from multilica.simulate import FleetPlan, PlannedLog, plan_fleet

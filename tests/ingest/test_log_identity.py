@@ -2,7 +2,7 @@
 
 import pytest
 
-from multilica.fleet.simulated.simulated_logs import write_fleet
+from multilica.fleet.simulated_logs import write_fleet
 from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.simulate import plan_fleet
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,7 +12,6 @@ import typer
 
 from multilica_cli import options
 from multilica_cli.app import App
-from multilica_cli.commands.fleet_report import report
 from multilica_cli.configuration import resolve_config
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import print_json, stdout_console
@@ -159,31 +159,23 @@ def query(
     form: _Format = "table",
 ) -> None:
     """Query the tables `lidars` (a row per LiDAR and log) and `logs` in SQL."""
-    from multilica.fleet.store.query import ask
-    from multilica_cli.tables.answer import print_answer
-
-    with ask(_opened(store), sql) as answer:
-        print_answer(answer, form, stdout_console())
+    _print_answer(_opened(store), sql, form)
 
 
 @fleet.command()
 def status(*, store: _Store, form: _Format = "table") -> None:
     """List the vehicles: logs by outcome, and LiDARs without a certain pose in the last one."""
-    from multilica.fleet.store import query as questions
-    from multilica_cli.tables.answer import print_answer
+    from multilica.fleet.store.query import STATUS
 
-    with questions.status(_opened(store)) as answer:
-        print_answer(answer, form, stdout_console())
+    _print_answer(_opened(store), STATUS, form)
 
 
 @fleet.command()
 def failures(*, store: _Store, form: _Format = "table") -> None:
     """List the logs without a result and the LiDARs without a certain pose, by cause, with their recordings."""
-    from multilica.fleet.store import query as questions
-    from multilica_cli.tables.answer import print_answer
+    from multilica.fleet.store.query import FAILURES
 
-    with questions.failures(_opened(store)) as answer:
-        print_answer(answer, form, stdout_console())
+    _print_answer(_opened(store), FAILURES, form)
 
 
 @fleet.command()
@@ -194,13 +186,11 @@ def show(
     form: _Format = "table",
 ) -> None:
     """List the poses of each LiDAR of a vehicle, log by log."""
-    from multilica.fleet.store import query as questions
-    from multilica_cli.tables.answer import print_answer
+    from multilica.fleet.store.query import HISTORY, require_vehicle
 
     opened = _opened(store)
-    questions.require_vehicle(opened, vehicle)
-    with questions.vehicle_history(opened, vehicle) as answer:
-        print_answer(answer, form, stdout_console(), keys=2)
+    require_vehicle(opened, vehicle)
+    _print_answer(opened, HISTORY, form, [vehicle], keys=2)
 
 
 @fleet.command()
@@ -249,7 +239,21 @@ def drift(
     return ExitCode.DIFFERENT if events or offsets or outages else ExitCode.DONE
 
 
-fleet.command()(report)
+@fleet.command()
+def report(
+    *,
+    store: _Store,
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="File to write.", callback=options.local_path)
+    ] = Path("fleet-report.html"),
+    quiet: options.Quiet = False,
+) -> None:
+    """Write one HTML page: LiDARs that moved, vehicles, failures by cause, and the pose of each LiDAR over time."""
+    from multilica.fleet.report.store_report import store_report
+    from multilica.sinks.files.atomic import write_text_atomically
+
+    write_text_atomically(out, store_report(_opened(store), out))
+    stdout_console(quiet=quiet).print(f"wrote {out}")
 
 
 @fleet.command()
@@ -303,3 +307,13 @@ def _opened(address: str) -> Store:
     from multilica.fleet.store.store import open_store
 
     return open_store(address, create=False)
+
+
+def _print_answer(
+    store: Store, sql: str, form: Literal["table", "csv", "json"], values: Sequence[object] = (), *, keys: int = 1
+) -> None:
+    from multilica.fleet.store.query import ask
+    from multilica_cli.tables.answer import print_answer
+
+    with ask(store, sql, values) as answer:
+        print_answer(answer, form, stdout_console(), keys=keys)

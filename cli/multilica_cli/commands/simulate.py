@@ -124,7 +124,7 @@ def _simulate_recording(
 def _simulate_fleet(
     out: Path, vehicles: int, logs: int, seed: int, workers: int | None, reading: dict[str, int | None]
 ) -> None:
-    from multilica.fleet.simulated.simulated_logs import write_fleet
+    from multilica.fleet.simulated_logs import write_fleet
     from multilica.simulate import plan_fleet
     from multilica_cli.progress import show_count
 

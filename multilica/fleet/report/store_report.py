@@ -15,7 +15,7 @@ from multilica.fleet.drift.outages import find_outages
 from multilica.fleet.lidar_series import read_series
 from multilica.fleet.report.charts import LidarHistory
 from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, drawn_vehicles, fleet_page
-from multilica.fleet.store import query
+from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.store import Store
 
 
@@ -30,7 +30,7 @@ def store_report(store: Store, page: Path) -> str:
     series, failures = list(read_series(store)), _failures(store)
     unlike = [offset for offset in find_offsets(series) if offset.vehicle is not None]
     events: list[Finding] = [*find_drift(series), *find_outages(store), *unlike]
-    with query.status(store) as answer:
+    with ask(store, STATUS) as answer:
         rows = list(answer.rows())
     drawn = drawn_vehicles([vehicle for vehicle, *_ in rows], events, failures)
     histories = {
@@ -53,7 +53,7 @@ def _failures(store: Store) -> list[PageFailure]:
     def kept(path: str) -> bool:  # `fleet prune` removes recordings; a request for each were slow in a bucket
         return store.system is not None or store.exists(path)
 
-    with query.failures(store) as answer:
+    with ask(store, FAILURES) as answer:
         failures = [PageFailure(*row) for row in answer.rows()]
     return [each if kept(each.recording) else replace(each, recording="") for each in failures]
 

@@ -82,7 +82,7 @@ def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Query
             raise UsageError(f"The question cannot be answered: {text}.") from error
 
 
-_STATUS = """
+STATUS = """
 SELECT logs.vehicle, count(*) AS logs, min(time) AS first, max(time) AS last,
        count(*) FILTER (state = 'verified') AS verified, count(*) FILTER (state = 'calibrated') AS calibrated,
        count(*) FILTER (state IN ('refused', 'failed')) AS without_result,
@@ -92,7 +92,8 @@ SELECT logs.vehicle, count(*) AS logs, min(time) AS first, max(time) AS last,
           AND lidars.key = arg_max(logs.key, logs.time) FILTER (state IN ('verified', 'calibrated'))) AS not_placed_last
 FROM logs GROUP BY logs.vehicle ORDER BY logs.vehicle
 """
-_FAILURES = """
+"""Logs of each vehicle by outcome, and LiDARs that its last one does not place."""
+FAILURES = """
 SELECT vehicle, time, source, '' AS lidar, state AS outcome, reason, reason_text, recording FROM logs
 WHERE state IN ('refused', 'failed')
 UNION ALL
@@ -100,7 +101,8 @@ SELECT lidars.vehicle, lidars.time, lidars.source, lidar, status, lidars.reason,
 FROM lidars JOIN logs USING (key) WHERE status <> 'placed'
 ORDER BY reason, vehicle, time, source, lidar
 """
-_HISTORY = """
+"""Logs without a result and LiDARs without a certain pose, by cause, with their recordings."""
+HISTORY = """
 SELECT time, lidar, how, status, round(x_m, 4) AS x_m, round(y_m, 4) AS y_m, round(z_m, 4) AS z_m,
        round(degrees(atan2(2 * (qw * qx + qy * qz), 1 - 2 * (qx * qx + qy * qy))), 3) AS roll_deg,
        round(degrees(asin(greatest(-1, least(1, 2 * (qw * qy - qz * qx))))), 3) AS pitch_deg,
@@ -108,21 +110,7 @@ SELECT time, lidar, how, status, round(x_m, 4) AS x_m, round(y_m, 4) AS y_m, rou
        round(sigma_mm, 2) AS sigma_mm, round(sigma_deg, 4) AS sigma_deg, target, reason, source
 FROM lidars WHERE vehicle = ? ORDER BY time, source, lidar
 """
-
-
-def status(store: Store) -> Any:  # noqa: ANN401 - a context manager of a QueryAnswer
-    """Answer how many logs each vehicle has, with which outcome, and which LiDARs its last one does not place."""
-    return ask(store, _STATUS)
-
-
-def failures(store: Store) -> Any:  # noqa: ANN401 - as above
-    """Answer which logs have no result and which LiDARs have no certain pose, by cause, with their recordings."""
-    return ask(store, _FAILURES)
-
-
-def vehicle_history(store: Store, vehicle: str) -> Any:  # noqa: ANN401 - as above
-    """Answer where each LiDAR of a vehicle was, log by log."""
-    return ask(store, _HISTORY, [vehicle])
+"""Poses of each LiDAR of a vehicle, log by log."""
 
 
 def require_vehicle(store: Store, vehicle: str) -> None:

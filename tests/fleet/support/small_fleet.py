@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A small simulated fleet with real logs, and the tables of a store."""
 
-from multilica.fleet.simulated.simulated_logs import write_fleet
+from multilica.fleet.simulated_logs import write_fleet
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.records import MEASURED
 from multilica.simulate import plan_fleet

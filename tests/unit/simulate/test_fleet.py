@@ -13,7 +13,7 @@ import pytest
 from multilica.errors import UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
 from multilica.simulate import FleetPlan, PlannedLog, plan_fleet, simulate_snapshot, thinned, true_extrinsics
-from multilica.simulate.fleet_events import PlannedEvent
+from multilica.simulate.fleet import PlannedEvent
 
 DAY_NS = 86_400 * 10**9
 
