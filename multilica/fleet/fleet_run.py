@@ -9,6 +9,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
@@ -20,6 +21,7 @@ from multilica.fleet.store.store import Store, vehicle_name
 from multilica.fleet.tasks.executors import open_executor
 from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, run_guarded
 from multilica.fleet.tasks.log_task import Calibrate, LogTask
+from multilica.ingest.remote.address import scheme_of
 from multilica.scratch import scratch_folder
 
 # Tasks that wait at the executor for each that runs, so that none waits for the driver.
@@ -155,7 +157,7 @@ def _vehicle_tasks(
             continue
         row = yield LogTask(
             **{name: value for name, value in asdict(log).items() if name not in ("finished", "accepted")},
-            store=store.address,
+            store=store.address if scheme_of(store.address) else str(Path(store.address).expanduser().absolute()),
             config=options.config,
             config_sha256=config_sha256,
             tolerances=options.tolerances,

@@ -199,3 +199,16 @@ def test_the_status_counts_per_vehicle(tmp_path, manifest):
         ("v2", 3, 1, 2),
         ("v3", 4, 2, 2),
     ]
+
+
+def test_tasks_get_the_whole_path_of_a_store(manifest, tmp_path, monkeypatch):
+    """A task may run in the folder of its log."""
+    monkeypatch.chdir(tmp_path)
+    given = []
+
+    def run(request, _):
+        given.append(request.store)
+        return failed_row(request, "stub", "")
+
+    run_fleet([manifest], open_store("store", create=True), FleetOptions(), run_log_task=run)
+    assert {*given} == {str(tmp_path / "store")}

@@ -11,7 +11,7 @@ import numpy as np
 from multilica.fleet.drift.dispersion import SHARED_COVARIANCE, ScatteredPoses
 from multilica.fleet.drift.findings import ChangeKind
 from multilica.fleet.drift.segments import Period, PeriodFits, Thresholds, partition, place
-from multilica.fleet.lidar_series import TO_LENGTHS
+from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray
 
 
@@ -27,6 +27,7 @@ class PoseChange:
         squared: the test's chi squared.
     """
 
+    series: LidarSeries
     kind: ChangeKind
     before: int
     index: int
@@ -34,6 +35,16 @@ class PoseChange:
     offset: FloatArray
     squared: float
     p_value: float
+
+    @property
+    def start_ns(self) -> int:
+        """Time of the log `before`."""
+        return int(self.series.time_ns[self.before])
+
+    @property
+    def end_ns(self) -> int:
+        """Time of the log `end`."""
+        return int(self.series.time_ns[self.end])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,7 +70,7 @@ class SeriesChanges:
             if whole is None:
                 return None
             before, after = Period(whole.start, at), Period(at, whole.end)
-        return _unscaled(*_with_shared(*self.fits.jump(before, after)))
+        return _unscaled(*self.fits.jump(before, after))
 
     def motion_between(self, start_ns: int, end_ns: int) -> tuple[FloatArray, FloatArray] | None:
         """Return the offset (6,) of a uniform motion from one time to another, and its covariance (6, 6).
@@ -74,7 +85,7 @@ class SeriesChanges:
             return None
         motion, covariance = self.fits.motion(longest)
         longer = (end_ns - start_ns) / float(time_ns[longest.end - 1] - time_ns[longest.start])
-        return _unscaled(*_with_shared(longer * motion, longer**2 * covariance))
+        return _unscaled(longer * motion, longer**2 * covariance)
 
 
 def find_changes(poses: ScatteredPoses, false_alarm_rate: float) -> SeriesChanges:
@@ -128,24 +139,22 @@ def _tested(
     poses: ScatteredPoses, fits: PeriodFits, periods: list[Period], thresholds: Thresholds
 ) -> Iterator[tuple[int, PoseChange]]:
     """Yield the jump before each period and the creep in it, with the period's index, significant or not."""
+
+    def change(kind: ChangeKind, logs: tuple[int, int, int], offset_m: FloatArray, squared: float) -> PoseChange:
+        p_value = thresholds.p_value(squared, creep=kind == "creep")
+        return PoseChange(poses.series, kind, *logs, offset_m / TO_LENGTHS, squared, p_value)
+
     for index, period in enumerate(periods):
+        start, last = period.start, period.end - 1
         if index:
-            offset_m, covariance = _with_shared(*fits.jump(periods[index - 1], period))
-            squared = _squared(offset_m, covariance)
-            p_value = thresholds.p_value(squared, creep=False)
-            start = period.start
-            yield index, PoseChange("jump", start - 1, start, start, offset_m / TO_LENGTHS, squared, p_value)
+            offset_m, covariance = fits.jump(periods[index - 1], period)
+            yield index, change("jump", (start - 1, start, start), offset_m, _squared(offset_m, covariance))
         if period.creeps:
             motion_m, _ = fits.motion(period)
             # One log far from the others in time would make a creep of its own error.
-            parts = [Period(period.start + 1, period.end), Period(period.start, period.end - 1)]
-            squared = min(_squared(*_with_shared(*fits.motion(part))) for part in [period, *parts])
-            p_value = thresholds.p_value(squared, creep=True)
-            first = _first_visible(poses, period, motion_m)
-            yield (
-                index,
-                PoseChange("creep", period.start, first, period.end - 1, motion_m / TO_LENGTHS, squared, p_value),
-            )
+            parts = [period, Period(start + 1, period.end), Period(start, last)]
+            squared = min(_squared(*fits.motion(part)) for part in parts)
+            yield index, change("creep", (start, _first_visible(poses, period, motion_m), last), motion_m, squared)
 
 
 def _first_visible(poses: ScatteredPoses, period: Period, motion_m: FloatArray) -> int:
@@ -158,14 +167,11 @@ def _first_visible(poses: ScatteredPoses, period: Period, motion_m: FloatArray) 
     return int(logs[visible[0]] if len(visible) else logs[-1])
 
 
-def _with_shared(offset_m: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Add the errors that the logs on each of the two sides share."""
-    return offset_m, covariance + 2.0 * SHARED_COVARIANCE
-
-
 def _squared(offset_m: FloatArray, covariance: FloatArray) -> float:
-    return float(offset_m @ np.linalg.solve(covariance, offset_m))
+    """Return chi squared of an offset, with the errors that the logs on each of the two sides share."""
+    return float(offset_m @ np.linalg.solve(covariance + 2.0 * SHARED_COVARIANCE, offset_m))
 
 
 def _unscaled(offset_m: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    return offset_m / TO_LENGTHS, covariance / np.outer(TO_LENGTHS, TO_LENGTHS)
+    """Return an offset in radians and metres, and its covariance with the shared errors of two sides."""
+    return offset_m / TO_LENGTHS, (covariance + 2.0 * SHARED_COVARIANCE) / np.outer(TO_LENGTHS, TO_LENGTHS)

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 from multilica.errors import UsageError
 from multilica.fleet.drift.changes import PoseChange, SeriesChanges, find_changes
@@ -45,35 +44,19 @@ def find_drift(series: Sequence[LidarSeries], false_alarm_rate: float = FALSE_AL
     return sorted(events, key=lambda event: (event.vehicle, event.time_ns, event.lidars, event.kind))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _LidarChange:
-    """A change with its LiDAR and the times of its first and last log."""
-
-    lidar: str
-    change: PoseChange
-    start_ns: int
-    end_ns: int
-
-
 def _rig_events(rig: dict[str, SeriesChanges]) -> Iterator[DriftEvent]:
     for kind in ("jump", "creep"):
-        found = [
-            _LidarChange(lidar, change, int(times_ns[change.before]), int(times_ns[change.end]))
-            for lidar in sorted(rig)
-            for times_ns in [rig[lidar].poses.series.time_ns]
-            for change in rig[lidar].changes
-            if change.kind == kind
-        ]
+        found = [change for changes in rig.values() for change in changes.changes if change.kind == kind]
         for together in _simultaneous(found):
             yield from _events(together, rig)
 
 
-def _simultaneous(found: list[_LidarChange]) -> list[list[_LidarChange]]:
+def _simultaneous(found: list[PoseChange]) -> list[list[PoseChange]]:
     """Group the changes of different LiDARs at one time, the clearest of a group first."""
-    groups: list[list[_LidarChange]] = []
-    for each in sorted(found, key=lambda one: (one.change.p_value, -one.change.squared, one.lidar)):
+    groups: list[list[PoseChange]] = []
+    for each in sorted(found, key=lambda one: (one.p_value, -one.squared, one.series.lidar)):
         for group in groups:
-            if all(each.lidar != other.lidar for other in group) and _coincide(each, group[0]):
+            if all(each.series.lidar != other.series.lidar for other in group) and _coincide(each, group[0]):
                 group.append(each)
                 break
         else:
@@ -81,41 +64,38 @@ def _simultaneous(found: list[_LidarChange]) -> list[list[_LidarChange]]:
     return groups
 
 
-def _coincide(one: _LidarChange, other: _LidarChange) -> bool:
+def _coincide(one: PoseChange, other: PoseChange) -> bool:
     """Decide whether two creeps overlap by half, or two jumps are at most one log apart, as noise may date them."""
     common_ns = min(one.end_ns, other.end_ns) - max(one.start_ns, other.start_ns)
-    if one.change.kind == "creep":
+    if one.kind == "creep":
         return common_ns > 0.5 * max(one.end_ns - one.start_ns, other.end_ns - other.start_ns)
     return common_ns >= 0
 
 
-def _events(together: list[_LidarChange], rig: dict[str, SeriesChanges]) -> Iterator[DriftEvent]:
+def _events(together: list[PoseChange], rig: dict[str, SeriesChanges]) -> Iterator[DriftEvent]:
     """Yield one event if the target moved, else one per LiDAR; the clearest change comes first."""
     clearest = together[0]
+    own_changes = {each.series.lidar: each for each in together}
     seen = {}
     for name, changes in rig.items():
-        own = next((each for each in together if each.lidar == name), clearest)
         offset = (
-            changes.step_at(own.end_ns)
-            if own.change.kind == "jump"
+            changes.step_at(own_changes.get(name, clearest).end_ns)
+            if clearest.kind == "jump"
             else changes.motion_between(clearest.start_ns, clearest.end_ns)
         )
         if offset is not None:
             middle = changes.poses.series.T_target_lidar[len(changes.poses.series) // 2]
             seen[name] = Seen(middle.xyz_m, *offset)
-    verdict = find_moved_part(seen, {each.lidar for each in together})
-    if verdict.moved == "target":
-        names = tuple(sorted(each.lidar for each in together))
-        yield _event(clearest, rig, names, "target", verdict.target_offset)
+    moved, target_offset = find_moved_part(seen, own_changes)
+    if moved == "target":
+        yield _event(clearest, tuple(sorted(own_changes)), "target", target_offset)
         return
     for each in together:
-        yield _event(each, rig, (each.lidar,), verdict.moved, each.change.offset)
+        yield _event(each, (each.series.lidar,), moved, each.offset)
 
 
-def _event(
-    found: _LidarChange, rig: dict[str, SeriesChanges], lidars: tuple[str, ...], moved: MovedPart, offset: FloatArray
-) -> DriftEvent:
-    series, change = rig[found.lidar].poses.series, found.change
+def _event(change: PoseChange, lidars: tuple[str, ...], moved: MovedPart, offset: FloatArray) -> DriftEvent:
+    series = change.series
     return DriftEvent(
         vehicle=series.vehicle,
         lidars=lidars,
@@ -125,9 +105,9 @@ def _event(
         key=series.keys[change.index],
         time_ns=int(series.time_ns[change.index]),
         last_before_key=series.keys[change.before],
-        last_before_time_ns=found.start_ns,
+        last_before_time_ns=change.start_ns,
         last_key=series.keys[change.end],
-        last_time_ns=found.end_ns,
+        last_time_ns=change.end_ns,
         translation_m=vector(offset[3:]),
         rotation_rad=vector(offset[:3]),
         p_value=change.p_value,

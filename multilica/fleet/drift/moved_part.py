@@ -33,15 +33,7 @@ class Seen:
     covariance: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PartVerdict:
-    """What moved; `target_offset` (6,) is the target's motion along its own axes before it, as of a LiDAR."""
-
-    moved: MovedPart
-    target_offset: FloatArray
-
-
-def find_moved_part(seen: Mapping[str, Seen], changed: Collection[str]) -> PartVerdict:
+def find_moved_part(seen: Mapping[str, Seen], changed: Collection[str]) -> tuple[MovedPart, FloatArray]:
     """Decide between the LiDARs that changed significantly and the target.
 
     If the target moves by D, each ``T_target_lidar`` becomes ``D^-1 T_target_lidar``: one motion of six numbers has to
@@ -50,6 +42,9 @@ def find_moved_part(seen: Mapping[str, Seen], changed: Collection[str]) -> PartV
     Args:
         seen: every LiDAR of the vehicle with logs before and after.
         changed: those that changed significantly.
+
+    Returns:
+        The part that moved, and the target's motion (6,) along its own axes before it, as of a LiDAR.
     """
     normal, right = np.zeros((6, 6)), np.zeros(6)
     jacobians = {name: _by_target(each.xyz_m) for name, each in seen.items()}
@@ -59,14 +54,14 @@ def find_moved_part(seen: Mapping[str, Seen], changed: Collection[str]) -> PartV
         right += weighted @ each.offset
     common = np.asarray(np.linalg.solve(normal, right))
     if len(seen) < 2:
-        return PartVerdict("lidar or target", common)
+        return "lidar or target", common
     as_target = sum(_squared(each, jacobians[name] @ common) for name, each in seen.items())
     as_lidars = sum(_squared(each, np.zeros(6)) for name, each in seen.items() if name not in changed)
     if chi2.sf(as_target, 6 * (len(seen) - 1)) < _LEAST_P_VALUE:
-        return PartVerdict("lidar", common)
+        return "lidar", common
     if len(changed) > 1 or as_target < as_lidars - _DECIDING:
-        return PartVerdict("target", common)
-    return PartVerdict("lidar" if as_lidars < as_target - _DECIDING else "lidar or target", common)
+        return "target", common
+    return "lidar" if as_lidars < as_target - _DECIDING else "lidar or target", common
 
 
 def _by_target(xyz_m: FloatArray) -> FloatArray:
