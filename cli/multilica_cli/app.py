@@ -26,16 +26,18 @@ def _no_type(ctx: object) -> None:
     del ctx
 
 
-class _Command(TyperCommand):
+class _PlainHelp:
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - a private type of typer
         """Return the parameters for parsing and for help."""
-        return _without_types(super().get_params(ctx))
+        return _without_types(super().get_params(ctx))  # type: ignore[misc]
 
 
-class _Group(TyperGroup):
-    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - a private type of typer
-        """Return the parameters for parsing and for help."""
-        return _without_types(super().get_params(ctx))
+class _Command(_PlainHelp, TyperCommand):
+    pass
+
+
+class _Group(_PlainHelp, TyperGroup):
+    pass
 
 
 class App(typer.Typer):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes of EDGAR, the vehicle of the paper.
 
-Its recordings are not public. Whoever has some, has them as the paper's code reads them: a ROS 2 bag per scene, or a
+Its recordings are not public. Users who have some keep them as the paper's code reads them: a ROS 2 bag per scene, or a
 folder per scene with PCD files per LiDAR, and the truth in the form of the authors' evaluation files.
 """
 

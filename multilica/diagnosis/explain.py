@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Explanation of a result document."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 from multilica.config import STAGES
 from multilica.diagnosis.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes, step_of
@@ -15,9 +16,8 @@ from multilica.diagnosis.comparisons import (
     next_best_sentence,
 )
 from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed, Uncertain
-from multilica.diagnosis.uncertain import explain_uncertain
-from multilica.diagnosis.unfinished import known_so_far, progress_sentence
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
+from multilica.results.document.stages import VerifyFigures
 
 _BEFORE_PLACES = STAGES[: STAGES.index("merge")]
 _OUTLIER_WEIGHT = 0.5
@@ -29,14 +29,14 @@ def explain(document: ResultDocument) -> Explanation:
         cause: Cause = "moving_vehicle" if document.refusal.code == "moving_vehicle" else "unfit_input"
         return _without_places(document, f"Nothing was calibrated: {WORDS[cause]}.", cause, (document.refusal.text,))
     if document.status == "unfinished":
-        return _without_places(document, progress_sentence(document), "unfinished", known_so_far(document))
+        return _without_places(document, _progress(document), "unfinished", _known_so_far(document))
     until, target = document.config.until, document.target
     if until in _BEFORE_PLACES:
         headline = f"The run stopped after stage {until} (--until). No LiDAR is placed yet."
-        return _without_places(document, headline, "stopped_early", known_so_far(document))
+        return _without_places(document, headline, "stopped_early", _known_so_far(document))
     missing = tuple(_missing(document, name) for name, entry in document.lidars.items() if entry.status == "not_placed")
     uncertain = tuple(
-        explain_uncertain(document, name) for name, entry in document.lidars.items() if entry.status == "uncertain"
+        _uncertain(document, name) for name, entry in document.lidars.items() if entry.status == "uncertain"
     )
     return Explanation(
         headline=_headline(document, missing, uncertain),
@@ -59,6 +59,46 @@ def _without_places(document: ResultDocument, headline: str, cause: Cause, known
         advice=ADVICE[cause],
         warnings=tuple(_warnings(document)),
     )
+
+
+def _progress(document: ResultDocument) -> str:
+    """Return where the run ended."""
+    progress = document.progress
+    after = f"after stage {progress.finished[-1]}" if progress and progress.finished else "before any stage finished"
+    during = f", in stage {progress.running}" if progress and progress.running else ""
+    return f"The run was cut off {after}{during}. No LiDAR is placed yet."
+
+
+def _known_so_far(document: ResultDocument) -> Iterator[str]:
+    """Yield the figures of the last stage of pairs and the merge steps; before there are pairs, those per LiDAR."""
+    if document.pairs and (document.stages is None or document.stages.fine is None):
+        for pair in document.pairs:
+            yield f"{pair.target} <- {pair.source}: {pair.verdict.outcome}, fitness {pair.fitness or 0.0:.2f}."
+    elif document.stages is not None:
+        for stage, tell in _FIGURES.items():
+            if (figures := getattr(document.stages, stage)) is not None:
+                yield from (f"{name}: {tell(each)}." for name, each in figures.items())
+                break
+        for step, merged in enumerate((document.stages.merge or {}).values(), start=1):
+            groups = merged.groups.replace("; ", ", ")
+            yield f"Merge step {step}: merged {merged.chosen or 'nothing'}. Groups: {groups}."
+
+
+def _verified(figures: VerifyFigures) -> str:
+    if not figures.distinct:
+        return "no pose"
+    best = f"{figures.agree} points agree, {figures.violate} are in empty space"
+    return f"{figures.distinct} distinct poses, and at the best {best}"
+
+
+_FIGURES: Mapping[str, Callable[[Any], str]] = {
+    "fine": lambda figures: f"{figures.verdict}, fitness {figures.fitness or 0.0:.2f}",
+    "verify": _verified,
+    "coarse": lambda figures: f"{figures.hypotheses} hypotheses",
+    "correspond": lambda figures: f"{figures.matches} matches",
+    "preprocess": lambda figures: f"{figures.points:,} points after preprocessing",
+}
+"""Text for the figures of a pair or LiDAR by stage; the latest stage that has figures counts."""
 
 
 def _headline(document: ResultDocument, missing: Sequence[Missing], uncertain: Sequence[Uncertain]) -> str:
@@ -95,6 +135,28 @@ def _placed(name: str, entry: LidarEntry, target: str) -> Placed:
     sigma_m, sigma_deg = max(entry.sigma_xyz_m), max(entry.sigma_rotation_deg)
     sigmas = f"sigma {1e3 * sigma_m:.1f} mm, {sigma_deg:.3f} deg"
     return Placed(name, sigma_m, sigma_deg, f"{name} is placed relative to {target}: {sigmas}.")
+
+
+def _uncertain(document: ResultDocument, name: str) -> Uncertain:
+    """Name the standard deviation of an uncertain LiDAR that is above its limit, with its direction."""
+    limits = document.config.acceptance
+    (sigma_m, along), (sigma_deg, about) = document.lidars[name].weakest_directions()
+    if sigma_m > limits.max_sigma_m:
+        direction = f"mostly along {along} of {document.target}"
+        sigma, limit = f"{1e3 * sigma_m:.1f} mm", f"{1e3 * limits.max_sigma_m:g} mm"
+    else:
+        direction = f"mostly about {about} of {document.target}"
+        sigma, limit = f"{sigma_deg:.3f} deg", f"{limits.max_sigma_deg:g} deg"
+    return Uncertain(
+        name,
+        f"{name} is uncertain: sigma {sigma} {direction}, limit {limit}.",
+        direction,
+        sigma_m,
+        sigma_deg,
+        limits.max_sigma_m,
+        limits.max_sigma_deg,
+        ADVICE["uncertain"],
+    )
 
 
 def _missing(document: ResultDocument, name: str) -> Missing:

@@ -47,7 +47,7 @@ def export_extrinsics(
     path: str | Path,
     format: str,  # noqa: A002 - the word of the command line
 ) -> Path:
-    """Write extrinsics into a file; of an existing URDF or Autoware file, only the poses of these frames change.
+    """Write extrinsics into a file; in an existing URDF or Autoware file, only the poses of these frames change.
 
     Raises:
         UnknownNameError: there is no such format.

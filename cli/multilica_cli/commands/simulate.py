@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """`multilica simulate`: simulated recordings with ground truth, one or those of a fleet."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from multilica.errors import UsageError
 from multilica_cli.options import local_path, mcap_name, option
 from multilica_cli.terminal import stdout_console
 
-_FRAMES, _VEHICLES, _LOGS = 5, 20, 200
+if TYPE_CHECKING:
+    from multilica.extrinsics import Extrinsics
+    from multilica.snapshot import Snapshot
+
+_FRAMES = 5
 _one = partial(option, rich_help_panel="A recording")
 _many = partial(option, rich_help_panel="A fleet")
 
@@ -54,8 +60,8 @@ def simulate(
             callback=local_path,
         ),
     ] = None,
-    vehicles: Annotated[int | None, _many("--vehicles N", "Vehicles.", show_default=str(_VEHICLES))] = None,
-    logs: Annotated[int | None, _many("--logs N", "Logs of all vehicles.", show_default=str(_LOGS))] = None,
+    vehicles: Annotated[int | None, _many("--vehicles N", "Vehicles.", show_default="20")] = None,
+    logs: Annotated[int | None, _many("--logs N", "Logs of all vehicles.", show_default="200")] = None,
     workers: Annotated[
         int | None,
         _many(
@@ -75,24 +81,21 @@ def simulate(
     """Simulate a recording, or with --fleet the logs of many vehicles, by ray casting, with exact ground truth."""
     one = {"--rig": rig, "--scene": scene, "--out": out, "--build-seed": build_seed, "--disturb": disturb or None}
     many = {"--vehicles": vehicles, "--logs": logs, "--workers": workers}
-    if fleet is None:
-        _refuse(many, "is for a fleet; give --fleet DIR, too, or leave it out")
-        if rig is None or scene is None or out is None:
-            missing = ", ".join(name for name in ("--rig", "--scene", "--out") if one[name] is None)
-            raise UsageError(f"Missing {missing}; give --rig, --scene and --out for a recording, or --fleet for many.")
-        _simulate_recording(
-            rig, scene, out, seed, build_seed, disturb or [], _FRAMES if frames is None else frames, keep_every or 1
-        )
+    if fleet is not None:
+        _refuse(one, "is for a single recording; leave it out with --fleet")
+        given = {"vehicles": vehicles, "logs": logs, "frames": frames, "keep_every": keep_every}
+        chosen = {name: value for name, value in given.items() if value is not None}
+        _simulate_fleet(fleet, workers or 0, seed=seed, **chosen)
         return
-    _refuse(one, "is for a single recording; leave it out with --fleet")
-    _simulate_fleet(
-        fleet,
-        _VEHICLES if vehicles is None else vehicles,
-        _LOGS if logs is None else logs,
-        seed,
-        workers,
-        {"frames": frames, "keep_every": keep_every},
-    )
+    _refuse(many, "is for a fleet; give --fleet DIR, too, or leave it out")
+    if rig is None or scene is None or out is None:
+        missing = ", ".join(name for name in ("--rig", "--scene", "--out") if one[name] is None)
+        raise UsageError(f"Missing {missing}; give --rig, --scene and --out for a recording, or --fleet for many.")
+    from multilica.simulate import simulate_snapshot, thinned
+
+    count = _FRAMES if frames is None else frames
+    made = simulate_snapshot(rig, scene, seed, frames=count, disturbances=tuple(disturb or ()), build_seed=build_seed)
+    _write_recording(thinned(made.snapshot, keep_every or 1), made.truth, out)
 
 
 def _refuse(options: Mapping[str, object], reason: str) -> None:
@@ -101,37 +104,29 @@ def _refuse(options: Mapping[str, object], reason: str) -> None:
         raise UsageError(f"{given} {reason}.")
 
 
-def _simulate_recording(
-    rig: str, scene: str, out: Path, seed: int, build_seed: int | None, disturb: list[str], frames: int, keep_every: int
-) -> None:
+def _write_recording(snapshot: Snapshot, truth: Extrinsics, out: Path) -> None:
     import tomli_w
 
     from multilica.extrinsics import extrinsics_table
-    from multilica.simulate import simulate_snapshot, thinned
     from multilica.sinks.files.atomic import write_text_atomically
     from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 
-    simulation = simulate_snapshot(rig, scene, seed, frames=frames, disturbances=tuple(disturb), build_seed=build_seed)
-    truth = out.with_suffix(".truth.toml")
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_snapshot_mcap(thinned(simulation.snapshot, keep_every), out)
-    write_text_atomically(truth, tomli_w.dumps(extrinsics_table(simulation.truth)))
-    console = stdout_console()
-    for path in (out, truth):
-        console.print(f"wrote {path}")
+    write_snapshot_mcap(snapshot, out)
+    truth_file = out.with_suffix(".truth.toml")
+    write_text_atomically(truth_file, tomli_w.dumps(extrinsics_table(truth)))
+    for path in (out, truth_file):
+        stdout_console().print(f"wrote {path}")
 
 
-def _simulate_fleet(
-    out: Path, vehicles: int, logs: int, seed: int, workers: int | None, reading: dict[str, int | None]
-) -> None:
+def _simulate_fleet(out: Path, workers: int, **chosen: int) -> None:
     from multilica.fleet.simulated_logs import write_fleet
     from multilica.simulate import plan_fleet
     from multilica_cli.progress import show_count
 
-    chosen = {name: value for name, value in reading.items() if value is not None}
-    plan = plan_fleet(vehicles, logs, seed, **chosen)
+    plan = plan_fleet(**chosen)
     with show_count("logs", len(plan.logs)) as advance:
-        truth = write_fleet(plan, out, workers=workers or 0, observe=lambda _: advance())
+        truth = write_fleet(plan, out, workers=workers, observe=lambda _: advance())
     broken = sum(bool(log.fault) for log in plan.logs)
     copies = sum(bool(log.duplicate_of) for log in plan.logs)
     console = stdout_console()

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
-    from multilica.results import CalibrationResult
     from multilica.results.document import LidarEntry, ResultDocument
     from multilica.results.document.lidars import PriorEntry, SpreadEntry
     from multilica.run import CalibrationRun
@@ -26,9 +25,9 @@ _SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")
 POSE_COLUMNS = ("x\nm", "y\nm", "z\nm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg")
 
 
-def pose_cells(pose: RigidTransform | None) -> tuple[str, ...]:
+def pose_cells(pose: RigidTransform | LidarEntry | None) -> tuple[str, ...]:
     """Format a pose for `POSE_COLUMNS`."""
-    if pose is None:
+    if pose is None or pose.xyz_m is None or pose.rpy_deg is None:
         return ("-",) * len(POSE_COLUMNS)
     return *(f"{value:z.3f}" for value in pose.xyz_m), *(f"{value:z.2f}" for value in pose.rpy_deg)
 
@@ -46,7 +45,7 @@ def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bo
     if result.ground is not None:
         console.print(f"ground, frame {result.ground.frame}: {result.ground.text}")
     if truth is not None:
-        console.print(_truth_table(result, truth))
+        console.print(_truth_table(document, truth))
     for snapshot in result.snapshots:
         console.print(f"snapshot {snapshot.name}: {snapshot.text}")
     for path in run.written:
@@ -73,17 +72,11 @@ def print_placements(document: ResultDocument, console: Console) -> None:
         if entry.xyz_m is not None and not is_target:
             fitness = "-" if entry.fitness is None else f"{entry.fitness:.3f}"
             scores = (*_largest(entry.sigma_xyz_m, entry.sigma_rotation_deg), fitness)
-        cells = (name, status, *_pose_cells_of(entry), *scores)
+        cells = (name, status, *pose_cells(entry), *scores)
         if prior:
             cells += _deviation(None if is_target else entry.prior)
         table.add_row(*cells, *(_spread(entry.spread) if document.snapshots else ()))
     console.print(table)
-
-
-def _pose_cells_of(entry: LidarEntry) -> tuple[str, ...]:
-    if entry.xyz_m is None or entry.rpy_deg is None:
-        return pose_cells(None)
-    return *(f"{value:z.3f}" for value in entry.xyz_m), *(f"{value:z.2f}" for value in entry.rpy_deg)
 
 
 def _deviation(prior: PriorEntry | None) -> tuple[str, str]:
@@ -92,16 +85,16 @@ def _deviation(prior: PriorEntry | None) -> tuple[str, str]:
     return f"{1000.0 * prior.deviation_m:.1f}", f"{prior.deviation_deg:.3f}"
 
 
-def _truth_table(result: CalibrationResult, truth: Extrinsics) -> FoldingTable:
+def _truth_table(document: ResultDocument, truth: Extrinsics) -> FoldingTable:
     """Tabulate each pose with its true pose and the distance between the two."""
     table = FoldingTable(
         "Ground truth", ("LiDAR", "", *POSE_COLUMNS, "error\nmm", "error\ndeg"), numbers_from=2, keys=2
     )
-    for placement in result.placements:
-        if placement.lidar == result.target:
+    for name in document.lidars:
+        if name == document.target:
             continue
-        found, true = placement.T_target_source, truth.between(result.target, placement.lidar)
-        table.add_row(placement.lidar, "found", *pose_cells(found))
+        found, true = document.poses.get(name), truth.between(document.target, name)
+        table.add_row(name, "found", *pose_cells(found))
         error = None if found is None else true.distance_to(found)
         table.add_row("", "true", *pose_cells(true), *_distance_cells(error), end_section=True)
     return table
