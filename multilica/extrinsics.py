@@ -142,7 +142,7 @@ def pose_values(pose: RigidTransform) -> dict[str, Any]:
     }
 
 
-def read_extrinsics(path: str | Path, *, with_uncertain: bool = False) -> Extrinsics:
+def read_extrinsics_table(path: str | Path, *, with_uncertain: bool = False) -> Extrinsics:
     """Read extrinsics from a TOML table, such as `calibration.toml` or a truth file; further keys are ignored.
 
     Args:

@@ -9,8 +9,7 @@ from multilica.checks.tolerances import RigTolerances
 from multilica.documents import MAX_TOML_BYTES, read_limited
 from multilica.errors import SourceNotFoundError, UnfitRunError, UnreadableSourceError, UsageError
 from multilica.exports import read_extrinsics
-from multilica.extrinsics import Extrinsics
-from multilica.extrinsics import read_extrinsics as read_table
+from multilica.extrinsics import Extrinsics, read_extrinsics_table
 from multilica.geometry import RigidTransform
 from multilica.runs.run_documents import SavedRun, is_run, read_run, read_run_document
 from multilica.sinks.files.atomic import write_text_atomically
@@ -87,10 +86,10 @@ def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigChe
     if not file.exists():
         raise SourceNotFoundError(f"{directory} has no {CALIBRATION_TOML}; give the directory that a run left.")
     _require_whole(run, directory)
-    new = read_table(file)
+    new = read_extrinsics_table(file)
     before = None
     if into.exists():
-        old = read_table(into)
+        old = read_extrinsics_table(into)
         if missing := sorted(old.members - new.members):
             raise UnfitRunError(
                 f"{directory} has no LiDAR {', '.join(missing)}, which {into} has; remove it there first."

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.extrinsics import Extrinsics, read_extrinsics
+from multilica.exports import read_extrinsics
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 
 MAIN_LIDAR = "main_lidar"

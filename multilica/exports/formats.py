@@ -72,7 +72,7 @@ def _format(name: str, suffixes: str, writer: str, reader: str, *, also_read: st
 
 
 _ALL = (
-    _format("toml", ".toml", "tables:toml_extrinsics", "multilica.extrinsics:read_extrinsics"),
+    _format("toml", ".toml", "tables:toml_extrinsics", "multilica.extrinsics:read_extrinsics_table"),
     _format(
         "urdf",
         ".urdf",

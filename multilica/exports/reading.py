@@ -9,8 +9,7 @@ from multilica.exports.formats import FORMATS, ExchangeFormat, format_named
 from multilica.exports.matrices import KALIBR_MATRIX, KITTI_LINE
 from multilica.exports.ros_launch import EXECUTABLE
 from multilica.exports.values import read_text, read_yaml
-from multilica.extrinsics import Extrinsics
-from multilica.extrinsics import read_extrinsics as read_table
+from multilica.extrinsics import Extrinsics, read_extrinsics_table
 from multilica.ingest.transforms.urdf import parse_xml
 
 
@@ -40,7 +39,7 @@ def read_extrinsics(
         raise SourceNotFoundError(f"No extrinsics file at {path}.")
     try:
         found = _told(path) if format is None else FORMATS[format]
-        return read_table(path, with_uncertain=with_uncertain) if found.name == "toml" else found.read(path)
+        return read_extrinsics_table(path, with_uncertain=with_uncertain) if found.name == "toml" else found.read(path)
     except MultilicaError:
         raise
     except (DocumentError, ValueError) as error:

@@ -3,7 +3,6 @@
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -19,26 +18,6 @@ from multilica.results.document.result import GroundEntry
 FrameNames = Literal["names", "ids"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RunRig:
-    """Poses of a run.
-
-    Args:
-        extrinsics: by frame, in the base frame.
-        frames: the frame of each LiDAR that has a pose, the target among them.
-        missing: LiDARs that are left out, with their status.
-    """
-
-    extrinsics: Extrinsics
-    frames: Mapping[str, str]
-    missing: Mapping[str, str]
-
-    @property
-    def poses(self) -> dict[str, RigidTransform]:
-        """``T_base_lidar`` by LiDAR."""
-        return {lidar: self.extrinsics.between(self.extrinsics.target, frame) for lidar, frame in self.frames.items()}
-
-
 def rig_of_run(
     document: ResultDocument,
     *,
@@ -46,7 +25,7 @@ def rig_of_run(
     rig: Path | None = None,
     frames: FrameNames = "names",
     with_uncertain: bool = False,
-) -> RunRig:
+) -> tuple[Extrinsics, dict[str, str]]:
     """Return the poses of the placed LiDARs of a run.
 
     Args:
@@ -57,13 +36,15 @@ def rig_of_run(
         frames: whether a LiDAR's frame has its name, or is the frame id of its messages.
         with_uncertain: also take the uncertain LiDARs, and a base frame that is uncertain.
 
+    Returns:
+        The poses by frame, in the base frame, and the frame of each LiDAR that has a pose, the target among them.
+
     Raises:
         InputError: only the target is placed, frame ids are missing or not unique, or the base frame is uncertain.
         UnknownNameError: `rig` lacks the base frame or the target.
         UsageError: a frame cannot be named.
     """
     wanted = {name: pose for name, pose in document.poses.items() if with_uncertain or document.lidars[name].placed}
-    missing = {name: entry.status for name, entry in document.lidars.items() if name not in wanted}
     if not {*wanted} - {document.target}:
         raise InputError("The run has no placed LiDAR besides the target, so there is nothing to export.")
     named = _frames(document, wanted, frames)
@@ -78,7 +59,7 @@ def rig_of_run(
         found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
     for frame in found.members:
         _require_name(frame)
-    return RunRig(found, named, missing)
+    return found, named
 
 
 def _frames(document: ResultDocument, lidars: Mapping[str, object], frames: FrameNames) -> dict[str, str]:

@@ -87,15 +87,17 @@ def export_run(
     known = () if document.ground is None else (document.ground.frame,)
     if format == "urdf" and file.exists() and base not in (None, *known) and rig is None:
         raise UsageError(f"{file} exists and has its own frames; give --base together with --rig, or without a file.")
-    found = rig_of_run(
+    found, frame_of = rig_of_run(
         document, base=base, rig=None if rig is None else Path(rig), frames=frames, with_uncertain=with_uncertain
     )
     if format in FORMATS:
-        export_extrinsics(found.extrinsics, file, format)
+        export_extrinsics(found, file, format)
     else:
-        _export_cloud(run, file, format, found.poses, tuple(document.lidars))
-    uncertain = tuple(name for name in found.frames if not document.lidars[name].placed)
-    return RunExport(file, found.extrinsics.target, tuple(found.frames), found.missing, uncertain)
+        poses = {lidar: found.between(found.target, frame) for lidar, frame in frame_of.items()}
+        _export_cloud(run, file, format, poses, tuple(document.lidars))
+    uncertain = tuple(name for name in frame_of if not document.lidars[name].placed)
+    missing = {name: entry.status for name, entry in document.lidars.items() if name not in frame_of}
+    return RunExport(file, found.target, tuple(frame_of), missing, uncertain)
 
 
 def _export_cloud(run: Path, file: Path, kind: str, poses: Mapping[str, RigidTransform], names: Sequence[str]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from multilica.extrinsics import read_extrinsics
+from multilica import read_extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot

@@ -15,9 +15,9 @@ import numpy as np
 import psutil
 import pytest
 
+from multilica import read_extrinsics
 from multilica.config import CalibrationConfig, IngestConfig
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.extrinsics import read_extrinsics
 from multilica.fleet.drift.outages import find_outages
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
 from multilica.fleet.lidar_series import read_series

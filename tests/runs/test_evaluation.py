@@ -10,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, norm
 
+from multilica import read_extrinsics
 from multilica.errors import InputError, UnreadableSourceError, UsageError
-from multilica.extrinsics import read_extrinsics
 from multilica.geometry import RigidTransform
 from multilica.runs import Evaluation, Tolerances, Truth, evaluate, read_run
 from multilica.runs.evaluation import ErrorFigures

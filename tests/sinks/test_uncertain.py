@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from multilica.extrinsics import read_extrinsics
+from multilica import read_extrinsics
 from multilica.ingest import read_prior
 from multilica.sinks.files.result_document import run_document
 from multilica.sinks.files.result_files import ResultFiles

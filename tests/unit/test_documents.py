@@ -17,7 +17,7 @@ import multilica
 from multilica.config import CalibrationConfig, load_config, with_overrides
 from multilica.documents import DocumentError, parse_json, parse_toml, parse_yaml
 from multilica.errors import MultilicaError, UnreadableSourceError, UsageError
-from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics
+from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics_table
 from multilica.ingest.transforms.urdf import read_urdf
 from multilica.results.document import parse_result
 from multilica.runs.run_documents import read_run, read_run_document
@@ -45,7 +45,7 @@ def _table(text: str, folder: Path) -> None:
     path = folder / "truth.toml"
     head = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\nrpy_deg = [0, 0, 0]\n'
     path.write_text(f"{head}xyz_m = [0.0, 0.0, {text}]\n", encoding="utf-8", errors="replace")
-    read_extrinsics(path)
+    read_extrinsics_table(path)
 
 
 def _matrix(text: str, folder: Path) -> None:
@@ -53,7 +53,7 @@ def _matrix(text: str, folder: Path) -> None:
     head = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\n'
     rows = f"[[1, 0, 0, {text}], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
     path.write_text(f"{head}T_target_source = {rows}\n", encoding="utf-8", errors="replace")
-    read_extrinsics(path)
+    read_extrinsics_table(path)
 
 
 def _urdf(text: str, folder: Path) -> None:
@@ -169,7 +169,7 @@ def test_a_document_that_is_a_pointer_of_git_lfs(tmp_path: Path) -> None:
     pointer = "version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n"
     for name, read in (
         ("a.toml", load_config),
-        ("b.toml", read_extrinsics),
+        ("b.toml", read_extrinsics_table),
         ("c.json", read_run_document),
         ("d.urdf", read_urdf),
     ):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from multilica.errors import InputError, UnknownNameError, UnreadableSourceError
-from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, extrinsics_table, read_extrinsics
+from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, extrinsics_table, read_extrinsics_table
 from multilica.geometry import RigidTransform
 
 HEAD = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\n'
@@ -17,7 +17,9 @@ def test_position_and_angles_are_enough(tmp_path):
     path = tmp_path / "drawing.toml"
     path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = [0, 45, -90]\n")
     expected = RigidTransform.from_xyz_rpy("base", "left", [0.1, 0.6, 1.7], [0.0, np.pi / 4, -np.pi / 2])
-    np.testing.assert_allclose(read_extrinsics(str(path)).T_target_source["left"].matrix, expected.matrix, atol=1e-12)
+    np.testing.assert_allclose(
+        read_extrinsics_table(str(path)).T_target_source["left"].matrix, expected.matrix, atol=1e-12
+    )
 
 
 @pytest.mark.parametrize(
@@ -33,7 +35,7 @@ def test_half_a_pose_is_refused_in_a_sentence(tmp_path, pose, complaint):
     path = tmp_path / "drawing.toml"
     path.write_text(f"{HEAD}{pose}\n")
     with pytest.raises(UnreadableSourceError, match=complaint):
-        read_extrinsics(path)
+        read_extrinsics_table(path)
 
 
 @pytest.mark.parametrize("schema", ["multilica/extrinsics/0", "multilica/extrinsics/2", "multilica/result/1"])
@@ -41,7 +43,7 @@ def test_another_schema_is_refused(tmp_path, schema):
     path = tmp_path / "drawing.toml"
     path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = [0, 45, -90]\n".replace(EXTRINSICS_SCHEMA, schema))
     with pytest.raises(UnreadableSourceError, match=f"has schema '{schema}'; expected '{EXTRINSICS_SCHEMA}'"):
-        read_extrinsics(path)
+        read_extrinsics_table(path)
 
 
 def test_a_table_has_the_poses_only():

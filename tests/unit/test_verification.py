@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multilica import read_snapshot
+from multilica import read_extrinsics, read_snapshot
 from multilica.errors import UsageError
-from multilica.extrinsics import Extrinsics, read_extrinsics
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult
 from multilica.verification import register_from_known

@@ -18,7 +18,7 @@ def demo(
 ) -> int:
     """Calibrate the embedded sample and compare the result with the ground truth."""
     from multilica.config import preset
-    from multilica.extrinsics import read_extrinsics
+    from multilica.exports import read_extrinsics
     from multilica.run import run_calibration
     from multilica_cli.progress import show_progress
     from multilica_cli.tables.result import print_run

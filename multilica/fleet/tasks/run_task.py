@@ -20,7 +20,8 @@ from multilica.config import CalibrationConfig
 from multilica.diagnosis import explain
 from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
-from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
+from multilica.exports import read_extrinsics
+from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import LidarRow, LogRow
 from multilica.fleet.store.store import Store, folder_name, open_store
 from multilica.fleet.tasks.log_task import LogTask, failed_row

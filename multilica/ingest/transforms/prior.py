@@ -13,7 +13,7 @@ import numpy as np
 
 from multilica.documents import MAX_LENGTH_M
 from multilica.errors import SourceNotFoundError, UnfitPriorError, UsageError
-from multilica.extrinsics import Extrinsics, read_extrinsics
+from multilica.extrinsics import Extrinsics, read_extrinsics_table
 from multilica.geometry import RigidTransform
 from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording
@@ -106,7 +106,7 @@ def _read_joints(source: str | Extrinsics, snapshot: Snapshot) -> tuple[Joint, .
     if path.suffix in _URDF_SUFFIXES:
         return read_urdf(path)
     if path.suffix == ".toml":
-        return _fixed(read_extrinsics(path, with_uncertain=True))
+        return _fixed(read_extrinsics_table(path, with_uncertain=True))
     if not path.exists():
         raise SourceNotFoundError(f"No prior at {path}; {_EXPECTED}.")
     raise UsageError(f"The prior {path} is of an unknown kind; {_EXPECTED}.")

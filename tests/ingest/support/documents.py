@@ -13,9 +13,8 @@ import tomli_w
 from mcap.writer import Writer
 
 from multilica.config import CalibrationConfig, load_config, with_overrides
-from multilica.exports import FORMATS
-from multilica.exports import read_extrinsics as read_any
-from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics
+from multilica.exports import FORMATS, read_extrinsics
+from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics_table
 from multilica.ingest import frames_recorded, read_snapshot
 from multilica.ingest.live import foxglove_socket
 from multilica.ingest.transforms.prior import read_prior
@@ -49,11 +48,11 @@ def documents() -> dict[str, Document]:
     return {
         "config.toml": Document(config, load_config),
         "setting.txt": Document(b"preprocess.voxel_size_m=0.05", _set),
-        "truth.toml": Document(truth, read_extrinsics),
+        "truth.toml": Document(truth, read_extrinsics_table),
         "prior.toml": Document(truth, lambda path: read_prior(str(path), names)),
         "rig.urdf": Document(_URDF, read_urdf),
         **{
-            f"rig{suffix}": Document(_exchanged(name, suffix, simulation.truth), read_any)
+            f"rig{suffix}": Document(_exchanged(name, suffix, simulation.truth), read_extrinsics)
             for name, suffix in _EXCHANGED
         },
         "result.json": Document(result, _saved),

@@ -12,10 +12,9 @@ import jsonschema
 import numpy as np
 import pytest
 
-from multilica import events
+from multilica import events, read_extrinsics
 from multilica.config import STAGES
 from multilica.errors import UnreadableSourceError
-from multilica.extrinsics import read_extrinsics
 from multilica.results.document import parse_result
 from multilica.results.document.building import collect_versions, provenance_of, result_document
 from multilica.sinks.files.result_document import run_document

@@ -26,7 +26,7 @@ REFUSES = "document.execCommand = () => false; Object.defineProperty(navigator, 
 
 def expected_texts(document) -> dict[str, str]:
     """The file of the run, and what `multilica export` writes."""
-    rig = rig_of_run(document).extrinsics
+    rig, _ = rig_of_run(document)
     exported = {
         label: FORMATS[name].content(rig, Path(path)).decode()
         for label, name, path in (("URDF", "urdf", "a.urdf"), ("matrices", "matrices", "a.txt"))

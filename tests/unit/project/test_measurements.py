@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from multilica import read_extrinsics
 from multilica.errors import UnfitSnapshotError
-from multilica.extrinsics import read_extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
 from multilica.runs import PoseError
