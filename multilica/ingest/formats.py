@@ -115,14 +115,21 @@ def name_unpacked(name: str) -> str:
     return name[: len(name) - len(suffix)]
 
 
-def detect_format(path: SourceFile) -> FileFormat:
-    """Return the format of a file by its first bytes; raise UnreadableSourceError if it is unknown or misnamed."""
+def detect_format(path: SourceFile, subject: str = "") -> FileFormat:
+    """Return the format of a file by its first bytes.
+
+    Args:
+        subject: what the message says of; the path if empty.
+
+    Raises:
+        UnreadableSourceError: it is unknown or misnamed.
+    """
     with path.open("rb") as file:
         head = file.read(HEAD_BYTES)
     try:
         return require_format(head, named_format(path))
     except ValueError as error:
-        raise UnreadableSourceError(f"{path} {error}.") from error
+        raise UnreadableSourceError(f"{subject or path} {error}.") from error
 
 
 def require_format(head: bytes | memoryview, named: FileFormat | None) -> FileFormat:

@@ -105,7 +105,7 @@ def _open_packed(path: Path, where: str) -> Recording:
     with ExitStack() as stack:
         unpacked = stack.enter_context(scratch_folder()) / path.stem
         _unpack(path, unpacked, where)
-        found = detect_format(unpacked)
+        found = detect_format(unpacked, f"{where} unpacks to a file that")
         if found.content is not Content.RECORDING:
             raise UnreadableSourceError(f"{where} does not unpack to a recording; unpack it with `zstd -d`.")
         return _PackedRecording(_read_by(found, unpacked, where), stack.pop_all())

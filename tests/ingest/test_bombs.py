@@ -116,6 +116,15 @@ def test_a_packed_bag_that_is_a_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyP
         read_snapshot(tmp_path / "a.mcap.zstd")
 
 
+@pytest.mark.parametrize(("content", "predicate"), [(b"", "is empty"), (b"It rained.", "is not an MCAP file")])
+def test_a_packed_file_of_something_else_bears_its_own_name(tmp_path: Path, content: bytes, predicate: str) -> None:
+    path = tmp_path / "a.mcap.zstd"
+    path.write_bytes(zstandard.ZstdCompressor().compress(content))
+    with pytest.raises(UnreadableSourceError) as caught:
+        read_snapshot(path)
+    assert str(caught.value).startswith(f"{path} unpacks to a file that {predicate}")
+
+
 def test_an_attachment_is_not_loaded_and_its_name_is_no_path(tmp_path: Path) -> None:
     """In a recording without index, which is read from front to end."""
     snapshot = make_snapshot(lidars=1)
