@@ -109,6 +109,12 @@ def named_format(path: SourceFile) -> FileFormat | None:
     return _NAMED.get(max((suffix for suffix in _NAMED if name.endswith(suffix)), key=len, default=""))
 
 
+def named_content(path: SourceFile) -> Content | None:
+    """Return what a file holds by its name, messages if it is compressed; None if the name does not tell."""
+    named = named_format(path)
+    return named.content if named else Content.RECORDING if name_unpacked(path.name) != path.name else None
+
+
 def name_unpacked(name: str) -> str:
     """Return a file's name without the suffix of a compression."""
     suffix = next((suffix for suffix in FORMATS["zstd"].suffixes if name.lower().endswith(suffix)), "")

@@ -11,7 +11,7 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
-from multilica.ingest.formats import FORMATS, Content, detect_format, name_unpacked, named_format
+from multilica.ingest.formats import FORMATS, Content, detect_format, name_unpacked, named_content, named_format
 from multilica.ingest.remote.address import require_readable, scheme_of
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 
@@ -123,7 +123,7 @@ def _several(paths: list[SourceFile]) -> Source:
 def _folder(folder: Path) -> Source:
     entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
     files = [entry for entry in entries if entry.is_file()]
-    recordings = [path for path in files if _is_recording(path)]
+    recordings = [path for path in files if named_content(path) is Content.RECORDING]
     frames = _frames(entries)
     if recordings and frames:
         raise UsageError(
@@ -160,15 +160,8 @@ def _stem(path: SourceFile) -> str:
     return path.name.removesuffix(_NUSCENES) if path.name.endswith(_NUSCENES) else path.stem
 
 
-def _is_recording(path: Path) -> bool:
-    named = named_format(path)
-    return name_unpacked(path.name) != path.name or (named is not None and named.content is Content.RECORDING)
-
-
 def _is_cloud_file(path: Path) -> bool:
-    named = named_format(path)
-    is_named = named is not None and named.content is Content.CLOUD
-    return is_named and not path.name.startswith(".") and path.is_file()
+    return named_content(path) is Content.CLOUD and not path.name.startswith(".") and path.is_file()
 
 
 def _natural(path: Path) -> tuple[list[int | str], str]:

@@ -106,6 +106,10 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
         given, window, objection = _read(recording, config, found.label)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
         snapshot = with_recorded_notes(snapshot, recording, found.files)
+        try:
+            require_calibratable(snapshot)
+        except UnfitSnapshotError as error:
+            objection = objection or str(error)
         clouds = [topic for topic in recording.topics if is_cloud(topic)]
         others = [topic for topic in recording.topics if not is_cloud(topic)]
         return SourceSummary(
@@ -118,7 +122,7 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
             others=tuple(OtherTopicSummary(topic.name, topic.message_type, topic.count) for topic in others),
             static_transforms=static[0],
             notes=snapshot.notes,
-            objection=objection or _objection(snapshot),
+            objection=objection,
         )
 
 
@@ -134,14 +138,6 @@ def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mappi
     except InputError as error:
         return given, window, str(error)
     return given, window, ""
-
-
-def _objection(snapshot: Snapshot) -> str:
-    try:
-        require_calibratable(snapshot)
-    except UnfitSnapshotError as error:
-        return str(error)
-    return ""
 
 
 def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, snapshot: Snapshot) -> CloudTopicSummary:

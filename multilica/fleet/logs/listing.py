@@ -19,7 +19,7 @@ import numpy as np
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.logs.log import FleetLog, fingerprint_of
 from multilica.fleet.store.store import vehicle_name
-from multilica.ingest.formats import Content, name_unpacked, named_format
+from multilica.ingest.formats import Content, named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 
@@ -160,20 +160,14 @@ def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[
     for each in entries:
         if each.is_dir():
             yield from _logs_below(each, above | {real})
-        elif (each.is_file() or not each.exists()) and _has_recording(each):
+        elif (each.is_file() or not each.exists()) and named_content(each) is Content.RECORDING:
             yield each
 
 
 def _is_one_log(folder: Path, entries: Sequence[Path]) -> bool:
-    clouds = (named_format(each) for each in entries if each.is_file())
     return (folder / "metadata.yaml").is_file() or any(
-        found is not None and found.content is Content.CLOUD for found in clouds
+        named_content(each) is Content.CLOUD for each in entries if each.is_file()
     )
-
-
-def _has_recording(path: Path) -> bool:
-    found = named_format(path)
-    return name_unpacked(path.name) != path.name or (found is not None and found.content is Content.RECORDING)
 
 
 def _local(path: Path, base: Path) -> FleetLog:
@@ -196,7 +190,7 @@ def _in_bucket(given: str) -> Iterator[FleetLog]:
         found: Mapping[str, Mapping[str, Any]] = (
             system.glob(path, detail=True) if has_magic(path) else system.find(path, detail=True)
         )
-    logs = [each for each in sorted(found) if _has_recording(Path(each))]
+    logs = [each for each in sorted(found) if named_content(Path(each)) is Content.RECORDING]
     if not logs:
         raise SourceNotFoundError(f"No recording lies at {without_secrets(given)}.")
     for each in logs:
