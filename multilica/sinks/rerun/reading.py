@@ -227,4 +227,4 @@ _SURFACE_COLUMNS = ("target_point_m", "source_point_m", "distance_m", "plane_dis
 TABLES: Mapping[str, Callable[[Path], pa.Table]] = MappingProxyType(
     {"pairs": _pairs, "matches": _matches, "surfaces": _surfaces, "merge": _merge, "timings": _timings}
 )
-"""What can be asked of a recording, with its reader."""
+"""Tables of a recording, each with its reader."""
