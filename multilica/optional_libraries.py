@@ -17,7 +17,7 @@ class OptionalLibrary:
 
     Args:
         module: the name that is imported.
-        distributions: names in the package index, of which one is installed.
+        distributions: alternative names in the package index; one is installed.
         extra: the extra of multilica that installs it; empty if none does.
         purpose: what works with it only.
         command: installs it where no extra does.
@@ -103,7 +103,7 @@ def require_library(wanted: str, module: str, instead: str = "") -> None:
 def raise_missing(wanted: str, module: str, error: ImportError | None, instead: str = "") -> NoReturn:
     """Raise MissingDependencyError for an optional library that was not imported, with arguments as for `needed_for`.
 
-    An error for want of memory is raised as it is.
+    An out-of-memory error is raised unchanged.
     """
     library = OPTIONAL_LIBRARIES[module]
     missing = error.name if isinstance(error, ModuleNotFoundError) else None

@@ -133,7 +133,7 @@ def _refine(state: CalibrationState) -> None:
 
 
 def _nothing_to_do(state: CalibrationState, stage: Stage) -> None:
-    """Tell of the stage that was done when the snapshot was read."""
+    """Report the stage that ended when the snapshot was read."""
     state.timing_s[stage] = state.snapshot.reading_s
     state.observe(events.StageStarted(stage, 0))
     state.observe(events.StageFinished(stage, state.snapshot.reading_s))

@@ -165,7 +165,7 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
 
 
 def _told_when_written(write: Observer, tell: RunObserver) -> Observer:
-    """Tell what is in the files only: stages that run together are written with the last one."""
+    """Report only stages that are in the files: stages that run together are written with the last one."""
     started: Stage = "ingest"
     waiting: list[Event] = []
 

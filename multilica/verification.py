@@ -24,7 +24,7 @@ from multilica.workers import Workers
 _MIN_COMMON = 100
 # Verdicts on poses that stand alone.
 _USABLE = ("accept", "uncertain")
-# A pose near the known one is at least ten times as likely as one that a search comes upon.
+# A pose near the known one is at least ten times as likely as one that a search finds.
 _KNOWN_LOG_ODDS = 2.3
 
 

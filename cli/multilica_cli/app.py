@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperGroup
 
 
 def _without_types(params: list[Any]) -> list[Any]:
-    """Leave out the type of flags, which take no value, and of arguments, whose help tells what they are."""
+    """Leave out the type of flags, which take no value, and of arguments, whose help describes them."""
     for param in params:
         if getattr(param, "is_flag", False):
             param.metavar = ""

@@ -52,12 +52,12 @@ def accept_by_fitness(registration: PairRegistration, config: MergeConfig) -> Ve
 
 
 def is_well_constrained(score: VisibilityScore, config: AcceptanceConfig) -> bool:
-    """Tell whether so many points constrain every direction that no pose beside it needs to be tested."""
+    """Return whether enough points constrain every direction, so that no pose beside it needs a test."""
     return score.min_information_eigenvalue >= config.min_well_constrained_eigenvalue
 
 
 def cannot_be_accepted(evidence: float, config: AcceptanceConfig) -> bool:
-    """Tell whether a roughly registered pose has too little evidence to be accepted after the fine registration."""
+    """Return whether a roughly registered pose has too little evidence to be accepted after the fine registration."""
     return evidence < config.min_evidence - _ROUGH_MARGIN
 
 
@@ -78,7 +78,7 @@ def competing_poses(registrations: Sequence[Registration], config: AcceptanceCon
 
 
 def slides(found: Stability, config: AcceptanceConfig) -> bool:
-    """Tell whether a pose stays where it is pushed, or ends elsewhere with fewer points."""
+    """Return whether a perturbed pose does not return, or ends elsewhere with fewer points."""
     return max(found.perturbed_offset_m, found.thinned_offset_m) > config.max_perturbed_offset_m
 
 

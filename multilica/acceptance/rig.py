@@ -145,7 +145,7 @@ def check_ambiguous_chains(
 
 
 def is_contradicted(pair: PairRegistration) -> bool:
-    """Tell whether the pair is doubted because it contradicts others."""
+    """Return whether the pair is doubted because it contradicts others."""
     return _CODE in pair.verdict.codes
 
 
@@ -157,12 +157,12 @@ def _doubted(pairs: Sequence[PairRegistration], doubts: Mapping[int, Reason]) ->
 
 
 def _is_ambiguous(pair: PairRegistration, config: AcceptanceConfig) -> bool:
-    """Tell whether the pair, by itself, is refused only because other poses fit as well."""
+    """Return whether the pair alone is refused only because other poses fit as well."""
     return pair.verdict.outcome == "undecided" and accept(pair.registrations, config).outcome == "undecided"
 
 
 def _allows(pair: PairRegistration, implied: RigidTransform, score_pose: ScorePose, config: AcceptanceConfig) -> bool:
-    """Tell whether the implied pose is one of the pair's own, or scores as well."""
+    """Return whether the implied pose is one of the pair's own, or scores as well."""
     needed = pair.evidence - config.min_log_odds_margin
     own = [each.T_target_source for each in pair.registrations if each.evidence > needed]
     return not is_distinct(implied, own) or score_pose(implied).evidence > needed

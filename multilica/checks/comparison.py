@@ -61,7 +61,7 @@ class RigCheck(Entry):
         name: of the run or recording.
         root: the LiDAR that the others are compared to; it agrees with the reference by definition.
         lidars: in name order, without the root.
-        notes: what cannot be told.
+        notes: open questions.
     """
 
     name: str

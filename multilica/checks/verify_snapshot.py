@@ -16,7 +16,7 @@ from multilica.verification import register_from_known
 def verify_snapshot(
     snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances, config: CalibrationConfig | None = None
 ) -> RigCheck:
-    """Tell which LiDARs are still at their known poses.
+    """Test which LiDARs are still at their known poses.
 
     Args:
         known: poses of two or more of the LiDARs, by name.
@@ -73,6 +73,6 @@ def _with_lidars(check: RigCheck, lidars: Iterable[LidarCheck]) -> RigCheck:
 def _far(check: LidarCheck) -> LidarCheck:
     """Return the check of a LiDAR whose beams contradict its known pose, and that no pose near it explains."""
     reason = (
-        f"its beams contradict the known pose, and it is too far off to be followed ({check.reason}); calibrate anew"
+        f"its beams contradict the known pose, and it is too far off to be tracked ({check.reason}); calibrate again"
     )
     return check.model_copy(update={"verdict": "outside", "reason": reason})

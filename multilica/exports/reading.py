@@ -24,7 +24,7 @@ def read_extrinsics(
     If a file holds a tree of frames, the common frame is its root, and every frame is a member.
 
     Args:
-        format: the format; by default it is told by the suffix and the content.
+        format: the format; by default the suffix and the content decide.
         with_uncertain: also take the LiDARs that `calibration.toml` lists as uncertain.
 
     Raises:
@@ -49,7 +49,7 @@ def read_extrinsics(
 
 
 def _told(path: Path) -> ExchangeFormat:
-    """Tell the format by the suffix, else by the content."""
+    """Recognise the format by the suffix, else by the content."""
     if path.is_dir():
         return FORMATS["tf-static"]
     named = [each for each in FORMATS.values() if path.suffix in each.readers]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""URDF files, of which an update changes only the origins of joints, to the byte."""
+"""URDF files; an update changes only the origins of joints, to the byte."""
 
 import re
 from collections.abc import Mapping

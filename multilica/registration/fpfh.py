@@ -21,7 +21,7 @@ FPFH_BINS = 33
 
 _BINS = FPFH_BINS // 3
 _FULL = 100.0
-# A plane needs so many points besides the one that it is fitted at.
+# A plane needs this many points besides the one at its centre.
 _LEAST_OF_A_PLANE = 2
 # Pairs computed at once: they fit into a core's cache.
 _AT_ONCE = 16_384

@@ -20,13 +20,13 @@ def is_distinct(
     same_m: float = _SAME_POSE_M,
     same_rad: float = _SAME_POSE_RAD,
 ) -> bool:
-    """Tell whether the pose differs from all others, in translation or in rotation."""
+    """Return whether the pose differs from all others, in translation or in rotation."""
     distances = (pose.distance_to(other) for other in others)
     return all(metres > same_m or radians > same_rad for metres, radians in distances)
 
 
 def is_near(pose: RigidTransform, max_baseline_m: float) -> bool:
-    """Tell whether the origins of both frames are no farther apart than this."""
+    """Return whether the origins of both frames are no farther apart than this."""
     return float(np.linalg.norm(pose.xyz_m)) <= max_baseline_m
 
 

@@ -28,7 +28,7 @@ def perturbed_ends(
     perturbation_m: float,
     fine: FineConfig,
 ) -> tuple[RigidTransform, RigidTransform]:
-    """Register target and source from both sides of the pose, pushed along `VisibilityScore.weakest_direction`."""
+    """Register target and source from both sides of the pose, perturbed along `VisibilityScore.weakest_direction`."""
     pushes = (side * perturbation_m * weakest_direction for side in (-1.0, 1.0))
     starts = (moved(pose, push[:3] / LEVER_ARM_M, push[3:]) for push in pushes)
     back, forth = (register(*clouds, start, fine).T_target_source for start in starts)
@@ -43,9 +43,9 @@ def check_stability(
     perturbation_m: float,
     fine: FineConfig,
 ) -> Stability:
-    """Measure how far a registered pose moves when it is pushed, and when points are removed.
+    """Measure the motion of a registered pose after a perturbation, and with fewer points.
 
-    Along a tunnel a registration stays where it is pushed to. A chance fit of ground and shrubs depends on single
+    Along a tunnel a registration stays at the perturbed pose. A chance fit of ground and shrubs depends on single
     points. A well constrained pose returns to within a fraction of a millimetre.
 
     Args:
@@ -63,7 +63,7 @@ def check_stability(
 
 
 def widened(information: FloatArray | None, direction: FloatArray, off_m: float) -> FloatArray | None:
-    """Return the information of a pose that ends so far from itself along a direction when it is pushed.
+    """Return the information of a pose from its offset along a direction after a perturbation.
 
     Args:
         information: of `pose_information`, or None.

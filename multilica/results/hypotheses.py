@@ -65,7 +65,7 @@ class Correspondences:
         return self.subset(np.flatnonzero(np.abs(target_range_m - source_range_m) <= max_baseline_m))
 
     def agreeing(self, pose: RigidTransform, noise_bound_m: float, normal_tolerance_deg: float) -> BoolArray:
-        """Tell which matches (M,) agree with a pose ``T_target_source`` in place and in normal."""
+        """Find which matches (M,) agree with a pose ``T_target_source`` in place and in normal."""
         residual_m = np.linalg.norm(pose.apply(self.source_points_m) - self.target_points_m, axis=1)
         cosine = np.einsum("ij,ij->i", pose.rotate(self.source_normals), self.target_normals)
         return np.asarray((residual_m <= noise_bound_m) & (cosine >= np.cos(np.deg2rad(normal_tolerance_deg))))

@@ -19,7 +19,7 @@ class Stability:
     Args:
         sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where
             too few points match.
-        perturbation_m: how far the pose was pushed along its weakest direction, to both sides.
+        perturbation_m: displacement of the pose along its weakest direction, to both sides.
         perturbed_offset_m: how far from the pose the registration ends when it starts from there.
         thinned_offset_m: how far from the pose the registration of fewer points ends.
     """

@@ -25,7 +25,7 @@ PlacementStatus = Literal["placed", "uncertain", "not placed", "missing"]
 
 
 class Move(Entry):
-    """A LiDAR of which both runs have a pose; second run - first run, along the axes of the first run's target.
+    """A LiDAR with a pose in both runs; second run - first run, along the axes of the first run's target.
 
     It moved by more than the limits if `moved`; one of the two poses is uncertain if `uncertain`. `sigmas` is the
     largest of the six differences divided by its standard deviation; null without covariances.
@@ -71,7 +71,7 @@ class RunDifference(Entry):
     Args:
         same: whether both place the same LiDARs at the same poses, within the limits.
         target: LiDAR in whose axes the moves are.
-        moves: per LiDAR of which both have a pose, in name order, without the target.
+        moves: per LiDAR with a pose in both runs, in name order, without the target.
         placed_by_neither: per LiDAR that none of them placed, in name order.
         statuses: per LiDAR that they do not agree on.
         differences: per step at which the runs differ, in order: `input`, `config`, `versions`, or a stage.
@@ -152,7 +152,7 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
 def compare_poses(
     names: tuple[str, str], before: Extrinsics, after: Extrinsics, *, within_m: float, within_rad: float
 ) -> RunDifference:
-    """Compare two sets of poses, of which one at least is no run; a LiDAR that only one of them has counts.
+    """Compare two sets of poses; at least one of them is no run; a LiDAR that only one of them has counts.
 
     Raises:
         InputError: fewer than two LiDARs are in both.

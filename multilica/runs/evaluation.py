@@ -158,7 +158,7 @@ class Summary(Entry):
 
 
 class Runs(Entry):
-    """The evaluated runs; `faultless` are those of which every compared LiDAR is within the limits."""
+    """The evaluated runs; `faultless` counts those with every compared LiDAR within the limits."""
 
     given: tuple[str, ...]
     compared: int

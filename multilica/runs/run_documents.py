@@ -146,7 +146,7 @@ def saved_run(run: RunDocument, name: str) -> SavedRun:
 
 
 def is_run(path: Path) -> bool:
-    """Tell whether `read_run_document` is meant to read it: a run directory or one of its files, not a recording.
+    """Return whether `read_run_document` is meant to read it: a run directory or one of its files, not a recording.
 
     A JSON file is one of a run, whatever its name, unless it is OpenCalib's.
     """

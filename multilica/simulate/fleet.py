@@ -56,7 +56,7 @@ class PlannedEvent:
 
     Args:
         first_log: index, among the vehicle's logs by time, of the first one after it.
-        time_ns: when it happens; a creep goes on from there.
+        time_ns: when it happens; a creep continues from there.
         shift_m: (3,) along the axes of the LiDAR as built; of a creep, within 30 days.
         turn_rad: (3,) axis times angle about the same axes; of a creep, within 30 days.
     """
@@ -79,7 +79,7 @@ class PlannedEvent:
         return RigidTransform.from_rotation_translation(self.lidar, self.lidar, rotation, shift_m)
 
     def decisive(self, logs: int) -> frozenset[int]:
-        """Return the indices, of so many logs of the vehicle, without which the event could not be dated."""
+        """Return the indices of the logs that are needed to date the event."""
         if self.kind == "creep":
             return frozenset((0, logs - 1))
         return frozenset(range(max(0, self.first_log - _SIDE), min(logs, self.first_log + _SIDE)))
@@ -280,7 +280,7 @@ def _is_decisive(log: PlannedLog, logs: Sequence[PlannedLog], event: PlannedEven
 
 
 def _with_faults(logs: Sequence[PlannedLog], spared: set[str], number: int, seed: int) -> list[PlannedLog]:
-    """Break so many logs, with each fault in turn."""
+    """Break this many logs, with each fault in turn."""
     rng, faults = random_stream("fleet faults", seed), get_args(LogFault)
     chosen = _chosen([log.path for log in logs if log.path not in spared], number, "broken logs", rng)
     broken = []
@@ -296,7 +296,7 @@ def _with_faults(logs: Sequence[PlannedLog], spared: set[str], number: int, seed
 
 
 def _duplicates(logs: Sequence[PlannedLog], number: int, seed: int) -> list[PlannedLog]:
-    """Copy so many logs that are files, each under the next number of its vehicle."""
+    """Copy this many logs that are files, each under the next number of its vehicle."""
     rng = random_stream("fleet duplicates", seed)
     originals = {log.path: log for log in logs if not log.fault and _SUFFIXES[log.format]}
     copies: list[PlannedLog] = []

@@ -7,7 +7,7 @@ from scipy.sparse import csr_array
 from multilica.results import BoolArray, IndexArray
 from multilica.solvers.consistency_graph import grow_clique
 
-# Greedy cliques from so many nodes with the most neighbours: one of them is nearly always as large as can be.
+# Number of greedy cliques, from the nodes with the most neighbours: one is nearly always of the largest size.
 _STARTS = 20
 # Share of the pairs of nodes that are connected.
 _DENSE = 0.5

@@ -29,7 +29,7 @@ def find_hypotheses(
     """Find distinct poses of the source in the target frame, the one with the most agreeing matches first.
 
     Args:
-        matches: putative matches, of which 95 % and more may be wrong.
+        matches: putative matches; 95 % and more may be wrong.
         prior: a pose that is known beforehand; one more hypothesis after the others.
 
     Raises:

@@ -70,7 +70,7 @@ def _match(
 
 
 def _drawn(cloud: FeatureCloud, most: int) -> IndexArray:
-    """Draw the rows of at most so many descriptors; all if 0."""
+    """Draw the rows of at most this many descriptors; all if 0."""
     count = len(cloud.points_m)
     if most == 0 or count <= most:
         return np.arange(count)

@@ -164,7 +164,7 @@ class _Pair:
         return [distinct[index] for index in kept]
 
     def cannot_be_accepted(self, hypothesis: Hypothesis) -> bool:
-        """Tell whether the hypothesis is known to have too little evidence."""
+        """Return whether the hypothesis is known to have too little evidence."""
         return hypothesis.evidence is not None and cannot_be_accepted(hypothesis.evidence, self.config.acceptance)
 
     def _evidence(self, hypothesis: Hypothesis) -> float:
@@ -239,7 +239,7 @@ class _Pair:
         return self._scored(fitted, replace(_start_of(found.registrations[0]), T_target_source=pose))
 
     def _needs_stability(self, found: PairRegistration, best: Registration, others: Sequence[Registration]) -> bool:
-        """Tell whether the pose may slide: not well constrained, uncertain, or with a competing pose."""
+        """Return whether the pose may slide: not well constrained, uncertain, or with a competing pose."""
         acceptance = self.config.acceptance
         sigma_m, sigma_rad = weakest_sigmas(found.information)
         uncertain = imprecision(sigma_m, sigma_rad, acceptance, _SIGMA_MARGIN) is not None
@@ -250,7 +250,7 @@ class _Pair:
         """Test the stability; a pose that ends at the same other pose from both sides has stopped short of that.
 
         Args:
-            by_gicp: where GICP ended, which is what a pushed registration returns to.
+            by_gicp: the end of GICP, to which a perturbed registration returns.
         """
         thinned_clouds = (self.target.thinned, self.source.thinned)
         thinned = None if thinned_clouds == self.clouds else thinned_clouds

@@ -11,7 +11,7 @@ from multilica.registration.poses import is_distinct, is_near
 from multilica.registration.stability import arc_between_m
 from multilica.results import Group, Hypothesis, PairKey, PairRegistration, Registration, Verdict
 
-# A pose that slides moves farther when it is pushed.
+# A pose that slides moves farther when it is perturbed.
 _STABLE_M = 0.05
 
 RegisterGroups = Callable[[Group, Group, Sequence[Hypothesis], bool], PairRegistration]
@@ -72,7 +72,7 @@ def register_groups(
 
 
 def _has_more_evidence(found: PairRegistration, again: PairRegistration, max_baseline_m: float) -> bool:
-    """Tell whether a registration that is not rejected has more evidence than another, at another possible pose."""
+    """Return whether a registration that is not rejected has more evidence than another, at another possible pose."""
     pose = found.T_target_source
     elsewhere = is_distinct(pose, [again.T_target_source.with_target(pose.target)])
     possible = found.verdict.outcome == "undecided" and is_near(pose, max_baseline_m)
@@ -80,7 +80,7 @@ def _has_more_evidence(found: PairRegistration, again: PairRegistration, max_bas
 
 
 def _is_constrained_by(found: PairRegistration, accepted: Sequence[RigidTransform]) -> bool:
-    """Tell whether an accepted pair constrains the registration, which by itself is refused as not constrained.
+    """Return whether an accepted pair constrains the registration, which by itself is refused as not constrained.
 
     More points hardly loosen a pose, but those of a group are thinned more than those of a pair.
     """

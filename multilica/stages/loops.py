@@ -24,7 +24,7 @@ def implied_poses(
 
 
 def is_open(before: PairRegistration | None, implied: RigidTransform) -> bool:
-    """Tell whether registering the implied pose may add a pair.
+    """Return whether registering the implied pose may add a pair.
 
     It adds nothing where the registration ended there before, and was not accepted only because the scene does not
     constrain it well.

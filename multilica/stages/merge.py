@@ -37,7 +37,7 @@ def merge_along_graph(
 ) -> Iterator[MergeStep]:
     """Join what accepted pairs link, the pair with the most evidence first; register groups only where none does.
 
-    A pair that is accepted but uncertain joins what nothing else can join.
+    A pair that is accepted but uncertain is used only if nothing else joins its LiDARs.
 
     Args:
         names: all LiDARs, the target included.

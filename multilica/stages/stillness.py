@@ -102,7 +102,7 @@ def _confirmed(found: Motion, first: Structure, last: Structure) -> Motion:
 
 
 def _tracked(scans: Sequence[Scan], known: Mapping[int, Structure], config: StillnessConfig) -> Motion | None:
-    """Follow a LiDAR through all frames; None if that tells nothing either."""
+    """Track a LiDAR through all frames; None if that is not possible either."""
     frames = []
     for index, scan in enumerate(scans):
         cloud_m = np.empty((0, 3)) if index in known else _surroundings(scan)

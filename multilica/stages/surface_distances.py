@@ -28,7 +28,7 @@ def match_surfaces(
 
     Args:
         pose: ``T_target_source``.
-        most: of more source points, only so many are matched, spread evenly.
+        most: largest number of source points that are matched; more are thinned evenly.
     """
     rows = np.arange(len(source.points_m))
     if len(rows) > most:

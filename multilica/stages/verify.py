@@ -186,7 +186,7 @@ def _register(
 
 
 def _is_settled(found: Sequence[Registration], config: CalibrationConfig) -> bool:
-    """Tell whether one pose leads so clearly that the other hypotheses, which have fewer matches, are skipped."""
+    """Return whether one pose leads so clearly that the other hypotheses, which have fewer matches, are skipped."""
     verify, acceptance = config.verify, config.acceptance
     found = within_baseline(found, acceptance.max_baseline_m)
     if len(found) < 2:

@@ -58,7 +58,7 @@ _GAP_FACTOR = 2.5
 # At less than 3 deg of incidence, three returns rather span an edge between two surfaces.
 _MIN_INCIDENCE = 0.05
 _POLE_DIRECTIONS = 400
-# Triangles with a smaller height, in parts of their longest side, cannot be told from a line.
+# Triangles with a smaller height, in parts of their longest side, count as a line.
 _FLATTEST = 1e-12
 
 

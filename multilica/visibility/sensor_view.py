@@ -241,7 +241,7 @@ def _along_bands(points_m: FloatArray) -> FloatArray:
 
 
 def _surfaces(probes_m: FloatArray, returns_m: FloatArray) -> tuple[BoolArray, FloatArray, BoolArray]:
-    """Tell which probes have flat surroundings, unlike foliage, and return their normals, and which have one.
+    """Find the probes that have flat surroundings, unlike foliage, and return their normals, and which have one.
 
     The surroundings are thinned: in a dense cloud the nearest points lie within the range noise of each other.
     Neighbours on one line, a single ring of a sparse sensor, are flat but have no normal.

@@ -78,7 +78,7 @@ def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArr
 
 
 def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]:
-    """Return local maxima with at least so many cells: their cells (N,), most first, and shifts (N, 2) in metres."""
+    """Return local maxima with at least this many cells: their cells (N,), most first, and shifts (N, 2) in metres."""
     width = int(_APART_M / _CELL_M) + 1
     highest = scipy.ndimage.maximum_filter(overlap, width, mode="wrap")
     cells = np.argwhere((overlap >= highest - 0.5) & (overlap >= needed))
@@ -88,7 +88,7 @@ def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]
 
 
 def _apart(shifts_m: FloatArray, most: int) -> list[int]:
-    """Select the first shifts of which none is near an earlier one."""
+    """Select the first shifts that are not near an earlier one."""
     kept: list[int] = []
     for index, shift_m in enumerate(shifts_m):
         if len(kept) == most:

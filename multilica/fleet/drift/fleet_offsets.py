@@ -19,7 +19,7 @@ from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray, RigidTransform
 
 _MIN_FLEET = 3
-"""Vehicles of which one can be outvoted."""
+"""Smallest number of vehicles that can outvote one."""
 _DEG = np.deg2rad(1.0)
 # Brackets are bolted on within a few millimetres and a tenth of a degree: vehicles that differ by less are alike.
 _ASSEMBLY = np.diag((np.array([0.1 * _DEG] * 3 + [0.003] * 3) * TO_LENGTHS) ** 2)

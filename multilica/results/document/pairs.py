@@ -40,7 +40,7 @@ class StabilityEntry(Entry):
     sigma_rad: Number = Field(description="Standard deviation of the attitude in its weakest direction.")
     perturbation_m: Number = Field(description="Displacement of the pose along its weakest direction.")
     perturbed_offset_m: Number = Field(
-        description="Distance from the pose to the end of the registration after the push."
+        description="Distance from the pose to the end of the registration after the perturbation."
     )
     thinned_offset_m: Number = Field(
         description="Distance from the pose to the end of the registration of fewer points."

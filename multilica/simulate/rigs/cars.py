@@ -9,7 +9,7 @@ from multilica.simulate.rigs.rig import Mount, Rig
 
 
 def fan(overlap_deg: float) -> Rig:
-    """Build a rig of four narrow LiDARs on the roof, of which neighbours overlap by that angle."""
+    """Build a rig of four narrow LiDARs on the roof; neighbours overlap by that angle."""
     step_deg = NARROW.pattern.horizontal_fov_deg - overlap_deg
     mounts = []
     for index, name in enumerate(("right", "front_right", "front_left", "left")):

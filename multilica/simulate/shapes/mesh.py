@@ -61,7 +61,7 @@ def merged(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def reaches_into(mesh: Mesh, low_m: FloatArray, high_m: FloatArray) -> bool:
-    """Tell whether any triangle touches the axis-parallel box between two corners (3,), by separating axes."""
+    """Return whether any triangle touches the axis-parallel box between two corners (3,), by separating axes."""
     half_m = (high_m - low_m) / 2.0
     corners = mesh.vertices_m[mesh.triangles] - (low_m + high_m) / 2.0
     corners = corners[((corners.max(axis=1) >= -half_m) & (corners.min(axis=1) <= half_m)).all(axis=1)]

@@ -108,7 +108,7 @@ def fitted_height_px(points_m: FloatArray, width_px: int, least: float, most: fl
 
 
 def is_upright(points_m: FloatArray) -> bool:
-    """Tell whether nearly all points (N, 3) extend farther along y than along x."""
+    """Return whether nearly all points (N, 3) extend farther along y than along x."""
     low_m, high_m = _extent_m(points_m)
     return bool(high_m[1] - low_m[1] > high_m[0] - low_m[0])
 

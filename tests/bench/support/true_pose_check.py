@@ -74,7 +74,7 @@ class Trial:
 
 
 def is_borne_out(refused_for: Iterable[str], trial: Trial) -> bool:
-    """Tell whether the true pose is refused for the same kind of reason, or for any if no pose of the run fitted.
+    """Return whether the true pose is refused for the same kind of reason, or for any if no pose of the run fitted.
 
     If beams contradict the best pose that was found, none fitted, so it has little evidence as well.
     """
