@@ -114,6 +114,7 @@ def test_a_vehicle_is_shown_log_by_log(store, invoke: Invoke):
     assert front["yaw_deg"] == pytest.approx(40.0, abs=2.0)
 
 
+@pytest.mark.slow
 def test_drift_is_told_and_ends_with_its_code(store, invoke: Invoke):
     outcome = invoke("fleet", "drift", "--store", store)
     assert outcome.code == ExitCode.DIFFERENT
@@ -132,6 +133,7 @@ def test_a_fleet_at_rest_has_no_drift(tmp_path, invoke: Invoke):
     assert (outcome.code, outcome.out) == (ExitCode.DONE, "No LiDAR of 1 vehicles has moved.\n")
 
 
+@pytest.mark.slow
 def test_old_recordings_are_removed_by_their_rule(store, invoke: Invoke):
     opened = open_store(store, create=False)
     recordings = {path for path, _ in opened.files("runs")}
@@ -190,6 +192,7 @@ def test_the_catalog_listens_on_loopback_alone(tmp_path):
     assert not alive
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", [b"", b"no Parquet"])
 def test_a_damaged_part_is_named(content, store, invoke: Invoke):
     part = min(store.glob("lidars/*/*/*.parquet"))

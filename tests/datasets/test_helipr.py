@@ -126,6 +126,7 @@ def test_a_vehicle_that_drives_all_the_time_is_refused(tmp_path: Path) -> None:
             list(read_scenes(sequence, REQUEST))
 
 
+@pytest.mark.slow
 def test_poses_that_claim_a_stop_are_checked_by_scans(tmp_path: Path) -> None:
     sequence = write_helipr(tmp_path / "drive", stops=False)
     for file in (sequence / "LiDAR_GT").iterdir():

@@ -22,6 +22,7 @@ WIDTHS = (1400, 390)
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.slow,
+    pytest.mark.slow,
     pytest.mark.shows("docs", "multilica", "cli", *(path.name for path in ROOT.glob("*.md"))),
 ]
 

@@ -23,6 +23,7 @@ KINDS = sorted((name, suffix) for name, each in FORMATS.items() for suffix in ea
 MUTATIONS = 60
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids="".join)
 def test_damaged_files_are_read_or_refused(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: tuple[str, str]
@@ -41,6 +42,7 @@ def test_damaged_files_are_read_or_refused(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_hostile_files_are_refused_soon(tmp_path: Path) -> None:
     chain = "".join(joint(f"j{each}", f"a{each}", f"a{each + 1}", "revolute") for each in range(3000))
     hostile = {

@@ -96,6 +96,7 @@ def test_newest_first_goes_back_in_time(tmp_path, manifest):
     assert own == sorted(own, reverse=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("after", [0, 1, 5, 11])
 def test_an_interrupted_run_goes_on_and_ends_alike(tmp_path, manifest, after):
     whole, broken = (open_store(tmp_path / name, create=True) for name in ("whole", "broken"))
@@ -125,6 +126,7 @@ def test_what_may_pass_is_taken_up_by_the_next_run(tmp_path, manifest):
         assert list(answer.rows()) == []
 
 
+@pytest.mark.slow
 def test_two_drivers_on_one_store_do_no_harm(tmp_path, manifest):
     alone, shared = (open_store(tmp_path / name, create=True) for name in ("alone", "shared"))
     run(manifest, alone, Tasks())
@@ -160,6 +162,7 @@ def test_another_configuration_does_all_again_and_stands_once(tmp_path, manifest
     assert len(list(store.parts("logs"))) == 24
 
 
+@pytest.mark.slow
 def test_joined_parts_hold_the_same_rows(tmp_path, manifest):
     store = open_store(tmp_path / "store", create=True)
     run(manifest, store, Tasks())
@@ -171,6 +174,7 @@ def test_joined_parts_hold_the_same_rows(tmp_path, manifest):
     assert compact_store(store) == (14, 14)
 
 
+@pytest.mark.slow
 def test_a_compaction_that_was_killed_leaves_no_row_twice(tmp_path, manifest, monkeypatch):
     store = open_store(tmp_path / "store", create=True)
     run(manifest, store, Tasks())

@@ -173,6 +173,7 @@ def test_an_event_leads_to_its_vehicle(text):
     assert text.count('<path class="event jump"') == text.count('<rect class="span jump"') == 2
 
 
+@pytest.mark.slow
 def test_a_vehicle_unlike_the_others_is_told(tmp_path):
     store = open_store(tmp_path, create=True)
     for number in range(6):
@@ -223,6 +224,7 @@ def test_recordings_are_linked_from_within_the_store(store):
     assert path.startswith("../runs/v02/2026-09/")
 
 
+@pytest.mark.slow
 def test_a_recording_that_was_pruned_is_not_linked(tmp_path):
     store = made_store(tmp_path)
     for path, _ in list(store.files("runs")):

@@ -60,6 +60,7 @@ def test_broken_logs_are_refused(fault: str, folder: Path) -> None:
     assert Path(log.path).name in str(refusal.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 9])
 def test_nothing_is_read_of_a_cut_log_of_usual_size(seed: int, tmp_path: Path) -> None:
     plan = plan_fleet(1, 1, seed, broken=1)
@@ -123,6 +124,7 @@ def test_a_folder_in_use_is_refused(tmp_path: Path) -> None:
     assert [each.name for each in tmp_path.iterdir()] == ["notes.txt"]
 
 
+@pytest.mark.slow
 def test_without_an_end_there_is_no_truth(tmp_path: Path) -> None:
     def stop(log: PlannedLog) -> None:
         raise WorkerDiedError(log.path)

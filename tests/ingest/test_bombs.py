@@ -56,6 +56,7 @@ def unpack_or_nothing(compression: str, packed: bytes, size: int) -> memoryview:
         return memoryview(b"")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", PACKERS)
 def test_never_more_is_unpacked_than_was_claimed(compression: str) -> None:
     packed = PACKERS[compression](bytes(100 << 20))
@@ -125,6 +126,7 @@ def test_a_packed_file_of_something_else_bears_its_own_name(tmp_path: Path, cont
     assert str(caught.value).startswith(f"{path} unpacks to a file that {predicate}")
 
 
+@pytest.mark.slow
 def test_an_attachment_is_not_loaded_and_its_name_is_no_path(tmp_path: Path) -> None:
     """In a recording without index, which is read from front to end."""
     snapshot = make_snapshot(lidars=1)

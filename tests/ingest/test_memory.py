@@ -44,6 +44,7 @@ def write_database(path: Path, script: str) -> None:
     database.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", SCHEMAS)
 def test_no_sql_of_a_file_is_run(tmp_path: Path, what: str) -> None:
     write_database(tmp_path / "bomb.db3", SCHEMAS[what])

@@ -105,6 +105,7 @@ def test_the_spread_is_what_the_snapshots_scatter_by():
     assert _joined(_run("s", 0))["A"].spread.xyz_m is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("claimed", "origin"), [(0.25, "snapshots"), (4.0, "residuals")])
 def test_sigma_is_widened_to_the_scatter_and_never_narrowed(claimed, origin):
     normalised = []
@@ -258,6 +259,7 @@ def test_disputed_lidar_does_not_become_the_target():
     assert [place.lidar for place in result.placements if not place.placed] == ["T"]
 
 
+@pytest.mark.slow
 def test_the_order_of_snapshots_does_not_matter():
     runs = [_run("a", 1), _run("b", 2, tampered="A"), _run("c", 3)]
     one, other = _joined(*runs), _joined(*runs[::-1])

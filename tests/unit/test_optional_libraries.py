@@ -82,6 +82,7 @@ def test_a_lack_of_memory_stays_what_it_is() -> None:
         raise ImportError("libOpen3D.so: failed to map segment from shared object")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ImportError", "OSError"])
 def test_open3d_without_libgl_names_the_command(kind: str, tmp_path: Path) -> None:
     (tmp_path / "open3d").mkdir()

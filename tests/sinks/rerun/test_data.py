@@ -87,6 +87,7 @@ def test_points_of_a_match_are_rows_of_the_descriptors(recordings):
     np.testing.assert_allclose(found, points[rows], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_full_detail_keeps_every_match_and_slim_few(tmp_path):
     counts = {}
     for detail in ("full", "slim"):
@@ -103,6 +104,7 @@ def _multiplied(event):
     return events.CorrespondencesMatched(event.correspondences.subset(rows))
 
 
+@pytest.mark.slow
 def test_tables_are_read_whole(recordings):
     pairs = read_recorded_table(recordings["partial"], "pairs").to_pylist()
     of_pair = next(row for row in pairs if (row["target"], row["source"]) == ("rear", "top"))
@@ -127,12 +129,14 @@ def test_tables_are_read_whole(recordings):
     assert {(round(row["distance_m"], 6), round(row["plane_distance_m"], 6)) for row in surfaces} == {(0.02, 0.01)}
 
 
+@pytest.mark.slow
 def test_timings_are_those_of_the_result(recordings):
     rows = read_recorded_table(recordings["complete"], "timings").to_pylist()
     assert [row["stage"] for row in rows] == ["fine"]
     assert rows[0]["seconds"] == pytest.approx(0.01, abs=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TABLES)
 def test_a_recording_that_was_cut_off_has_the_tables_so_far(tmp_path, name):
     path = tmp_path / "recording.rrd"
@@ -145,6 +149,7 @@ def test_a_recording_that_was_cut_off_has_the_tables_so_far(tmp_path, name):
     assert rows == {"pairs": 3, "matches": 240, "surfaces": 0, "merge": 0, "timings": 0}[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TABLES)
 def test_a_recording_of_an_earlier_version_is_refused(tmp_path, name, monkeypatch):
     for log in ("log_data", "log_data_tables", "log_timings"):

@@ -26,6 +26,7 @@ DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")]
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.slow,
+    pytest.mark.slow,
     pytest.mark.shows(*RUN_FILES),
     pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1"),
 ]

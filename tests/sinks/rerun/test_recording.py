@@ -20,12 +20,14 @@ from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 from tests.sinks.recording_reader import Recording, blueprint_names
 
 
+@pytest.mark.slow
 def test_rerun_accepts_the_file(recordings, rerun_rrd):
     for path in recordings.values():
         verdict = rerun_rrd("verify", path)
         assert verdict.returncode == 0, verdict.stderr
 
 
+@pytest.mark.slow
 def test_two_runs_record_the_same(recordings, rerun_rrd, tmp_path):
     again = record(tmp_path / "again.rrd")
     verdict = rerun_rrd("compare", "--unordered", recordings["complete"], again)
@@ -69,6 +71,7 @@ def test_the_source_cloud_is_logged_once_and_moved_by_its_frame(recordings):
     assert frames[-1] == "pair/rear/top/0"
 
 
+@pytest.mark.slow
 def test_the_result_hangs_every_placed_lidar_below_the_target(recordings):
     recording = Recording(recordings["complete"])
     for name in set(LIDARS) - {TARGET}:
@@ -168,6 +171,7 @@ def test_a_lidar_without_a_point_is_recorded(tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_an_error_leaves_the_partial_recording_with_its_cause(tmp_path, rerun_rrd):
     path = tmp_path / "run.rrd"
 

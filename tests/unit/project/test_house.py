@@ -9,6 +9,7 @@ import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from types import UnionType
 
@@ -64,9 +65,14 @@ def files_below(folders: set[str], suffix: str = "") -> list[Path]:
 
 def nodes_below(folders: set[str], kind: type[ast.AST] | UnionType) -> Iterator[tuple[str, ast.AST]]:
     for path in files_below(folders, ".py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes_of(path):
             if isinstance(node, kind):
                 yield f"{relative(path)}:{node.lineno}", node
+
+
+@cache
+def nodes_of(path: Path) -> list[ast.AST]:
+    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
 
 
 def listed(offenders: list[str], rule: str) -> str:

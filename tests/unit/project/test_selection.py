@@ -80,6 +80,7 @@ def test_the_seed_of_a_push_can_be_repeated(monkeypatch):
     assert selection.some_of("abcde", 4) == [*"abcde"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variables", "passed", "seed"), [({"MULTILICA_SEED": "7"}, 3, "[8]"), ({"MULTILICA_NIGHTLY": "1"}, 6, "[3]")]
 )

@@ -8,6 +8,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 TESTS = """
 import subprocess, sys, threading, time
@@ -30,7 +34,6 @@ def test_its_fixture(own): pass
 def test_first_of_several(shared): pass
 def test_second_of_several(shared): pass
 def test_that_waits(): time.sleep(0.3)
-@pytest.mark.slow
 def test_with_the_mark(): exec(BURN)
 """
 

@@ -29,10 +29,12 @@ def _tried(objects):
     return try_truth(watch, [("t",), ("s",)], _TRUTH, CalibrationConfig())["s"]
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_hall_would_have_been_accepted():
     assert _tried(HALL) == Trial(accepted=True, codes=())
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_tunnel_is_not_constrained():
     trial = _tried(_TUNNEL)
     assert not trial.accepted

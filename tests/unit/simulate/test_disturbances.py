@@ -21,6 +21,7 @@ def both(rig: str, scene: str, *disturbances: str, frames: int = 1):
     return clean.snapshot, simulate_snapshot(rig, scene, 6, frames=frames, disturbances=disturbances).snapshot
 
 
+@pytest.mark.slow
 def test_rain_replaces_two_per_cent_by_nearer_returns():
     clean, rainy = both("sides", "street", "rain")
     dry, wet = clean["top"].scans[0].points_m, rainy["top"].scans[0].points_m
@@ -57,6 +58,7 @@ def test_blocked_beams_are_half_of_them_on_one_side():
     assert (directions[blocked] @ axis).min() >= (directions[~blocked] @ axis).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", sorted(RIGS))
 def test_a_truck_blocks_about_half_of_a_view(rig):
     rng = np.random.default_rng(3)
@@ -69,12 +71,14 @@ def test_a_truck_blocks_about_half_of_a_view(rig):
         assert 0.3 < np.isfinite(hits.ranges_m).mean() < 0.7, mount.name
 
 
+@pytest.mark.slow
 def test_a_truck_hides_what_is_behind_it():
     clean, beside = both("chain", "parking", "truck")
     changed = [name for name in clean.names if clean[name].points_count != beside[name].points_count]
     assert changed
 
 
+@pytest.mark.slow
 def test_pedestrians_move_between_frames():
     clean, walked = both("sides", "parking", "pedestrians", frames=4)
     background = cKDTree(clean["top"].points_m)
@@ -87,6 +91,7 @@ def test_pedestrians_move_between_frames():
     assert stride_m > 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", ["edgar", "truck"])
 def test_nobody_walks_through_the_vehicle(rig):
     walkers = []
@@ -100,6 +105,7 @@ def test_nobody_walks_through_the_vehicle(rig):
         assert np.hypot(*feet_m) > max(3.4, RIGS[rig].half_size_m[0] + 0.9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rig", ["edgar", "ring6", "truck"])
 def test_masked_returns_are_those_of_the_vehicle(rig):
     clean, masked = both(rig, "parking", "ego_masked")
@@ -116,6 +122,7 @@ def test_masked_returns_are_those_of_the_vehicle(rig):
     assert left_out > 1000
 
 
+@pytest.mark.slow
 def test_rain_falls_on_a_vehicle_that_is_masked():
     _, masked = both("sides", "street", "ego_masked")
     _, rainy = both("sides", "street", "ego_masked", "rain")
@@ -124,6 +131,7 @@ def test_rain_falls_on_a_vehicle_that_is_masked():
     assert 0.015 < np.any(before != after, axis=1).mean() < 0.025
 
 
+@pytest.mark.slow
 def test_a_moving_vehicle_shifts_each_frame():
     still, moving = both("sides", "street", "moving", frames=3)
     for snapshot, low, high in ((still, 0.0, 0.13), (moving, 0.15, 1.0)):

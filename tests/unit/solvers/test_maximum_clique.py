@@ -25,6 +25,7 @@ def _is_clique(graph, members):
     return all(graph[one, other] for one, other in combinations(members, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.8])
 @pytest.mark.parametrize("seed", range(5))
 def test_no_clique_is_larger(seed, share):

@@ -159,6 +159,7 @@ def test_too_few_descriptors_promise_nothing(counts):
     assert _promise(_features("t", _random(counts[0])), _features("s", _random(counts[1]))) == 0.0
 
 
+@pytest.mark.slow
 def test_without_a_limit_matches_are_in_the_order_of_the_source():
     target, source = _seen_by_both(0.8, RigidTransform.identity("t", "s"))
     config = CorrespondConfig(engine="kd_tree", max_keypoints=0, max_matches=0)

@@ -121,6 +121,7 @@ def test_hopeless_poses_are_no_finalists(evidence, kept):
     assert select_finalists(evidence, AcceptanceConfig(), 16) == kept
 
 
+@pytest.mark.slow
 def test_the_stability_is_tested_if_a_pose_competes(sides):
     alone = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     assert (
@@ -212,6 +213,7 @@ def corridor():
     return tuple(_side(scan(name, pose, objects, seed=seed)) for seed, (name, pose) in enumerate(_PLACES))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("along_m", [-1.0, 3.0])
 def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m):
     start = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [along_m, 0, 0], [0, 0, 0]) @ _SOURCE

@@ -113,6 +113,7 @@ def test_rough_ground_has_a_large_sigma():
     assert plane.sigma_roll_pitch_deg.max() > 0.2
 
 
+@pytest.mark.slow
 def test_equal_runs_find_the_same_bits():
     points_m = _street() - [0.0, 0.0, 1.9]
     found = [estimate_ground("top", points_m, CalibrationConfig())[0] for _ in range(5)]

@@ -70,6 +70,7 @@ def test_driving_across_a_bare_room_is_measured(step_m: float) -> None:
     assert motion.shift_m == pytest.approx(4 * step_m, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_lidar_that_jumps_out_of_sight_moves_at_least_a_bit() -> None:
     here, there = _scan(_ROOM_M, 1), _scan((30.0, 2.5, 1.5), 2, _pose((0.0, 0.0, 0.0), 40.0))
     motion = detect_motion([here, there], _CONFIG)

@@ -116,6 +116,7 @@ def test_the_search_goes_on_while_no_pose_is_right(hall):
     assert found[0].T_target_source.distance_to(_TRUTH)[0] < 0.05
 
 
+@pytest.mark.slow
 def test_hopeless_competing_poses_are_not_registered(hall, monkeypatch):
     registered = []
 
@@ -163,6 +164,7 @@ def test_a_hypothesis_carried_away_is_tried_with_near_points(hall, monkeypatch):
     assert reaches_m == [2.0, 0.5]
 
 
+@pytest.mark.slow
 def test_a_pose_that_slid_along_pillars_is_corrected():
     """Pillars repeat every 3 m; only a box beside one of them tells which is which."""
     aisle = [*box((-40.0, -3.0, 0.0), (40.0, 3.0, 3.0)), *box((3.0, 1.5, 0.0), (4.5, 2.2, 1.5))]
