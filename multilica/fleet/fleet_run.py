@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
@@ -14,7 +16,6 @@ from pathlib import Path
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.fleet.logs.listing import LogPattern, find_logs
-from multilica.fleet.logs.log import config_digest
 from multilica.fleet.logs.plan import Plan, QueuedLog
 from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import Store, vehicle_name
@@ -26,6 +27,8 @@ from multilica.scratch import scratch_folder
 
 # Tasks that wait at the executor for each that runs, so that none waits for the driver.
 _AHEAD = 2
+# Settings that change no result.
+_INDIFFERENT = {"runtime": {"workers"}, "record": {"detail", "max_megabytes"}}
 
 RunLogTask = Callable[[LogTask, LogTaskLimits], LogRow]
 
@@ -114,7 +117,7 @@ def run_fleet(
         MultilicaError: as `find_logs` and `open_executor`.
     """
     start_s = time.monotonic()
-    outcome, digest = FleetOutcome(), config_digest(options.config, options.calibrate)
+    outcome, digest = FleetOutcome(), _config_digest(options.config, options.calibrate)
     with (
         scratch_folder() as folder,
         open_executor(options.workers, options.scheduler) as (executor, slots),
@@ -131,6 +134,12 @@ def run_fleet(
             observe(LogFinished(row))
     outcome.elapsed_s = time.monotonic() - start_s
     return outcome
+
+
+def _config_digest(config: CalibrationConfig, calibrate: str) -> str:
+    """Return the hash of all settings that a result depends on."""
+    values = config.model_dump(mode="json", exclude=_INDIFFERENT)
+    return hashlib.sha256(json.dumps([values, calibrate], sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _identified(

@@ -13,8 +13,8 @@ import psutil
 import pytest
 
 from multilica.fleet.store.query import ask
-from multilica.fleet.store.recordings import prune_recordings
 from multilica.fleet.store.store import open_store
+from multilica.fleet.store.upkeep import prune_recordings
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence, command_of_process, environment_of_process
 from tests.fleet.support.made_store import add_log, lidar_row, made_store

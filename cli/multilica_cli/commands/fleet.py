@@ -259,7 +259,7 @@ def report(
 @fleet.command()
 def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
     """Join the small parts of each vehicle and month into one; do not use it while a run writes into the store."""
-    from multilica.fleet.store.compact import compact_store
+    from multilica.fleet.store.upkeep import compact_store
 
     before, after = compact_store(_opened(store))
     stdout_console(quiet=quiet).print(f"{before} parts are now {after}.")
@@ -278,7 +278,7 @@ def prune(
     quiet: options.Quiet = False,
 ) -> None:
     """Remove old recordings, reports and MCAP files; tables and poses are kept."""
-    from multilica.fleet.store.recordings import prune_recordings
+    from multilica.fleet.store.upkeep import prune_recordings
 
     pruned = prune_recordings(_opened(store), success_days=success_days, failure_days=failure_days)
     stdout_console(quiet=quiet).print(f"{pruned.files} files removed, {pruned.size_bytes / 1e6:.1f} MB.")
@@ -293,7 +293,7 @@ def browse(
     port: Annotated[int, typer.Option(metavar="N", help="Port to listen on.")] = 51234,
 ) -> None:
     """Serve the recordings as a catalog of Rerun's viewer, a dataset per vehicle, until Ctrl-C."""
-    from multilica.fleet.store.recordings import lay_out_catalog
+    from multilica.fleet.store.upkeep import lay_out_catalog
     from multilica.scratch import scratch_folder
     from multilica.sinks.rerun.viewer import serve_catalog
 

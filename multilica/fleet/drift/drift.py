@@ -4,18 +4,25 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
 
 from multilica.errors import UsageError
 from multilica.fleet.drift.changes import PoseChange, SeriesChanges, find_changes
 from multilica.fleet.drift.dispersion import calibrate_scatter
 from multilica.fleet.drift.findings import DriftEvent, MovedPart, vector
-from multilica.fleet.drift.moved_part import Seen, find_moved_part
 from multilica.fleet.lidar_series import LidarSeries
-from multilica.geometry import FloatArray
+from multilica.geometry import FloatArray, skew
 
 FALSE_ALARM_RATE = 1e-3
 """Share of LiDARs that never moved and are reported: of a thousand LiDARs, one in all their logs."""
+# A common motion fits worse in one of a thousand cases.
+_LEAST_P_VALUE = 1e-3
+# One of two explanations is ninety times likelier than the other.
+_DECIDING = 9.0
 
 
 def find_drift(series: Sequence[LidarSeries], false_alarm_rate: float = FALSE_ALARM_RATE) -> list[DriftEvent]:
@@ -85,8 +92,8 @@ def _events(together: list[PoseChange], rig: dict[str, SeriesChanges]) -> Iterat
         )
         if offset is not None:
             middle = changes.poses.series.T_target_lidar[len(changes.poses.series) // 2]
-            seen[name] = Seen(middle.xyz_m, *offset)
-    moved, target_offset = find_moved_part(seen, own_changes)
+            seen[name] = _Seen(middle.xyz_m, *offset)
+    moved, target_offset = _find_moved_part(seen, own_changes)
     if moved == "target":
         yield _event(clearest, tuple(sorted(own_changes)), "target", target_offset)
         return
@@ -112,3 +119,59 @@ def _event(change: PoseChange, lidars: tuple[str, ...], moved: MovedPart, offset
         rotation_rad=vector(offset[:3]),
         p_value=change.p_value,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """A LiDAR's change in the frame of the target.
+
+    Args:
+        xyz_m: (3,) position before it.
+        offset: (6,) rotation (rad), translation (m) along the target's axes.
+        covariance: (6, 6) of the offset.
+    """
+
+    xyz_m: FloatArray
+    offset: FloatArray
+    covariance: FloatArray
+
+
+def _find_moved_part(seen: Mapping[str, _Seen], changed: Collection[str]) -> tuple[MovedPart, FloatArray]:
+    """Decide between the LiDARs that changed significantly and the target.
+
+    If the target moves by D, each ``T_target_lidar`` becomes ``D^-1 T_target_lidar``: one motion of six numbers has to
+    explain all LiDARs, also those whose own change is not significant. The covariances are taken as independent.
+
+    Args:
+        seen: every LiDAR of the vehicle with logs before and after.
+        changed: those that changed significantly.
+
+    Returns:
+        The part that moved, and the target's motion (6,) along its own axes before it, as of a LiDAR.
+    """
+    normal, right = np.zeros((6, 6)), np.zeros(6)
+    jacobians = {name: _by_target(each.xyz_m) for name, each in seen.items()}
+    for name, each in seen.items():
+        weighted = np.linalg.solve(each.covariance, jacobians[name]).T
+        normal += weighted @ jacobians[name]
+        right += weighted @ each.offset
+    common = np.asarray(np.linalg.solve(normal, right))
+    if len(seen) < 2:
+        return "lidar or target", common
+    as_target = sum(_chi_squared(each, jacobians[name] @ common) for name, each in seen.items())
+    as_lidars = sum(_chi_squared(each, np.zeros(6)) for name, each in seen.items() if name not in changed)
+    if chi2.sf(as_target, 6 * (len(seen) - 1)) < _LEAST_P_VALUE:
+        return "lidar", common
+    if len(changed) > 1 or as_target < as_lidars - _DECIDING:
+        return "target", common
+    return "lidar" if as_lidars < as_target - _DECIDING else "lidar or target", common
+
+
+def _by_target(xyz_m: FloatArray) -> FloatArray:
+    """Return the derivative (6, 6) of a LiDAR's offset by the motion of the target along the target's axes."""
+    return np.block([[-np.eye(3), np.zeros((3, 3))], [skew(xyz_m), -np.eye(3)]])
+
+
+def _chi_squared(seen: _Seen, expected: FloatArray) -> float:
+    left = seen.offset - expected
+    return float(left @ np.linalg.solve(seen.covariance, left))

@@ -7,7 +7,7 @@ import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, time
 from glob import has_magic
 from pathlib import Path
@@ -17,7 +17,6 @@ from urllib.parse import urlsplit
 import numpy as np
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.fleet.logs.log import FleetLog, fingerprint_of
 from multilica.fleet.store.store import vehicle_name
 from multilica.ingest.formats import Content, named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
@@ -29,6 +28,27 @@ _NEEDED, _OPTIONAL = "source", ("vehicle", "time")
 _FIELD = re.compile(r"\{(vehicle|time)(?::([^{}]+))?\}")
 _DIRECTIVES = {"Y": 4, "m": 2, "d": 2, "H": 2, "M": 2, "S": 2, "y": 2, "j": 3}
 _BATCH = 4096
+_END_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class FleetLog:
+    """A log of a vehicle.
+
+    Args:
+        address: path or address that it is read from.
+        source: the same for tables: the path below what was given, or the address without secrets.
+        fingerprint: of its content, without reading all of it.
+        vehicle: its name; empty if neither manifest nor pattern gives it.
+        time_ns: of its beginning; None if neither gives it.
+    """
+
+    address: str
+    source: str
+    size_bytes: int
+    fingerprint: str
+    vehicle: str = ""
+    time_ns: int | None = None
 
 
 class LogPattern:
@@ -177,7 +197,7 @@ def _local(path: Path, base: Path) -> FleetLog:
 
 def _with_source(path: Path, source: Path) -> FleetLog:
     try:
-        size, fingerprint = fingerprint_of(path)
+        size, fingerprint = _fingerprint(path)
     except OSError as error:
         size, fingerprint = 0, f"unreadable: {error.strerror}"
     return FleetLog(os.fspath(path.absolute()), source.as_posix(), size, fingerprint)
@@ -267,3 +287,19 @@ def _time_ns(value: object, path: Path) -> int:
 
 def _literal(text: str) -> str:
     return "[^/]*".join(re.escape(part) for part in text.split("*"))
+
+
+def _fingerprint(path: Path) -> tuple[int, str]:
+    """Return size in bytes and fingerprint of a file, or of the files of a folder: of each its first and last MiB."""
+    files = sorted(each for each in path.rglob("*") if each.is_file()) if path.is_dir() else [path]
+    digest, total = hashlib.sha256(), 0
+    for file in files:
+        size = file.stat().st_size
+        digest.update(f"{file.relative_to(path)} {size}\n".encode(errors="replace"))
+        with file.open("rb") as stream:
+            digest.update(stream.read(_END_BYTES))
+            if size > _END_BYTES:
+                stream.seek(max(size - _END_BYTES, _END_BYTES))
+                digest.update(stream.read(_END_BYTES))
+        total += size
+    return total, digest.hexdigest()[:32]

@@ -6,6 +6,8 @@ The plan lies in a database on disk, so that its size in memory does not depend 
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, fields
@@ -16,7 +18,7 @@ from typing import Any
 import pyarrow as pa
 
 import multilica
-from multilica.fleet.logs.log import FleetLog, log_key
+from multilica.fleet.logs.listing import FleetLog
 from multilica.fleet.store.records import PASSING
 from multilica.fleet.store.store import Store
 from multilica.optional_libraries import needed_for
@@ -103,7 +105,7 @@ class Plan:
         """Add logs; return how many."""
         count, waiting = 0, iter(logs)
         while batch := list(islice(waiting, _BATCH)):
-            values = [{"key": log_key(log, self._config_sha256)} | asdict(log) for log in batch]
+            values = [{"key": _log_key(log, self._config_sha256)} | asdict(log) for log in batch]
             self._base.register("batch", pa.Table.from_pylist(values, schema=_LOGS))
             self._base.execute(f"INSERT INTO found SELECT {', '.join(_LOGS.names)} FROM batch")  # noqa: S608
             self._base.unregister("batch")
@@ -175,3 +177,9 @@ def _folder(source: str) -> str:
     """Return the folder that a log lies in, as the name of its vehicle."""
     parts = source.split("/")
     return parts[-2] if len(parts) > 1 else "unknown"
+
+
+def _log_key(log: FleetLog, config_sha256: str) -> str:
+    """Return the key of a log's row: equal if the same source is treated by the same version in the same way."""
+    identity = [log.source, log.size_bytes, log.fingerprint, config_sha256, multilica.__version__]
+    return hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:32]

@@ -138,11 +138,7 @@ def _stored(
 ) -> LogRow:
     """Copy the files of a run into the store, with the poses that hold from now on."""
     place, target = store.run_folder(request.vehicle, request.time_ns, request.key), document.target
-    poses = {
-        name: RigidTransform(target, name, np.asarray(entry.T_target_source))
-        for name, entry in document.lidars.items()
-        if entry.placed and entry.T_target_source is not None
-    }
+    poses = {name: pose for name, pose in document.poses.items() if name in document.placed}
     if len(poses) > 1:
         reference = _joined(Extrinsics(target, poses), known)
         store.write(f"{place}/{_REFERENCE}", tomli_w.dumps(extrinsics_table(reference)).encode())
@@ -191,21 +187,12 @@ def _calibrated_rows(request: LogTask, document: ResultDocument) -> list[LidarRo
             evidence[name] = max(evidence.get(name, 0.0), pair.evidence)
     rows = []
     for name, entry in document.lidars.items():
-        pose = entry.T_target_source
         cause = causes.get(name)
+        told = {"reason": cause.cause, "reason_text": cause.headline} if cause else {}
+        covariance = None if entry.covariance is None or name == document.target else np.asarray(entry.covariance)
+        pose, best = document.poses.get(name), evidence.get(name)
         rows.append(
-            _row(
-                request,
-                name,
-                document.target,
-                "calibrated",
-                entry.status,
-                None if pose is None else RigidTransform(document.target, name, np.asarray(pose)),
-                None if entry.covariance is None or name == document.target else np.asarray(entry.covariance),
-                reason="" if cause is None else cause.cause,
-                reason_text="" if cause is None else cause.headline,
-                evidence=evidence.get(name),
-            )
+            _row(request, name, document.target, "calibrated", entry.status, pose, covariance, evidence=best, **told)
         )
     return rows
 

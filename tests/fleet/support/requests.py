@@ -5,7 +5,7 @@ import hashlib
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
-from multilica.fleet.logs.log import FleetLog
+from multilica.fleet.logs.listing import FleetLog
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks.log_task import LogTask
 

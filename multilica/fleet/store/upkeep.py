@@ -1,16 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recordings of a store: how long they are kept, and as a catalog."""
+"""Upkeep of a store: small parts, old recordings, a catalog."""
 
 from __future__ import annotations
 
+import hashlib
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
+from io import BytesIO
+from pathlib import Path, PurePosixPath
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from multilica.errors import SourceNotFoundError
 from multilica.fleet.store.query import ask
-from multilica.fleet.store.store import Store, folder_name
+from multilica.fleet.store.store import TABLES, Store, damaged_part, folder_name
 
 _LARGE = ("recording.rrd", "report.html", "result.mcap")
 _RUNS = """
@@ -83,3 +89,47 @@ def _recordings(store: Store) -> Iterator[tuple[str, str, str]]:
             if store.exists(recording):
                 day = "unknown" if time is None else f"{time:%Y-%m-%d_%H%M%S}"
                 yield vehicle, recording, f"{day}_{key[:8]}"
+
+
+def compact_store(store: Store) -> tuple[int, int]:
+    """Join the parts of each table, vehicle and month into one; return the number of parts before and after.
+
+    The joined part is whole before the parts in it are removed. Between the two, a row stands twice, which readers of
+    this library tell by its key; after a kill, the next call goes on. `LIDARS` come first, so that a log that is there
+    always has its rows.
+    """
+    before = after = 0
+    for table, schema in TABLES.items():
+        folders: dict[str, list[str]] = defaultdict(list)
+        for path in store.parts(table):
+            folders[str(PurePosixPath(path).parent)].append(path)
+        for folder, parts in folders.items():
+            before, after = before + len(parts), after + 1
+            if len(parts) > 1:
+                digest = hashlib.sha256("\n".join(sorted(parts)).encode()).hexdigest()[:32]
+                tables = [_part(store, path).cast(schema) for path in parts]
+                _replace(store, parts, f"{folder}/joined-{digest}.parquet", pa.concat_tables(tables))
+    return before, after
+
+
+def _part(store: Store, path: str) -> pa.Table:
+    try:
+        return pq.read_table(BytesIO(store.read(path)))
+    except pa.ArrowException as error:
+        raise damaged_part(store, path) from error
+
+
+def _replace(store: Store, parts: list[str], joined: str, rows: pa.Table) -> None:
+    buffer = BytesIO()
+    pq.write_table(_distinct(rows), buffer, compression="zstd")
+    store.write(joined, buffer.getvalue())
+    for path in parts:
+        if path != joined:
+            store.remove(path)
+
+
+def _distinct(rows: pa.Table) -> pa.Table:
+    """Keep one of rows that a compaction that was killed has left twice."""
+    identity = ["key", "lidar"] if "lidar" in rows.column_names else ["key"]
+    numbered = rows.append_column("row", pa.array(range(len(rows))))
+    return rows.take(numbered.group_by(identity).aggregate([("row", "min")])["row_min"].sort())
