@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
@@ -87,7 +86,6 @@ class FleetOutcome:
     found: int = 0
     skipped: int = 0
     states: dict[str, int] = field(default_factory=dict)
-    elapsed_s: float = 0.0
 
     @property
     def without_result(self) -> int:
@@ -116,7 +114,6 @@ def run_fleet(
     Raises:
         MultilicaError: as `find_logs` and `open_executor`.
     """
-    start_s = time.monotonic()
     outcome, digest = FleetOutcome(), _config_digest(options.config, options.calibrate)
     with (
         scratch_folder() as folder,
@@ -132,7 +129,6 @@ def run_fleet(
         for row in _run_vehicles(vehicles, executor, _AHEAD * slots, options.limits, run_log_task):
             outcome.states[row.state] = outcome.states.get(row.state, 0) + 1
             observe(LogFinished(row))
-    outcome.elapsed_s = time.monotonic() - start_s
     return outcome
 
 

@@ -183,8 +183,9 @@ def plan_fleet(
     counts = {name: len(range(index, kept, vehicles)) for index, name in enumerate(names)}
     times_ns = {name: _times_ns(count, random_stream("fleet times", seed, name)) for name, count in counts.items()}
     events = _events(asked, times_ns, seed)
-    planned = [log for name in names for log in _logs(name, times_ns[name], events.get(name), seed)]
-    decisive = {log.path for log in planned if _is_decisive(log, planned, events.get(log.vehicle))}
+    own = {name: _logs(name, times_ns[name], events.get(name), seed) for name in names}
+    planned = [log for name in names for log in own[name]]
+    decisive = {own[name][index].path for name, event in events.items() for index in event.decisive(counts[name])}
     if broken is None:
         faults = min(faults, len(planned) - len(decisive))
     planned = _with_faults(planned, decisive, faults, seed)
@@ -272,11 +273,6 @@ def _logs(vehicle: str, times_ns: Sequence[int], event: PlannedEvent | None, see
 def _path(vehicle: str, time_ns: int, number: int, kind: LogFormat) -> str:
     date = datetime.fromtimestamp(time_ns // 10**9, UTC)
     return f"{vehicle}/{date:%Y-%m-%d}_{number:02}{_SUFFIXES[kind]}"
-
-
-def _is_decisive(log: PlannedLog, logs: Sequence[PlannedLog], event: PlannedEvent | None) -> bool:
-    times_ns = [each.time_ns for each in logs if each.vehicle == log.vehicle]
-    return event is not None and times_ns.index(log.time_ns) in event.decisive(len(times_ns))
 
 
 def _with_faults(logs: Sequence[PlannedLog], spared: set[str], number: int, seed: int) -> list[PlannedLog]:

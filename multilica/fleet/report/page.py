@@ -93,20 +93,6 @@ class PageFailure:
     recording: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class CauseCount:
-    """A cause of failures: logs without a result, and LiDARs without a certain pose."""
-
-    reason: str
-    logs: int
-    lidars: int
-
-    @property
-    def total(self) -> int:
-        """Number of failures."""
-        return self.logs + self.lidars
-
-
 def drawn_vehicles(names: Sequence[str], events: Sequence[Finding], failures: Sequence[PageFailure]) -> list[str]:
     """Return the vehicles to draw, first those with events, then those with failures; of a large fleet, only these."""
     first = dict.fromkeys([*(event.vehicle for event in events), *(failure.vehicle for failure in failures)])
@@ -154,7 +140,7 @@ def _context(
         own_events[event.vehicle or ""].append(event)
     moved = {(event.vehicle, event.part) for event in events if isinstance(event, DriftEvent)}
     causes = _causes(failures)
-    rank = {cause.reason: index for index, cause in enumerate(causes)}
+    rank = {reason: index for index, (reason, *_) in enumerate(causes)}
     times = [time for vehicle in vehicles for time in (vehicle.first, vehicle.last) if time is not None]
     histories = {vehicle.name: vehicle.histories for vehicle in vehicles}
     lines = {
@@ -213,11 +199,12 @@ def _lidars(event: Finding) -> tuple[str, ...]:
     return event.lidars if isinstance(event, DriftEvent) else (event.lidar,)
 
 
-def _causes(failures: Sequence[PageFailure]) -> list[CauseCount]:
+def _causes(failures: Sequence[PageFailure]) -> list[tuple[str, int, int]]:
+    """Return the causes, the most frequent first: logs without a result, and LiDARs without a certain pose."""
     logs = Counter(failure.reason for failure in failures if not failure.lidar)
     lidars = Counter(failure.reason for failure in failures if failure.lidar)
-    causes = [CauseCount(reason, logs[reason], lidars[reason]) for reason in logs.keys() | lidars.keys()]
-    return sorted(causes, key=lambda cause: (-cause.total, cause.reason))
+    reasons = sorted(logs + lidars, key=lambda reason: (-logs[reason] - lidars[reason], reason))
+    return [(reason, logs[reason], lidars[reason]) for reason in reasons]
 
 
 @cache

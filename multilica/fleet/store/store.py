@@ -20,29 +20,17 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import BytesIO
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
-from urllib.parse import quote, unquote
+from urllib.parse import quote
 
 import pyarrow as pa
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
 
-from multilica.errors import (
-    SourceNotFoundError,
-    UnreadableSourceError,
-    UsageError,
-    escape_controls,
-)
-from multilica.fleet.store.records import (
-    LIDARS_SCHEMA,
-    LOGS_SCHEMA,
-    SCHEMA_VERSION,
-    LidarRow,
-    LogRow,
-    table_of,
-)
+from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError, escape_controls
+from multilica.fleet.store.records import LIDARS_SCHEMA, LOGS_SCHEMA, SCHEMA_VERSION, LidarRow, LogRow, table_of
 from multilica.fleet.times import month_of
 from multilica.ingest.remote.address import scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
@@ -94,13 +82,10 @@ class Store:
 
     def finish(self, log: LogRow, lidars: Sequence[LidarRow]) -> None:
         """Write the rows of a log, the row that makes it finished last."""
+        part = f"vehicle={folder_name(log.vehicle)}/month={month_of(log.time_ns)}/{log.key}.parquet"
         if lidars:
-            self._write_part("lidars", log, table_of(lidars, LIDARS_SCHEMA))
-        self._write_part("logs", log, table_of([log], LOGS_SCHEMA))
-
-    def is_finished(self, vehicle: str, time_ns: int | None, key: str) -> bool:
-        """Return whether the row of a log is there, whatever it says."""
-        return self.exists(_part("logs", vehicle, time_ns, key))
+            self.write_part(f"lidars/{part}", table_of(lidars, LIDARS_SCHEMA))
+        self.write_part(f"logs/{part}", table_of([log], LOGS_SCHEMA))
 
     def run_folder(self, vehicle: str, time_ns: int | None, key: str) -> str:
         """Return the path of a log's run files, relative to the store."""
@@ -195,23 +180,14 @@ class Store:
     def _has(self, folder: str) -> bool:
         return bool(self.system.exists(f"{self.root}/{folder}"))
 
-    def _write_part(self, table: str, log: LogRow, rows: Any) -> None:  # noqa: ANN401 - pyarrow has no types
+    def write_part(self, path: str, rows: pa.Table) -> None:
+        """Write a part of a table, whole or not at all."""
         buffer = BytesIO()
         pq.write_table(rows, buffer, compression="zstd")
-        self.write(_part(table, log.vehicle, log.time_ns, log.key), buffer.getvalue())
+        self.write(path, buffer.getvalue())
 
     def _named(self, path: str) -> Any:  # noqa: ANN401 - a context manager
         return remote_failures_named(f"{self}/{path}", scheme_of(self.address))
-
-
-def _part(table: str, vehicle: str, time_ns: int | None, key: str) -> str:
-    return f"{table}/vehicle={folder_name(vehicle)}/month={month_of(time_ns)}/{key}.parquet"
-
-
-def vehicle_of_part(path: str) -> str:
-    """Return the vehicle whose row a part holds."""
-    folder = PurePosixPath(path).parts[1]
-    return unquote(folder.removeprefix("vehicle="))
 
 
 def damaged_part(store: Store, path: str) -> UnreadableSourceError:

@@ -120,9 +120,7 @@ def _part(store: Store, path: str) -> pa.Table:
 
 
 def _replace(store: Store, parts: list[str], joined: str, rows: pa.Table) -> None:
-    buffer = BytesIO()
-    pq.write_table(_distinct(rows), buffer, compression="zstd")
-    store.write(joined, buffer.getvalue())
+    store.write_part(joined, _distinct(rows))
     for path in parts:
         if path != joined:
             store.remove(path)
