@@ -4,16 +4,14 @@
 from collections.abc import Mapping
 
 from multilica.datasets import edgar, helipr, opencalib
-from multilica.datasets.presets import DatasetRuns, PresetRuns, run_presets
-from multilica.datasets.published import Published, published
+from multilica.datasets.presets import DatasetDocument, run_presets
+from multilica.datasets.published import published
 from multilica.datasets.scene import DatasetScene, Reader, SceneRequest
 
 __all__ = [
     "READERS",
-    "DatasetRuns",
+    "DatasetDocument",
     "DatasetScene",
-    "PresetRuns",
-    "Published",
     "Reader",
     "SceneRequest",
     "published",

@@ -5,28 +5,17 @@ import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-import numpy as np
-
 from multilica.datasets.scene import DatasetScene, SceneRequest
-from multilica.datasets.truth_files import read_truth
+from multilica.datasets.truth_files import extrinsics_of, read_truth
 from multilica.errors import InputError, SourceNotFoundError, UnreadableSourceError
-from multilica.extrinsics import Extrinsics
-from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
 from multilica.snapshot import LidarScans, Snapshot
 
 _PATHS_FILE = "lidar_cloud_path.txt"
 _TARGET = "top"
 _ENTRY = re.compile(r"device_id:[ \t]*(\d+)[ \t]*\r?\n[ \t]*path:[ \t]*(\S+)")
-AGREED: Extrinsics = Extrinsics(
-    _TARGET,
-    {
-        name: RigidTransform.from_xyz_rpy(_TARGET, name, xyz_m, np.deg2rad(rpy_deg).tolist())
-        for name, xyz_m, rpy_deg in (
-            ("left", (0.01, 0.57, -0.40), (-4.2, 45.1, 91.8)),
-            ("right", (-0.03, -0.56, -0.43), (-0.5, 45.8, -86.1)),
-        )
-    },
+AGREED = extrinsics_of(
+    _TARGET, {"left": ((0.01, 0.57, -0.40), (-4.2, 45.1, 91.8)), "right": ((-0.03, -0.56, -0.43), (-0.5, 45.8, -86.1))}
 )
 """Poses on that vehicle on which four methods agree within 0.02 m and 0.3 to 0.4 degrees; there is no survey."""
 

@@ -1,25 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statements of the paper and its published code on each data set."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-
 import numpy as np
 
 from multilica.acceptance.placement import place_target
 from multilica.datasets.opencalib import AGREED
-from multilica.datasets.truth_files import MAIN_LIDAR
+from multilica.datasets.truth_files import MAIN_LIDAR, extrinsics_of
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
+from multilica.results.document.values import Entry
 from multilica.runs import SavedRun, Tolerances, Truth
 from multilica.runs.paper_table import PaperTable, paper_table
 
-_Pose = tuple[tuple[float, float, float], tuple[float, float, float]]
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Published:
+class Published(Entry):
     """Published statements on a data set.
 
     Args:
@@ -33,17 +28,7 @@ class Published:
     table: PaperTable | None = None
 
 
-def _extrinsics(target: str, poses: Mapping[str, _Pose]) -> Extrinsics:
-    return Extrinsics(
-        target,
-        {
-            name: RigidTransform.from_xyz_rpy(target, name, xyz_m, np.deg2rad(rpy_deg).tolist())
-            for name, (xyz_m, rpy_deg) in poses.items()
-        },
-    )
-
-
-_EDGAR_TRUTH = _extrinsics(
+_EDGAR_TRUTH = extrinsics_of(
     MAIN_LIDAR,
     {
         "lidar_1": ((-0.050039, -0.618266, -0.221022), (19.761387, 9.671599, 4.528510)),
@@ -51,7 +36,7 @@ _EDGAR_TRUTH = _extrinsics(
         "lidar_3": ((-2.692778, -0.693569, -0.115395), (19.952691, -11.158757, -3.085323)),
     },
 )
-_EDGAR_FOUND = _extrinsics(
+_EDGAR_FOUND = extrinsics_of(
     MAIN_LIDAR,
     {
         "lidar_1": ((-0.046233, -0.608358, -0.226190), (19.760776, 9.610586, 4.484262)),
@@ -79,7 +64,7 @@ def published(dataset: str, tolerances: Tolerances | None = None) -> Published:
     """Return what is published on a data set: ``helipr``, ``edgar`` or ``opencalib``."""
     if dataset == "helipr":
         return Published(
-            (
+            statements=(
                 "The paper shows its errors on ten samples of HeLiPR as box plots, without numbers.",
                 "On one core of 3 GHz its method takes 3 s per sample on average, CROON 9 s.",
                 "CROON did not place the Velodyne on two of the samples.",
@@ -88,25 +73,25 @@ def published(dataset: str, tolerances: Tolerances | None = None) -> Published:
         )
     if dataset == "edgar":
         return Published(
-            (
+            statements=(
                 "The paper shows its errors on ten scenes of EDGAR as box plots, without numbers.",
                 "On one core of 3 GHz its method takes 3 s per scene on average; CROON took 1300 s for the first.",
                 "CROON fails for many scenes, the rear LiDAR above all.",
             ),
-            "published code, its example scene",
-            _table(_EDGAR_FOUND, _EDGAR_TRUTH, tolerances),
+            label="published code, its example scene",
+            table=_table(_EDGAR_FOUND, _EDGAR_TRUTH, tolerances),
         )
     rows = {
         name: RigidTransform.from_rotation_translation(AGREED.target, name, np.array(rows)[:, :3], np.array(rows)[:, 3])
         for name, rows in _OPENCALIB_FOUND.items()
     }
     return Published(
-        (
+        statements=(
             "The paper evaluates nothing on these scenes; the first one is the demo of its code.",
             "Four methods agree on the truth within 20 mm and 0.4 degrees; smaller errors are not significant.",
         ),
-        "published code, scene 0001",
-        _table(Extrinsics(AGREED.target, rows), AGREED, tolerances),
+        label="published code, scene 0001",
+        table=_table(Extrinsics(AGREED.target, rows), AGREED, tolerances),
     )
 
 

@@ -2,6 +2,7 @@
 """Files with the true poses of LiDARs."""
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,15 @@ MAIN_LIDAR = "main_lidar"
 _NAMES = ("truth.toml", "truth.yaml", "config.yaml")
 _SECTION = re.compile(r"^ground_truth:[^\n]*\n((?:[ \t#][^\n]*\n|\n)*)", re.MULTILINE)
 _POSE = re.compile(r"^[ \t]+([\w./-]+):\s*\[([^\]]*)\]", re.MULTILINE)
+
+
+def extrinsics_of(target: str, poses: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Extrinsics:
+    """Make a table of poses from positions in metres and extrinsic xyz angles in degrees by LiDAR."""
+    made = {
+        name: RigidTransform.from_xyz_rpy(target, name, xyz_m, np.deg2rad(rpy_deg).tolist())
+        for name, (xyz_m, rpy_deg) in poses.items()
+    }
+    return Extrinsics(target, made)
 
 
 def find_truth(*folders: Path) -> Path | None:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from multilica import events
-from multilica.datasets import DatasetRuns, DatasetScene, SceneRequest, published, run_presets
-from multilica.datasets.document import dataset_document
+from multilica.datasets import DatasetDocument, DatasetScene, SceneRequest, published, run_presets
 from multilica.datasets.opencalib import read_scenes
 from multilica.datasets.truth_files import read_truth
 from multilica.errors import UnknownNameError, UsageError
@@ -22,7 +21,7 @@ LIMITS = Tolerances(0.05, 0.5)
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[DatasetRuns, Path, list[str]]:
+def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[DatasetDocument, Path, list[str]]:
     """Both presets on a scene with truth, without truth, and one that is refused."""
     folder = tmp_path_factory.mktemp("presets")
     truth = write_opencalib(folder / "data" / "0001")
@@ -41,17 +40,25 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[DatasetRuns, Path, 
 
     settings = ["fine.max_points=9000"]
     return (
-        run_presets(scenes, ["default", "paper", "default"], folder / "out", settings=settings, observe=observe),
+        run_presets(
+            "opencalib",
+            scenes,
+            ["default", "paper", "default"],
+            folder / "out",
+            LIMITS,
+            settings=settings,
+            observe=observe,
+        ),
         (folder / "out"),
         seen,
     )
 
 
 @pytest.mark.slow
-def test_every_scene_runs_with_every_preset(found: tuple[DatasetRuns, Path, list[str]]) -> None:
+def test_every_scene_runs_with_every_preset(found: tuple[DatasetDocument, Path, list[str]]) -> None:
     runs, out, seen = found
     assert runs.scenes == ("known", "unknown", "alone")
-    assert [each.preset for each in runs.presets] == ["default", "paper"]
+    assert list(runs.presets) == ["default", "paper"]
     assert seen == [f"{scene}, preset {name}" for scene in runs.scenes for name in ("default", "paper")]
     for name in ("default", "paper"):
         config = json.loads((out / "known" / name / "result.json").read_text())["config"]
@@ -62,26 +69,26 @@ def test_every_scene_runs_with_every_preset(found: tuple[DatasetRuns, Path, list
     assert not (out / "unknown" / "truth.toml").exists()
 
 
-def test_tables_cover_the_scenes_with_truth(found: tuple[DatasetRuns, Path, list[str]]) -> None:
-    default, paper = found[0].presets
-    assert (len(default.runs), len(default.stages_s)) == (1, 2)
+def test_tables_cover_the_scenes_with_truth(found: tuple[DatasetDocument, Path, list[str]]) -> None:
+    default, paper = found[0].presets.values()
+    assert default.median_stages_s is not None
     assert 0.0 < default.median_stages_s < 100.0
-    table = default.table(LIMITS)
-    assert table is not None
-    assert (table.to_target.poses, table.to_target.successes) == (2, 2)
-    assert paper.table(LIMITS) is not None
+    assert default.table is not None
+    assert {row.run for row in default.table.rows} == {str(found[1] / "known" / "default")}
+    assert (default.table.to_target.poses, default.table.to_target.successes) == (2, 2)
+    assert paper.table is not None
 
 
 @pytest.mark.slow
-def test_what_is_left_out_is_told(found: tuple[DatasetRuns, Path, list[str]]) -> None:
+def test_what_is_left_out_is_told(found: tuple[DatasetDocument, Path, list[str]]) -> None:
     runs = found[0]
     assert runs.without_truth == ("unknown",)
-    assert [(scene, preset) for scene, preset, _ in runs.refused] == [("alone", "default"), ("alone", "paper")]
-    assert "only one LiDAR (top)" in runs.refused[0][2]
+    assert [(one.scene, one.preset) for one in runs.refused] == [("alone", "default"), ("alone", "paper")]
+    assert "only one LiDAR (top)" in runs.refused[0].reason
 
 
-def test_the_document_has_a_table_per_preset(found: tuple[DatasetRuns, Path, list[str]]) -> None:
-    document = json.loads(dataset_document("opencalib", found[0], published("opencalib"), LIMITS).model_dump_json())
+def test_the_document_has_a_table_per_preset(found: tuple[DatasetDocument, Path, list[str]]) -> None:
+    document = json.loads(found[0].model_dump_json())
     assert document["schema"] == "multilica/dataset/1"
     assert list(document["presets"]) == ["default", "paper"]
     assert document["presets"]["default"]["table"]["to_target"]["successes"] == 2
@@ -89,11 +96,9 @@ def test_the_document_has_a_table_per_preset(found: tuple[DatasetRuns, Path, lis
     assert document["published"]["table"]["to_target"]["poses"] == 2
 
 
-def test_without_any_truth_there_is_no_table(found: tuple[DatasetRuns, Path, list[str]]) -> None:
-    runs = run_presets([], ["default"], found[1])
-    assert runs.presets[0].table(LIMITS) is None
-    assert math.isnan(runs.presets[0].median_stages_s)
-    document = dataset_document("helipr", runs, published("helipr"), LIMITS)
+def test_without_any_truth_there_is_no_table(found: tuple[DatasetDocument, Path, list[str]]) -> None:
+    document = run_presets("helipr", [], ["default"], found[1], LIMITS)
+    assert document.presets["default"].table is None
     assert document.presets["default"].median_stages_s is None
 
 
@@ -103,9 +108,9 @@ def test_wrong_requests_fail_before_a_scene_is_read(tmp_path: Path) -> None:
         yield
 
     with pytest.raises(UnknownNameError, match="no preset 'papr'"):
-        run_presets(never(), ["papr"], tmp_path)
+        run_presets("edgar", never(), ["papr"], tmp_path, LIMITS)
     with pytest.raises(UsageError, match=r"fine\.none"):
-        run_presets(never(), ["default"], tmp_path, settings=["fine.none=1"])
+        run_presets("edgar", never(), ["default"], tmp_path, LIMITS, settings=["fine.none=1"])
     with pytest.raises(UsageError, match="Found 0 scenes of 5 frames"):
         SceneRequest(scenes=0)
 

@@ -46,8 +46,7 @@ def datasets(
 ) -> None:
     """Run the presets on standstills of a data set of the paper, and print the paper's tables next to its figures."""
     from multilica.config import PRESETS
-    from multilica.datasets import READERS, SceneRequest, published, run_presets
-    from multilica.datasets.document import dataset_document
+    from multilica.datasets import READERS, SceneRequest, run_presets
     from multilica.runs import Tolerances
     from multilica_cli.progress import show_progress
     from multilica_cli.tables.datasets import print_dataset
@@ -56,15 +55,16 @@ def datasets(
     request = SceneRequest(scenes, frames, topic_names(topics or ()) or {}, truth)
     with show_progress(quiet=quiet) as observe:
         found = run_presets(
+            name,
             READERS[name](path, request),
             presets or tuple(PRESETS),
             out or Path("recordings") / "runs" / name,
+            limits,
             target=target or "",
             settings=settings or (),
             observe=observe,
         )
-    known = published(name, limits)
     if as_json:
-        typer.echo(dataset_document(name, found, known, limits).model_dump_json(indent=2))
+        typer.echo(found.model_dump_json(indent=2))
     else:
-        print_dataset(name, found, known, limits, stdout_console(quiet=quiet))
+        print_dataset(found, limits, stdout_console(quiet=quiet))

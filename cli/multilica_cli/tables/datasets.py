@@ -12,31 +12,33 @@ from multilica_cli.tables.errors import print_left_out
 from multilica_cli.tables.paper import summary_cells, summary_table
 
 if TYPE_CHECKING:
-    from multilica.datasets import DatasetRuns, Published
+    from multilica.datasets import DatasetDocument
     from multilica.runs import Tolerances
     from multilica.runs.paper_table import PaperSummary
 
 
-def print_dataset(dataset: str, found: DatasetRuns, known: Published, limits: Tolerances, console: Console) -> None:
+def print_dataset(found: DatasetDocument, limits: Tolerances, console: Console) -> None:
     """Print the paper's tables of each preset with what is published, then times and what was left out."""
-    tables = {each.preset: table for each in found.presets if (table := each.table(limits)) is not None}
+    known = found.published
+    tables = {name: each.table for name, each in found.presets.items() if each.table is not None}
+    first = next(iter(tables.values()), None)
     if known.table is not None:
         tables[known.label] = known.table
-    console.print(f"{dataset}: {len(found.scenes)} scene{'s' * (len(found.scenes) != 1)}: {', '.join(found.scenes)}")
+    scenes = f"{len(found.scenes)} scene{'s' * (len(found.scenes) != 1)}"
+    console.print(f"{found.dataset}: {scenes}: {', '.join(found.scenes)}")
     to_target = {label: (*table.by_lidar, table.to_target) for label, table in tables.items()}
     between = {label: (*table.by_pair, table.between) for label, table in tables.items()}
     _print_summaries("RMSE over all scenes, to the target", to_target, limits, console)
     _print_summaries("RMSE over all scenes, between LiDARs", between, limits, console)
-    for each in found.presets:
-        if each.stages_s:
-            console.print(f"{each.preset}: {each.median_stages_s:.1f} s per scene (median, stages only, one process)")
+    for name, each in found.presets.items():
+        if each.median_stages_s is not None:
+            console.print(f"{name}: {each.median_stages_s:.1f} s per scene (median, stages only, one process)")
     for statement in known.statements:
         console.print(f"published: {statement}")
-    for scene, preset, reason in found.refused:
-        console.print(f"refused: {scene}, preset {preset}: {reason}")
+    for one in found.refused:
+        console.print(f"refused: {one.scene}, preset {one.preset}: {one.reason}")
     if found.without_truth:
         console.print(f"without truth, in no table: {', '.join(found.without_truth)}")
-    first = next((tables[each.preset] for each in found.presets if each.preset in tables), None)
     if first is not None:
         print_left_out(first.left_out, console)
 
