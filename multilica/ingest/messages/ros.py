@@ -1,31 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The decoder of ROS messages."""
+"""The values of serialised ROS messages, and the decoder of point clouds."""
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any
 
 from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
 from multilica.ingest.memory import require_decodable
 from multilica.ingest.message_types import Cloud
-from multilica.ingest.recording import RawMessage, reason_of
+from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
 from multilica.snapshot import Scan
 
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
-
 _MAX_FIELDS = 1024
-_OLD_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
-_PACKET_BYTES = 1206
-_VELODYNE = {
-    "velodyne_msgs/msg/VelodynePacket": f"{{time}} stamp\nuint8[{_PACKET_BYTES}] data",
-    "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
-}
-
 _layout = cache(struct.Struct)
 _CUT_OFF = "cannot be unpacked: it ends too early"
 _ENCAPSULATION_BYTES = 4
@@ -34,7 +23,6 @@ _SEQUENCE_BYTES = 4
 
 def decode_cloud(message: RawMessage) -> Cloud:
     """Decode a ``sensor_msgs/PointCloud2``; the stamp is that of the header, or the log time if that is zero."""
-    # `rosbags` would take a third of the time that the points take.
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
     reader.align(4)
@@ -57,37 +45,9 @@ def _field(reader: WireReader) -> PointField:
     return PointField(name, *reader.numbers("IBI" if reader.alignment == 1 else "IB3xI"))
 
 
-def deserialize(message: RawMessage) -> Any:  # noqa: ANN401 - the classes are made by rosbags at run time
-    """Return an object of `rosbags`; raise ValueError, with a predicate as its text, if the message is broken."""
-    from rosbags.serde import SerdeError
-
-    message_type = _OLD_NAMES.get(message.message_type, message.message_type)
-    data, types = message_bytes(message), _types(message.encoding)
-    try:
-        if message.encoding == "ros1":
-            return types.deserialize_ros1(data, message_type)
-        return types.deserialize_cdr(data, message_type)
-    except (SerdeError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError, struct.error) as error:
-        raise ValueError(f"cannot be unpacked: {reason_of(error)}") from error
-
-
-@cache
-def _types(encoding: str) -> Typestore:
-    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-
-    is_ros1 = encoding == "ros1"
-    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
-    if is_ros1:
-        store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
-    for name, definition in _VELODYNE.items():
-        time = "time" if is_ros1 else "builtin_interfaces/Time"
-        store.register(get_types_from_msg(definition.format(time=time), name))
-    return store
-
-
 @dataclass(slots=True)
 class WireReader:
-    """A reader of one value after the other, without copies.
+    """A reader of one value after the other, without copies; the objects of `rosbags` would take longer than points.
 
     Every method raises ValueError, with a predicate as its text, if the message is lost, broken or ends before.
 
@@ -151,8 +111,11 @@ class WireReader:
 
     def octets(self) -> memoryview:
         """Read a sequence of bytes."""
-        length = self.uint32()
-        begin, self.place = self.place, self.place + length
+        return self.raw(self.uint32())
+
+    def raw(self, size: int) -> memoryview:
+        """Read `size` bytes."""
+        begin, self.place = self.place, self.place + size
         if self.place > len(self.data):
             raise ValueError(_CUT_OFF)
         return self.data[begin : self.place]

@@ -8,22 +8,28 @@ import velodyne_decoder
 
 from multilica.geometry import Float32Array
 from multilica.ingest.message_types import Cloud
-from multilica.ingest.messages.ros import deserialize
+from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import RawMessage, reason_of
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan
 
+_PACKET_BYTES = 1206
+
 
 def decode_cloud(message: RawMessage) -> Cloud:
     """Decode one turn of a Velodyne, whose model is in the packets."""
-    scan = deserialize(message)
-    packets = [
-        velodyne_decoder.VelodynePacket(packet.stamp.sec + packet.stamp.nanosec * 1e-9, bytes(packet.data))
-        for packet in scan.packets
-    ]
+    reader = WireReader.of_message(message)
+    stamp_ns, frame_id = reader.header()
+    packets = [_packet(reader) for _ in range(reader.uint32())]
     points_m, intensity = finite_points(*_decoded(packets)[:, :4].T)
-    stamp_ns = scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec
-    return Cloud(Scan(points_m, stamp_ns or message.log_time_ns, intensity), scan.header.frame_id.strip("/"))
+    return Cloud(Scan(points_m, stamp_ns or message.log_time_ns, intensity), frame_id)
+
+
+def _packet(reader: WireReader) -> Any:  # noqa: ANN401 - the class is the library's
+    """Read a ``VelodynePacket``: stamp and data."""
+    reader.align(4)
+    seconds, nanoseconds = reader.numbers("II" if reader.alignment == 1 else "iI")
+    return velodyne_decoder.VelodynePacket(seconds + nanoseconds * 1e-9, bytes(reader.raw(_PACKET_BYTES)))
 
 
 def _decoded(packets: list[Any]) -> Float32Array:

@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import groupby
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from multilica.config import IngestConfig, StillnessConfig
 from multilica.errors import ConfigError, UnfitSnapshotError, UnreadableSourceError
 from multilica.geometry import FloatArray
 from multilica.ingest.message_types import decode_cloud, is_cloud
-from multilica.ingest.messages.ros import deserialize
+from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import RawMessage, Recording, Span
 from multilica.snapshot import Scan
 
@@ -37,6 +37,7 @@ _Samples: TypeAlias = Sequence[tuple[int, bool | None]]
 _Evidence: TypeAlias = tuple[str, _Samples] | None
 """Name and samples; None if the recording has no such topic."""
 
+_ODOMETRY, _IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 _MAX_SAMPLES = 240
 _MAX_CLOUD_SAMPLES = 90
 _MIN_STEP_S = 0.25
@@ -178,11 +179,11 @@ def _utc(time_ns: int) -> str:
 
 def _by_odometry(recording: Recording, span: Span) -> _Evidence:
     """Sample speed, turning rate and position of odometry."""
-    samples = _ros_samples(recording, "nav_msgs/msg/Odometry", span, 1)
+    samples = _ros_samples(recording, _ODOMETRY, span, 1)
     if samples is None:
         return None
     topic, times_ns, bursts = samples
-    rows = np.array([_odometry_row(messages[0]) for messages in bursts])
+    rows = np.array([[*map(np.linalg.norm, (row[43:46], row[46:49])), *row[:3]] for (row, *_) in bursts])
     finite = np.isfinite(rows).all(axis=1)
     steps_m = np.linalg.norm(np.diff(rows[:, 2:], axis=0, prepend=rows[:1, 2:]), axis=1)
     still = finite & (rows[:, 0] < _MAX_SPEED_MPS) & (rows[:, 1] < _MAX_TURN_RAD_S) & (steps_m < _MAX_STEP_M)
@@ -191,11 +192,11 @@ def _by_odometry(recording: Recording, span: Span) -> _Evidence:
 
 def _by_imu(recording: Recording, span: Span) -> _Evidence:
     """Sample the spread of accelerations and the turning rate within bursts of IMU messages."""
-    samples = _ros_samples(recording, "sensor_msgs/msg/Imu", span, _BURST)
+    samples = _ros_samples(recording, _IMU, span, _BURST)
     if samples is None:
         return None
     topic, times_ns, bursts = samples
-    shakes_mps2, turns_rad_s = np.array([_shake_and_turn(messages) for messages in bursts]).T
+    shakes_mps2, turns_rad_s = np.array([_shake_and_turn(np.array(rows)) for rows in bursts]).T
     calm_mps2 = _SHAKE_RATIO * float(np.nanpercentile(shakes_mps2, 10))
     still = (shakes_mps2 < min(_MAX_SHAKE_MPS2, max(_MIN_SHAKE_MPS2, calm_mps2))) & (turns_rad_s < 2 * _MAX_TURN_RAD_S)
     return f"the IMU on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
@@ -250,8 +251,8 @@ def _stands(motion: Motion) -> bool | None:
 
 def _ros_samples(
     recording: Recording, message_type: str, span: Span, most: int
-) -> tuple[str, list[int], list[list[Any]]] | None:
-    """Return the topic with the most messages of a type, and log time and messages of each sample."""
+) -> tuple[str, list[int], list[list[FloatArray]]] | None:
+    """Return the topic with the most messages of a type, and log time and the messages' numbers of each sample."""
     topics = [
         topic
         for topic in recording.topics
@@ -260,13 +261,13 @@ def _ros_samples(
     if not topics:
         return None
     name = max(topics, key=lambda topic: (topic.count, topic.name)).name
-    bursts: dict[int, list[Any]] = defaultdict(list)
+    bursts: dict[int, list[FloatArray]] = defaultdict(list)
     logged_ns: dict[int, int] = {}
     for index, message in sampled(recording, [name], _times_ns(span, _MAX_SAMPLES, _MIN_STEP_S), span[1] + 1, most):
         if message.message_type != message_type:
             continue
         try:
-            bursts[index].append(deserialize(message))
+            bursts[index].append(_numbers(message))
         except ValueError:
             continue
         logged_ns.setdefault(index, message.log_time_ns)
@@ -279,21 +280,24 @@ def _times_ns(span: Span, most: int, min_step_s: float) -> list[int]:
     return evenly(span[0], span[1] + 1, min(most, count))
 
 
-def _odometry_row(message: Any) -> FloatArray:  # noqa: ANN401 - the class is made by rosbags at run time
-    """Return speed, turning rate and position (5,)."""
-    twist, position = message.twist.twist, message.pose.pose.position
-    return np.array([np.linalg.norm(_xyz(twist.linear)), np.linalg.norm(_xyz(twist.angular)), *_xyz(position)])
+def _numbers(message: RawMessage) -> FloatArray:
+    """Return the numbers of a message in their order.
+
+    Odometry (85,): position, quaternion, covariance (36), velocity, rates, covariance (36).
+    IMU (37,): quaternion, covariance (9), rates, covariance (9), acceleration, covariance (9).
+    """
+    reader = WireReader.of_message(message)
+    reader.header()
+    if message.message_type == _IMU:
+        return np.array(reader.float64s(37))
+    reader.text()  # child_frame_id
+    return np.array(reader.float64s(85))
 
 
-def _shake_and_turn(messages: Sequence[Any]) -> tuple[float, float]:
-    """Return the spread of accelerations and the largest turning rate."""
-    accelerations = np.array([_xyz(message.linear_acceleration) for message in messages])
-    rates = np.array([_xyz(message.angular_velocity) for message in messages])
+def _shake_and_turn(imu: FloatArray) -> tuple[float, float]:
+    """Return the spread of accelerations and the largest turning rate of messages (N, 37)."""
+    accelerations, rates = imu[:, 25:28], imu[:, 13:16]
     return float(np.linalg.norm(accelerations.std(axis=0))), float(np.abs(rates.mean(axis=0)).max())
-
-
-def _xyz(vector: Any) -> list[float]:  # noqa: ANN401 - see _odometry_row
-    return [vector.x, vector.y, vector.z]
 
 
 def _richest_topics(recording: Recording, span: Span) -> list[str]:
