@@ -16,7 +16,7 @@ HEAD_BYTES = 1024
 
 
 class Content(Enum):
-    """Content of a file of a format."""
+    """What a file of a format holds."""
 
     RECORDING = "messages of several topics"
     CLOUD = "one point cloud"

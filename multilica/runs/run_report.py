@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report of a saved run, with its picture."""
 
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.geometry import RigidTransform
-from multilica.results import LEVEL_FRAME, PairKey
-from multilica.results.document import PairEntry
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import LEVEL_FRAME
+from multilica.results.document import PairEntry, ResultDocument
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.report.contents import ReportContents, ScoredPoints
 from multilica.sinks.report.page import report_html
@@ -25,8 +25,7 @@ _SAME_POSE = 1e-4
 def report_of_run(path: Path) -> str:
     """Return the page of a run directory, its `result.json`, or a recording, also a cut-off one.
 
-    Notes of the reader of the input are only in the report that the run itself wrote. Scored points are those that the
-    recording kept.
+    Scored points are those that the recording kept.
 
     Raises:
         SourceNotFoundError: nothing there, or no recording.
@@ -36,47 +35,40 @@ def report_of_run(path: Path) -> str:
 
 
 def contents_of_run(path: Path) -> ReportContents:
-    """Return what the report of a run shows; raises as `report_of_run`."""
+    """Return what the report of a run shows, with the clouds of its recording; raises as `report_of_run`."""
     run = read_run_document(path)
     if run.recording is None:
         raise SourceNotFoundError(f"{path} has no recording (.rrd) beside it, which has the clouds to draw.")
-    recording = run.recording
-    recorded = read_recorded_clouds(recording, list(run.document.lidars))
+    document = run.document
+    recorded = read_recorded_clouds(run.recording, list(document.lidars))
     clouds = {name: points_m.astype(np.float64) for name, points_m in recorded.items()}
     # No picture shows an accepted pair.
-    shown = [pair for pair in run.document.pairs if not pair.verdict.accepted]
-    scores = read_recorded_scores(recording, [pair.key for pair in shown])
-    scored: dict[PairKey, tuple[ScoredPoints, ...]] = {pair.key: () for pair in run.document.pairs}
-    scored |= {pair.key: _scored(scores[pair.key], pair) for pair in shown}
-    contents = ReportContents(run.document, clouds, scored)
-    return replace(contents, level=_level(contents))
+    shown = {pair.key: pair for pair in document.pairs if not pair.verdict.accepted}
+    scores = read_recorded_scores(run.recording, list(shown))
+    scored = {pair.key: _scored(scores[pair.key], pair) if pair.key in shown else () for pair in document.pairs}
+    return ReportContents(document, clouds, scored, _level(document, clouds))
 
 
-def _level(contents: ReportContents) -> RigidTransform | None:
-    document = contents.document
+def _level(document: ResultDocument, clouds: Mapping[str, FloatArray]) -> RigidTransform | None:
+    target = document.target or next(iter(document.lidars))
     if document.ground is not None:
-        return RigidTransform(LEVEL_FRAME, contents.target, np.asarray(document.ground.T_base_target, dtype=np.float64))
-    return estimate_level(contents.target, contents.clouds, contents.poses(), document.config)
+        return RigidTransform(LEVEL_FRAME, target, np.asarray(document.ground.T_base_target, dtype=np.float64))
+    return estimate_level(target, clouds, document.poses, document.config)
 
 
 def _scored(found: RecordedScores, pair: PairEntry) -> tuple[ScoredPoints, ...]:
-    """Return the chosen pose, then the competing one."""
-    finalists = [
-        RigidTransform(pair.target, pair.source, np.asarray(one.T_target_source)) for one in pair.registrations
-    ]
-    shown = [finalists[0] if finalists else pair.pose]
-    shown += [found.competing_pose] if found.competing_pose is not None else []
-    return tuple(_points_at(pose, finalists, found, pair) for pose in shown)
+    """Return the chosen pose, then the competing one, each with its points if the recording has its score."""
+    finalists = [RigidTransform(*pair.key, np.asarray(one.T_target_source)) for one in pair.registrations]
+    poses = (finalists[0] if finalists else pair.pose, found.competing_pose)
+    return tuple(_points_at(pose, finalists, found, pair) for pose in poses if pose is not None)
 
 
 def _points_at(
     pose: RigidTransform, finalists: list[RigidTransform], found: RecordedScores, pair: PairEntry
 ) -> ScoredPoints:
-    """Return the scored points at a pose; none if the recording has no score of it."""
     rank = next((rank for rank, one in enumerate(finalists) if max(one.distance_to(pose)) < _SAME_POSE), None)
     if rank is None or rank >= min(len(found.labels), len(found.target_labels)):
-        nothing, none = np.empty((0, 3)), np.empty(0, dtype=np.uint8)
-        return ScoredPoints(pose, nothing, none, nothing, none, 0, 0, 0, 0.0)
+        return ScoredPoints(pose)
     score = pair.registrations[rank]
     return ScoredPoints(
         pose,

@@ -9,7 +9,7 @@ from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.result_files import ResultFiles, toml_text
+from multilica.sinks.files.result_files import ResultFiles, config_toml
 from multilica.sinks.files.run_files import (
     ATTACHED,
     CONFIG_HEADER,
@@ -64,13 +64,12 @@ class RunDirectory:
         """Remove what an unfinished run left, and write the configuration."""
         remove_outputs(self.place)
         self.place.mkdir(exist_ok=True)
-        text = CONFIG_HEADER + toml_text(self._config.model_dump(mode="json"))
-        write_text_atomically(self.place / CONFIG_TOML, text)
+        write_text_atomically(self.place / CONFIG_TOML, CONFIG_HEADER + config_toml(self._config))
         self.started = True
 
     @property
     def keeps_earlier(self) -> bool:
-        """True if the directory holds the result of an earlier run."""
+        """Whether the directory holds the result of an earlier run."""
         return self.place != self.directory
 
     @property
@@ -100,8 +99,13 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
     """
     prepare(out_dir)
     with locked(out_dir), ExitStack() as stack:
-        place = place_for_run(out_dir)
-        run = stack.enter_context(_sinks_in(place, out_dir, config, encoding))
+        place, state = place_for_run(out_dir), RunState()
+        # Entered first, so closed last: it attaches what the others wrote.
+        attached = [place / name for name in ATTACHED]
+        mcap = stack.enter_context(ResultMcap(place / MCAP, encoding, attached, state))
+        report = stack.enter_context(ReportFile(place, state))
+        recording = stack.enter_context(RerunRecording(place / RECORDING, state))
+        run = RunDirectory(out_dir, place, config, (recording, mcap, ResultFiles(place, state), report))
         try:
             yield run
         except BaseException as error:
@@ -113,14 +117,3 @@ def open_run(out_dir: Path, config: CalibrationConfig, encoding: str = "foxglove
         stack.close()
         if run.keeps_earlier and run.has_result:
             publish(out_dir)
-
-
-@contextmanager
-def _sinks_in(place: Path, directory: Path, config: CalibrationConfig, encoding: str) -> Iterator[RunDirectory]:
-    state, attached = RunState(), [place / name for name in ATTACHED]
-    with ExitStack() as stack:
-        # Entered first, so closed last: it attaches what the others wrote.
-        mcap = stack.enter_context(ResultMcap(place / MCAP, encoding, attached, state))
-        report = stack.enter_context(ReportFile(place, state))
-        recording = stack.enter_context(RerunRecording(place / RECORDING, state))
-        yield RunDirectory(directory, place, config, (recording, mcap, ResultFiles(place, state), report))

@@ -12,6 +12,7 @@ from multilica.results import (
     CoarseResult,
     Correspondences,
     FeatureCloud,
+    LidarPlacement,
     MergeDecision,
     PairKey,
     PairRegistration,
@@ -19,8 +20,10 @@ from multilica.results import (
     Registration,
 )
 from multilica.results.document import ResultDocument
-from multilica.results.document.building import Provenance, provenance_of
+from multilica.results.document.building import Provenance, provenance_of, result_document
+from multilica.results.document.result import ProgressEntry
 from multilica.results.document.values import Entry
+from multilica.sinks.text.stage_figures import stage_figures
 from multilica.snapshot import Snapshot
 
 
@@ -35,7 +38,6 @@ class RunState:
         stages: those that finished, in order.
         rig: poses in the target's frame after the joint refinement.
         residuals: LiDARs with a residual of the merged cloud.
-        document: cache of `run_document`.
         figures: cache of `stage_figures`.
         extents: centre and radius of clouds, cache of `rerun_camera`.
         outlines: cache of `field_of_view`.
@@ -59,12 +61,46 @@ class RunState:
     rig: tuple[RigidTransform, ...] = ()
     residuals: set[str] = field(default_factory=set)
     ground: events.GroundEstimated | None = None
-    document: ResultDocument | None = None
     figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
     extents: dict[str, tuple[FloatArray, float]] = field(default_factory=dict)
     outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
     result: CalibrationResult | None = None
     _latest: events.Event | None = None
+    _document: ResultDocument | None = None
+
+    @property
+    def document(self) -> ResultDocument:
+        """What is known of the run so far, with progress and figures per stage.
+
+        Raises:
+            ValueError: nothing is known before a calibration has started.
+        """
+        if self.config is None or self.provenance is None:
+            raise ValueError("there is nothing to report before a calibration has started")
+        if self._document is None:
+            document = result_document(self._result_so_far(), self.config, self.provenance)
+            running = self.stage if self.stage not in self.stages else None
+            known = {
+                "status": document.status if self.result is not None else "unfinished",
+                "progress": ProgressEntry(finished=tuple(self.stages), running=running),
+                "stages": stage_figures(self),
+            }
+            self._document = document.model_copy(update=known)
+        return self._document
+
+    def _result_so_far(self) -> CalibrationResult:
+        """Return the result, or what is known of it; before the end no LiDAR counts as placed."""
+        if self.result is not None:
+            return self.result
+        ended = "the run ended before it was placed"
+        return CalibrationResult(
+            target=self.target or (self.config.target if self.config is not None else ""),
+            target_reason=self.target_reason or "not chosen yet",
+            placements=tuple(LidarPlacement(name, reason=ended) for name in self.lidars),
+            pairs=tuple(self.registrations.values()),
+            decisions=tuple(self.decisions),
+            health=tuple(cloud.health for cloud in self.clouds.values() if cloud.health is not None),
+        )
 
     @property
     def lidars(self) -> tuple[str, ...]:
@@ -102,7 +138,7 @@ class RunState:
         """Take in an event, once even if several sinks share the state."""
         if event is self._latest:
             return
-        self._latest, self.document = event, None
+        self._latest, self._document = event, None
         match event:
             case events.CalibrationStarted(snapshot, config):
                 self.snapshot, self.config = snapshot, config

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from multilica.config import Stage
 from multilica.diagnosis import DecisivePair, Missing, explain
 from multilica.results import PairKey
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 
 
@@ -28,10 +27,7 @@ class Failure:
 
 def failures(state: RunState) -> tuple[Failure, ...]:
     """Return every LiDAR that was not placed; none for a run without a result."""
-    document = run_document(state)
-    if state.result is None or document is None:
-        return ()
-    return tuple(_failure(state, missing) for missing in explain(document).missing)
+    return tuple(_failure(state, missing) for missing in explain(state.document).missing)
 
 
 def decisive_failure(state: RunState) -> Failure | None:
@@ -47,8 +43,7 @@ def _failure(state: RunState, missing: Missing) -> Failure:
         return Failure(missing.lidar, "preprocess", None)
     if missing.decisive is not None:
         stage: Stage = "fine" if missing.decisive.codes else "merge"
-        elsewhere = None if missing.elsewhere is None else _as_matched(state, missing.elsewhere)
-        return Failure(missing.lidar, stage, _as_matched(state, missing.decisive), elsewhere)
+        return Failure(missing.lidar, stage, *(_as_matched(state, at) for at in (missing.decisive, missing.elsewhere)))
     if not state.matches:
         return Failure(missing.lidar, "merge", None)
     own = [pair for pair in state.pairs if missing.lidar in pair]
@@ -56,7 +51,7 @@ def _failure(state: RunState, missing: Missing) -> Failure:
     return Failure(missing.lidar, "coarse" if pair is not None and state.matches.get(pair) else "correspond", pair)
 
 
-def _as_matched(state: RunState, pair: DecisivePair) -> PairKey | None:
+def _as_matched(state: RunState, pair: DecisivePair | None) -> PairKey | None:
     """Return None for a pair that is not in the state, as in a joint result."""
-    sides = {pair.target, pair.source}
+    sides = {pair.target, pair.source} if pair is not None else set()
     return next((key for key in state.registrations if set(key) == sides), None)

@@ -14,7 +14,6 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.pipeline import calibrate
 from multilica.simulate import simulate_snapshot
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from tests.bench.support.claims import Claim, print_claims, print_table
 
@@ -70,7 +69,7 @@ def _explained(case: Case, seed: int) -> Explanation:
     state = RunState()
     with suppress(UnfitSnapshotError):
         calibrate(simulation.snapshot, None, state, _turned(simulation.truth, case.turned) if case.turned else None)
-    document = run_document(state)
+    document = state.document
     if document is None:
         raise RuntimeError(f"{case.name} left no document")
     return explain(document)

@@ -15,7 +15,6 @@ from multilica.multi_snapshot import SnapshotRun, join, replay, shown_snapshot
 from multilica.pipeline import calibrate
 from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.rerun.entity_paths import pair_path
 from multilica.sinks.rerun.recording import RerunRecording
@@ -114,7 +113,7 @@ def test_joint_recording_and_report_show_the_decisive_pair(tmp_path):
     assert "Not placed: left" in blueprint_names(tmp_path / "joint.rrd")[-1]
     shown = Recording(tmp_path / "joint.rrd").entity_paths
     assert pair_path(joint.pairs[0].target, joint.pairs[0].source, "scored", "source") in shown
-    assert explain(run_document(state)).missing[0].cause == "unexplained"
+    assert explain(state.document).missing[0].cause == "unexplained"
     scored = contents_of(state).scored[joint.pairs[0].target, joint.pairs[0].source]
     assert len(scored[0].points_m) > 100
 

@@ -14,6 +14,8 @@ from PIL import Image
 
 from multilica.config import CalibrationConfig
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
 from multilica.runs.run_report import contents_of_run, picture_of_run, recording_of_run, report_of_run
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.run_directory import open_run
@@ -23,9 +25,9 @@ from tests.sinks.made_events import TRUTH, made_events
 DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")]
 
 
-def leave_run(folder: Path, outcome: str, *, killed_after: int | None = None) -> Path:
+def leave_run(folder: Path, outcome: str, *, killed_after: int | None = None, prior: Extrinsics | None = None) -> Path:
     with open_run(folder, CalibrationConfig(target="top")) as run:
-        for event in list(made_events(outcome))[:killed_after]:
+        for event in list(made_events(outcome, prior=prior))[:killed_after]:
             run(event)
     if killed_after is not None:
         (folder / "report.html").unlink()  # a killed process writes none
@@ -44,7 +46,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.mark.slow
 def test_the_clouds_and_poses_come_back(runs):
     contents = contents_of_run(runs["partial"])
-    assert set(contents.poses()) == {"front left/1", "top"}
+    assert set(contents.poses) == {"front left/1", "top"}
     for name, cloud in contents.clouds.items():
         assert cloud.shape == (600, 3)
         assert np.linalg.norm(TRUTH[name].apply(cloud), axis=1).min() < 8.0
@@ -76,6 +78,14 @@ def test_a_report_made_anew_tells_the_same(runs):
     ):
         assert words in anew
         assert words in first
+
+
+@pytest.mark.slow
+def test_notes_are_shown_again(tmp_path):
+    turned = TRUTH["rear"] @ RigidTransform.from_xyz_rpy("rear", "rear", (0, 0, 0), (0, 0, 2))
+    run = leave_run(tmp_path / "run", "complete", prior=Extrinsics("top", TRUTH | {"rear": turned}))
+    for page in (report_of_run(run), (run / "report.html").read_text(encoding="utf-8")):
+        assert "Note: rear is turned by 115 deg about its z axis" in page
 
 
 @pytest.mark.slow

@@ -9,7 +9,6 @@ from typing import Any
 
 from multilica.config import Stage
 from multilica.results.document import ResultDocument
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import made_events
 
@@ -28,6 +27,6 @@ def _made(outcome: str, stop_after: int | None, until: Stage) -> dict[str, Any]:
     state = RunState()
     for event in list(made_events(outcome, until))[:stop_after]:
         state(event)
-    document = run_document(state)
+    document = state.document
     assert document is not None
     return document.model_dump(mode="json")

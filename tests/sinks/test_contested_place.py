@@ -12,10 +12,9 @@ from multilica import events
 from multilica.acceptance.placement import contested_place
 from multilica.geometry import RigidTransform
 from multilica.results import Verdict
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.figures import pair_figures
-from multilica.sinks.report.outcome import outcome_of
+from multilica.sinks.report.page import opponents
 from multilica.sinks.rerun.entity_paths import pair_path
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
@@ -90,7 +89,7 @@ def test_the_other_pose_is_where_the_other_pair_puts_it(state):
 
 
 def test_result_json_tells_how_far_the_places_are_apart(state):
-    contested = run_document(state).lidars[UNPLACED].contested
+    contested = state.document.lidars[UNPLACED].contested
     assert {*contested.pair, *contested.other} == {"top", OTHER, UNPLACED}
     assert (contested.distance_m, contested.angle_deg) == pytest.approx((2.0, 180.0))
 
@@ -112,11 +111,16 @@ def test_the_recording_opens_on_both_places(tmp_path, state):
 
 def test_the_report_names_both_others_and_draws_both_places(state):
     contents = contents_of(state)
-    (failure,) = outcome_of(contents).failures
-    assert failure.missing.step.startswith("merge")
-    assert set(failure.against) == {"top", OTHER}
+    (failure,) = contents.explanation.missing
+    assert failure.step.startswith("merge")
+    assert set(opponents(failure)) == {"top", OTHER}
     level = RigidTransform.identity("level", contents.target)
-    figures = pair_figures(contents, failure.pair, level, dict.fromkeys(contents.names, (200, 100, 50)))
+    figures = pair_figures(
+        contents,
+        (failure.decisive.target, failure.decisive.source),
+        level,
+        dict.fromkeys(contents.names, (200, 100, 50)),
+    )
     assert [
         "at the pose of this pair" in figures[0].caption,
         "another accepted pair implies" in figures[1].caption,

@@ -14,10 +14,8 @@ from rosbags.highlevel import AnyReader
 
 from multilica import read_extrinsics
 from multilica.ingest import read_prior
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.files.result_files import ResultFiles
 from multilica.sinks.mcap.result_mcap import ResultMcap
-from multilica.sinks.report.outcome import outcome_of
 from multilica.sinks.report.page import report_html
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, log_lines
@@ -91,7 +89,7 @@ def test_the_log_warns_with_the_reason():
 
 
 def test_the_summary_has_pose_sigma_and_advice(state):
-    text = summary_markdown(state, run_document(state))
+    text = summary_markdown(state)
     assert "# 1 of 3 LiDARs is uncertain. rear: one pose fits, but its sigma is above the limit." in text
     assert "| rear (**uncertain**) | -2.000 |" in text
     assert "| 30.0 |" in text
@@ -143,8 +141,8 @@ def test_the_frame_of_its_cloud_in_the_mcap_is_marked(tmp_path):
 
 def test_the_report_shows_status_pose_and_advice():
     contents = made_contents("uncertain")
-    outcome = outcome_of(contents)
-    assert (outcome.badge, outcome.failures) == ("partial", ())
+    outcome = contents.explanation
+    assert (contents.badge, outcome.missing) == ("partial", ())
     assert outcome.headline == "1 of 3 LiDARs is uncertain. rear: one pose fits, but its sigma is above the limit."
     page = report_html(contents)
     assert '<span class="status uncertain">UNCERTAIN</span>' in page

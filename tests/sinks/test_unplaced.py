@@ -13,7 +13,6 @@ from multilica.diagnosis import explain
 from multilica.errors import InputError
 from multilica.results import PreprocessedCloud
 from multilica.sinks.files.atomic import partial_path
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
 from multilica.sinks.unplaced import Failure, decisive_failure, failures
@@ -37,7 +36,7 @@ def test_the_refused_pair_is_the_decisive_one():
     state = state_of(made_events("partial"))
     state.registrations = dict(reversed(state.registrations.items()))  # the first is no longer the decisive one
     (failure,) = failures(state)
-    decisive = explain(run_document(state)).missing[0].decisive
+    decisive = explain(state.document).missing[0].decisive
     assert (failure.lidar, failure.stage) == (UNPLACED, "fine")
     assert failure.pair in state.matches
     assert set(failure.pair) == {decisive.target, decisive.source}

@@ -7,7 +7,7 @@ periods the search is the generalised likelihood ratio test over all splits (Bas
 Changes, 1993). The penalties are the thresholds of the tests at the false-alarm rate, corrected for their number.
 
 `ruptures` has the same search, but its `BaseCost.fit` takes a signal without covariances: each log here has its own, of
-all six components. A custom cost would have to compute all of this file but the ten lines of `_partition`.
+all six components. What a custom cost would have to compute is all of this file but the ten lines of `_partition`.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ class Thresholds:
 
     @property
     def jump(self) -> float:
-        """The limit for a jump, at the best split."""
+        """Of a jump, at the best split."""
         return 6.0 * float(f_distribution.isf(self.false_alarm_rate / self._jump_tests, 6, self.dof))
 
     @property
     def creep(self) -> float:
-        """The limit for a creep."""
+        """Of a creep."""
         return 6.0 * float(f_distribution.isf(self.false_alarm_rate / _CREEP_TESTS, 6, self.dof))
 
     def p_value(self, squared: float, *, creep: bool) -> float:

@@ -36,7 +36,7 @@ _DATE = re.compile(r"(\b\d{4}-\d\d-\d\d(?: \d\d:\d\d)?\b)", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class FleetOverview:
-    """The figures of the whole store on the page.
+    """What the page shows of the whole store.
 
     Args:
         store: its address, for people.

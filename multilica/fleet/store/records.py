@@ -59,7 +59,7 @@ class LidarRow:
 
 @dataclass(frozen=True, slots=True)
 class LogRow:
-    """The outcome of one log.
+    """What became of one log.
 
     Args:
         key: of source, configuration and version; the name of its files in the store.

@@ -37,7 +37,7 @@ _STOPPED = threading.Event()
 
 
 class LogTaskLimits(BaseModel):
-    """Limits of a task.
+    """What a task may take.
 
     Attributes:
         time_s: from its start to its end, then it is killed.

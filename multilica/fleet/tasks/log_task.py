@@ -18,7 +18,7 @@ Calibrate = Literal["when-needed", "always"]
 
 
 class LogTask(BaseModel):
-    """The input of a worker for one log.
+    """What a worker needs to know of a log.
 
     Attributes:
         reference: path in the store of the vehicle's last accepted poses; empty if there are none.

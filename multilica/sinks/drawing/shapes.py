@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples and shapes of clouds, matches, fields of view and uncertainties."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,12 +8,24 @@ import numpy.typing as npt
 from scipy.spatial import ConvexHull, QhullError
 
 from multilica.geometry import Float32Array, FloatArray, RigidTransform, fixed_sign, largest_index
-from multilica.results import BoolArray, Correspondences, Hypothesis, LidarPlacement, PairKey
+from multilica.results import BoolArray, Correspondences, Hypothesis, PairKey
+from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.palette import Rgb
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import Snapshot
 
 _RADIUS_SAMPLE = 10_000
+EDGE_LABEL_SHARE = 0.4
+"""Position of labels along the edges of graphs; off the middle, where the diagonals of a square meet."""
+SIGMAS = 3.0
+"""Half axes, in standard deviations."""
+_ELLIPSOID_SCALES = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0)
+_LARGEST_ELLIPSOID_M = 1.0
+_RADIUS_M = 2.0
+_LARGEST_GAP_RAD = float(np.deg2rad(20.0))
+_STEP_RAD = float(np.deg2rad(3.0))
+_MAX_RAYS = 8
+_ENOUGH_RETURNS = 20_000
 
 
 def sample_indices(count: int, limit: int) -> npt.NDArray[np.int64]:
@@ -53,10 +64,6 @@ def shown_radius_m(points_m: npt.NDArray[np.floating]) -> float:
     if len(finite) == 0:
         return 5.0
     return float(np.clip(np.percentile(np.linalg.norm(finite[:, :2], axis=1), 75.0), 5.0, 40.0))
-
-
-EDGE_LABEL_SHARE = 0.4
-"""Position of labels along the edges of graphs; off the middle, where the diagonals of a square meet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,18 +108,6 @@ def segments_along(strip_m: FloatArray) -> FloatArray:
     return np.stack([strip_m[:-1], strip_m[1:]], axis=1)
 
 
-SIGMAS = 3.0
-"""Half axes, in standard deviations."""
-
-_ELLIPSOID_SCALES = (50.0, 20.0, 10.0, 5.0, 2.0, 1.0)
-_LARGEST_ELLIPSOID_M = 1.0
-_RADIUS_M = 2.0
-_LARGEST_GAP_RAD = float(np.deg2rad(20.0))
-_STEP_RAD = float(np.deg2rad(3.0))
-_MAX_RAYS = 8
-_ENOUGH_RETURNS = 20_000
-
-
 def kept_matches(state: RunState, matches: Correspondences, hypothesis: Hypothesis) -> BoolArray:
     """Return which matches (M,) agree with the hypothesis, by distance if the solver does not say."""
     if len(hypothesis.inliers) == len(matches) and hypothesis.inliers.any():
@@ -137,32 +132,33 @@ def match_lines(matches: Correspondences, chosen: BoolArray, pose: RigidTransfor
     return np.stack([matches.target_points_m[rows], pose.apply(matches.source_points_m[rows])], axis=1)
 
 
-def uncertainty_ellipsoid(place: LidarPlacement) -> tuple[FloatArray, RigidTransform] | None:
+def uncertainty_ellipsoid(document: ResultDocument, lidar: str) -> tuple[FloatArray, RigidTransform] | None:
     """Return half axes (3,) in metres, true to size, with the ellipsoid's pose; None without a covariance."""
-    pose = place.T_target_source
-    if place.covariance is None or pose is None:
+    pose, covariance = document.pose(lidar), document.lidars[lidar].covariance
+    if covariance is None or pose is None:
         return None
-    variances, axes = np.linalg.eigh(place.covariance[3:, 3:])
+    variances, axes = np.linalg.eigh(np.asarray(covariance)[3:, 3:])
     axes = np.apply_along_axis(fixed_sign, 0, axes)
     axes[:, 2] *= np.sign(np.linalg.det(axes))
     half_sizes_m = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
     return half_sizes_m, RigidTransform.from_rotation_translation(pose.target, pose.source, axes, pose.xyz_m)
 
 
-def ellipsoid_scale(placements: Sequence[LidarPlacement]) -> float:
+def ellipsoid_scale(document: ResultDocument) -> float:
     """Return how many times the ellipsoids of a result are enlarged.
 
     Millimetres would be invisible, metres would hide the rig: it is the largest of a few factors, one for all LiDARs,
     that keeps every half axis below 1 m, and 1 if none does.
     """
-    found = (uncertainty_ellipsoid(place) for place in placements)
+    found = (uncertainty_ellipsoid(document, lidar) for lidar in document.lidars)
     largest_m = max((float(each[0].max()) for each in found if each is not None), default=0.0)
     return next((scale for scale in _ELLIPSOID_SCALES if scale * largest_m <= _LARGEST_ELLIPSOID_M), 1.0)
 
 
-def ellipsoid_label(place: LidarPlacement, scale: float) -> str:
+def ellipsoid_label(document: ResultDocument, lidar: str, scale: float) -> str:
     """Return the label of an uncertain LiDAR's ellipsoid; empty for any other LiDAR."""
-    return f"{place.lidar}: uncertain ({SIGMAS:g} sigma x {scale:g})" if place.uncertain else ""
+    uncertain = document.lidars[lidar].status == "uncertain"
+    return f"{lidar}: uncertain ({SIGMAS:g} sigma x {scale:g})" if uncertain else ""
 
 
 def shown_field_of_view(state: RunState, lidar: str) -> tuple[FloatArray, ...]:

@@ -10,11 +10,11 @@ from typing import Any
 import tomli_w
 
 from multilica import events
+from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics, extrinsics_table, pose_values
 from multilica.results.document import LidarEntry, ResultDocument
 from multilica.results.document.result import GroundEntry
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 
 _NUMBERS = re.compile(r"\[\n([-+\d.eE,\s]+?),?\s*\]")
@@ -26,6 +26,8 @@ _HEADER = """\
 # sigma_xyz_m, sigma_rotation_deg: one standard deviation along and about the axes of {target}.
 # [lidars] has the placed LiDARs. [uncertain] has those whose sigma is above the limit: use them only after a check.
 """
+RESULT_JSON = "result.json"
+CALIBRATION_TOML = "calibration.toml"
 
 
 def calibration_toml(document: ResultDocument) -> str:
@@ -53,13 +55,17 @@ def calibration_toml(document: ResultDocument) -> str:
     return f"{_HEADER.format(target=json.dumps(document.target))}\n{toml_text(table)}"
 
 
+def config_toml(config: CalibrationConfig) -> str:
+    """Return the resolved configuration as TOML."""
+    return toml_text(config.model_dump(mode="json"))
+
+
 def toml_text(document: Mapping[str, Any]) -> str:
     """Return a document as TOML with each row of numbers on one line."""
     return _NUMBERS.sub(lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]", tomli_w.dumps(document))
 
 
 def _figures(lidar: LidarEntry) -> dict[str, Any]:
-    """Return the figures of a LiDAR that are known."""
     names = ("fitness", "rmse_m", "sigma_xyz_m", "sigma_rotation_deg")
     return {name: value for name in names if (value := getattr(lidar, name)) is not None}
 
@@ -67,10 +73,6 @@ def _figures(lidar: LidarEntry) -> dict[str, Any]:
 def _ground(ground: GroundEntry) -> dict[str, Any]:
     names = ("T_base_target", "xyz_m", "rpy_deg", "area_m2", "residual_m", "sigma_z_m", "sigma_roll_pitch_deg", "doubt")
     return {"base": ground.frame, **{name: getattr(ground, name) for name in names}}
-
-
-RESULT_JSON = "result.json"
-CALIBRATION_TOML = "calibration.toml"
 
 
 class ResultFiles:
@@ -88,9 +90,7 @@ class ResultFiles:
     def __call__(self, event: events.Event) -> None:
         """Take in an event; write at the last one."""
         self._state(event)
-        if not isinstance(event, events.CalibrationFinished):
-            return
-        document = run_document(self._state)
-        if document is not None:
+        if isinstance(event, events.CalibrationFinished):
+            document = self._state.document
             write_text_atomically(self.directory / RESULT_JSON, f"{document.model_dump_json(indent=2)}\n")
             write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(document))

@@ -89,20 +89,25 @@ class FoxgloveEncoding:
         return McapMessage(f"/lidar/{lidar}/points", _schema(PointCloud), data, metadata)
 
     def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> McapMessage:
-        """Encode ``foxglove.SceneUpdate``, an entity per drawing."""
-        update = _scene_update(drawings, _timestamp(stamp_ns))
-        return McapMessage(topic, _schema(SceneUpdate), update.SerializeToString())
+        """Encode ``foxglove.SceneUpdate``, an entity per drawing, which follows its frame."""
+        entities = [
+            SceneEntity(
+                timestamp=_timestamp(stamp_ns),
+                frame_id=drawing.frame_id,
+                id=drawing.name,
+                frame_locked=True,
+                lines=[_lines(lines) for lines in drawing.lines],
+                spheres=[_sphere(ellipsoid) for ellipsoid in drawing.ellipsoids],
+                texts=[_text(label) for label in drawing.labels],
+            )
+            for drawing in drawings
+        ]
+        return McapMessage(topic, _schema(SceneUpdate), SceneUpdate(entities=entities).SerializeToString())
 
     def log(self, line: LogLine, stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.Log`` on `/log`."""
-        entry = Log(
-            timestamp=_timestamp(stamp_ns),
-            level=_LEVELS[line.level],
-            message=line.text,
-            name="multilica",
-            file="",
-            line=0,
-        )
+        level, stamp = _LEVELS[line.level], _timestamp(stamp_ns)
+        entry = Log(timestamp=stamp, level=level, message=line.text, name="multilica", file="", line=0)
         return McapMessage("/log", _schema(Log), entry.SerializeToString())
 
     def metrics(self, figures: Mapping[str, Any]) -> McapMessage:
@@ -130,25 +135,8 @@ def _transform(pose: RigidTransform, stamp_ns: int) -> FrameTransform:
         parent_frame_id=pose.target,
         child_frame_id=pose.source,
         translation=_vector(pose.xyz_m.tolist()),
-        rotation=Quaternion(**dict(zip("xyzw", pose.quaternion_xyzw.tolist(), strict=True))),
+        rotation=_quaternion(pose.quaternion_xyzw.tolist()),
     )
-
-
-def _scene_update(drawings: Sequence[Drawing], timestamp: Timestamp) -> SceneUpdate:
-    """Return an entity per drawing that follows its frame."""
-    entities = [
-        SceneEntity(
-            timestamp=timestamp,
-            frame_id=drawing.frame_id,
-            id=drawing.name,
-            frame_locked=True,
-            lines=[_lines(lines) for lines in drawing.lines],
-            spheres=[_sphere(ellipsoid) for ellipsoid in drawing.ellipsoids],
-            texts=[_text(label) for label in drawing.labels],
-        )
-        for drawing in drawings
-    ]
-    return SceneUpdate(entities=entities)
 
 
 def _lines(lines: Lines) -> LinePrimitive:
@@ -183,7 +171,11 @@ def _text(label: Label) -> TextPrimitive:
 
 
 def _pose(xyz_m: Sequence[float], xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Pose:
-    return Pose(position=_vector(xyz_m), orientation=Quaternion(**dict(zip("xyzw", xyzw, strict=True))))
+    return Pose(position=_vector(xyz_m), orientation=_quaternion(xyzw))
+
+
+def _quaternion(xyzw: Sequence[float]) -> Quaternion:
+    return Quaternion(**dict(zip("xyzw", xyzw, strict=True)))
 
 
 def _vector(xyz: Sequence[float]) -> Vector3:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from multilica.geometry import FloatArray
-from multilica.results import CalibrationResult
+from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.palette import (
     KEPT,
     REJECTED,
@@ -46,21 +46,23 @@ _AT_FIRST = {"/matches": False}
 """Hidden at first: hundreds of lines."""
 
 
-def result_drawings(state: RunState, result: CalibrationResult) -> Mapping[str, tuple[Drawing, ...]]:
+def result_drawings(state: RunState, document: ResultDocument) -> Mapping[str, tuple[Drawing, ...]]:
     """Return the drawings of each topic of `DRAWING_TOPICS`."""
-    frames = cloud_frames(result)
+    frames = cloud_frames(document)
     drawings = (
         _matches(state, frames),
-        _merge_graph(state, result),
+        _merge_graph(state, document),
         _fields_of_view(state, frames),
-        _uncertainty(state, result),
+        _uncertainty(state, document),
     )
     return {topic: tuple(found) for topic, found in zip(DRAWING_TOPICS, drawings, strict=True)}
 
 
-def cloud_frames(result: CalibrationResult) -> dict[str, str]:
+def cloud_frames(document: ResultDocument) -> dict[str, str]:
     """Return the frame of each LiDAR's cloud: its name, which no transform has for an uncertain LiDAR."""
-    return {place.lidar: f"uncertain/{place.lidar}" if place.uncertain else place.lidar for place in result.placements}
+    return {
+        name: f"uncertain/{name}" if entry.status == "uncertain" else name for name, entry in document.lidars.items()
+    }
 
 
 def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[Drawing]:
@@ -80,28 +82,27 @@ def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[Drawing]:
         yield Drawing(pair_label(*pair), frames[matches.target], lines)
 
 
-def _merge_graph(state: RunState, result: CalibrationResult) -> Iterator[Drawing]:
+def _merge_graph(state: RunState, document: ResultDocument) -> Iterator[Drawing]:
     """Draw a node per LiDAR and an edge per registered pair with its fitness and verdict."""
-    places_m = _places_m(result)
-    colours = distinct_colours(state.lidars)
-    for place in result.placements:
-        text = place.lidar if place.placed else f"{place.lidar}: {place.status.replace('_', ' ')}"
-        colour = colours[place.lidar] if place.T_target_source is not None else VIOLATE
-        label = Label(places_m[place.lidar] + np.array([0.0, 0.0, 2.0 * _NODE_RADIUS_M]), text, colour)
-        yield Drawing(place.lidar, result.target, labels=(label,), lines=(_cross(places_m[place.lidar], colour),))
+    places_m, colours, poses = _places_m(document), distinct_colours(state.lidars), document.poses
+    for name, entry in document.lidars.items():
+        text = name if entry.placed else f"{name}: {entry.status.replace('_', ' ')}"
+        colour = colours[name] if name in poses else VIOLATE
+        label = Label(places_m[name] + np.array([0.0, 0.0, 2.0 * _NODE_RADIUS_M]), text, colour)
+        yield Drawing(name, document.target, labels=(label,), lines=(_cross(places_m[name], colour),))
     for pair, found in sorted(state.registrations.items()):
         start_m, end_m = places_m[pair[0]], places_m[pair[1]]
         colour = VERDICT_COLOURS[found.verdict.outcome]
         text = f"{found.fitness:.2f} {found.verdict.outcome}"
         label = Label(start_m + EDGE_LABEL_SHARE * (end_m - start_m), text, colour)
         edge = Lines(np.stack([start_m, end_m])[None], colour)
-        yield Drawing(pair_label(*pair), result.target, (edge,), labels=(label,))
+        yield Drawing(pair_label(*pair), document.target, (edge,), labels=(label,))
 
 
-def _places_m(result: CalibrationResult) -> dict[str, FloatArray]:
+def _places_m(document: ResultDocument) -> dict[str, FloatArray]:
     """Return positions of the LiDARs in the target's frame; unplaced ones are above it."""
-    places_m = {place.lidar: place.T_target_source.xyz_m for place in result.placements if place.T_target_source}
-    waiting = [place.lidar for place in result.placements if place.lidar not in places_m]
+    places_m = {name: pose.xyz_m for name, pose in document.poses.items()}
+    waiting = [name for name in document.lidars if name not in places_m]
     above_m = {name: np.array([0.0, 0.0, _WAITING_HEIGHT_M * (1 + row)]) for row, name in enumerate(waiting)}
     return {**places_m, **above_m}
 
@@ -120,16 +121,16 @@ def _fields_of_view(state: RunState, frames: Mapping[str, str]) -> Iterator[Draw
             yield Drawing(lidar, frames[lidar], (Lines(segments_m, colours[lidar]),))
 
 
-def _uncertainty(state: RunState, result: CalibrationResult) -> Iterator[Drawing]:
-    colours, scale = distinct_colours(state.lidars), ellipsoid_scale(result.placements)
-    for place in result.placements:
-        found = uncertainty_ellipsoid(place)
+def _uncertainty(state: RunState, document: ResultDocument) -> Iterator[Drawing]:
+    colours, scale = distinct_colours(state.lidars), ellipsoid_scale(document)
+    for lidar in document.lidars:
+        found = uncertainty_ellipsoid(document, lidar)
         if found is not None:
             half_sizes_m, axes = found
-            shown = Ellipsoid(axes, scale * half_sizes_m, colours[place.lidar])
-            text = ellipsoid_label(place, scale)
+            shown = Ellipsoid(axes, scale * half_sizes_m, colours[lidar])
+            text = ellipsoid_label(document, lidar, scale)
             labels = (Label(axes.xyz_m, text, UNCERTAIN),) if text else ()
-            yield Drawing(place.lidar, result.target, ellipsoids=(shown,), labels=labels)
+            yield Drawing(lidar, document.target, ellipsoids=(shown,), labels=labels)
 
 
 def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
@@ -164,7 +165,7 @@ def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
         topic: {
             "visible": True,
             "colorMode": "flat",
-            # If none is named, the panel picks one and colours by it.
+            # Where none is named, the panel picks one and colours by it.
             "colorField": "z",
             "flatColor": hex_colour(colours[name]),
             "pointSize": 2,

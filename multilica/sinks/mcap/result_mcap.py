@@ -4,22 +4,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from multilica import events
 from multilica.errors import UnknownNameError
 from multilica.geometry import Float32Array, RigidTransform
-from multilica.results import CalibrationResult
 from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.shapes import sample_points
 from multilica.sinks.files.atomic import atomic_file, partial_path
-from multilica.sinks.files.result_document import result_so_far, run_document
-from multilica.sinks.files.result_files import toml_text
+from multilica.sinks.files.result_files import config_toml
 from multilica.sinks.mcap.messages import McapMessage, MessageWriter
 from multilica.sinks.mcap.result_drawings import cloud_frames, foxglove_layout, result_drawings
 from multilica.sinks.run_state import RunState
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
     from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
     from multilica.sinks.mcap.ros2_messages import Ros2Encoding
 
-_ENCODINGS = ("foxglove", "ros2")
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000
 _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html": "text/html"}
@@ -75,8 +72,6 @@ class ResultMcap:
         attached: Sequence[Path] = (),
         state: RunState | None = None,
     ) -> None:
-        if encoding not in _ENCODINGS:
-            raise UnknownNameError("MCAP encoding", encoding, _ENCODINGS)
         self.path = path
         self._encoding = _encoding(encoding)
         self._attached = tuple(attached)
@@ -113,11 +108,10 @@ class ResultMcap:
             self._write(partial)
 
     def _write(self, path: Path, compression: CompressionType = CompressionType.NONE) -> None:
-        snapshot, document = self._state.snapshot, run_document(self._state)
-        if snapshot is None or document is None:
+        snapshot, document = self._state.snapshot, self._state.document
+        if snapshot is None:
             return
-        result = result_so_far(self._state)
-        result = replace(result, target=result.target or snapshot.names[0])
+        target = document.target or snapshot.names[0]
         start_ns = _first_stamp_ns(snapshot)
         end_ns = start_ns + len(self._lines) * _LINE_SPACING_NS
         with atomic_file(path) as file:
@@ -125,35 +119,35 @@ class ResultMcap:
             writer.start(profile=self._encoding.profile, library=f"multilica {document.versions['multilica']}")
             writer.add_metadata("multilica", _metadata(document))
             messages = MessageWriter(writer)
-            self._write_scene(messages, snapshot, result, start_ns)
+            self._write_scene(messages, snapshot, document.model_copy(update={"target": target}), start_ns)
             for index, line in enumerate(self._lines):
                 stamp_ns = start_ns + index * _LINE_SPACING_NS
                 messages.write(self._encoding.log(line, stamp_ns), stamp_ns)
             messages.write(self._encoding.metrics(_metrics(document)), end_ns)
-            for name, data in self._attachments(document, result.target).items():
+            for name, data in self._attachments(document, target).items():
                 writer.add_attachment(start_ns, start_ns, name, _MEDIA_TYPES[Path(name).suffix], data)
             writer.finish()  # type: ignore[no-untyped-call]
 
     def _write_scene(
-        self, messages: MessageWriter, snapshot: Snapshot, result: CalibrationResult, stamp_ns: int
+        self, messages: MessageWriter, snapshot: Snapshot, document: ResultDocument, stamp_ns: int
     ) -> None:
         """Write transforms first, so that a reader in time order can place every cloud."""
-        frames = cloud_frames(result)
-        messages.write(self._encoding.transforms(_static_poses(result, frames), stamp_ns), stamp_ns)
+        frames = cloud_frames(document)
+        messages.write(self._encoding.transforms(_static_poses(document, frames), stamp_ns), stamp_ns)
         for lidar in snapshot.lidars:
             points_m = _shown_points(self._state, lidar)
             cloud = self._encoding.cloud(lidar.name, frames[lidar.name], points_m, stamp_ns)
             self._cloud_topics[lidar.name] = cloud.topic
             messages.write(cloud, stamp_ns)
         if not self._drawings:
-            drawn = result_drawings(self._state, result).items()
+            drawn = result_drawings(self._state, document).items()
             self._drawings = [self._encoding.drawings(topic, drawings, stamp_ns) for topic, drawings in drawn]
         for drawing in self._drawings:
             messages.write(drawing, stamp_ns)
 
     def _attachments(self, document: ResultDocument, target: str) -> dict[str, bytes]:
         return {
-            "config.toml": toml_text(document.config.model_dump(mode="json")).encode(),
+            "config.toml": config_toml(document.config).encode(),
             "result.json": document.model_dump_json().encode(),
             "foxglove-layout.json": foxglove_layout(target, self._cloud_topics).encode(),
             **{path.name: path.read_bytes() for path in self._attached if path.is_file()},
@@ -165,9 +159,11 @@ def _encoding(name: str) -> FoxgloveEncoding | Ros2Encoding:
         from multilica.sinks.mcap.ros2_messages import Ros2Encoding
 
         return Ros2Encoding()
-    from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
+    if name == "foxglove":
+        from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
 
-    return FoxgloveEncoding()
+        return FoxgloveEncoding()
+    raise UnknownNameError("MCAP encoding", name, ("foxglove", "ros2"))
 
 
 def _first_stamp_ns(snapshot: Snapshot) -> int:
@@ -175,11 +171,12 @@ def _first_stamp_ns(snapshot: Snapshot) -> int:
     return min((stamp_ns for stamp_ns in stamps_ns if 0 < stamp_ns < _FAR_FUTURE_NS), default=_STAMP_WITHOUT_CLOCK_NS)
 
 
-def _static_poses(result: CalibrationResult, frames: Mapping[str, str]) -> list[RigidTransform]:
+def _static_poses(document: ResultDocument, frames: Mapping[str, str]) -> list[RigidTransform]:
     """Return the base frame above the target, if there is one, then the frame of every LiDAR with a pose."""
-    base = [result.ground.T_base_target] if result.ground is not None else []
-    poses = (place.T_target_source for place in result.placements if place.lidar != result.target)
-    return [*base, *(RigidTransform(pose.target, frames[pose.source], pose.matrix) for pose in poses if pose)]
+    target, ground = document.target, document.ground
+    base = [] if ground is None else [RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))]
+    poses = (pose for name, pose in document.poses.items() if name != target)
+    return [*base, *(RigidTransform(target, frames[pose.source], pose.matrix) for pose in poses)]
 
 
 def _shown_points(state: RunState, lidar: LidarScans) -> Float32Array:

@@ -20,6 +20,8 @@ from multilica.snapshot import LidarScans, Snapshot
 
 _CHUNK_BYTES = 4 << 20
 _LATEST_NS = 2**64 - 1
+_STAMP_NS = 10**9
+"""Readers treat zero as unset; the time of a static transform has no meaning."""
 
 
 def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
@@ -52,7 +54,6 @@ def window_metadata(config: IngestConfig, vehicle: str = "") -> dict[str, str]:
 
 
 def _origin(snapshot: Snapshot) -> dict[str, str]:
-    """Return the origin of a snapshot."""
     stamps = [scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans] or [0]
     return {
         "lidars": ", ".join(snapshot.names),
@@ -106,10 +107,6 @@ def _ros_stamp_ns(stamp_ns: int) -> int:
 def _register_schema(writer: Writer, message_type: str) -> int:
     schema = ros2.schema_of(message_type)
     return int(writer.register_schema(schema.name, schema.encoding, schema.data))
-
-
-_STAMP_NS = 10**9
-"""Readers treat zero as unset; the time of a static transform has no meaning."""
 
 
 def static_transforms_mcap(poses: Sequence[RigidTransform]) -> bytes:

@@ -3,25 +3,26 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 
+from multilica.diagnosis import Cause, Explanation, explain
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Registration
 from multilica.results.document import ResultDocument
-from multilica.results.prior_comparison import surprises
 from multilica.sinks.drawing.shapes import sample_points
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans
 
 _RAW_SAMPLE = 60_000
+_BADGES: Mapping[Cause, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScoredPoints:
-    """Points of a pair at one pose, labelled by what the beams of the other LiDAR prove.
+    """Points of a pair at one pose, labelled by what the beams of the other LiDAR prove; none if they are not known.
 
     Args:
         points_m: (N, 3) of the source, in its own frame.
@@ -32,35 +33,32 @@ class ScoredPoints:
     """
 
     T_target_source: RigidTransform
-    points_m: FloatArray
-    labels: npt.NDArray[np.uint8]
-    target_points_m: FloatArray
-    target_labels: npt.NDArray[np.uint8]
-    agree: int
-    violate: int
-    occluded: int
-    evidence: float
+    points_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
+    target_points_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    target_labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
+    agree: int = 0
+    violate: int = 0
+    occluded: int = 0
+    evidence: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportContents:
-    """Everything that a report shows of a run.
+    """Everything that a report shows of a run: its document, and clouds from the running calibration or its recording.
 
     Args:
-        document: see `multilica.sinks.files.result_document`.
         clouds: per LiDAR its preprocessed cloud (N, 3) in its own frame.
         scored: per registered pair its best pose, then the competing one, if any.
-        notes: remarks of the reader of the input, and on poses far from their prior.
-        ended_early: why the run ended without a result; "" if it finished.
         level: pose of the target in a frame with z up; None without a ground plane.
+        ended_early: why the run ended without a result; "" if it finished.
     """
 
     document: ResultDocument
     clouds: Mapping[str, FloatArray]
     scored: Mapping[PairKey, tuple[ScoredPoints, ...]] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
-    ended_early: str = ""
     level: RigidTransform | None = None
+    ended_early: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -72,9 +70,38 @@ class ReportContents:
         """Return the target LiDAR; the first LiDAR until the target is chosen."""
         return self.document.target or self.names[0]
 
+    @property
     def poses(self) -> dict[str, RigidTransform]:
         """Return ``T_target_source`` of each placed or uncertain LiDAR, including the target."""
         return self.document.poses
+
+    @property
+    def explanation(self) -> Explanation:
+        """Return the outcome in sentences."""
+        return explain(self.document)
+
+    @property
+    def badge(self) -> str:
+        """Return ``complete``, ``partial``, ``failed``, ``refused``, ``stopped`` or ``ended early``."""
+        if (cause := self.explanation.cause) is not None:
+            return _BADGES.get(cause, "refused")
+        return _BADGES["unfinished"] if self.ended_early else self.document.status
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """Return sentences below the headline: the target of a result, and why the run ended early."""
+        reason = self.document.target_reason.rstrip(".")
+        of_target = len(self.poses) > 1 and self.explanation.cause is None
+        return (
+            *((f"Target: {self.target} ({reason}).",) if of_target else ()),
+            *((self.ended_early,) if self.ended_early else ()),
+        )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Return remarks of the reader of the input, and on poses far from their prior."""
+        priors = (lidar.prior for lidar in self.document.lidars.values())
+        return (*self.document.input.notes, *(prior.surprise for prior in priors if prior and prior.surprise))
 
     def is_uncertain(self, lidar: str) -> bool:
         """Return whether the LiDAR's standard deviation is above the limit."""
@@ -87,16 +114,13 @@ def contents_of(state: RunState, ended_early: str = "") -> ReportContents:
     Args:
         ended_early: why there is no result.
     """
-    document = run_document(state)
-    if state.snapshot is None or document is None:
-        raise ValueError("there is nothing to report before a calibration has started")
+    lidars = state.snapshot.lidars if state.snapshot is not None else ()
     return ReportContents(
-        document=document,
-        clouds={lidar.name: _cloud(state, lidar) for lidar in state.snapshot.lidars},
+        state.document,
+        clouds={lidar.name: _cloud(state, lidar) for lidar in lidars},
         scored={(pair.target, pair.source): _scored(state, pair) for pair in state.registrations.values()},
-        notes=(*state.snapshot.notes, *(() if state.result is None else surprises(state.result))),
-        ended_early=ended_early,
         level=None if state.result is None else state.result.level,
+        ended_early=ended_early,
     )
 
 

@@ -110,7 +110,7 @@ def _rig_layers(
 ) -> list[Layer]:
     """Return a layer per LiDAR with returns, in the level frame; if `placed`, without unplaced LiDARs."""
     same = {name: RigidTransform.identity(contents.target, name) for name in contents.names}
-    poses = contents.poses() if placed else same
+    poses = contents.poses if placed else same
     enough = _RIG_POINTS // max(1, len(poses))
     return [
         Layer(
@@ -118,15 +118,11 @@ def _rig_layers(
             colours[name],
             dot_px=_RIG_DOT_PX,
             sensor=pose,
-            label=_label(contents, name, placed=placed),
+            label=f"{name} (uncertain)" if placed and contents.is_uncertain(name) else name,
         )
         for name, pose in ((name, level @ pose) for name, pose in poses.items())
         if len(contents.clouds.get(name, ()))
     ]
-
-
-def _label(contents: ReportContents, name: str, *, placed: bool) -> str:
-    return f"{name} (uncertain)" if placed and contents.is_uncertain(name) else name
 
 
 def pair_figures(
@@ -182,7 +178,7 @@ def _pair_figure(
 
 def _levelled(contents: ReportContents, T_target_source: RigidTransform, level: RigidTransform) -> RigidTransform:
     """Return the pose of the pair's target in the level frame; its own axes if neither LiDAR is placed."""
-    placed, target = contents.poses(), T_target_source.target
+    placed, target = contents.poses, T_target_source.target
     if target in placed:
         return level @ placed[target]
     if T_target_source.source in placed:

@@ -6,29 +6,31 @@ from collections.abc import Sequence
 from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
+import numpy as np
 from jinja2 import Template
 from markupsafe import Markup
 
 from multilica import events
+from multilica.diagnosis import Missing
+from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import LEVEL_FRAME
-from multilica.results.document import PairEntry, SnapshotEntry
+from multilica.results import LEVEL_FRAME, PairKey
+from multilica.results.document import PairEntry, ResultDocument, SnapshotEntry
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
 from multilica.sinks.drawing.shapes import EDGE_LABEL_SHARE
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.result_files import toml_text
+from multilica.sinks.files.result_files import calibration_toml, config_toml
 from multilica.sinks.files.run_files import REPORT_HTML
 from multilica.sinks.report.cloud_picture import short_name
 from multilica.sinks.report.contents import ReportContents, contents_of
-from multilica.sinks.report.extrinsics_texts import extrinsics_texts
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
-from multilica.sinks.report.outcome import Outcome, outcome_of
 from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_scene
 from multilica.sinks.report.rig_uncertainty import rig_drawing
 from multilica.sinks.report.template import own_text, page_template
 from multilica.sinks.run_state import RunState
+from multilica.sinks.text.extrinsics_text import matrix_text, urdf_text
 
 MAX_BYTES = 8_000_000
 """Limit of ticket systems and mail; the clouds of the 3-D view are thinned until the page fits."""
@@ -101,14 +103,14 @@ def report_html(contents: ReportContents) -> str:
 def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
     """Return the variables of the template, except the clouds of the 3-D view."""
     colours = distinct_colours(contents.names)
-    document, outcome = contents.document, outcome_of(contents)
-    calibrated = len(contents.poses()) > 1
+    document, explanation = contents.document, contents.explanation
+    calibrated = len(contents.poses) > 1
     merged = {decision.chosen.names for decision in document.decisions if decision.chosen is not None}
     return {
         "contents": contents,
         "document": document,
-        "outcome": outcome,
-        "pair_figures": _pair_figures(contents, outcome, level),
+        "explanation": explanation,
+        "pair_figures": _pair_figures(contents, explanation.missing, level),
         "figures": rig_figures(contents, level, colours, calibrated=calibrated),
         "calibrated": calibrated,
         "colours": {name: hex_colour(colour) for name, colour in colours.items()},
@@ -130,16 +132,30 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
         "rig": rig_drawing(contents, level),
         "matrix": {pair.key: pair for pair in document.pairs},
         "seconds": {stage: seconds for stage, seconds in document.timing_s.items() if seconds is not None},
-        "config_toml": toml_text(document.config.model_dump(mode="json")),
+        "config_toml": config_toml(document.config),
     }
 
 
-def _pair_figures(contents: ReportContents, outcome: Outcome, level: RigidTransform) -> dict[str, list[Figure]]:
+def _pair_figures(
+    contents: ReportContents, missing: Sequence[Missing], level: RigidTransform
+) -> dict[str, list[Figure]]:
     """Draw the decisive pair of each unplaced LiDAR, of a large rig only the first ones, each pair once."""
     colours = distinct_colours(contents.names)
-    first = {failure.pair: failure.missing.lidar for failure in reversed(outcome.failures) if failure.pair is not None}
-    shown = [(pair, lidar) for pair, lidar in reversed(first.items()) if pair is not None][:_MAX_PICTURED]
+    first = {pair: each.lidar for each in reversed(missing) if (pair := _decisive(each)) is not None}
+    shown = list(reversed(first.items()))[:_MAX_PICTURED]
     return {lidar: pair_figures(contents, pair, level, colours) for pair, lidar in shown}
+
+
+def _decisive(missing: Missing) -> PairKey | None:
+    """Return the decisive pair of an unplaced LiDAR as it was registered."""
+    return None if missing.decisive is None else (missing.decisive.target, missing.decisive.source)
+
+
+def opponents(missing: Missing) -> tuple[str, ...]:
+    """Return the other LiDAR of the decisive pair, and the one that puts the unplaced LiDAR elsewhere, if any."""
+    pairs = [pair for pair in (missing.decisive, missing.elsewhere) if pair is not None]
+    others = tuple(name for pair in pairs for name in (pair.target, pair.source) if name != missing.lidar)
+    return others if missing.elsewhere else others[:1]
 
 
 def _edge(pair: PairEntry, *, merged: bool) -> str:
@@ -161,11 +177,50 @@ def _graph_places(names: Sequence[str]) -> dict[str, tuple[float, float]]:
     }
 
 
+class ExtrinsicsText(NamedTuple):
+    """A text with its format: `key` for programs, `label` for people, `title` for what it holds."""
+
+    key: str
+    label: str
+    title: str
+    text: str
+
+
+def extrinsics_texts(document: ResultDocument) -> list[ExtrinsicsText]:
+    """Return `calibration.toml`, URDF and matrices as `multilica export` writes them; none without a placed LiDAR.
+
+    URDF and matrices are left out if a name cannot stand in such files.
+    """
+    extrinsics = _exported(document)
+    if len(extrinsics.members) < 2:
+        return []
+    texts = [ExtrinsicsText("toml", "TOML", "calibration.toml", calibration_toml(document))]
+    if all(name.isprintable() and name == name.strip() != "" for name in extrinsics.members):
+        inside = f"in the frame {extrinsics.target}"
+        texts += [
+            ExtrinsicsText("urdf", "URDF", f"URDF, fixed joints {inside}", urdf_text(extrinsics)),
+            ExtrinsicsText("matrices", "matrices", f"4 x 4 matrices {inside}", matrix_text(extrinsics)),
+        ]
+    return texts
+
+
+def _exported(document: ResultDocument) -> Extrinsics:
+    """Return the placed LiDARs in the base frame, if the run has one with x, y and yaw, else in the target's frame."""
+    target, ground = document.target, document.ground
+    poses = {name: pose for name, pose in document.poses.items() if document.lidars[name].placed and name != target}
+    found = Extrinsics(target, poses)
+    if not poses or ground is None or ground.T_base_target_rig is None or ground.doubt:
+        return found
+    return found.seen_from(RigidTransform(ground.frame, target, np.asarray(ground.T_base_target)))
+
+
 @cache
 def _template() -> Template:
     filters = {
         "figure": _figure,
+        "decisive": _decisive,
         "grouped": _grouped,
+        "opponents": opponents,
         "sentences": _sentences,
         "short": partial(short_name, letters=_MAX_NAME),
         "snapshot_verdict": _snapshot_verdict,

@@ -41,7 +41,7 @@ def rig_scene(
     """
     clouds = {name: cloud for name, cloud in contents.clouds.items() if len(cloud)}
     share = max_points // max(1, len(clouds))
-    placed, refused = contents.poses(), refused_poses(contents)
+    placed, refused = contents.poses, refused_poses(contents)
     recorded = {name: RigidTransform.identity(contents.target, name) for name in contents.names}
     seen_first = {name: pose for name, pose in (placed or recorded).items() if name in clouds}
     return {
@@ -63,7 +63,7 @@ def rig_scene(
 
 def refused_poses(contents: ReportContents) -> dict[str, RigidTransform]:
     """Return the best refused pose of each unplaced LiDAR relative to those with a pose."""
-    placed = contents.poses()
+    placed = contents.poses
     poses: dict[str, RigidTransform] = {}
     for pair in sorted(contents.document.pairs, key=lambda pair: pair.evidence, reverse=True):
         for pose in (pair.pose, pair.pose.inverse()):

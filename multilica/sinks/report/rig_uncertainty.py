@@ -90,11 +90,11 @@ class _Pose:
 
 def rig_drawing(contents: ReportContents, level: RigidTransform) -> RigDrawing | None:
     """Lay out the rig from above and from the side; None if no LiDAR has a covariance."""
-    if all(contents.document.lidars[name].covariance is None for name in contents.poses()):
+    if all(contents.document.lidars[name].covariance is None for name in contents.poses):
         return None
-    placed_m = np.array([(level @ pose).xyz_m for pose in contents.poses().values()])
+    placed_m = np.array([(level @ pose).xyz_m for pose in contents.poses.values()])
     is_wide = bool(np.ptp(placed_m[:, 1]) > np.ptp(placed_m[:, 0]))
-    poses = [_levelled(contents, name, QUARTER_TURN @ level if is_wide else level) for name in contents.poses()]
+    poses = [_levelled(contents, name, QUARTER_TURN @ level if is_wide else level) for name in contents.poses]
     xyz_m = np.array([each.pose.xyz_m for each in poses])
     spans_m = np.maximum(np.ptp(xyz_m, axis=0), _LEAST_SPAN_M)
     scale = (_WIDTH_PX - 2.0 * _SIDE_PX) / float(spans_m[0])
@@ -109,7 +109,7 @@ def rig_drawing(contents: ReportContents, level: RigidTransform) -> RigDrawing |
 
 
 def _levelled(contents: ReportContents, name: str, level: RigidTransform) -> _Pose:
-    pose = level @ contents.poses()[name]
+    pose = level @ contents.poses[name]
     covariance = contents.document.lidars[name].covariance
     if covariance is None or name == contents.target:
         return _Pose(name, pose, None, None)

@@ -61,6 +61,5 @@ def _without_controls(value: object) -> object:
 
 
 def _hash(text: str) -> str:
-    """Return the hash of an inline script or style for the content security policy."""
     digest = hashlib.sha256(text.encode("utf-8")).digest()
     return f"sha256-{base64.b64encode(digest).decode('ascii')}"

@@ -10,7 +10,7 @@ from rerun.encodings import EntityPathLike
 
 from multilica.config import Stage
 from multilica.geometry import FloatArray
-from multilica.results import CalibrationResult, PairKey
+from multilica.results import PairKey
 from multilica.sinks.drawing.shapes import kept_count
 from multilica.sinks.rerun import entity_paths
 from multilica.sinks.rerun.data import candidate_pairs
@@ -37,11 +37,17 @@ from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.unplaced import Failure, decisive_failure, failures
 
+_MAX_PAIR_TABS = 15
+_Tab = rrb.Container | rrb.View
+_MATRICES = {entity_paths.FITNESS: "Fitness", entity_paths.COVERAGE: "Coverage", entity_paths.VERDICTS: "Verdicts"}
+_RIG_MARGIN_M = 3.0
+_RIG_NAME_SPACING_M = 0.5
 
-def residual_tab(state: RunState) -> rrb.Container | None:
+
+def _residual_tab(state: RunState) -> rrb.Container | None:
     """Show where the merged clouds meet, and where they do not; None where no two LiDARs are joined."""
-    result = state.result
-    if result is None or len(result.placements) < 2 or not state.residuals:
+    document = state.document
+    if document.status == "unfinished" or len(document.lidars) < 2 or not state.residuals:
         return None
     contents = [
         path
@@ -49,25 +55,14 @@ def residual_tab(state: RunState) -> rrb.Container | None:
         for path in (lidar_path(lidar, "residual"), f"{lidar_path(lidar, 'name')}/**")
     ]
     name = f"Distance to the other LiDARs' surfaces: dark 0 m, bright {RESIDUAL_SCALE_M:g} m or more"
-    view = scene_view(name, lidar_frame(result.target), contents, around_rig(state))
+    view = scene_view(name, lidar_frame(document.target), contents, around_rig(state))
     return rrb.Horizontal(view, name="Residual")
 
 
-_MAX_PAIR_TABS = 15
-
-Tab = rrb.Container | rrb.View
-
-
-def stage_tab(state: RunState, stage: Stage) -> Tab:
+def stage_tab(state: RunState, stage: Stage) -> _Tab:
     """Return the tab of one stage, or of the input if the stage has nothing to show."""
     tab = _STAGE_TABS[stage](state) if stage in _STAGE_TABS else None
     return tab if tab is not None else _input_tab(state)
-
-
-def stage_tabs(state: RunState) -> list[Tab]:
-    """Return the tabs of all stages that have something to show, in order."""
-    builders = dict.fromkeys(_STAGE_TABS.values())
-    return [tab for build in builders if (tab := build(state)) is not None]
 
 
 def _input_tab(state: RunState) -> rrb.Container:
@@ -75,7 +70,7 @@ def _input_tab(state: RunState) -> rrb.Container:
     return rrb.Grid(*views, name="Input")
 
 
-def _preprocess_tab(state: RunState) -> Tab | None:
+def _preprocess_tab(state: RunState) -> _Tab | None:
     views = [
         single_lidar_view(state, lidar, ("preprocessed", "dropped", "field_of_view")) for lidar in sorted(state.clouds)
     ]
@@ -85,7 +80,7 @@ def _preprocess_tab(state: RunState) -> Tab | None:
     return rrb.Vertical(rrb.Grid(*views), table, row_shares=[3, 1], name="Preprocess")
 
 
-def _features_tab(state: RunState) -> Tab | None:
+def _features_tab(state: RunState) -> _Tab | None:
     views = [single_lidar_view(state, lidar, ("features",)) for lidar in sorted(state.features)]
     return rrb.Grid(*views, name="Features") if views else None
 
@@ -107,11 +102,11 @@ def _opened(state: RunState, pairs: Sequence[PairKey]) -> int:
     return next((pairs.index(pair) for pair in (*failed, *used) if pair in pairs), 0)
 
 
-def _pair_tabs(state: RunState, pairs: Sequence[PairKey], tab: Callable[[RunState, PairKey], Tab], name: str) -> Tab:
+def _pair_tabs(state: RunState, pairs: Sequence[PairKey], tab: Callable[[RunState, PairKey], _Tab], name: str) -> _Tab:
     return rrb.Tabs(*(tab(state, pair) for pair in pairs), active_tab=_opened(state, pairs), name=name)
 
 
-def _correspond_tab(state: RunState) -> Tab | None:
+def _correspond_tab(state: RunState) -> _Tab | None:
     pairs = [pair for pair in _shown_pairs(state) if pair in state.matches]
     return _pair_tabs(state, pairs, _matches_tab, "Correspond") if pairs else None
 
@@ -122,7 +117,7 @@ def _matches_tab(state: RunState, pair: PairKey) -> rrb.Container:
     return rrb.Tabs(*(matches_view(state, pair, kept_only=kept) for kept in shown), name=pair_label(*pair))
 
 
-def _coarse_tab(state: RunState) -> Tab | None:
+def _coarse_tab(state: RunState) -> _Tab | None:
     pairs = [pair for pair in _shown_pairs(state) if pair in state.coarse]
     if not pairs:
         return None
@@ -140,7 +135,7 @@ def _coarse_tab(state: RunState) -> Tab | None:
     return rrb.Tabs(*tabs, table, active_tab=_opened(state, pairs), name=name)
 
 
-def _fine_tab(state: RunState) -> Tab | None:
+def _fine_tab(state: RunState) -> _Tab | None:
     if not state.registrations:
         return None
     matrices = [_matrix_view(state, path, name) for path, name in _MATRICES.items()]
@@ -170,9 +165,6 @@ def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
     return rrb.Horizontal(before, after, name=pair_label(*pair))
 
 
-_MATRICES = {entity_paths.FITNESS: "Fitness", entity_paths.COVERAGE: "Coverage", entity_paths.VERDICTS: "Verdicts"}
-
-
 def _matrix_view(state: RunState, path: str, name: str) -> rrb.View:
     (left, top), (right, bottom) = matrix_bounds(len(state.lidars))
     bounds = rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
@@ -181,7 +173,7 @@ def _matrix_view(state: RunState, path: str, name: str) -> rrb.View:
     )
 
 
-def _merge_tab(state: RunState) -> Tab | None:
+def _merge_tab(state: RunState) -> _Tab | None:
     if not state.decisions:
         return None
     graph = rrb.GraphView(origin=entity_paths.MERGE_GRAPH, name="Merge graph")
@@ -203,7 +195,7 @@ def _merge_tab(state: RunState) -> Tab | None:
     return rrb.Horizontal(growing, side, column_shares=[3, 2], name="Merge")
 
 
-_STAGE_TABS: Mapping[Stage, Callable[[RunState], Tab | None]] = {
+_STAGE_TABS: Mapping[Stage, Callable[[RunState], _Tab | None]] = {
     "ingest": _input_tab,
     "preprocess": _preprocess_tab,
     "features": _features_tab,
@@ -215,10 +207,6 @@ _STAGE_TABS: Mapping[Stage, Callable[[RunState], Tab | None]] = {
 }
 
 
-_RIG_MARGIN_M = 3.0
-_RIG_NAME_SPACING_M = 0.5
-
-
 def stage_blueprint(state: RunState) -> rrb.Blueprint:
     """Show the last finished stage, for a recording that ends there."""
     stage = state.stages[-1] if state.stages else "ingest"
@@ -228,13 +216,10 @@ def stage_blueprint(state: RunState) -> rrb.Blueprint:
 
 def final_blueprint(state: RunState) -> rrb.Blueprint:
     """Show the result, or the pair that failed, then a tab per stage."""
-    stages = stage_tabs(state)
-    last = rrb.Horizontal(
-        log_view("All lines", ("DEBUG", "INFO", "WARN", "ERROR")),
-        document_view(CONFIG, "Config"),
-        name="Log",
-    )
-    first = [tab for tab in (_failure_tab(state), _result_tab(state), residual_tab(state)) if tab is not None]
+    stages = [tab for build in dict.fromkeys(_STAGE_TABS.values()) if (tab := build(state)) is not None]
+    lines = log_view("All lines", ("DEBUG", "INFO", "WARN", "ERROR"))
+    last = rrb.Horizontal(lines, document_view(CONFIG, "Config"), name="Log")
+    first = [tab for tab in (_failure_tab(state), _result_tab(state), _residual_tab(state)) if tab is not None]
     opened = 0 if first else len(stages) - 1
     return _blueprint(rrb.Tabs(*first, *stages, last, active_tab=opened))
 
@@ -285,36 +270,36 @@ def _page(failure: Failure) -> rrb.View | None:
 
 def _result_tab(state: RunState) -> rrb.Container | None:
     """Show the merged cloud, the summary, and the rig with fields of view and uncertainty."""
-    result = state.result
-    if result is None or not state.target:
+    document = state.document
+    if document.status == "unfinished" or not state.target:
         return None
-    posed = [place.lidar for place in result.placements if place.T_target_source is not None]
-    clouds = [lidar_path(lidar, "preprocessed") for lidar in posed]
-    sensors = [f"{lidar_path(lidar, part)}/**" for lidar in posed for part in ("sensor", "name")]
-    extents = [lidar_path(lidar, part) for lidar in posed for part in ("field_of_view", "uncertainty")]
-    frame = lidar_frame(result.target)
-    eye = _rig_eye(result, up_axis(state, result.target))
-    marks = [lidar_path(place.lidar, "uncertainty") for place in result.placements if place.uncertain]
+    poses = document.poses
+    clouds = [lidar_path(lidar, "preprocessed") for lidar in poses]
+    sensors = [f"{lidar_path(lidar, part)}/**" for lidar in poses for part in ("sensor", "name")]
+    extents = [lidar_path(lidar, part) for lidar in poses for part in ("field_of_view", "uncertainty")]
+    uncertain = [lidar for lidar, entry in document.lidars.items() if entry.status == "uncertain"]
+    frame, marks = lidar_frame(document.target), [lidar_path(lidar, "uncertainty") for lidar in uncertain]
     merged = scene_view("Merged cloud", frame, [*clouds, *sensors, *marks, GROUND], around_rig(state))
-    rig = scene_view("Rig", frame, [*sensors, *extents], eye, grid=True, overrides=_short_names(state, result))
+    eye = _rig_eye([pose.xyz_m for pose in poses.values()], up_axis(state, document.target))
+    short_names = _short_names(state.lidars, uncertain)
+    rig = scene_view("Rig", frame, [*sensors, *extents], eye, grid=True, overrides=short_names)
     side = rrb.Vertical(summary_view(), rig, row_shares=[1, 1])
     return rrb.Horizontal(merged, side, column_shares=[3, 2], name="Result")
 
 
-def _short_names(state: RunState, result: CalibrationResult) -> dict[EntityPathLike, rr.Points3D | rr.LineStrips3D]:
+def _short_names(
+    lidars: Sequence[str], uncertain: Sequence[str]
+) -> dict[EntityPathLike, rr.Points3D | rr.LineStrips3D]:
     """Lower the names for a view of the rig alone."""
     lowered: dict[EntityPathLike, rr.Points3D | rr.LineStrips3D] = {}
-    uncertain = {place.lidar for place in result.placements if place.uncertain}
-    for index, lidar in enumerate(state.lidars):
+    for index, lidar in enumerate(lidars):
         pole_m = name_pole_m(index, top=lidar in uncertain, spacing_m=_RIG_NAME_SPACING_M)
         lowered[lidar_path(lidar, "name")] = rr.LineStrips3D.from_fields(strips=pole_m)
         lowered[lidar_path(lidar, "name", "tip")] = rr.Points3D.from_fields(positions=pole_m[0, 1:])
     return lowered
 
 
-def _rig_eye(result: CalibrationResult, up: FloatArray) -> rrb.EyeControls3D:
-    poses = [place.T_target_source for place in result.placements]
-    origins_m = np.array([pose.xyz_m for pose in poses if pose is not None])
-    centre_m = origins_m.mean(axis=0)
-    radius_m = _RIG_MARGIN_M + float(np.linalg.norm(origins_m - centre_m, axis=1).max())
+def _rig_eye(origins_m: Sequence[FloatArray], up: FloatArray) -> rrb.EyeControls3D:
+    centre_m = np.mean(origins_m, axis=0)
+    radius_m = _RIG_MARGIN_M + float(np.linalg.norm(np.array(origins_m) - centre_m, axis=1).max())
     return three_quarter(centre_m, radius_m, up)

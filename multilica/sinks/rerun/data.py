@@ -3,7 +3,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,9 @@ from multilica import events
 from multilica.geometry import RigidTransform
 from multilica.results import Correspondences, PairKey
 from multilica.sinks.drawing.shapes import sample_indices
-from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, TIMINGS, pair_path
+from multilica.sinks.rerun.entity_paths import TIMINGS, pair_path
 from multilica.sinks.rerun.input import log_in_slot
 from multilica.sinks.rerun.scene import CLOCK_TIMELINE, RerunScene
-from multilica.sinks.rerun.tables import MERGE_COLUMNS, PAIR_COLUMNS, merge_rows, pair_rows
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
@@ -28,14 +27,6 @@ def log_data(scene: RerunScene, event: events.Event) -> None:
     log = _LOGGERS.get(type(event))
     if log is not None:
         log(scene, event)
-
-
-def log_data_tables(scene: RerunScene) -> None:
-    """Log one row per pair, and one per candidate of each merge step."""
-    if scene.state.pairs:
-        _log_rows(scene, PAIR_TABLE, PAIR_COLUMNS, pair_rows(scene.state))
-    if scene.state.decisions:
-        _log_rows(scene, MERGE_TABLE, MERGE_COLUMNS, merge_rows(scene.state.decisions))
 
 
 def log_timings(scene: RerunScene) -> None:
@@ -173,26 +164,12 @@ def _log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> No
     _log_residuals(scene, pair, found.T_target_source)
 
 
-def _known(value: object) -> object:
-    """Return the value; None for a number that is not finite."""
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _data_path(matches: Correspondences) -> str:
     return pair_path(matches.target, matches.source, "matches", "data")
 
 
 def _points(points_m: npt.NDArray[np.floating]) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(points_m.astype(np.float32).ravel()), 3)
-
-
-def _log_rows(
-    scene: RerunScene, path: str, columns: Mapping[str, pa.DataType], rows: Sequence[Mapping[str, object]]
-) -> None:
-    """Log a table as one cell per column, so that the latest row of the entity is the whole table."""
-    # Null where a number is not known: NaN would make equal recordings differ.
-    arrays = {name: pa.array([_known(row[name]) for row in rows], kind) for name, kind in columns.items()}
-    scene.log(path, rr.AnyValues(**arrays))
 
 
 _LOGGERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {

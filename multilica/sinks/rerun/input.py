@@ -11,7 +11,7 @@ from multilica.config import CalibrationConfig
 from multilica.geometry import Float32Array, RigidTransform
 from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VIOLATE, Rgb, heat_colours
 from multilica.sinks.drawing.shapes import sample_indices, shown_field_of_view, slot_offsets_m
-from multilica.sinks.files.result_files import toml_text
+from multilica.sinks.files.result_files import config_toml
 from multilica.sinks.rerun.entity_paths import (
     CONFIG,
     DISPLAY_FRAME,
@@ -31,12 +31,15 @@ _DROP_COLOURS: dict[str, Rgb] = {"too_near": VIOLATE, "too_far": MUTED, "moving"
 _AXIS_LENGTH_M = 1.0
 _NORMAL_LENGTH_M = 0.4
 _NAME_HEIGHTS = 4
+RESIDUAL_SCALE_M = 0.05
+"""Residual with the brightest colour: a few times the range noise of vehicle LiDARs."""
+# The darkest colours of the scale can hardly be seen on the background.
+_DARKEST = 0.15
 
 
 def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
     """Log the raw clouds side by side, and the configuration."""
-    table = event.config.model_dump(mode="json")
-    scene.log_document(CONFIG, f"```toml\n{toml_text(table)}```")
+    scene.log_document(CONFIG, f"```toml\n{config_toml(event.config)}```")
     # Until an entity is logged, the viewer has it in a frame of its own below this one, and reports an error in each
     # view that finds no path from there.
     scene.stream.log(FRAMES, rigid(ROOT_FRAME, DISPLAY_FRAME), static=True)
@@ -162,13 +165,6 @@ def _meaning(reason: str, config: CalibrationConfig | None) -> str:
         "too_far": f"farther than {limits.max_range_m:g} m (`preprocess.max_range_m`)",
         "moving": "moved between frames: beams of other frames pass through its place (`stillness.moving_clearance_m`)",
     }.get(reason, "")
-
-
-RESIDUAL_SCALE_M = 0.05
-"""Residual with the brightest colour: a few times the range noise of vehicle LiDARs."""
-
-# The darkest colours of the scale can hardly be seen on the background.
-_DARKEST = 0.15
 
 
 def log_residuals(scene: RerunScene, event: events.ResidualsMeasured) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of a pair with its scored points and its verdict."""
+"""Matches, poses, scored points and verdicts of a pair."""
 
 import numpy as np
 import numpy.typing as npt
@@ -8,23 +8,100 @@ import rerun as rr
 from multilica import events
 from multilica.diagnosis.causes import REASON_WORDS, by_weight
 from multilica.geometry import FloatArray, RigidTransform, fixed_sign, largest_index
-from multilica.results import BeamLabel, Hypothesis, PairKey, PairRegistration, Registration, hypothesis_label
-from multilica.sinks.drawing.palette import AGREE, OCCLUDED, UNDECIDED, UNSEEN, VERDICT_COLOURS, VIOLATE
-from multilica.sinks.drawing.shapes import sample_indices
+from multilica.results import (
+    BeamLabel,
+    BoolArray,
+    Correspondences,
+    Hypothesis,
+    PairKey,
+    PairRegistration,
+    Registration,
+    hypothesis_label,
+)
+from multilica.sinks.drawing.palette import (
+    AGREE,
+    KEPT,
+    MUTED,
+    OCCLUDED,
+    REJECTED,
+    UNDECIDED,
+    UNSEEN,
+    VERDICT_COLOURS,
+    VIOLATE,
+    Rgb,
+)
+from multilica.sinks.drawing.shapes import kept_matches, match_lines, sample_indices, shown_radius_m
 from multilica.sinks.rerun.entity_paths import CURVES, PAIRS, curve_path, lidar_frame, pair_frame, pair_path
-from multilica.sinks.rerun.matches import log_verdict_on_matches
 from multilica.sinks.rerun.scene import ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.markdown import pair_scores_markdown
 from multilica.sinks.unplaced import failures
 
+_LIFT_PER_RADIUS = 0.5
 _COLOURS = {
     BeamLabel.UNSEEN: UNSEEN,
     BeamLabel.AGREE: AGREE,
     BeamLabel.VIOLATE: VIOLATE,
     BeamLabel.OCCLUDED: OCCLUDED,
 }
+_ARROW_M = 4.0
+_AXIS_LENGTH_M = 0.5
+
+
+def log_matches(scene: RerunScene, event: events.CorrespondencesMatched) -> None:
+    """Log all matches, before the coarse stage keeps or rejects them."""
+    matches = event.correspondences
+    target, source = matches.target, matches.source
+    pose = _lifted(scene, matches, RigidTransform.identity(target, source))
+    features = scene.state.features.get(source)
+    if features is not None:
+        path = pair_path(target, source, "matches", "source")
+        frame = pair_frame(target, source, "lifted")
+        scene.log_points(path, frame, features.points_m, scene.colour(source), scene.limits.pair_points)
+    everything = np.ones(len(matches), dtype=np.bool_)
+    _log_lines(scene, matches, "undecided", everything, pose, MUTED)
+
+
+def _log_verdict_on_matches(scene: RerunScene, matches: Correspondences, best: Hypothesis | None) -> None:
+    """Log which matches the best hypothesis keeps; without one, all are rejected."""
+    identity = RigidTransform.identity(matches.target, matches.source)
+    pose = _lifted(scene, matches, best.T_target_source if best else identity)
+    kept = kept_matches(scene.state, matches, best) if best else np.zeros(len(matches), dtype=np.bool_)
+    _log_lines(scene, matches, "undecided", np.zeros_like(kept), pose, MUTED)
+    _log_lines(scene, matches, "rejected", ~kept, pose, REJECTED)
+    _log_lines(scene, matches, "kept", kept, pose, KEPT, radius_pixels=1.2)
+
+
+def lift_m(matches: Correspondences) -> float:
+    """Return how far the source is moved along the target's z axis."""
+    return _LIFT_PER_RADIUS * shown_radius_m(matches.target_points_m)
+
+
+def _lifted(scene: RerunScene, matches: Correspondences, pose: RigidTransform) -> RigidTransform:
+    """Log and return the pose, moved up the target's z axis."""
+    xyz_m = pose.xyz_m + np.array([0.0, 0.0, lift_m(matches)])
+    lifted = RigidTransform.from_rotation_translation(pose.target, pose.source, pose.rotation, xyz_m)
+    frame = pair_frame(matches.target, matches.source, "lifted")
+    path = pair_path(matches.target, matches.source, "matches", "lifted")
+    scene.log(path, rigid(frame, lidar_frame(matches.target), lifted))
+    return lifted
+
+
+def _log_lines(
+    scene: RerunScene,
+    matches: Correspondences,
+    kind: str,
+    chosen: BoolArray,
+    pose: RigidTransform,
+    colour: Rgb,
+    *,
+    radius_pixels: float = 0.25,
+) -> None:
+    lines = match_lines(matches, chosen, pose, scene.limits.matches).astype(np.float32)
+    strips = rr.LineStrips3D(lines, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
+    path = pair_path(matches.target, matches.source, "matches", kind)
+    scene.log_in(lidar_frame(matches.target), path, strips)
 
 
 def _log_beam_labels(scene: RerunScene) -> None:
@@ -38,7 +115,7 @@ def _log_beam_labels(scene: RerunScene) -> None:
     scene.stream.log(PAIRS, rr.AnnotationContext(classes), static=True)
 
 
-def log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Registration) -> None:
+def _log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Registration) -> None:
     """Log the scored points of both sides by label; repeat those in proven-empty space, larger.
 
     Args:
@@ -70,10 +147,7 @@ def _log_side(scene: RerunScene, path: str, frame: str, points_m: FloatArray, la
     scene.log_in(frame, path, shown)
 
 
-_ARROW_M = 4.0
-
-
-def log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: PairRegistration) -> None:
+def _log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: PairRegistration) -> None:
     """Log the verdict at the source's origin, the competing pose, and arrows along unconstrained directions."""
     label = f"{pair_label(*pair)} {_verdict_words(registration)}"
     _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, registration.verdict.outcome)
@@ -151,9 +225,6 @@ def _log_slide(scene: RerunScene, pair: PairKey, registration: PairRegistration,
     scene.log_in(frame, pair_path(*pair, "slide"), arrows)
 
 
-_AXIS_LENGTH_M = 0.5
-
-
 def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
     """Log every hypothesis of a pair, one step each, the best last; then the matches that it keeps."""
     pair = (event.coarse.target, event.coarse.source)
@@ -163,7 +234,7 @@ def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
         scene.shown_at[hypotheses[index]] = scene.step
         start = hypothesis_label(index, hypotheses[index].origin)
         _log_pose(scene, pair, start, hypotheses[index].T_target_source)
-    log_verdict_on_matches(scene, event.correspondences, hypotheses[0] if hypotheses else None)
+    _log_verdict_on_matches(scene, event.correspondences, hypotheses[0] if hypotheses else None)
     _log_scores(scene, pair, hypotheses[0] if hypotheses else None)
 
 
@@ -225,7 +296,7 @@ def _log_with_verdict(scene: RerunScene, pair: PairKey, registration: PairRegist
     start = registration.start_label
     _log_pose(scene, pair, start, registration.T_target_source.with_target(pair[0]))
     _log_before(scene, pair, registration)
-    log_verdict(scene, pair, start, registration)
+    _log_verdict(scene, pair, start, registration)
     _log_scores(scene, pair, registration.registrations[0] if registration.registrations else None)
 
 
@@ -270,7 +341,7 @@ def _show_scored(scene: RerunScene, pair: PairKey, scored: Registration) -> None
     scene.advance()
     scene.shown_at[scored] = scene.step
     _log_pose(scene, pair, scored.label, scored.T_target_source.with_target(pair[0]))
-    log_scored_points(scene, pair, scored.label, scored)
+    _log_scored_points(scene, pair, scored.label, scored)
     _log_scores(scene, pair, scored)
 
 

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,6 +24,16 @@ _TEXT = "TextDocument:text"
 _POSITIONS = "Points3D:positions"
 _CLASSES = "Points3D:class_ids"
 _STEP = "step"
+_MATCH_COLUMNS = (
+    "target_index",
+    "source_index",
+    "target_point_m",
+    "source_point_m",
+    "feature_distance",
+    "agrees_with",
+    "residual_m",
+)
+_SURFACE_COLUMNS = ("target_point_m", "source_point_m", "distance_m", "plane_distance_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,31 +150,13 @@ def read_recorded_table(path: Path, name: str) -> pa.Table:
     return found
 
 
-def _pairs(path: Path) -> pa.Table:
-    return _latest_table(path, PAIR_TABLE, PAIR_COLUMNS)
-
-
-def _merge(path: Path) -> pa.Table:
-    return _latest_table(path, MERGE_TABLE, MERGE_COLUMNS)
-
-
 def _latest_table(path: Path, entity: str, columns: Mapping[str, pa.DataType]) -> pa.Table:
     cells = _latest_cells(read_batches(path, [entity])[entity])
     return pa.table({name: pa.array(cells.get(name, []), kind) for name, kind in columns.items()})
 
 
-def _matches(path: Path) -> pa.Table:
-    """Return a row per match of descriptors, with the hypotheses that it agrees with."""
-    return _of_pairs(path, ("matches", "data"), _MATCH_COLUMNS)
-
-
-def _surfaces(path: Path) -> pa.Table:
-    """Return a row per match of surfaces at the final pose."""
-    return _of_pairs(path, ("fine", "matches"), _SURFACE_COLUMNS)
-
-
 def _of_pairs(path: Path, parts: Sequence[str], columns: Sequence[str]) -> pa.Table:
-    pairs = _pairs(path)
+    pairs = _latest_table(path, PAIR_TABLE, PAIR_COLUMNS)
     keys: list[PairKey] = list(zip(pairs["target"].to_pylist(), pairs["source"].to_pylist(), strict=True))
     found = read_batches(path, [pair_path(*key, *parts) for key in keys])
     tables = [_pair_table(key, _latest_cells(found[pair_path(*key, *parts)]), columns) for key in keys]
@@ -214,17 +207,13 @@ def _latest_cells(batches: Sequence[Any]) -> dict[str, Any]:
     return {name: cell for name, (_, cell) in latest.items()}
 
 
-_MATCH_COLUMNS = (
-    "target_index",
-    "source_index",
-    "target_point_m",
-    "source_point_m",
-    "feature_distance",
-    "agrees_with",
-    "residual_m",
-)
-_SURFACE_COLUMNS = ("target_point_m", "source_point_m", "distance_m", "plane_distance_m")
 TABLES: Mapping[str, Callable[[Path], pa.Table]] = MappingProxyType(
-    {"pairs": _pairs, "matches": _matches, "surfaces": _surfaces, "merge": _merge, "timings": _timings}
+    {
+        "pairs": partial(_latest_table, entity=PAIR_TABLE, columns=PAIR_COLUMNS),
+        "matches": partial(_of_pairs, parts=("matches", "data"), columns=_MATCH_COLUMNS),
+        "surfaces": partial(_of_pairs, parts=("fine", "matches"), columns=_SURFACE_COLUMNS),
+        "merge": partial(_latest_table, entity=MERGE_TABLE, columns=MERGE_COLUMNS),
+        "timings": _timings,
+    }
 )
-"""Tables of a recording, each with its reader."""
+"""What can be asked of a recording, with its reader: `matches` are of descriptors, `surfaces` at the final pose."""

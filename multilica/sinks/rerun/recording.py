@@ -12,19 +12,22 @@ import rerun_bindings as bindings
 
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
-from multilica.sinks.files.result_files import toml_text
+from multilica.sinks.files.result_files import config_toml
 from multilica.sinks.rerun import pairs
 from multilica.sinks.rerun.blueprint import final_blueprint, stage_blueprint
-from multilica.sinks.rerun.data import log_data, log_data_tables, log_timings
+from multilica.sinks.rerun.data import log_data, log_timings
 from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed, log_residuals
-from multilica.sinks.rerun.matches import log_matches
-from multilica.sinks.rerun.pairs import log_contested_places
+from multilica.sinks.rerun.pairs import log_contested_places, log_matches
 from multilica.sinks.rerun.record_limits import limits_for
 from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
 from multilica.sinks.rerun.scene import RerunScene
-from multilica.sinks.rerun.tables import log_pair_tables, log_summary
+from multilica.sinks.rerun.tables import log_data_tables, log_pair_tables, log_summary
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, cause_of_end, log_end, log_lines
+
+_NAME = "multilica"
+_FLUSH_TIMEOUT_S = 60.0
+_FLUSH_TICK_S = 7 * 86_400.0
 
 
 def send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
@@ -49,11 +52,6 @@ def send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None
 def end_threads() -> None:
     """End the threads of streams that nothing refers to any more."""
     bindings.flush_and_cleanup_orphaned_recordings()
-
-
-_NAME = "multilica"
-_FLUSH_TIMEOUT_S = 60.0
-_FLUSH_TICK_S = 7 * 86_400.0
 
 
 class RerunRecording:
@@ -108,7 +106,6 @@ class RerunRecording:
 
 
 def _flush(stream: rr.RecordingStream) -> None:
-    """Write everything logged so far to disk."""
     try:
         stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
     except RuntimeError as error:
@@ -151,7 +148,7 @@ def _register_pair(scene: RerunScene, event: events.PairRegistered) -> None:
 
 
 def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
-    log_outcome(scene, event)
+    log_outcome(scene)
     log_contested_places(scene)
     log_data_tables(scene)
     log_timings(scene)
@@ -171,15 +168,13 @@ def _log_end(scene: RerunScene, error: BaseException | None) -> None:
 
 
 def _send_properties(scene: RerunScene, status: str) -> None:
-    state = scene.state
-    if state.provenance is None or state.config is None:
-        return
+    document = scene.state.document
     values = rr.AnyValues(
         status=status,
-        version=state.provenance.versions["multilica"],
-        input_source=state.provenance.input.source,
-        input_sha256=state.provenance.input.sha256,
-        config=toml_text(state.config.model_dump(mode="json")),
+        version=document.versions["multilica"],
+        input_source=document.input.source,
+        input_sha256=document.input.sha256,
+        config=config_toml(document.config),
     )
     scene.stream.send_property(_NAME, values)
 

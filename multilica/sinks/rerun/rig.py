@@ -8,7 +8,8 @@ import numpy.typing as npt
 import rerun as rr
 
 from multilica import events
-from multilica.results import GroundPlane, LidarPlacement, MergeCandidate, MergeDecision, PairKey
+from multilica.results import GroundPlane, MergeCandidate, MergeDecision, PairKey
+from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.palette import MUTED, VERDICT_COLOURS
 from multilica.sinks.drawing.shapes import EDGE_LABEL_SHARE, ellipsoid_label, ellipsoid_scale, uncertainty_ellipsoid
 from multilica.sinks.rerun.entity_paths import GROUND, MERGE_GRAPH, MERGE_STEPS, lidar_frame, lidar_path, slot_frame
@@ -31,11 +32,13 @@ def log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
         member, is_root = pose.source, pose.source == pose.target
         parent = slot_frame(member) if is_root else lidar_frame(pose.target)
         scene.log(lidar_path(member, "sensor"), rigid(lidar_frame(member), parent, None if is_root else pose))
-    scene.log_document(MERGE_STEPS, decisions_markdown(scene.state.decisions, by_evidence=_by_evidence(scene)))
-    _log_graph(scene, scene.state.decisions)
+    decisions, config = scene.state.decisions, scene.state.config
+    by_evidence = config is None or config.verify.enabled
+    scene.log_document(MERGE_STEPS, decisions_markdown(decisions, by_evidence=by_evidence))
+    _log_graph(scene, decisions, by_evidence=by_evidence)
 
 
-def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision]) -> None:
+def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision], *, by_evidence: bool) -> None:
     """Log LiDARs on a circle; each pair is an edge through a small node with the figure that ranks it."""
     latest, merged = _latest_pairs(decisions), [decision.chosen for decision in decisions]
     angles = np.linspace(0.0, 2.0 * np.pi, len(scene.state.lidars), endpoint=False) - np.pi / 2.0
@@ -45,24 +48,20 @@ def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision]) -> None:
     middles = [places[end] + EDGE_LABEL_SHARE * (places[start] - places[end]) for end, start in pairs]
     outcomes = {pair: _outcome(scene, latest[pair]) for pair in pairs}
     words = {pair: _words(latest[pair], outcomes[pair], merged=latest[pair] in merged) for pair in pairs}
+    figures = {
+        pair: f"evidence {latest[pair].evidence:z.1f}" if by_evidence else f"fitness {latest[pair].fitness:.2f}"
+        for pair in pairs
+    }
     nodes = rr.GraphNodes(
         node_ids=[*places, *(pair_label(*pair) for pair in pairs)],
         positions=[*places.values(), *middles],
-        labels=[*places, *(f"{_rank_figure(scene, latest[pair])} {words[pair]}" for pair in pairs)],
+        labels=[*places, *(f"{figures[pair]} {words[pair]}" for pair in pairs)],
         colors=[*map(scene.colour, places), *(VERDICT_COLOURS[outcomes[pair]] for pair in pairs)],
         radii=[_NODE_RADIUS] * len(places) + [_LABEL_RADIUS] * len(pairs),
         show_labels=True,
     )
     edges = [edge for pair in pairs for edge in ((pair[1], pair_label(*pair)), (pair_label(*pair), pair[0]))]
     scene.log(MERGE_GRAPH, nodes, rr.GraphEdges(edges=edges, graph_type="directed"))
-
-
-def _by_evidence(scene: RerunScene) -> bool:
-    return scene.state.config is None or scene.state.config.verify.enabled
-
-
-def _rank_figure(scene: RerunScene, one: MergeCandidate) -> str:
-    return f"evidence {one.evidence:z.1f}" if _by_evidence(scene) else f"fitness {one.fitness:.2f}"
 
 
 def _latest_pairs(decisions: Sequence[MergeDecision]) -> dict[PairKey, MergeCandidate]:
@@ -91,40 +90,39 @@ def _outcome(scene: RerunScene, pair: MergeCandidate) -> str:
     return "reject" if latest is None else latest.verdict.outcome
 
 
-def log_outcome(scene: RerunScene, event: events.CalibrationFinished) -> None:
+def log_outcome(scene: RerunScene) -> None:
     """Log every placed or uncertain LiDAR in the target's frame."""
-    result = event.result
-    scale = ellipsoid_scale(result.placements)
-    if result.target in scene.state.lidars:
-        scene.log(lidar_path(result.target, "sensor"), rigid(lidar_frame(result.target), slot_frame(result.target)))
-    for place in result.placements:
-        if place.T_target_source is not None and place.lidar != result.target:
-            pose = rigid(lidar_frame(place.lidar), lidar_frame(result.target), place.T_target_source)
-            scene.log(lidar_path(place.lidar, "sensor"), pose)
-            if place.covariance is not None:
-                _log_uncertainty(scene, result.target, place, scale)
+    document = scene.state.document
+    target = document.target
+    if target in scene.state.lidars:
+        scene.log(lidar_path(target, "sensor"), rigid(lidar_frame(target), slot_frame(target)))
+    for lidar, pose in document.poses.items():
+        if lidar != target:
+            scene.log(lidar_path(lidar, "sensor"), rigid(lidar_frame(lidar), lidar_frame(target), pose))
+            _log_uncertainty(scene, document, lidar)
 
 
-def _log_uncertainty(scene: RerunScene, target: str, place: LidarPlacement, scale: float) -> None:
+def _log_uncertainty(scene: RerunScene, document: ResultDocument, lidar: str) -> None:
     """Log the enlarged ellipsoid of the position in the target's frame; the name of an uncertain LiDAR says so."""
-    ellipsoid = uncertainty_ellipsoid(place)
+    ellipsoid, scale = uncertainty_ellipsoid(document, lidar), ellipsoid_scale(document)
     if ellipsoid is None:
         return
+    label = ellipsoid_label(document, lidar, scale)
     half_sizes_m, axes = ellipsoid
     shape = rr.Ellipsoids3D(
-        centers=[place.T_target_source.xyz_m] if place.T_target_source else [],
+        centers=[axes.xyz_m],
         half_sizes=[scale * half_sizes_m],
         quaternions=[rr.Quaternion(xyzw=axes.quaternion_xyzw)],
-        colors=[scene.colour(place.lidar)],
-        line_radii=rr.Radius.ui_points(_UNCERTAIN_LINE if place.uncertain else _SURE_LINE),
+        colors=[scene.colour(lidar)],
+        line_radii=rr.Radius.ui_points(_UNCERTAIN_LINE if label else _SURE_LINE),
         fill_mode=rr.components.FillMode.MajorWireframe,
     )
-    scene.log_in(lidar_frame(target), lidar_path(place.lidar, "uncertainty"), shape)
-    if place.uncertain:
+    scene.log_in(lidar_frame(document.target), lidar_path(lidar, "uncertainty"), shape)
+    if label:
         pole_m = name_pole_m(0, top=True)
-        scene.log(lidar_path(place.lidar, "name"), rr.LineStrips3D.from_fields(strips=pole_m))
-        label = rr.Points3D.from_fields(positions=pole_m[0, 1:], labels=[ellipsoid_label(place, scale)])
-        scene.log(lidar_path(place.lidar, "name", "tip"), label)
+        scene.log(lidar_path(lidar, "name"), rr.LineStrips3D.from_fields(strips=pole_m))
+        tip = rr.Points3D.from_fields(positions=pole_m[0, 1:], labels=[label])
+        scene.log(lidar_path(lidar, "name", "tip"), tip)
 
 
 def log_ground(scene: RerunScene, event: events.GroundEstimated) -> None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tables of a recording: of all pairs, of the merge, and the summary."""
 
+import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 
@@ -10,13 +11,15 @@ import pyarrow as pa
 import rerun as rr
 
 from multilica.geometry import FloatArray
-from multilica.results import MergeDecision, PairKey, PairRegistration, PairResidual
+from multilica.results import MergeDecision, PairKey, PairRegistration
+from multilica.results.document.pairs import ResidualEntry
 from multilica.sinks.drawing.palette import VERDICT_COLOURS, heat_colours
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.rerun.entity_paths import (
     COVERAGE,
     FITNESS,
     HYPOTHESES_TABLE,
+    MERGE_TABLE,
+    PAIR_TABLE,
     PAIRS_TABLE,
     RESULT,
     SUMMARY,
@@ -26,7 +29,13 @@ from multilica.sinks.rerun.scene import RerunScene
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.markdown import hypotheses_markdown, pair_figures_markdown, summary_markdown
 
+_CELL_PIXELS = np.array([60, 20])
+_LABEL_SHARE = 0.05
+Cells = dict[tuple[int, int], PairRegistration]
+"""Registered pairs by row of the target and column of the source, in this order."""
+
 _TEXT, _COUNT, _NUMBER, _FLAG = pa.string(), pa.int64(), pa.float64(), pa.bool_()
+_OF_CANDIDATE = ("target", "source", "evidence", "fitness", "rmse_m", "reason", "of_groups")
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
 
 PAIR_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
@@ -40,7 +49,7 @@ PAIR_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
         **dict.fromkeys(("rig_residual_m", "rig_residual_deg", "rig_weight", *_POSE), _NUMBER),
     }
 )
-"""Columns of the table of pairs; a figure that is not known is null, a text empty. The pose is `T_target_source`."""
+"""Of the table of pairs; a figure that is not known is null, a text empty. The pose is `T_target_source`."""
 MERGE_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
     {
         **dict.fromkeys(("merge_step", "rank"), _COUNT),
@@ -50,73 +59,73 @@ MERGE_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
         **dict.fromkeys(("chosen", "of_groups"), _FLAG),
     }
 )
-"""Columns of the table of merge candidates; steps and ranks count from 1."""
+"""Of the table of merge candidates; steps and ranks count from 1."""
 
 
-def pair_rows(state: RunState) -> list[dict[str, object]]:
-    """Return a row per pair that was matched or registered."""
-    refinement = None if state.result is None else state.result.refinement
-    residuals = (
-        {} if refinement is None else {state.key_of(each.target, each.source): each for each in refinement.pairs}
-    )
+def log_data_tables(scene: RerunScene) -> None:
+    """Log one row per pair that was matched or registered, and one per candidate of each merge step."""
+    if scene.state.pairs:
+        _log_rows(scene, PAIR_TABLE, PAIR_COLUMNS, _pair_rows(scene.state))
+    if scene.state.decisions:
+        _log_rows(scene, MERGE_TABLE, MERGE_COLUMNS, _merge_rows(scene.state.decisions))
+
+
+def _log_rows(
+    scene: RerunScene, path: str, columns: Mapping[str, pa.DataType], rows: Sequence[Mapping[str, object]]
+) -> None:
+    """Log a table as one cell per column, so that the latest row of the entity is the whole table."""
+    # Null where a number is not known: NaN would make equal recordings differ.
+    arrays = {name: pa.array([_known(row.get(name)) for row in rows], kind) for name, kind in columns.items()}
+    scene.log(path, rr.AnyValues(**arrays))
+
+
+def _known(value: object) -> object:
+    """Return the value; None for a number that is not finite."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _pair_rows(state: RunState) -> list[dict[str, object]]:
+    refinement = state.document.refinement
+    refined = () if refinement is None else refinement.pairs
+    residuals = {state.key_of(*each.key): each for each in refined}
     return [_pair_row(state, pair, residuals.get(pair)) for pair in state.pairs]
 
 
-def _pair_row(state: RunState, pair: PairKey, residual: PairResidual | None) -> dict[str, object]:
+def _pair_row(state: RunState, pair: PairKey, residual: ResidualEntry | None) -> dict[str, object]:
     found, coarse = state.registrations.get(pair), state.coarse.get(pair)
     row: dict[str, object] = {
         "target": pair[0],
         "source": pair[1],
         "matches": len(state.matches.get(pair, ())),
         "hypotheses": 0 if coarse is None else len(coarse.hypotheses),
-        **dict.fromkeys(("pose_from", "reasons"), ""),
+        "pose_from": "",
         "verdict": "no pose",
-        **{name: None for name, kind in PAIR_COLUMNS.items() if kind == _NUMBER},
+        "reasons": "",
     }
-    row |= {} if found is None else _figures(pair, found)
+    if found is not None:
+        pose = found.T_target_source.with_target(pair[0])
+        row |= {"pose_from": found.start_name, "verdict": found.verdict.outcome, **found.figures}
+        row["reasons"] = ",".join(found.verdict.codes)
+        row |= zip(_POSE, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
     if residual is not None:
         row |= {"rig_residual_m": residual.after_m, "rig_residual_deg": residual.after_deg}
         row["rig_weight"] = residual.weight
     return row
 
 
-def _figures(pair: PairKey, found: PairRegistration) -> dict[str, object]:
-    pose = found.T_target_source.with_target(pair[0])
-    return {
-        "pose_from": found.start_name,
-        "verdict": found.verdict.outcome,
-        "reasons": ",".join(found.verdict.codes),
-        **found.figures,
-        **dict(zip(_POSE, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)),
-    }
-
-
-def merge_rows(decisions: Sequence[MergeDecision]) -> list[dict[str, object]]:
+def _merge_rows(decisions: Sequence[MergeDecision]) -> list[dict[str, object]]:
     """Return a row per merge step and candidate, in the order in which they were ranked."""
     return [
         {
             "merge_step": decision.step + 1,
             "rank": rank,
-            "target": one.target,
-            "source": one.source,
-            "evidence": one.evidence,
-            "fitness": one.fitness,
-            "rmse_m": one.rmse_m,
+            **{name: getattr(one, name) for name in _OF_CANDIDATE},
             "verdict": "accept" if one.passes else "uncertain" if one.uncertain else "refused",
-            "reason": one.reason,
             "chosen": one == decision.chosen,
-            "of_groups": one.of_groups,
         }
         for decision in decisions
         for rank, one in enumerate(decision.candidates, start=1)
     ]
-
-
-_CELL_PIXELS = np.array([60, 20])
-_LABEL_SHARE = 0.05
-
-Cells = dict[tuple[int, int], PairRegistration]
-"""Registered pairs by row of the target and column of the source, in this order."""
 
 
 def log_summary(scene: RerunScene, ended_by: str = "") -> None:
@@ -124,11 +133,9 @@ def log_summary(scene: RerunScene, ended_by: str = "") -> None:
 
     The document has no stage times, so that equal runs make equal recordings.
     """
-    document = run_document(scene.state)
-    scene.log_document(SUMMARY, summary_markdown(scene.state, document, ended_by))
-    if document is not None:
-        text = document.model_copy(update={"timing_s": {}}).model_dump_json()
-        scene.log(RESULT, rr.TextDocument(text, media_type=rr.MediaType.TEXT))
+    scene.log_document(SUMMARY, summary_markdown(scene.state, ended_by))
+    text = scene.state.document.model_copy(update={"timing_s": {}}).model_dump_json()
+    scene.log(RESULT, rr.TextDocument(text, media_type=rr.MediaType.TEXT))
 
 
 def log_pair_tables(scene: RerunScene) -> None:

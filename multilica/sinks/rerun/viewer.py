@@ -119,15 +119,22 @@ def _free_port() -> int:
         return int(free.getsockname()[1])
 
 
+def _polls(pause_s: float) -> Iterator[None]:
+    """Yield until the time is over, with pauses."""
+    end_s = time.monotonic() + _TIMEOUT_S
+    while time.monotonic() < end_s:
+        yield
+        time.sleep(pause_s)
+
+
 def _connect(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> ViewerClient:
     from rerun.experimental import ViewerClient
 
-    end_s = time.monotonic() + _TIMEOUT_S
-    while process.poll() is None and time.monotonic() < end_s:
-        try:
+    for _ in _polls(0.1):
+        if process.poll() is not None:
+            break
+        with suppress(ConnectionError):
             return ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-        except ConnectionError:
-            time.sleep(0.1)
     output.seek(0)
     lines = output.read().decode(errors="replace").split("\n")
     last_line = next((line.strip() for line in reversed(lines) if line.strip()), "nothing")
@@ -135,24 +142,19 @@ def _connect(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> 
 
 
 def _await_loaded(viewer: ViewerClient, recording: Path) -> None:
-    """Wait until a timeline is there."""
-    end_s = time.monotonic() + _TIMEOUT_S
-    while time.monotonic() < end_s:
+    for _ in _polls(0.1):
         if any(one.timelines for one in viewer.get_state().recordings):
             return
-        time.sleep(0.1)
     raise ViewerError(f"Rerun's viewer did not load {recording} within {_TIMEOUT_S:.0f} s; is it a recording?")
 
 
 def _settled_picture(viewer: ViewerClient, recording: Path) -> bytes:
     """Return the picture once it stops changing: chunks arrive on demand, messages of the viewer fade."""
-    end_s = time.monotonic() + _TIMEOUT_S
     last, same = b"", 0
-    while time.monotonic() < end_s:
+    for _ in _polls(_PAUSE_S):
         picture = viewer.take_screenshot(max_size=_SMALL_PX)
         same = same + 1 if picture == last else 0
         if same >= _SAME_IN_A_ROW:
             return bytes(viewer.take_screenshot())
         last = picture
-        time.sleep(_PAUSE_S)
     raise ViewerError(f"Rerun's viewer did not finish drawing {recording} within {_TIMEOUT_S:.0f} s.")

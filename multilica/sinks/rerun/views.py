@@ -13,7 +13,7 @@ from multilica.results import PairKey
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.drawing.shapes import kept_count, sample_points, shown_radius_m, slot_offsets_m
 from multilica.sinks.rerun.entity_paths import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
-from multilica.sinks.rerun.matches import lift_m
+from multilica.sinks.rerun.pairs import lift_m
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
@@ -21,6 +21,9 @@ _SAMPLE = 20_000
 _FAR_SHARE = 75.0
 _RADIUS_LIMITS_M = (6.0, 40.0)
 _ASIDE_M = 1.0
+_DARK = (13, 16, 17)
+_DIM = 0.45
+_SCORED_LEGEND = ": green agrees, red lies in proven-empty space, grey is occluded"
 
 
 def around_lidar(state: RunState, lidar: str, *, zoom: float = 1.0, raised_m: float = 0.0) -> rrb.EyeControls3D:
@@ -47,14 +50,9 @@ def _extent_of(state: RunState, lidar: str) -> tuple[FloatArray, float]:
 
 def around_rig(state: RunState) -> rrb.EyeControls3D:
     """Look at the clouds of all LiDARs with a pose, in the target's frame."""
-    placements = state.result.placements if state.result is not None else ()
-    clouds = [
-        place.T_target_source.apply(sampled_cloud(state, place.lidar))
-        for place in placements
-        if place.T_target_source is not None
-    ]
-    target = state.result.target if state.result is not None else ""
-    return three_quarter(*_extent(np.concatenate([np.empty((0, 3)), *clouds])), up_axis(state, target))
+    document = state.document
+    clouds = [pose.apply(sampled_cloud(state, name)) for name, pose in document.poses.items()]
+    return three_quarter(*_extent(np.concatenate([np.empty((0, 3)), *clouds])), up_axis(state, document.target))
 
 
 def three_quarter(centre_m: FloatArray, radius_m: float, up: FloatArray) -> rrb.EyeControls3D:
@@ -82,15 +80,11 @@ def sampled_cloud(state: RunState, lidar: str) -> FloatArray:
 
 def up_axis(state: RunState, lidar: str) -> FloatArray:
     """Return the up axis (3,) in the LiDAR's frame: its z axis until its pose and the ground are known."""
-    up = np.array([0.0, 0.0, 1.0])
-    if state.result is None:
+    document, up = state.document, np.array([0.0, 0.0, 1.0])
+    pose = document.poses.get(lidar)
+    if pose is None:
         return up
-    if state.result.ground is not None:
-        up = state.result.ground.normal
-    for place in state.result.placements:
-        if place.lidar == lidar and place.T_target_source is not None:
-            return np.asarray(place.T_target_source.rotation.T @ up)
-    return np.array([0.0, 0.0, 1.0])
+    return np.asarray(pose.rotation.T @ (up if document.ground is None else document.ground.normal))
 
 
 def _extent(points_m: FloatArray) -> tuple[FloatArray, float]:
@@ -117,11 +111,6 @@ def _horizontal(up: FloatArray, towards_m: FloatArray | None = None) -> tuple[Fl
     ahead = axis - (axis @ up) * up
     ahead /= np.linalg.norm(ahead)
     return ahead, np.cross(up, ahead)
-
-
-_DARK = (13, 16, 17)
-_DIM = 0.45
-_SCORED_LEGEND = ": green agrees, red lies in proven-empty space, grey is occluded"
 
 
 def scene_view(

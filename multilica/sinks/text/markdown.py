@@ -4,42 +4,23 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from multilica.diagnosis import Explanation, Missing, Uncertain, explain
+from multilica.diagnosis import Explanation, Missing, explain
 from multilica.results import (
     PRIOR,
-    CalibrationResult,
     Hypothesis,
-    LidarPlacement,
     MergeCandidate,
     MergeDecision,
     PairKey,
     PairRegistration,
     Registration,
+    SnapshotReport,
 )
-from multilica.results.document import ResultDocument
+from multilica.results.document import LidarEntry, ResultDocument
 from multilica.sinks.drawing.shapes import SIGMAS, ellipsoid_scale
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
-
-def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Format a table; cells may hold any text."""
-    lines = [header, ["---"] * len(header), *rows]
-    return "\n".join(f"| {' | '.join(escaped(cell) for cell in line)} |" for line in lines)
-
-
-def thousandths(value: float) -> str:
-    """Format with three decimals; a dash if not finite, as the RMSE without points in common."""
-    return f"{value:.3f}" if math.isfinite(value) else "-"
-
-
-def escaped(text: str) -> str:
-    """Escape what would end a cell."""
-    return text.replace("|", "\\|").replace("\n", " ")
-
-
 Shown = Registration | Hypothesis
-
 _SHOWN_HYPOTHESES = 3
 _FIGURES_HEADER = (
     "pair",
@@ -66,6 +47,24 @@ _SCORES_LEGEND = (
     "space, grey behind a surface, dark out of view. Evidence: log-odds that the pose is the true one. To see a pose, "
     "go to its step on the timeline `step`."
 )
+# As narrow as it can be: the viewer cuts what is wider than its pane.
+_PLACEMENT_HEADER = ("LiDAR", "x m", "y m", "z m", "roll °", "pitch °", "yaw °", "sigma mm", "sigma °")
+
+
+def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Format a table; cells may hold any text."""
+    lines = [header, ["---"] * len(header), *rows]
+    return "\n".join(f"| {' | '.join(escaped(cell) for cell in line)} |" for line in lines)
+
+
+def thousandths(value: float) -> str:
+    """Format with three decimals; a dash if not finite, as the RMSE without points in common."""
+    return f"{value:.3f}" if math.isfinite(value) else "-"
+
+
+def escaped(text: str) -> str:
+    """Escape what would end a cell."""
+    return text.replace("|", "\\|").replace("\n", " ")
 
 
 def pair_figures_markdown(state: RunState) -> str:
@@ -215,23 +214,19 @@ def _candidate_verdict(one: MergeCandidate, chosen: MergeCandidate | None) -> st
     return "passes" if one.passes else "uncertain" if one.uncertain else "does not pass"
 
 
-# As narrow as it can be: the viewer cuts what is wider than its pane.
-_PLACEMENT_HEADER = ("LiDAR", "x m", "y m", "z m", "roll °", "pitch °", "yaw °", "sigma mm", "sigma °")
-
-
-def summary_markdown(state: RunState, document: ResultDocument | None, ended_by: str = "") -> str:
+def summary_markdown(state: RunState, ended_by: str = "") -> str:
     """Summarise the outcome, or the progress of a run that has none yet.
 
     Args:
-        document: of that state, see `run_document`.
         ended_by: why the run ended early.
     """
+    document = state.document
     parts = [
-        *([] if document is None else _explanation_parts(explain(document))),
+        *_explanation_parts(explain(document)),
         f"The run ended early: **{escaped(ended_by)}**" if ended_by else "",
-        *_result_parts(state.result),
-        _input_part(state),
-        _version_part(state),
+        *_result_parts(document, () if state.result is None else state.result.snapshots),
+        _input_part(document),
+        ", ".join(f"{package} {version}" for package, version in document.versions.items()),
     ]
     return "\n\n".join(part for part in parts if part)
 
@@ -245,7 +240,7 @@ def _explanation_parts(explanation: Explanation) -> Iterator[str]:
     for missing in explanation.missing:
         yield _missing_part(missing)
     for uncertain in explanation.uncertain:
-        yield _uncertain_part(uncertain)
+        yield "\n".join([f"- **{uncertain.headline}**", *_advice_lines(uncertain.advice)])
     if explanation.advice:
         yield "\n".join(f"- What helps: {advice}." for advice in explanation.advice)
 
@@ -261,55 +256,38 @@ def _missing_part(missing: Missing) -> str:
     return "\n".join([*lines, *_advice_lines(missing.advice)])
 
 
-def _uncertain_part(uncertain: Uncertain) -> str:
-    return "\n".join([f"- **{uncertain.headline}**", *_advice_lines(uncertain.advice)])
-
-
 def _advice_lines(advice: Sequence[str]) -> Iterator[str]:
     return (f"  - What helps: {each}." for each in advice)
 
 
-def _result_parts(result: CalibrationResult | None) -> Iterator[str]:
-    if result is None or result.refusal is not None:
+def _result_parts(document: ResultDocument, snapshots: Sequence[SnapshotReport]) -> Iterator[str]:
+    if document.status == "unfinished" or document.refusal is not None:
         return
-    if any(place.T_target_source is not None and place.lidar != result.target for place in result.placements):
-        yield f"Target: **{escaped(result.target)}** ({escaped(result.target_reason)})"
-    yield markdown_table(_PLACEMENT_HEADER, [_placement_row(place) for place in result.placements])
-    if any(place.covariance is not None for place in result.placements):
-        scale = ellipsoid_scale(result.placements)
+    if {*document.poses} - {document.target}:
+        yield f"Target: **{escaped(document.target)}** ({escaped(document.target_reason)})"
+    yield markdown_table(_PLACEMENT_HEADER, [_placement_row(name, entry) for name, entry in document.lidars.items()])
+    if any(entry.covariance is not None for entry in document.lidars.values()):
+        scale = ellipsoid_scale(document)
         yield f"Ellipsoids of the rig: {SIGMAS:g} sigma of the position, {scale:g} times enlarged."
-    if result.snapshots:
-        yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in result.snapshots)
-    if result.ground is not None:
-        yield f"Ground, frame {escaped(result.ground.frame)}: {escaped(result.ground.text)}."
+    if snapshots:
+        yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in snapshots)
+    if document.ground is not None:
+        yield f"Ground, frame {escaped(document.ground.frame)}: {escaped(document.ground.text)}."
 
 
-def _placement_row(place: LidarPlacement) -> Sequence[str]:
-    if place.T_target_source is None:
-        return (f"{place.lidar} (**not placed**)", *("-",) * 8)
-    pose = place.T_target_source
-    numbers = (*(f"{value:z.3f}" for value in pose.xyz_m), *(f"{value:z.2f}" for value in pose.rpy_deg))
-    xyz_m, rotation_deg = place.sigma_xyz_m, place.sigma_rotation_deg
+def _placement_row(name: str, entry: LidarEntry) -> Sequence[str]:
+    if entry.xyz_m is None or entry.rpy_deg is None:
+        return (f"{name} (**not placed**)", *("-",) * 8)
+    numbers = (*(f"{value:z.3f}" for value in entry.xyz_m), *(f"{value:z.2f}" for value in entry.rpy_deg))
     sigmas = ("-", "-")
-    if xyz_m is not None and rotation_deg is not None:
-        sigmas = (f"{1e3 * xyz_m.max():.1f}", f"{rotation_deg.max():.3f}")
-    name = f"{place.lidar} (**uncertain**)" if place.uncertain else place.lidar
-    return (name, *numbers, *sigmas)
+    if entry.sigma_xyz_m is not None and entry.sigma_rotation_deg is not None:
+        sigmas = (f"{1e3 * max(entry.sigma_xyz_m):.1f}", f"{max(entry.sigma_rotation_deg):.3f}")
+    return (f"{name} (**uncertain**)" if entry.status == "uncertain" else name, *numbers, *sigmas)
 
 
-def _input_part(state: RunState) -> str:
-    if state.snapshot is None:
-        return ""
-    rows = [
-        (lidar.name, lidar.topic or "-", str(len(lidar.scans)), f"{lidar.points_count:,}")
-        for lidar in state.snapshot.lidars
-    ]
-    digest = state.snapshot.source_sha256[:16] or "none"
-    source = f"## Input\n\n`{state.snapshot.source or 'in memory'}`, sha256 `{digest}`"
-    return f"{source}\n\n{markdown_table(('LiDAR', 'topic', 'frames', 'points'), rows)}"
-
-
-def _version_part(state: RunState) -> str:
-    if state.provenance is None:
-        return ""
-    return ", ".join(f"{package} {version}" for package, version in state.provenance.versions.items())
+def _input_part(document: ResultDocument) -> str:
+    source = document.input
+    rows = [(name, lidar.topic or "-", str(lidar.frames), f"{lidar.points:,}") for name, lidar in source.lidars.items()]
+    digest = source.sha256[:16] or "none"
+    table = markdown_table(("LiDAR", "topic", "frames", "points"), rows)
+    return f"## Input\n\n`{source.source or 'in memory'}`, sha256 `{digest}`\n\n{table}"

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Figures per stage that `multilica diff` compares."""
 
+from __future__ import annotations
+
 import hashlib
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from multilica.config import Stage
-from multilica.geometry import RigidTransform
+from multilica.results import CoarseResult
 from multilica.results.document.stages import (
     CoarseFigures,
     CorrespondFigures,
@@ -24,8 +26,10 @@ from multilica.results.document.stages import (
     VerifyFigures,
 )
 from multilica.results.document.values import Entry
-from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
+
+if TYPE_CHECKING:
+    from multilica.sinks.run_state import RunState
 
 _DIGEST_CHARACTERS = 16
 
@@ -47,10 +51,6 @@ def _digest(*arrays: npt.NDArray[Any]) -> str:
     for array in arrays:
         whole.update(np.ascontiguousarray(array).tobytes())
     return whole.hexdigest()[:_DIGEST_CHARACTERS]
-
-
-def _pose(pose: RigidTransform) -> dict[str, Any]:
-    return {"xyz_m": pose.xyz_m, "rpy_deg": pose.rpy_deg}
 
 
 def _ingest(state: RunState) -> dict[str, IngestFigures]:
@@ -94,26 +94,21 @@ def _correspond(state: RunState) -> dict[str, CorrespondFigures]:
 
 
 def _coarse(state: RunState) -> dict[str, CoarseFigures]:
-    return {
-        pair_label(*pair): CoarseFigures(
-            hypotheses=len(coarse.hypotheses),
-            graph_nodes=coarse.graph_nodes,
-            graph_edges=coarse.graph_edges,
-            clique_size=coarse.clique_size,
-            **({"score": coarse.hypotheses[0].score} if coarse.hypotheses else {}),
-            **({"solver": coarse.hypotheses[0].origin} if coarse.hypotheses else {}),
-            **(_pose(coarse.hypotheses[0].T_target_source) if coarse.hypotheses else {}),
-        )
-        for pair, coarse in state.coarse.items()
-    }
+    return {pair_label(*pair): _of_hypotheses(coarse) for pair, coarse in state.coarse.items()}
+
+
+def _of_hypotheses(coarse: CoarseResult) -> CoarseFigures:
+    count = len(coarse.hypotheses)
+    if not count:
+        return CoarseFigures.of(coarse, hypotheses=0)
+    best = coarse.hypotheses[0]
+    return CoarseFigures.of(best.T_target_source, best, coarse, hypotheses=count, solver=best.origin)
 
 
 def _verify(state: RunState) -> dict[str, VerifyFigures]:
     return {
-        pair_label(*pair): VerifyFigures(
-            distinct=len(found),
-            **({"agree": found[0].visibility.agree, "violate": found[0].visibility.violate} if found else {}),
-            **({"evidence": found[0].evidence, **_pose(found[0].T_target_source)} if found else {}),
+        pair_label(*pair): VerifyFigures.of(
+            *((found[0].T_target_source, found[0].visibility, found[0]) if found else ()), distinct=len(found)
         )
         for pair, found in state.verified.items()
     }
@@ -121,12 +116,7 @@ def _verify(state: RunState) -> dict[str, VerifyFigures]:
 
 def _fine(state: RunState) -> dict[str, FineFigures]:
     return {
-        pair_label(*pair): FineFigures(
-            verdict=found.verdict.outcome,
-            fitness=found.fitness,
-            rmse_m=found.rmse_m,
-            **_pose(found.T_target_source),
-        )
+        pair_label(*pair): FineFigures.of(found.T_target_source, found, verdict=found.verdict.outcome)
         for pair, found in state.registrations.items()
     }
 
@@ -143,14 +133,12 @@ def _merge(state: RunState) -> dict[str, MergeFigures]:
 
 
 def _refine(state: RunState) -> dict[str, PoseFigures]:
-    return {pose.source: PoseFigures(**_pose(pose)) for pose in state.rig}
+    return {pose.source: PoseFigures.of(pose) for pose in state.rig}
 
 
 def _ground(state: RunState) -> dict[str, GroundFigures]:
-    if state.ground is None or state.ground.ground is None:
-        return {}
-    plane = state.ground.ground
-    return {"plane": GroundFigures(offset_m=plane.offset_m, normal=plane.normal)}
+    plane = None if state.ground is None else state.ground.ground
+    return {} if plane is None else {"plane": GroundFigures.of(plane)}
 
 
 _FIGURES: Mapping[Stage, Callable[[RunState], Mapping[str, Entry]]] = {

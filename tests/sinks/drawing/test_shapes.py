@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
-from multilica.results import LidarPlacement
+from multilica.results import CalibrationResult, LidarPlacement
+from multilica.results.document import ResultDocument
+from multilica.results.document.building import Provenance, result_document
+from multilica.results.document.result import InputEntry
 from multilica.sinks.drawing.shapes import ellipsoid_scale, field_of_view, uncertainty_ellipsoid
 
 
@@ -62,6 +66,13 @@ def test_of_two_equal_gaps_rounding_chooses_none():
     np.testing.assert_allclose(*starts, atol=1e-6)
 
 
+def document_with(*placements: LidarPlacement) -> ResultDocument:
+    target = LidarPlacement("top", "the target", "placed", RigidTransform.identity("top", "top"))
+    source = InputEntry(source="", sha256="", lidars={})
+    result = CalibrationResult("top", "", (*placements, target))
+    return result_document(result, CalibrationConfig(), Provenance({}, source))
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_axes_have_fixed_signs_and_are_right_handed(seed):
     turn = Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
@@ -69,7 +80,7 @@ def test_axes_have_fixed_signs_and_are_right_handed(seed):
     covariance[3:, 3:] = turn @ np.diag([1e-6, 4e-6, 9e-6]) @ turn.T
     pose = RigidTransform.identity("top", "rear")
     place = LidarPlacement("rear", "placed", "placed", T_target_source=pose, covariance=covariance)
-    half_sizes_m, axes = uncertainty_ellipsoid(place)
+    half_sizes_m, axes = uncertainty_ellipsoid(document_with(place), "rear")
     np.testing.assert_allclose(half_sizes_m, [3e-3, 6e-3, 9e-3])
     np.testing.assert_allclose(np.abs(np.diag(turn.T @ axes.rotation)), 1.0)
     assert all(axis[np.argmax(np.abs(axis))] > 0.0 for axis in axes.rotation.T[:2])
@@ -81,7 +92,8 @@ def test_axes_have_fixed_signs_and_are_right_handed(seed):
 def test_ellipsoids_are_enlarged_as_far_as_the_largest_allows(sigma_m, scale):
     pose = RigidTransform.identity("top", "rear")
     small, large = (
-        LidarPlacement("rear", "", "placed", pose, covariance=np.eye(6) * each**2) for each in (1e-3, sigma_m)
+        LidarPlacement(name, "", "placed", pose, covariance=np.eye(6) * each**2)
+        for name, each in (("front", 1e-3), ("rear", sigma_m))
     )
-    assert ellipsoid_scale([small, large]) == scale
-    assert ellipsoid_scale([LidarPlacement("rear", "no pose")]) == 50.0
+    assert ellipsoid_scale(document_with(small, large)) == scale
+    assert ellipsoid_scale(document_with(LidarPlacement("rear", "no pose"))) == 50.0

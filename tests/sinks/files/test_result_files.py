@@ -17,7 +17,6 @@ from multilica.config import STAGES
 from multilica.errors import UnreadableSourceError
 from multilica.results.document import parse_result
 from multilica.results.document.building import collect_versions, provenance_of, result_document
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.files.result_files import ResultFiles, toml_text
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
@@ -96,7 +95,7 @@ def document_after(last):
         state(event)
         if isinstance(event, last):
             break
-    return run_document(state)
+    return state.document
 
 
 @pytest.mark.parametrize(

@@ -38,9 +38,10 @@ def with_values(contents: ReportContents, **values: object) -> ReportContents:
 
 def with_name(contents: ReportContents, lidar: str, name: str) -> ReportContents:
     """The same run, had a LiDAR borne another name."""
-    text = contents.document.model_dump_json().replace(lidar, json.dumps(name)[1:-1])
+    document = json.loads(contents.document.model_dump_json().replace(lidar, json.dumps(name)[1:-1]))
+    document["input"]["notes"] = [name]
     clouds = {name if each == lidar else each: cloud for each, cloud in contents.clouds.items()}
-    return ReportContents(ResultDocument.model_validate_json(text), clouds, notes=(name,))
+    return ReportContents(ResultDocument.model_validate(document), clouds)
 
 
 def ended_early(directory: Path) -> None:

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 from multilica.exports.formats import FORMATS
 from multilica.exports.run_rig import rig_of_run
 from multilica.sinks.files.result_files import calibration_toml
-from multilica.sinks.report.extrinsics_texts import extrinsics_texts
+from multilica.sinks.report.page import extrinsics_texts
 from tests.selection import RUN_FILES
 from tests.sinks.report.conftest import made_contents, with_name, with_values
 

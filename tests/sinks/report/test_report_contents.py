@@ -13,8 +13,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.report.contents import contents_of
-from multilica.sinks.report.outcome import outcome_of
-from multilica.sinks.report.page import report_html
+from multilica.sinks.report.page import opponents, report_html
 from multilica.sinks.report.rig_scene import refused_poses, rig_scene
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
@@ -29,27 +28,27 @@ def partial():
 
 
 def test_success_and_failure_have_their_sentence(partial):
-    assert outcome_of(made_contents("complete")).headline == "All 3 LiDARs are placed. The target is top."
-    assert outcome_of(partial).headline == (
+    assert made_contents("complete").explanation.headline == "All 3 LiDARs are placed. The target is top."
+    assert partial.explanation.headline == (
         "1 of 3 LiDARs is not placed. rear: it shares too few surfaces with the others (no overlap)."
     )
-    assert outcome_of(made_contents("failed")).headline == (
+    assert made_contents("failed").explanation.headline == (
         "2 of 3 LiDARs are not placed. front left/1 and rear: it shares too few surfaces with the others (no overlap)."
     )
 
 
 def test_a_failure_names_lidar_step_partner_and_reason(partial):
-    (failure,) = outcome_of(partial).failures
-    assert failure.missing.lidar == UNPLACED
-    assert failure.missing.step.startswith("fine")
-    assert failure.against in {("top",), ("front left/1",)}
-    assert "only 12 points lie on walls" in failure.missing.decisive.sentence
+    (failure,) = partial.explanation.missing
+    assert failure.lidar == UNPLACED
+    assert failure.step.startswith("fine")
+    assert opponents(failure) in {("top",), ("front left/1",)}
+    assert "only 12 points lie on walls" in failure.decisive.sentence
 
 
 def test_a_lidar_without_any_pose_failed_in_coarse():
-    failures = {one.missing.lidar: one for one in outcome_of(made_contents("failed")).failures}
-    assert failures[UNPLACED].missing.step.startswith("coarse")
-    assert failures[UNPLACED].pair is None
+    failures = {one.lidar: one for one in made_contents("failed").explanation.missing}
+    assert failures[UNPLACED].step.startswith("coarse")
+    assert failures[UNPLACED].decisive is None
 
 
 def test_a_pose_far_from_its_prior_is_noted():
@@ -60,30 +59,30 @@ def test_a_pose_far_from_its_prior_is_noted():
 
 
 def test_a_run_that_was_to_stop_has_not_failed():
-    outcome = outcome_of(made_contents("complete", until="coarse"))
+    outcome = made_contents("complete", until="coarse")
     assert outcome.badge == "stopped"
-    assert "after stage coarse (--until)" in outcome.headline
-    assert outcome.failures == ()
+    assert "after stage coarse (--until)" in outcome.explanation.headline
+    assert outcome.explanation.missing == ()
 
 
 def test_a_run_that_ended_early_tells_why_first():
     state = RunState()
     for event in list(made_events())[:12]:
         state(event)
-    outcome = outcome_of(contents_of(state, ended_early=STOPPED))
+    outcome = contents_of(state, ended_early=STOPPED)
     assert outcome.badge == "ended early"
-    assert "in stage features" in outcome.headline
+    assert "in stage features" in outcome.explanation.headline
     assert outcome.details == (STOPPED,)
-    assert outcome.known
+    assert outcome.explanation.known
 
 
 def test_a_refused_snapshot_is_named_as_such(partial):
     refusal = {"code": "moving_vehicle", "text": "The vehicle moves in drive.mcap."}
-    outcome = outcome_of(with_values(partial, refusal=refusal))
+    outcome = with_values(partial, refusal=refusal)
     assert outcome.badge == "refused"
-    assert "the vehicle moved" in outcome.headline
-    assert outcome.known == (refusal["text"],)
-    assert outcome.advice
+    assert "the vehicle moved" in outcome.explanation.headline
+    assert outcome.explanation.known == (refusal["text"],)
+    assert outcome.explanation.advice
 
 
 def test_a_doubtful_sensor_is_a_warning_even_where_all_is_placed():
@@ -91,7 +90,7 @@ def test_a_doubtful_sensor_is_a_warning_even_where_all_is_placed():
     dirt = {"code": "dirty", "value": 0.4, "limit": 0.1, "text": "40% of its field of view ends nearer than 1 m"}
     lidars = contents.document.model_dump(mode="json")["lidars"]
     lidars["rear"]["health"] = {"returns": 9, "near_share": 0.4, "blockage_ratio": 0.4, "reasons": [dirt]}
-    (warning,) = outcome_of(with_values(contents, lidars=lidars)).warnings
+    (warning,) = with_values(contents, lidars=lidars).explanation.warnings
     assert "rear" in warning
     assert dirt["text"] in warning
 

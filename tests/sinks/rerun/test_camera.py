@@ -9,11 +9,14 @@ import pytest
 from multilica.results import PreprocessedCloud
 from multilica.sinks.rerun.views import around_lidar, beside_lidar
 from multilica.sinks.run_state import RunState
+from tests.sinks.made_events import made_events
 
 
-def state_of(points_m: np.ndarray) -> RunState:
+def state_of(points_m: np.ndarray | None = None) -> RunState:
     state = RunState()
-    state.clouds["front"] = PreprocessedCloud("front", points_m, points_m, {})
+    state(next(iter(made_events())))
+    if points_m is not None:
+        state.clouds["front"] = PreprocessedCloud("front", points_m, points_m, {})
     return state
 
 
@@ -33,5 +36,5 @@ def test_a_wide_view_has_across_what_the_lidar_looks_at(yaw_deg):
 
 
 def test_a_lidar_without_returns_is_seen_as_well():
-    for eye in (around_lidar(RunState(), "front"), beside_lidar(RunState(), "front")):
+    for eye in (around_lidar(state_of(), "front"), beside_lidar(state_of(), "front")):
         assert np.all(np.isfinite(line_of_sight(eye)))

@@ -10,7 +10,6 @@ import pytest
 
 from multilica import events
 from multilica.results import CoarseResult, MergeCandidate, MergeDecision
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
 from multilica.sinks.text.markdown import candidate_label, decisions_markdown, hypotheses_markdown, summary_markdown
@@ -110,7 +109,7 @@ def test_other_points_have_another_digest():
     events_[index] = events.CloudPreprocessed(replace(cloud, points_m=cloud.points_m[::-1].copy()))
     for event in events_:
         state(event)
-    found, before = (run_document(each).stages.preprocess for each in (state, state_of()))
+    found, before = (each.document.stages.preprocess for each in (state, state_of()))
     assert {name for name in before if found[name] != before[name]} == {cloud.lidar}
 
 
@@ -127,12 +126,12 @@ def test_no_hypothesis_is_a_warning():
 
 def test_the_summary_of_an_unfinished_run_says_how_far_it_came():
     state = state_of(stop_after=4)
-    assert "cut off after stage ingest" in summary_markdown(state, run_document(state))
+    assert "cut off after stage ingest" in summary_markdown(state)
 
 
 def test_the_summary_names_what_is_missing_first():
     state = state_of("partial")
-    text = summary_markdown(state, run_document(state))
+    text = summary_markdown(state)
     assert text.startswith("# 1 of 3 LiDARs is not placed. rear: it shares too few surfaces with the others")
     assert "- **rear is not placed: it shares too few surfaces" in text.split("Target:")[0]
     for name in LIDARS:
@@ -176,7 +175,7 @@ def test_the_best_hypothesis_has_the_name_of_its_origin(origin, name):
 def test_the_summary_says_what_was_next_best():
     def summary(outcome):
         state = state_of(outcome)
-        return summary_markdown(state, run_document(state))
+        return summary_markdown(state)
 
     assert "Next best: " in summary("partial")
     assert "Next best: " not in summary("complete")

@@ -17,7 +17,6 @@ from multilica.geometry import RigidTransform
 from multilica.results import PRIOR, CalibrationResult, CoarseResult, LidarPlacement
 from multilica.results.document.building import provenance_of, result_document
 from multilica.results.prior_comparison import surprises
-from multilica.sinks.files.result_document import run_document
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
 from multilica.sinks.text.markdown import hypotheses_markdown, summary_markdown
@@ -162,7 +161,7 @@ def test_the_summary_names_the_prior_and_the_surprise():
     state = RunState()
     for event in told():
         state(event)
-    summary = summary_markdown(state, run_document(state))
+    summary = summary_markdown(state)
     assert "- **Warning**: front left/1 is turned by 180 deg about its z axis against its prior" in summary
     rows = [line for line in hypotheses_markdown(state).splitlines() if line.startswith("| rear <- top |")]
     assert [row.split(" | ")[1] for row in rows] == ["clique 0", "clique 1", "the prior"]
