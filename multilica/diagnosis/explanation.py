@@ -28,7 +28,7 @@ Cause = Literal[
     "unfinished",
     "unknown",
 ]
-"""Why a LiDAR, or a whole run, has no result, or one that is in doubt; a stable name for programs."""
+"""Cause why a LiDAR or a whole run has no result, or a doubtful one; a stable name for programs."""
 
 
 @dataclass(frozen=True, slots=True)

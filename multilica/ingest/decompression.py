@@ -32,7 +32,7 @@ def unpack(compression: str, packed: bytes | memoryview, size: int, *, partial: 
     except (zstandard.ZstdError, RuntimeError, OSError, EOFError) as error:
         raise ValueError("compressed data cannot be unpacked") from error
     if len(unpacked) != size and not partial:
-        raise ValueError(f"a record unpacks to {len(unpacked)} bytes, yet claims {size}")
+        raise ValueError(f"a record unpacks to {len(unpacked)} bytes, but claims {size}")
     return unpacked
 
 
@@ -74,7 +74,7 @@ def _unpacked(compression: str, packed: bytes | memoryview, size: int, *, partia
 def _unpacked_zstd(packed: bytes | memoryview, size: int, *, partial: bool) -> memoryview:
     stated_size = zstandard.frame_content_size(packed)
     if stated_size not in (-1, size) and not partial:
-        raise ValueError(f"a record unpacks to {stated_size} bytes, yet claims {size}")
+        raise ValueError(f"a record unpacks to {stated_size} bytes, but claims {size}")
     unpacked = memory_budget().empty(size)
     stream = zstandard.ZstdDecompressor().stream_reader(packed)
     length = stream.readinto(unpacked)

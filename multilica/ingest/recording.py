@@ -91,7 +91,7 @@ class Recording(Protocol):
 
     @property
     def damage(self) -> str:
-        """Why part of the recording is missing ("the file ends too early"); empty if nothing is known."""
+        """Reason why part of the recording is missing ("the file ends too early"); empty if none is known."""
 
     @property
     def is_indexed(self) -> bool:

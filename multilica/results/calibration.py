@@ -24,7 +24,7 @@ Status = Literal["complete", "partial", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a snapshot was not calibrated at all.
+    """Reason why a snapshot was not calibrated at all.
 
     Args:
         code: stable name, for programs: `moving_vehicle`, `too_few_lidars`, `blind_target`.

@@ -88,7 +88,7 @@ class Registration:
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a registration was not accepted, or a sensor not trusted.
+    """Reason why a registration was not accepted, or a sensor not trusted.
 
     Args:
         code: stable name, for programs.

@@ -17,7 +17,7 @@ SPAN = re.compile(r"`[^`\n]*`|\"[^\"\n]*\"")
 """Code, or a text that is quoted."""
 LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
 
-OPENERS = re.compile(r"(Of(?! course)|What|Whether|Where|How|Who|That of)\b", re.IGNORECASE)
+OPENERS = re.compile(r"(Of(?! course)|What|Whether|Where|Why|How|Who|That of)\b", re.IGNORECASE)
 """First words of a clause that a reader has to keep in mind until its verb comes."""
 MOST_WORDS = 30
 

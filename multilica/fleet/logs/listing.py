@@ -212,7 +212,7 @@ def _in_bucket(given: str) -> Iterator[FleetLog]:
         )
     logs = [each for each in sorted(found) if named_content(Path(each)) is Content.RECORDING]
     if not logs:
-        raise SourceNotFoundError(f"No recording lies at {without_secrets(given)}.")
+        raise SourceNotFoundError(f"There is no recording at {without_secrets(given)}.")
     for each in logs:
         address = f"{scheme}://{each}"
         yield FleetLog(address, address, int(found[each]["size"]), _etag(found[each]))

@@ -61,7 +61,7 @@ class LogTask(BaseModel):
 
 @dataclass(frozen=True, slots=True)
 class TaskFailure:
-    """Why a task ended without a row."""
+    """Reason why a task ended without a row."""
 
     reason: str
     text: str

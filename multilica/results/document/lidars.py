@@ -34,7 +34,7 @@ class HealthEntry(Entry):
     returns: int = Field(description="Number of returns.")
     near_share: Number = Field(description="Share of the returns that are nearer than the minimum range.")
     blockage_ratio: Number = Field(description="Share of the field of view behind a dirty or covered window.")
-    reasons: tuple[ReasonEntry, ...] = Field(description="Why the sensor is not trusted; empty if it is.")
+    reasons: tuple[ReasonEntry, ...] = Field(description="Reasons why the sensor is not trusted; empty if it is.")
 
 
 class ContestedEntry(Entry):

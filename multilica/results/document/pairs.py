@@ -11,7 +11,7 @@ from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, P
 
 
 class ReasonEntry(Entry):
-    """Why a registration was not accepted, or a sensor not trusted."""
+    """Reason why a registration was not accepted, or a sensor not trusted."""
 
     code: str = Field(description="Stable name, for programs.")
     value: Number = Field(description="The measured figure.")
@@ -103,7 +103,7 @@ class CandidateEntry(PairNames):
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
     passes: bool = Field(description="True if the pair may be merged.")
     evidence: Number = Field(description="Evidence of the pair's registration.")
-    reason: str = Field(description="Why the pair does not pass; empty if it does.")
+    reason: str = Field(description="Reason why the pair does not pass; empty if it does.")
     uncertain: bool = Field(description="True if the pair may be merged only where no other pair passes.")
     of_groups: bool = Field(
         default=False, description="True if the merged clouds of two groups were registered; the names are their roots."

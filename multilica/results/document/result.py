@@ -42,7 +42,7 @@ class InputEntry(Entry):
 
 
 class RefusalEntry(Entry):
-    """Why the snapshot was not calibrated at all."""
+    """Reason why the snapshot was not calibrated at all."""
 
     code: str = Field(description="Stable name, for programs.")
     text: str = Field(description="The reason for people.")
@@ -70,7 +70,7 @@ class SnapshotEntry(Entry):
     name: str = Field(description="Name of the snapshot.")
     source: str = Field(description="File or address.")
     sha256: str = Field(description="Hash of the file; empty if it is not known.")
-    refusal: str | None = Field(description="Why the snapshot was left out; null if it was used.")
+    refusal: str | None = Field(description="Reason why the snapshot was left out; null if it was used.")
     outliers: tuple[str, ...] = Field(description="LiDARs on which other snapshots outvoted this one.")
     disputed: tuple[str, ...] = Field(description="LiDARs on which it contradicts other snapshots without a majority.")
     deviations: tuple[DeviationEntry, ...] = Field(description="Per LiDAR that it places.")
@@ -94,7 +94,7 @@ class GroundEntry(Entry):
     sigma_roll_pitch_deg: tuple[float, float] = Field(
         description="Standard deviations of the rotation about x and y of the base frame."
     )
-    doubt: str = Field(description="Why the plane is uncertain; empty if it is not.")
+    doubt: str = Field(description="Reason why the plane is uncertain; empty if it is not.")
     T_base_target_rig: Matrix4 | None = Field(description="The target in the base frame by the rig file; null without.")
     text: str = Field(description="The same for people.")
 
@@ -118,19 +118,19 @@ class ResultDocument(Entry):
         description="`complete`: all placed; `failed`: none but the target has a pose; `unfinished`: it was cut off."
     )
     target: str = Field(description="LiDAR that all poses are relative to; empty until it is chosen.")
-    target_reason: str = Field(description="Why that LiDAR is the target.")
+    target_reason: str = Field(description="Reason for the choice of the target.")
     accepted_by: Literal["evidence", "fitness"] = Field(
         "evidence",
         description="Placements were accepted by evidence of the beams, or by fitness alone, as in the paper.",
     )
-    refusal: RefusalEntry | None = Field(description="Why the snapshot was not calibrated at all; null if it was.")
+    refusal: RefusalEntry | None = Field(description="Reason why the snapshot was not calibrated; null if it was.")
     lidars: Mapping[str, LidarEntry] = Field(description="Per LiDAR in name order, the target with the identity.")
     pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")
     decisions: tuple[DecisionEntry, ...] = Field(description="Merge steps, in order.")
     snapshots: tuple[SnapshotEntry, ...] = Field(description="Snapshots of a joint result, else empty.")
     refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
-    ground_refusal: str = Field("", description="Why there is no ground plane although one was asked for; else empty.")
+    ground_refusal: str = Field("", description="Reason why a requested ground plane is missing; else empty.")
     time_limit: TimeLimitEntry | None = Field(None, description="Set if the time limit ended the search.")
     timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
     input: InputEntry = Field(description="The snapshot that was calibrated.")
