@@ -171,9 +171,9 @@ def _head() -> str:
 - Rigs, with the target: {rigs}.
 - Scenes: {scenes}. Seeds: {seeds}; no threshold was chosen on them. Each LiDAR has 5 frames.
 - Systems: the presets {presets}, and `kiss`: KISS-Matcher and small_gicp of each LiDAR against
-  the target, with the libraries' own defaults. `kiss` judges nothing, so it places every LiDAR.
+  the target, with the libraries' own defaults. `kiss` accepts every pose, so it places every LiDAR.
 - x, y, z, roll, pitch, yaw and angle are the RMSE over all scenes and LiDARs, as in the paper. They cover every
-  pose that is given, so one wrong pose outweighs all others. The medians show how good the other poses are.
+  pose that is given, so one wrong pose outweighs all others. The medians describe the other poses.
 - success: off by at most {within}. wrong: given, and off by more than {wrong}. The paper states neither limit.
 - CPU s: median per snapshot in one process, without reading, writing and imports.
 """

@@ -83,3 +83,10 @@ def sources() -> tuple[str, ...]:
     files = [path.relative_to(ROOT) for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")]
     folders = {folder for path in files for folder in path.parents}
     return (*(f"/{path.as_posix()}" for path in files), *(f"/{folder.as_posix()}/" for folder in folders))
+
+
+def test_every_decision_is_listed() -> None:
+    listed = re.findall(
+        r"^- \[.*\]\((.*)\)$", (ROOT / "docs/decisions/index.md").read_text(encoding="utf-8"), re.MULTILINE
+    )
+    assert listed == sorted(path.name for path in ROOT.glob("docs/decisions/0*.md"))
