@@ -20,8 +20,7 @@ from multilica.orchestration.search import search_pairs
 from multilica.orchestration.state import CalibrationState
 from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
-from multilica.stages.base_frame import require_usable_rig
-from multilica.stages.prior import require_usable
+from multilica.stages.known_poses import require_usable_prior, require_usable_rig
 from multilica.workers import Workers
 
 _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]], ...] = (
@@ -77,7 +76,7 @@ def calibrate(
     if config.target:
         snapshot[config.target]
     if prior is not None:
-        require_usable(prior, snapshot, config)
+        require_usable_prior(prior, snapshot, config)
     if rig is not None:
         require_usable_rig(rig, snapshot, config)
     deadline_s = deadline_of(config) if deadline_s is None else deadline_s

@@ -32,8 +32,7 @@ from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
-from multilica.stages.base_frame import require_usable_rig
-from multilica.stages.prior import require_usable
+from multilica.stages.known_poses import require_usable_prior, require_usable_rig
 from multilica.workers import Workers
 
 
@@ -149,7 +148,7 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
     prior: Extrinsics | None = None
     if request.prior is not None:
         found = read_prior(request.prior, snapshot)
-        require_usable(found.extrinsics, snapshot, request.config)
+        require_usable_prior(found.extrinsics, snapshot, request.config)
         prior = found.extrinsics
         for note in found.notes:
             request.observe(events.InputNoted(note))

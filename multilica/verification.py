@@ -16,7 +16,7 @@ from multilica.orchestration.pairs import register_sides, score_implied
 from multilica.orchestration.state import CalibrationState
 from multilica.results import CalibrationResult, Hypothesis, LidarPlacement, PairKey, PairRegistration, Registration
 from multilica.snapshot import Snapshot
-from multilica.stages.prior import require_usable
+from multilica.stages.known_poses import require_usable_prior
 from multilica.stages.refine import refine
 from multilica.workers import Workers
 
@@ -53,7 +53,7 @@ def register_from_known(
     """
     config = config or CalibrationConfig()
     clouds.require_two_lidars(snapshot)
-    require_usable(known, snapshot, config)
+    require_usable_prior(known, snapshot, config)
     state = CalibrationState(snapshot, config, observe, known, Workers())
     with threadpool_limits(1):
         clouds.preprocess_clouds(state)

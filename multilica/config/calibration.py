@@ -6,17 +6,25 @@ from typing import Any, Literal, get_args
 
 from pydantic import Field
 
-from multilica.config.acceptance import AcceptanceConfig
-from multilica.config.coarse import CoarseConfig
-from multilica.config.features import CorrespondConfig, FeaturesConfig
-from multilica.config.fine import FineConfig
-from multilica.config.ground import GroundConfig
-from multilica.config.ingest import IngestConfig
-from multilica.config.merge import JointConfig, MergeConfig, RefineConfig
-from multilica.config.preprocess import HealthConfig, PreprocessConfig, StillnessConfig
-from multilica.config.runtime import RecordConfig, RuntimeConfig
-from multilica.config.section import Section
-from multilica.config.verify import VerifyConfig, VisibilityConfig
+from multilica.config.sections import (
+    AcceptanceConfig,
+    CoarseConfig,
+    CorrespondConfig,
+    FeaturesConfig,
+    FineConfig,
+    GroundConfig,
+    HealthConfig,
+    IngestConfig,
+    JointConfig,
+    MergeConfig,
+    PreprocessConfig,
+    RecordConfig,
+    RefineConfig,
+    RuntimeConfig,
+    Section,
+    StillnessConfig,
+    VerifyConfig,
+)
 
 Stage = Literal[
     "ingest", "preprocess", "features", "correspond", "coarse", "verify", "fine", "merge", "refine", "ground"
@@ -39,7 +47,6 @@ class CalibrationConfig(Section):
     features: FeaturesConfig = FeaturesConfig()
     correspond: CorrespondConfig = CorrespondConfig()
     coarse: CoarseConfig = CoarseConfig()
-    visibility: VisibilityConfig = VisibilityConfig()
     verify: VerifyConfig = VerifyConfig()
     fine: FineConfig = FineConfig()
     acceptance: AcceptanceConfig = AcceptanceConfig()
@@ -81,9 +88,6 @@ _PAPER: Mapping[str, Any] = {
         "max_points": 1_000_000_000,
         "max_correspondence_distances_m": [1.0],
         "max_iterations": 100,
-        "gicp_epsilon": 0.005,
-        "relative_fitness": 1e-7,
-        "relative_rmse": 1e-7,
         "neighbours": 30,
         "fitness_distance_m": 1.0,
     },

@@ -10,13 +10,18 @@ from typing import Any
 from pydantic import ValidationError
 
 from multilica.config.calibration import PRESETS, CalibrationConfig
-from multilica.config.section import Section
-from multilica.config.unused import leaf_keys, refuse_unused
+from multilica.config.sections import Section
 from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited, shown
 from multilica.errors import ConfigError, UnknownNameError
 
 _MAX_KEYS = 16
 """Parts of a key of a setting."""
+_USED_WITH: Mapping[str, tuple[str, str]] = {
+    "fine.rotation_epsilon_rad": ("fine.engine", "small_gicp"),
+    "fine.translation_epsilon_m": ("fine.engine", "small_gicp"),
+    "coarse.max_hypotheses": ("coarse.solver", "cliques"),
+}
+"""Keys that only one engine or solver uses, with the key that chooses it and the choice."""
 
 
 def preset(name: str) -> CalibrationConfig:
@@ -41,9 +46,8 @@ def load_config(path: Path) -> CalibrationConfig:
     table = read_config_table(path)
     base = preset(str(table.get("preset", "default")))
     config = _merged(base, table, str(path))
-    kept, found = dict(leaf_keys(base.model_dump())), dict(leaf_keys(config.model_dump()))
     # A file that `multilica config --toml` wrote has every key.
-    refuse_unused(config, [key for key, _ in leaf_keys(table) if found.get(key) != kept.get(key)], str(path))
+    _refuse_unused(config, {key: str(path) for key in _USED_WITH if _value(config, key) != _value(base, key)})
     return config
 
 
@@ -77,10 +81,29 @@ def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> Calib
             )
         table = _nested(keys, _toml_value(key, text.strip()))
         config = _merged(config, table, f"setting '{override}'")
-        given.update({leaf: f"setting '{override}'" for leaf, _ in leaf_keys(table)})
-    for key, where in given.items():
-        refuse_unused(config, [key], where)
+        given |= {known: f"setting '{override}'" for known in _USED_WITH if _has(table, known)}
+    _refuse_unused(config, given)
     return config
+
+
+def _refuse_unused(config: CalibrationConfig, given: Mapping[str, str]) -> None:
+    """Refuse keys that the chosen engine or solver does not use; `given` tells what set them."""
+    for key, where in given.items():
+        chooser, user = _USED_WITH[key]
+        if (chosen := _value(config, chooser)) != user:
+            raise ConfigError(
+                f"In {where}, {key} has no effect with {chooser}={chosen}; leave it out, or set {chooser}={user}."
+            )
+
+
+def _value(config: CalibrationConfig, key: str) -> object:
+    section, _, name = key.partition(".")
+    return getattr(getattr(config, section), name)
+
+
+def _has(table: Mapping[str, Any], key: str) -> bool:
+    section, _, name = key.partition(".")
+    return isinstance(values := table.get(section), Mapping) and name in values
 
 
 def _nested(keys: list[str], value: object) -> dict[str, Any]:

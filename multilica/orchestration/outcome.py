@@ -6,7 +6,7 @@ from multilica.geometry import RigidTransform
 from multilica.orchestration.state import CalibrationState
 from multilica.results import LEVEL_FRAME, CalibrationResult, LidarPlacement, Refusal, TimeLimit
 from multilica.stages.ground import estimate_level
-from multilica.stages.prior import known_between
+from multilica.stages.known_poses import known_between
 from multilica.stages.refine import trusted_pairs
 
 

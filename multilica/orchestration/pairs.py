@@ -14,7 +14,7 @@ from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features, pair_priority
 from multilica.stages.fine import RegistrationCloud, register_best
 from multilica.stages.verify import verify_hypotheses
-from multilica.visibility.sensor_view import score_pose
+from multilica.visibility.sensor_view import FINE_TOLERANCES, score_pose
 from multilica.workers import Shared
 
 PAIR_STAGES: tuple[Stage, ...] = ("correspond", "coarse", "verify", "fine")
@@ -94,7 +94,7 @@ def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:
 def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
     """Score a pose between two LiDARs by their beams."""
     target, source = (lidars[name] for name in (pose.target, pose.source))
-    return score_pose(target.rough_side.view, source.rough_side.view, pose, *target.config.visibility.fine_tolerances)
+    return score_pose(target.rough_side.view, source.rough_side.view, pose, *FINE_TOLERANCES)
 
 
 def register_sides(

@@ -47,7 +47,7 @@ class PreparedLidar:
     def rough_side(self) -> RoughSide:
         """The LiDAR as one side of a short GICP; only where verification is on."""
         assert self.view is not None  # noqa: S101
-        gicp = short_gicp(self.config.verify, self.config.fine)
+        gicp = short_gicp(self.config.fine)
         return RoughSide(self.view, prepare_gicp_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
 
     @cached_property
@@ -64,6 +64,6 @@ class PreparedLidar:
 def prepare_lidar(cloud: PreprocessedCloud, config: CalibrationConfig, *, described: bool = True) -> PreparedLidar:
     """Compute the descriptors of a LiDAR, if they are wanted, and its view if verification is on."""
     features = compute_features(cloud if described else replace(cloud, points_m=_NO_POINTS), config.features)
-    view = prepare_sensor_view(cloud, config.visibility) if config.verify.enabled else None
+    view = prepare_sensor_view(cloud) if config.verify.enabled else None
     slim = replace(cloud, returns_m=np.empty((0, 3), np.float32), dropped_m={}, left_out=cloud.returns)
     return PreparedLidar(slim, features, view, config)

@@ -15,10 +15,10 @@ from multilica.orchestration.prepared_lidar import prepare_lidar
 from multilica.orchestration.state import CalibrationState
 from multilica.results import GroundPlane, Group, Hypothesis, PairRegistration, PreprocessedCloud
 from multilica.snapshot import Snapshot
-from multilica.stages.base_frame import known_in_base
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, select_finalists
 from multilica.stages.ground import estimate_ground, middle_of
 from multilica.stages.group_registration import poses_between, register_groups
+from multilica.stages.known_poses import known_in_base
 from multilica.stages.merge import merge_along_graph, merge_by_fitness, merge_target_first
 from multilica.stages.refine import refine, trusted_pairs
 from multilica.stages.target import choose_target

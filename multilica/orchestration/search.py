@@ -22,9 +22,8 @@ from multilica.orchestration.pairs import (
 from multilica.orchestration.state import CalibrationState
 from multilica.registration.poses import is_distinct
 from multilica.results import Hypothesis, PairKey, PairRegistration
-from multilica.stages.loops import choose_loops, implied_poses, is_open
-from multilica.stages.prior import known_between
-from multilica.stages.search_order import components, next_round, pairs_by_role
+from multilica.stages.known_poses import known_between
+from multilica.stages.pair_choice import choose_loops, components, implied_poses, is_open, next_round, pairs_by_role
 from multilica.stages.target import choose_target
 
 

@@ -14,6 +14,9 @@ from multilica.registration.gicp_cloud import GicpCloud, prepare_gicp_cloud
 from multilica.registration.lazy_open3d import o3d
 from multilica.results import GicpStep, PairRegistration
 
+SHORT_ITERATIONS = 10
+"""Of a pose that may prove wrong or come to nothing."""
+
 # Iterations between two recorded steps.
 _OBSERVED_ITERATIONS = 3
 
@@ -22,6 +25,10 @@ _OBSERVED_ITERATIONS = 3
 _REACH = 4.0
 _WORTH_CROPPING = 0.8
 _MIN_POINTS = 20
+
+# The published code of the paper: variance along the normal, and change of fitness and RMSE below which it ends.
+_OPEN3D_EPSILON = 0.005
+_OPEN3D_CONVERGED = 1e-7
 
 
 def register(
@@ -165,8 +172,8 @@ def _run_open3d(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: 
         target.engine_cloud,
         distance_m,
         state.pose.matrix,
-        registration.TransformationEstimationForGeneralizedICP(epsilon=config.gicp_epsilon),
-        registration.ICPConvergenceCriteria(config.relative_fitness, config.relative_rmse, config.max_iterations),
+        registration.TransformationEstimationForGeneralizedICP(epsilon=_OPEN3D_EPSILON),
+        registration.ICPConvergenceCriteria(_OPEN3D_CONVERGED, _OPEN3D_CONVERGED, config.max_iterations),
     )
     inliers, before, matrix = len(result.correspondence_set), state.pose, np.asarray(result.transformation)
     pose = RigidTransform.from_rotation_translation(before.target, before.source, matrix[:3, :3], matrix[:3, 3])

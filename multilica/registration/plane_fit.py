@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from multilica.config import RefineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp_cloud import GicpCloud
 from multilica.registration.neighbours import MovedPoints
@@ -14,6 +13,12 @@ from multilica.registration.stability import arc_between_m
 
 # Three matches per degree of freedom, rounded up.
 _MIN_MATCHES = 20
+
+# Points nearer than this to the other cloud constrain the pose; more than this many are thinned evenly.
+_DISTANCE_M = 0.2
+_MAX_POINTS = 20_000
+# Residuals are not taken to be smaller than this.
+_MIN_SIGMA_M = 0.005
 
 # A tenth of a millimetre is below the sigma of every placed LiDAR.
 _SETTLED_M = 1e-4
@@ -81,7 +86,7 @@ class _Residuals:
 
 
 def fit_planes(
-    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, config: RefineConfig
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform
 ) -> tuple[RigidTransform, FloatArray | None]:
     """Refine a pose by point-to-plane registration (Chen and Medioni, 1992) on planar surroundings only.
 
@@ -91,9 +96,9 @@ def fit_planes(
 
     Returns:
         The pose and its information. If too few points match, the given pose and None; if the fit moves the pose
-        by more than `distance_m`, the given one.
+        by more than 0.2 m, the given one.
     """
-    overlap = _overlap(target, source, T_target_source, config)
+    overlap = _overlap(target, source, T_target_source)
     pose = T_target_source
     for _ in range(_ITERATIONS):
         residuals = _residuals(overlap, pose)
@@ -103,14 +108,12 @@ def fit_planes(
         pose = moved(pose, step[:3], step[3:])
         if np.abs(step / _SCALE).max() < _SETTLED_M:
             break
-    if arc_between_m(pose, T_target_source) > config.distance_m:
+    if arc_between_m(pose, T_target_source) > _DISTANCE_M:
         pose = T_target_source
-    return pose, _information(overlap, pose, config)
+    return pose, _information(overlap, pose)
 
 
-def pose_information(
-    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, config: RefineConfig
-) -> FloatArray | None:
+def pose_information(target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform) -> FloatArray | None:
     """Compute the information (inverse covariance) of a registered pose.
 
     The covariance is the sandwich H^-1 B H^-1 (White, Econometrica 1980). B sums gradients per patch of surface,
@@ -122,31 +125,31 @@ def pose_information(
         (6, 6), order rotation (rad), translation (m), both along the target's axes, the rotation about the source's
         origin; None where too few points match.
     """
-    return _information(_overlap(target, source, T_target_source, config), T_target_source, config)
+    return _information(_overlap(target, source, T_target_source), T_target_source)
 
 
-def _information(overlap: _Overlap, pose: RigidTransform, config: RefineConfig) -> FloatArray | None:
+def _information(overlap: _Overlap, pose: RigidTransform) -> FloatArray | None:
     residuals = _residuals(overlap, pose)
     if residuals is None:
         return None
     jacobian = residuals.jacobian
     pulls = jacobian * (residuals.weight * residuals.residual_m)[:, None]
-    noise = jacobian * (residuals.weight * config.min_sigma_m)[:, None]
+    noise = jacobian * (residuals.weight * _MIN_SIGMA_M)[:, None]
     per_patch = _summed_by_patch(residuals.points_m, pulls)
     hessian = _remaining_hessian(overlap, pose, residuals)
-    floored, spread = _floored(hessian, per_patch.T @ per_patch + noise.T @ noise, config.distance_m)
+    floored, spread = _floored(hessian, per_patch.T @ per_patch + noise.T @ noise, _DISTANCE_M)
     return np.asarray(floored @ np.linalg.pinv(spread, hermitian=True) @ floored)
 
 
-def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, config: RefineConfig) -> _Overlap:
+def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Overlap:
     """Select the points that may match, thinned evenly to the number allowed."""
-    reach_m = 1.5 * config.distance_m
+    reach_m = 1.5 * _DISTANCE_M
     near, _ = target.tree.nearest_within(pose.apply(source.points_m), reach_m)
-    if len(near) > config.max_points:
-        near = near[np.linspace(0, len(near) - 1, config.max_points).astype(np.intp)]
+    if len(near) > _MAX_POINTS:
+        near = near[np.linspace(0, len(near) - 1, _MAX_POINTS).astype(np.intp)]
     normals, _ = source.surface.at(near)
     points_m = source.points_m[near]
-    return _Overlap(target, points_m, normals, config.distance_m, MovedPoints(target.tree, pose.apply(points_m)))
+    return _Overlap(target, points_m, normals, _DISTANCE_M, MovedPoints(target.tree, pose.apply(points_m)))
 
 
 def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = None) -> _Residuals | None:

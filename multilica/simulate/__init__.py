@@ -5,8 +5,7 @@ from multilica.simulate.disturbances import DISTURBANCES
 from multilica.simulate.fleet import FleetPlan, PlannedLog, plan_fleet
 from multilica.simulate.rigs import RIGS
 from multilica.simulate.scenes import SCENES
-from multilica.simulate.simulation import Simulation, simulate_snapshot, true_extrinsics
-from multilica.simulate.thinning import thinned
+from multilica.simulate.simulation import Simulation, simulate_snapshot, thinned, true_extrinsics
 
 __all__ = [
     "DISTURBANCES",

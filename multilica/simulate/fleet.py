@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from multilica.errors import UsageError
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.random_streams import random_stream
-from multilica.simulate.simulation import true_extrinsics
+from multilica.simulate.simulation import random_stream, true_extrinsics
 
 EventKind = Literal["jump", "creep", "dead"]
 LogFormat = Literal["snapshot", "ros2_mcap", "ros2_bag", "ros1_bag"]

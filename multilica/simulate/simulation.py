@@ -2,7 +2,7 @@
 """Simulation of a snapshot of a rig in a scene."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -19,7 +19,6 @@ from multilica.simulate.disturbances import (
     require_known,
     truck_beside,
 )
-from multilica.simulate.random_streams import random_stream
 from multilica.simulate.raycast import Surroundings, measure, nearer, returned_points
 from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, fan, misjudged
 from multilica.simulate.scenes import SCENES
@@ -179,3 +178,19 @@ class _World:
         x_m = scene.vehicle_xy_m[0] + way_m * float(np.cos(scene.vehicle_yaw_rad))
         y_m = scene.vehicle_xy_m[1] + way_m * float(np.sin(scene.vehicle_yaw_rad))
         return scene.terrain.standing_pose(x_m, y_m, scene.vehicle_yaw_rad)
+
+
+def random_stream(*keys: object) -> np.random.Generator:
+    """Return random numbers for one purpose: another draw for one purpose does not change the others."""
+    return np.random.default_rng(list("/".join(map(str, keys)).encode()))
+
+
+def thinned(snapshot: Snapshot, keep_every: int) -> Snapshot:
+    """Keep only every Nth return; the first one differs from frame to frame, so that together they cover all beams."""
+    return replace(snapshot, lidars=tuple(_thinned(lidar, keep_every) for lidar in snapshot.lidars))
+
+
+def _thinned(lidar: LidarScans, keep_every: int) -> LidarScans:
+    kept = [scan.points_m[index % keep_every :: keep_every] for index, scan in enumerate(lidar.scans)]
+    scans = (replace(scan, points_m=points_m) for scan, points_m in zip(lidar.scans, kept, strict=True))
+    return replace(lidar, scans=tuple(scans))

@@ -7,9 +7,9 @@ from importlib.util import find_spec
 from multilica.config import CoarseConfig
 from multilica.results import Correspondences
 from multilica.solvers.cliques import solve_by_cliques
-from multilica.solvers.library_solvers import solve_by_kiss_matcher, solve_by_teaserpp
+from multilica.solvers.kiss_matcher import solve_by_kiss_matcher
 from multilica.solvers.solution import Solution
-from multilica.solvers.teaser import solve_by_maximum_clique
+from multilica.solvers.teaser import solve_by_maximum_clique, solve_by_teaserpp
 
 __all__ = ["SOLVERS", "Solution", "solver_in_use"]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""TEASER++ without its binding.
+"""TEASER++: its own binding, and the same from packages of the index.
 
 Yang, Shi and Carlone, "TEASER: Fast and Certifiable Point Cloud Registration", T-RO 2020.
 """
@@ -9,13 +9,18 @@ from scipy.spatial.distance import cdist
 
 from multilica.config import CoarseConfig
 from multilica.geometry import FloatArray
-from multilica.optional_libraries import require_library
+from multilica.optional_libraries import needed_for, require_library
 from multilica.results import BoolArray, Correspondences
 from multilica.solvers.maximum_clique import maximum_clique
 from multilica.solvers.solution import Solution, pose_of
 
 # Rows of the graph that are computed at once, so that memory stays bounded.
 _BLOCK = 256
+# Graduated non-convexity of the rotation, as the published code of the paper sets it: the cost becomes sharper by the
+# factor until it changes by less.
+_GNC_FACTOR = 1.4
+_GNC_ITERATIONS = 10_000
+_GNC_COST_THRESHOLD_M2 = 1e-16
 # Far beyond it every weight is 0 or 1, so that it need not grow on until it overflows.
 _SHARPEST = 1e100
 
@@ -29,12 +34,14 @@ def solve_by_maximum_clique(matches: Correspondences, config: CoarseConfig) -> S
         MissingDependencyError: NetworkX is not installed.
     """
     require_library("The solver 'maximum_clique'", "networkx", instead="set coarse.solver=cliques")
-    graph = _length_graph(matches, 2.0 * config.noise_bound_m * np.sqrt(config.cbar2))
+    graph = _length_graph(matches, 2.0 * config.noise_bound_m)
     edges = int(np.count_nonzero(graph)) // 2
     clique = maximum_clique(graph)
     if len(clique) < 2:
         return Solution((), edges, len(clique))
-    rotation, translation = decoupled_pose(matches.target_points_m[clique], matches.source_points_m[clique], config)
+    rotation, translation = decoupled_pose(
+        matches.target_points_m[clique], matches.source_points_m[clique], config.noise_bound_m
+    )
     return Solution((pose_of(matches, rotation, translation),), edges, len(clique))
 
 
@@ -50,7 +57,33 @@ def _length_graph(matches: Correspondences, tolerance_m: float) -> BoolArray:
     return graph
 
 
-def decoupled_pose(target_m: FloatArray, source_m: FloatArray, config: CoarseConfig) -> tuple[FloatArray, FloatArray]:
+def solve_by_teaserpp(matches: Correspondences, config: CoarseConfig) -> Solution:
+    """Solve by TEASER++'s own Python binding.
+
+    Raises:
+        MissingDependencyError: `teaserpp_python` is not installed.
+    """
+    with needed_for("The solver 'teaserpp'", "teaserpp_python", instead="set coarse.solver=maximum_clique"):
+        from teaserpp_python import RobustRegistrationSolver
+
+    params = RobustRegistrationSolver.Params()
+    params.noise_bound = config.noise_bound_m
+    params.cbar2 = 1.0
+    params.estimate_scaling = False
+    params.rotation_estimation_algorithm = RobustRegistrationSolver.ROTATION_ESTIMATION_ALGORITHM.GNC_TLS
+    params.rotation_gnc_factor = _GNC_FACTOR
+    params.rotation_max_iterations = _GNC_ITERATIONS
+    params.rotation_cost_threshold = _GNC_COST_THRESHOLD_M2
+    solver = RobustRegistrationSolver(params)
+    solver.solve(matches.source_points_m.T, matches.target_points_m.T)
+    edges, clique_size = int(np.count_nonzero(solver.getScaleInliersMask())), len(solver.getInlierMaxClique())
+    if clique_size < 2:
+        return Solution((), edges, clique_size)
+    solution = solver.getSolution()
+    return Solution((pose_of(matches, solution.rotation, solution.translation),), edges, clique_size)
+
+
+def decoupled_pose(target_m: FloatArray, source_m: FloatArray, noise_bound_m: float) -> tuple[FloatArray, FloatArray]:
     """Estimate the rotation from a ring of differences, then each component of the translation (sections V to VII).
 
     Args:
@@ -61,20 +94,17 @@ def decoupled_pose(target_m: FloatArray, source_m: FloatArray, config: CoarseCon
     """
     ring_target_m, ring_source_m = (np.roll(points, -1, axis=0) - points for points in (target_m, source_m))
     # A difference has the noise of two points.
-    rotation = _robust_rotation(ring_target_m, ring_source_m, 2.0 * config.noise_bound_m, config)
-    bound_m = config.noise_bound_m * np.sqrt(config.cbar2)
+    rotation = _robust_rotation(ring_target_m, ring_source_m, 2.0 * noise_bound_m)
     offsets_m = target_m - source_m @ rotation.T
-    return rotation, np.array([vote_translation(along, bound_m) for along in offsets_m.T])
+    return rotation, np.array([vote_translation(along, noise_bound_m) for along in offsets_m.T])
 
 
-def _robust_rotation(
-    target_m: FloatArray, source_m: FloatArray, noise_bound_m: float, config: CoarseConfig
-) -> FloatArray:
+def _robust_rotation(target_m: FloatArray, source_m: FloatArray, noise_bound_m: float) -> FloatArray:
     """Rotate (N, 3) vectors onto others by graduated non-convexity on a truncated cost (Yang et al., RA-L 2020)."""
     bound_m2 = noise_bound_m**2
     weights = np.ones(len(target_m))
     rotation, sharpness, cost_before = np.eye(3), 0.0, np.inf
-    for _ in range(config.gnc_max_iterations):
+    for _ in range(_GNC_ITERATIONS):
         rotation = _rotation(target_m, source_m, weights)
         squared_m2 = np.sum((target_m - source_m @ rotation.T) ** 2, axis=1)
         if sharpness == 0.0:
@@ -87,9 +117,9 @@ def _robust_rotation(
         outside = squared_m2 >= (sharpness + 1.0) / sharpness * bound_m2
         inside = squared_m2 <= sharpness / (sharpness + 1.0) * bound_m2
         weights = np.where(outside, 0.0, np.where(inside, 1.0, between))
-        if abs(cost - cost_before) < config.gnc_cost_threshold:
+        if abs(cost - cost_before) < _GNC_COST_THRESHOLD_M2:
             break
-        sharpness, cost_before = min(sharpness * config.gnc_factor, _SHARPEST), cost
+        sharpness, cost_before = min(sharpness * _GNC_FACTOR, _SHARPEST), cost
     return rotation
 
 

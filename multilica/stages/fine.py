@@ -17,14 +17,20 @@ from multilica.acceptance.accept import (
 from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import FloatArray
-from multilica.registration.gicp import fitness_and_rmse, register
+from multilica.registration.gicp import SHORT_ITERATIONS, fitness_and_rmse, register
 from multilica.registration.gicp_cloud import GicpCloud, prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
 from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
 from multilica.registration.stability import arc_between_m, check_stability, perturbed_ends, widened
 from multilica.results import Hypothesis, PairRegistration, Registration
 from multilica.results.registrations import weakest_sigmas
-from multilica.visibility.sensor_view import PlacedView, score_registration, score_visibility
+from multilica.visibility.sensor_view import (
+    FINE_TOLERANCES,
+    ROUGH_TOLERANCES,
+    PlacedView,
+    score_registration,
+    score_visibility,
+)
 
 # A pose needs a test of stability unless this many times its sigma is below the limit.
 _SIGMA_MARGIN = 2.0
@@ -32,6 +38,8 @@ _SIGMA_MARGIN = 2.0
 _SLIDE_POSES = 2
 # Two registrations from different sides that end as near as this end at one pose.
 _SAME_END_M = 0.01
+# Points per LiDAR with which finalists are compared.
+_FINALIST_POINTS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +70,8 @@ def prepare_registration_cloud(
     """Prepare the points (N, 3) of a LiDAR or a group, given in the frame of that name, for GICP."""
     fine = config.fine
     cloud = prepare_gicp_cloud(name, points_m, fine)
-    iterations = min(config.verify.max_iterations, fine.max_iterations)
-    finalist_gicp = fine.model_copy(update={"max_points": fine.finalist_max_points, "max_iterations": iterations})
+    iterations = min(SHORT_ITERATIONS, fine.max_iterations)
+    finalist_gicp = fine.model_copy(update={"max_points": _FINALIST_POINTS, "max_iterations": iterations})
     return RegistrationCloud(cloud, tuple(views), finalist_gicp)
 
 
@@ -100,13 +108,12 @@ def register_best(
     thinned = len(finalists) > 1 or pair.cannot_be_accepted(finalists[0])
     registered = pair.register_thinned(finalists) if thinned else [pair.register(finalists[0])]
     best = pair.best_of(registered, thinned=thinned)
-    found, verify, stability = best.registrations[0], config.verify, best.registrations[0].stability
+    found, stability = best.registrations[0], best.registrations[0].stability
     beside_known = len(competing_poses(best.registrations, config.acceptance)) >= _SLIDE_POSES
     if stability is None or beside_known or not slides(stability, config.acceptance):
         return best
     direction, max_baseline_m = found.visibility.slide_direction, config.acceptance.max_baseline_m
-    start, steps = _start_of(found), (verify.slide_step_m, verify.slide_steps)
-    starts = slid_hypotheses(start, direction, *steps, max_baseline_m)
+    starts = slid_hypotheses(_start_of(found), direction, max_baseline_m)
     beside = pair.register_thinned(starts, beside=[*registered, best])
     if any(each.evidence > best.evidence for each in beside):
         return max(best, pair.best_of([*registered, *beside], thinned=True), key=lambda each: each.evidence)
@@ -134,7 +141,7 @@ def _register_first(
     found = register(target.cloud, source.cloud, first.T_target_source, config.fine)
     information = None
     if config.refine.enabled:
-        information = pose_information(target.cloud, source.cloud, found.T_target_source, config.refine)
+        information = pose_information(target.cloud, source.cloud, found.T_target_source)
     return replace(found, information=information, hypothesis=first.index)
 
 
@@ -170,9 +177,8 @@ class _Pair:
     def _evidence(self, hypothesis: Hypothesis) -> float:
         if hypothesis.evidence is not None:
             return hypothesis.evidence
-        limits = self.config.visibility
-        pose, tolerances = hypothesis.T_target_source, (limits.tolerance_m, limits.tolerance_deg)
-        score = score_visibility(self.target.views, self.source.views, pose, *tolerances)
+        pose = hypothesis.T_target_source
+        score = score_visibility(self.target.views, self.source.views, pose, *ROUGH_TOLERANCES)
         return score.evidence(float(np.linalg.norm(pose.xyz_m)))
 
     def register_thinned(
@@ -231,7 +237,7 @@ class _Pair:
 
     def _fitted(self, found: PairRegistration) -> PairRegistration:
         """Fit the pose to planes, score it again, and add its information."""
-        pose, information = fit_planes(*self.clouds, found.T_target_source, self.config.refine)
+        pose, information = fit_planes(*self.clouds, found.T_target_source)
         fitness, rmse_m, inliers = fitness_and_rmse(*self.clouds, pose, self.config.fine.fitness_distance_m)
         fitted = replace(
             found, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers, information=information
@@ -273,7 +279,5 @@ class _Pair:
         return replace(fitted, information=information, registrations=(scored,))
 
     def _scored(self, found: PairRegistration, hypothesis: Hypothesis) -> PairRegistration:
-        limits = self.config.visibility
-        tolerances = limits.fine_tolerance_m, limits.fine_tolerance_deg
-        scored = score_registration(found, hypothesis, self.target.views, self.source.views, *tolerances)
+        scored = score_registration(found, hypothesis, self.target.views, self.source.views, *FINE_TOLERANCES)
         return replace(found, registrations=(scored,))

@@ -12,6 +12,10 @@ from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.registration.poses import moved
 from multilica.results import PairRegistration, PairResidual, Refinement, connected
 
+_ITERATIONS = 20
+# Converged when no pose moves by more, rad and m.
+_EPSILON = 1e-9
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RefinedRig:
@@ -57,11 +61,11 @@ def refine(
     if not free:
         return RefinedRig(current, {}, Refinement())
     before = [_residual(pair, current) for pair in used_pairs]
-    for _ in range(config.max_iterations):
+    for _ in range(_ITERATIONS):
         normal_matrix, gradient = _normal_equations(used_pairs, current, free, config)
         step = np.asarray(-np.linalg.solve(normal_matrix, gradient), dtype=np.float64)
         current = _move(current, free, step)
-        if np.abs(step).max() < config.epsilon:
+        if np.abs(step).max() < _EPSILON:
             break
     # The noise of a scan is the same in all pairs of which it is the source: they share its information.
     count = Counter((pair.source, snapshot) for pair, snapshot in used)

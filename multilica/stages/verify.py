@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 
 from multilica.acceptance.accept import cannot_be_accepted, is_well_constrained, min_competing_evidence
-from multilica.config import CalibrationConfig, FineConfig, VerifyConfig
+from multilica.config import CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
-from multilica.registration.gicp import register_narrower
+from multilica.registration.gicp import SHORT_ITERATIONS, register_narrower
 from multilica.registration.gicp_cloud import GicpCloud
 from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
-from multilica.visibility.sensor_view import SensorView, score_registration, score_visibility
+from multilica.visibility.sensor_view import ROUGH_TOLERANCES, SensorView, score_registration, score_visibility
 from multilica.visibility.symmetric_poses import symmetric_poses
 
 # Coarse poses are off by about a voxel of the descriptors and a degree: the true one among them then scores best.
@@ -25,6 +25,13 @@ _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
 # Symmetric poses come from plans with cells of 0.5 m, slid ones from steps of 1 m.
 _COMPETING_TOLERANCE_M = 0.6
+# Distinct poses after which the search may stop early; fewer are enough if the best is well constrained.
+_EARLY_STOP_POSES = 6
+_EARLY_STOP_POSES_CONSTRAINED = 2
+_MAX_SYMMETRIC_POSES = 6
+# The short GICP; a denser cloud is thinned further.
+_SHORT_VOXEL_M = 0.5
+_SHORT_POINTS = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,15 +42,15 @@ class RoughSide:
     cloud: GicpCloud
 
 
-def short_gicp(config: VerifyConfig, fine: FineConfig) -> FineConfig:
+def short_gicp(fine: FineConfig) -> FineConfig:
     """Return the settings of the short GICP: coarse grid, few iterations, loose convergence."""
     return fine.model_copy(
         update={
             "engine": "small_gicp",
-            "voxel_size_m": config.voxel_size_m,
-            "max_points": config.max_points,
+            "voxel_size_m": _SHORT_VOXEL_M,
+            "max_points": _SHORT_POINTS,
             "max_correspondence_distances_m": (2.0, 1.0, 0.5),
-            "max_iterations": config.max_iterations,
+            "max_iterations": SHORT_ITERATIONS,
             "translation_epsilon_m": 1e-3,
             "rotation_epsilon_rad": 1e-3,
             "fitness_distance_m": 0.5,
@@ -67,7 +74,7 @@ def verify_hypotheses(
     Returns:
         The distinct poses, the one with the most evidence first.
     """
-    gicp, max_baseline_m = short_gicp(config.verify, config.fine), config.acceptance.max_baseline_m
+    gicp, max_baseline_m = short_gicp(config.fine), config.acceptance.max_baseline_m
     from_prior: list[Registration] = []
     found: list[Registration] = []
     for hypothesis in _promising(target, source, coarse.hypotheses, config):
@@ -81,7 +88,7 @@ def verify_hypotheses(
                 known.append(registration)
     for registration in from_prior:
         found = _joined(found, registration)
-    tolerances = _COMPETING_TOLERANCE_M, config.visibility.tolerance_deg
+    tolerances = _COMPETING_TOLERANCE_M, ROUGH_TOLERANCES[1]
     for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
         pose = hypothesis.T_target_source
         if not is_distinct(pose, (other.T_target_source for other in found)):
@@ -89,7 +96,7 @@ def verify_hypotheses(
         rough = score_visibility(target.view.alone, source.view.alone, pose, *tolerances)
         best = max(each.evidence for each in within_baseline(found, max_baseline_m))
         if rough.evidence(float(np.linalg.norm(pose.xyz_m))) > min_competing_evidence(best, config.acceptance):
-            found = _joined(found, _register(target, source, hypothesis, settings, config))
+            found = _joined(found, _register(target, source, hypothesis, settings))
     return tuple(sorted(within_baseline(found, max_baseline_m), key=lambda each: -each.evidence))
 
 
@@ -132,7 +139,7 @@ def _competing_hypotheses(
 
     A turned pose is off by less than a cell; a slid one needs the longest correspondence distance.
     """
-    verify, acceptance = config.verify, config.acceptance
+    acceptance = config.acceptance
     max_baseline_m = acceptance.max_baseline_m
     best = max(within_baseline(found, max_baseline_m), key=lambda each: each.evidence, default=None)
     if best is None:
@@ -142,12 +149,11 @@ def _competing_hypotheses(
         return []
     pose, up = best.T_target_source, best.visibility.commonest_normal
     near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
-    turned = symmetric_poses(target, source, pose, up, max_baseline_m, verify.max_symmetric_poses)
+    turned = symmetric_poses(target, source, pose, up, max_baseline_m, _MAX_SYMMETRIC_POSES)
     start = Hypothesis(pose, origin=best.origin, index=best.hypothesis)
     along: list[Hypothesis] = []
     if not is_well_constrained(best.visibility, acceptance):
-        direction = best.visibility.slide_direction
-        along = slid_hypotheses(start, direction, verify.slide_step_m, verify.slide_steps, max_baseline_m)
+        along = slid_hypotheses(start, best.visibility.slide_direction, max_baseline_m)
     return [
         *((replace(start, T_target_source=each, derivation=_turn_between(pose, each)), near) for each in turned),
         *((each, gicp) for each in along),
@@ -166,35 +172,32 @@ def _registered(
 
     Narrow views share few points: most points within 2 m may be no matches, and draw even the true pose away.
     """
-    far = _register(target, source, hypothesis, gicp, config)
+    far = _register(target, source, hypothesis, gicp)
     if not is_distinct(far.T_target_source, [hypothesis.T_target_source]):
         return [far]
     nearest = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[-1:]})
-    near = _register(target, source, hypothesis, nearest, config)
+    near = _register(target, source, hypothesis, nearest)
     better = near.evidence > far.evidence and not cannot_be_accepted(near.evidence, config.acceptance)
     return [near, far] if better else [far]
 
 
-def _register(
-    target: RoughSide, source: RoughSide, hypothesis: Hypothesis, gicp: FineConfig, config: CalibrationConfig
-) -> Registration:
+def _register(target: RoughSide, source: RoughSide, hypothesis: Hypothesis, gicp: FineConfig) -> Registration:
     start = hypothesis.T_target_source
     found = register_narrower(target.cloud, source.cloud, start, gicp)
     found = replace(found, T_target_source=found.T_target_source.with_target(start.target))
-    tolerances = config.visibility.tolerance_m, config.visibility.tolerance_deg
-    return score_registration(found, hypothesis, target.view.alone, source.view.alone, *tolerances)
+    return score_registration(found, hypothesis, target.view.alone, source.view.alone, *ROUGH_TOLERANCES)
 
 
 def _is_settled(found: Sequence[Registration], config: CalibrationConfig) -> bool:
     """Return whether one pose leads so clearly that the other hypotheses, which have fewer matches, are skipped."""
-    verify, acceptance = config.verify, config.acceptance
+    acceptance = config.acceptance
     found = within_baseline(found, acceptance.max_baseline_m)
     if len(found) < 2:
         return False
     best, second = sorted(found, key=lambda each: -each.evidence)[:2]
     constrained = is_well_constrained(best.visibility, acceptance)
     return (
-        len(found) >= (verify.early_stop_poses_constrained if constrained else verify.early_stop_poses)
+        len(found) >= (_EARLY_STOP_POSES_CONSTRAINED if constrained else _EARLY_STOP_POSES)
         and best.evidence >= acceptance.min_evidence
         and second.evidence <= min_competing_evidence(best.evidence, acceptance)
     )

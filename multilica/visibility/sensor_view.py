@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from multilica.config import VisibilityConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, lengths
 from multilica.registration.neighbours import PointTree, spread_and_normals, thin
 from multilica.registration.stability import weakest_curvature
@@ -34,9 +33,16 @@ _PLANE_WIDTH = 0.05
 _WIDER_THAN_THICK = 10.0
 # Width of poles and branches, and of the patch that a surface probe stands for (the voxel of the probes).
 _THIN_M = 0.1
-_PATCH_M = 0.5
+_PATCH_M = _PROBE_VOXEL_M = 0.5
+# Points beyond are left out.
+_MAX_RANGE_M = 50.0
 _STRUCTURE = float(np.cos(np.deg2rad(45.0)))
 _GRAZING = float(np.sin(np.deg2rad(15.0)))
+
+ROUGH_TOLERANCES = (0.15, 0.5)
+"""Metres and degrees: a point nearer than this to a measured surface lies on it; the degrees are a rotation's error."""
+FINE_TOLERANCES = (0.08, 0.2)
+"""The same after the fine registration."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,10 +80,10 @@ ScorePose = Callable[[RigidTransform], Registration]
 """Scores a pose between two LiDARs by their beams."""
 
 
-def prepare_sensor_view(cloud: PreprocessedCloud, config: VisibilityConfig) -> SensorView:
+def prepare_sensor_view(cloud: PreprocessedCloud) -> SensorView:
     """Prepare what every hypothesis about a sensor needs."""
-    near_m = cloud.points_m[lengths(cloud.points_m) <= config.max_range_m]
-    probes_m = _along_bands(thin(near_m, config.probe_voxel_size_m))
+    near_m = cloud.points_m[lengths(cloud.points_m) <= _MAX_RANGE_M]
+    probes_m = _along_bands(thin(near_m, _PROBE_VOXEL_M))
     image = build_range_image(cloud.returns_m)
     returns_m = thin(near_m, _RETURN_VOXEL_M)
     solid, normals, spanned = _surfaces(probes_m, returns_m)
@@ -85,7 +91,8 @@ def prepare_sensor_view(cloud: PreprocessedCloud, config: VisibilityConfig) -> S
         solid = np.zeros(len(probes_m), dtype=bool)
     else:
         # Around a fence or a pole, most of the sensor's own beams see what is behind.
-        own = label_points(image, probes_m, config.tolerance_m, float(np.deg2rad(config.tolerance_deg)))
+        tolerance_m, tolerance_deg = ROUGH_TOLERANCES
+        own = label_points(image, probes_m, tolerance_m, float(np.deg2rad(tolerance_deg)))
         solid &= own == BeamLabel.AGREE
     returns = cKDTree(returns_m, balanced_tree=False, compact_nodes=False) if len(returns_m) else None
     return SensorView(cloud.lidar, image, probes_m, solid, normals, spanned, returns)

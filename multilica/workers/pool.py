@@ -1,13 +1,46 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tasks whose results come in the order of the items, run by this process."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from typing import TypeVar
-
-from multilica.workers.shared import Shared
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+
+
+class Shared:
+    """Values that all tasks of a pool can use; in a worker process, arrays are read-only."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:  # noqa: ANN401 - the task knows what was shared
+        """Return the value that was shared under that name."""
+        return self._values[name]
+
+    def add(self, name: str, value: object) -> None:
+        """Make a value available under a name.
+
+        Raises:
+            ValueError: the name is taken.
+        """
+        self.require_free([name])
+        self._values[name] = value
+
+    def require_free(self, names: Iterable[str]) -> None:
+        """Check that no value has one of these names.
+
+        Raises:
+            ValueError: a name is taken.
+        """
+        for name in names:
+            if name in self._values:
+                raise ValueError(f"'{name}' is shared already")
+
+    def drop(self, names: Collection[str] | None) -> None:
+        """Forget the values of those names, or all."""
+        for name in tuple(self._values) if names is None else names:
+            del self._values[name]
 
 
 class Workers:

@@ -11,12 +11,10 @@ from selectors import EVENT_READ, DefaultSelector
 from typing import Any, NoReturn, TypeVar
 
 from multilica.errors import WorkerDiedError
-from multilica.workers.failures import TaskFailure
-from multilica.workers.messages import UNREADABLE, Answer, Forgotten, Job
-from multilica.workers.parcels import end, pack, unpack
-from multilica.workers.pool import Workers
+from multilica.workers.messages import UNREADABLE, Answer, Job, Release, TaskFailure
+from multilica.workers.pool import Shared, Workers
 from multilica.workers.server import start_server
-from multilica.workers.shared import Shared
+from multilica.workers.shared_buffers import end_claims, pack, unpack
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
@@ -76,7 +74,7 @@ class WorkerProcesses(Workers):
         super().__init__()
         self.processes = processes
         self._control = control
-        self._parcels: dict[str, int] = {}
+        self._buffers: dict[str, int] = {}
         self._jobs: dict[int, tuple[int, dict[int, Any]]] = {}
         self._numbers = count()
         self._selector = DefaultSelector()
@@ -89,11 +87,11 @@ class WorkerProcesses(Workers):
 
     def forget(self, names: Collection[str] | None = None) -> None:  # noqa: D102
         super().forget(names)
-        for name in tuple(self._parcels) if names is None else names:
-            os.close(self._parcels.pop(name))
-        parcel = pack(Forgotten(names))
-        self._tell(parcel)
-        os.close(parcel)
+        for name in tuple(self._buffers) if names is None else names:
+            os.close(self._buffers.pop(name))
+        buffer = pack(Release(names))
+        self._tell(buffer)
+        os.close(buffer)
 
     def map(  # noqa: D102
         self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item]
@@ -110,10 +108,10 @@ class WorkerProcesses(Workers):
         self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item], names: Sequence[str]
     ) -> Iterator[_Result]:
         number, answers = next(self._numbers), dict[int, Any]()
-        parcel = pack(Job(number, function, items, names))
-        self._jobs[number] = parcel, answers
+        buffer = pack(Job(number, function, items, names))
+        self._jobs[number] = buffer, answers
         try:
-            self._tell(parcel)
+            self._tell(buffer)
             self._fork(min(self.processes, len(items)))
             for index in range(len(items)):
                 while index not in answers:
@@ -121,16 +119,16 @@ class WorkerProcesses(Workers):
                 yield _result_of(answers.pop(index))
         finally:
             del self._jobs[number]
-            end(parcel)
-            os.close(parcel)
+            end_claims(buffer)
+            os.close(buffer)
 
     def close(self) -> None:
         """Close the connections to the workers, if that is not done yet."""
         self._selector.close()
         for worker in self._workers:
             worker.close()
-        while self._parcels:
-            os.close(self._parcels.popitem()[1])
+        while self._buffers:
+            os.close(self._buffers.popitem()[1])
 
     def _fork(self, workers: int) -> None:
         """Have workers forked until there are as many."""
@@ -141,31 +139,31 @@ class WorkerProcesses(Workers):
             with theirs:
                 _send(self._control, theirs.fileno())
 
-    def _keep(self, name: str, parcel: int) -> None:
+    def _keep(self, name: str, buffer: int) -> None:
         """Tell the workers a value to share, those of now and those to come."""
-        self._parcels[name] = parcel
-        self._tell(parcel)
+        self._buffers[name] = buffer
+        self._tell(buffer)
 
-    def _tell(self, parcel: int) -> None:
+    def _tell(self, buffer: int) -> None:
         for worker in self._ready:
-            _send(worker, parcel)
+            _send(worker, buffer)
 
     def _receive(self) -> None:
         """Wait for messages of the workers, and keep the answers to jobs that are still open."""
         for key, _ in self._selector.select():
-            sent, parcels = _received(key.data)
+            sent, buffers = _received(key.data)
             if not sent:
                 _raise_died()
-            if not parcels:
+            if not buffers:
                 self._introduce(key.data)
                 continue
-            answer: Any = unpack(parcels[0])
+            answer: Any = unpack(buffers[0])
             wanted = answer.job in self._jobs
             if wanted and answer.name is not None:
                 super().share(answer.name, answer.value)
-                self._keep(answer.name, parcels[0])
+                self._keep(answer.name, buffers[0])
             else:
-                os.close(parcels[0])
+                os.close(buffers[0])
             if answer.job == UNREADABLE:
                 _result_of(answer.value)
             if wanted:
@@ -174,8 +172,8 @@ class WorkerProcesses(Workers):
     def _introduce(self, worker: socket.socket) -> None:
         """Tell a worker that has just started what the others know."""
         self._ready.append(worker)
-        for parcel in (*self._parcels.values(), *(parcel for parcel, _ in self._jobs.values())):
-            _send(worker, parcel)
+        for buffer in (*self._buffers.values(), *(buffer for buffer, _ in self._jobs.values())):
+            _send(worker, buffer)
 
 
 def _result_of(answer: Any) -> Any:  # noqa: ANN401 - results have any type
@@ -184,19 +182,19 @@ def _result_of(answer: Any) -> Any:  # noqa: ANN401 - results have any type
     return answer
 
 
-def _send(receiver: socket.socket, parcel: int) -> None:
+def _send(receiver: socket.socket, buffer: int) -> None:
     try:
-        socket.send_fds(receiver, [b"."], [parcel])
+        socket.send_fds(receiver, [b"."], [buffer])
     except (BrokenPipeError, ConnectionResetError):
         _raise_died()
 
 
 def _received(worker: socket.socket) -> tuple[bytes, list[int]]:
     try:
-        sent, parcels, _, _ = socket.recv_fds(worker, 1, 1)
+        sent, buffers, _, _ = socket.recv_fds(worker, 1, 1)
     except ConnectionResetError:
         _raise_died()
-    return sent, parcels
+    return sent, buffers
 
 
 def _raise_died() -> NoReturn:

@@ -13,10 +13,9 @@ from functools import partial
 from importlib import import_module
 
 from multilica.allocator import keep_freed_memory
-from multilica.workers.failures import failure_of
-from multilica.workers.messages import UNREADABLE, Answer, Forgotten, Job
-from multilica.workers.parcels import pack, take, unpack
-from multilica.workers.shared import Shared
+from multilica.workers.messages import UNREADABLE, Answer, Job, Release, TaskFailure
+from multilica.workers.pool import Shared
+from multilica.workers.shared_buffers import claim_next, pack, unpack
 
 # Read by OpenMP, OpenBLAS and MKL when they are loaded. OpenBLAS and MKL fall back to the first.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -97,15 +96,15 @@ def _work(caller: socket.socket) -> None:
         try:
             message = unpack(descriptor)
         except Exception as error:  # noqa: BLE001
-            _send(caller, pack(Answer(UNREADABLE, 0, failure_of(error))))
+            _send(caller, pack(Answer(UNREADABLE, 0, TaskFailure.of(error))))
         else:
             match message:
-                case Forgotten(names):
+                case Release(names):
                     shared.drop(names)
                 case Answer(_, _, value, str(name)):
                     shared.add(name, value)
                 case Job(number, function, items, names):
-                    while (index := take(descriptor)) < len(items):
+                    while (index := claim_next(descriptor)) < len(items):
                         task = partial(function, shared, items[index])
                         _run(caller, number, index, task, names[index] if names else None)
         os.close(descriptor)
@@ -113,12 +112,12 @@ def _work(caller: socket.socket) -> None:
 
 def _run(caller: socket.socket, job: int, index: int, task: Callable[[], object], name: str | None) -> None:
     try:
-        parcel = pack(Answer(job, index, task(), name))
+        buffer = pack(Answer(job, index, task(), name))
     except Exception as error:  # noqa: BLE001
-        parcel = pack(Answer(job, index, failure_of(error)))
-    _send(caller, parcel)
+        buffer = pack(Answer(job, index, TaskFailure.of(error)))
+    _send(caller, buffer)
 
 
-def _send(caller: socket.socket, parcel: int) -> None:
-    socket.send_fds(caller, [b"."], [parcel])
-    os.close(parcel)
+def _send(caller: socket.socket, buffer: int) -> None:
+    socket.send_fds(caller, [b"."], [buffer])
+    os.close(buffer)

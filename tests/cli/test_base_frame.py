@@ -84,9 +84,7 @@ def test_no_ground_is_told_with_its_own_code(invoke: Invoke, two_lidars: Path) -
         pose = _true("wheels", lidar)
         points_m = np.loadtxt(two_lidars / f"{lidar}.pcd", skiprows=11)[:, :3]
         write_pcd(Path(f"walls/{lidar}.pcd"), points_m[pose.apply(points_m)[:, 2] > 0.5])
-    outcome = invoke(
-        "calibrate", "walls", "--target", "left", "--base", "wheels", "--out", "run", "--set", "verify.max_points=2000"
-    )
+    outcome = invoke("calibrate", "walls", "--target", "left", "--base", "wheels", "--out", "run")
     document = json.loads(Path("run/result.json").read_text(encoding="utf-8"))
     assert outcome.code == ExitCode.NOT_PLACED
     assert document["ground"] is None or document["ground"]["doubt"]

@@ -10,7 +10,7 @@ import pytest
 
 from multilica import events
 from multilica.acceptance.rig import check_scene_symmetry
-from multilica.config import AcceptanceConfig, CalibrationConfig, VisibilityConfig
+from multilica.config import AcceptanceConfig, CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.results import BeamLabel, PairRegistration, PreprocessedCloud, Reason, Registration, Verdict
 from multilica.results import visibility_score as visibility
@@ -18,7 +18,7 @@ from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.figures import pair_figures
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from multilica.visibility.sensor_view import prepare_sensor_view, score_pose
+from multilica.visibility.sensor_view import ROUGH_TOLERANCES, prepare_sensor_view, score_pose
 from tests.sinks.made_events import made_events
 
 TURN = RigidTransform.from_xyz_rpy("hall", "hall", (0.0, 0.0, 0.0), (0.0, 0.0, np.pi))
@@ -66,12 +66,11 @@ def hall() -> RunState:
     for name, points in lidars.items():
         state(events.CloudPreprocessed(PreprocessedCloud(name, points, points)))
     state(events.StageStarted("fine", 0))
-    limits = VisibilityConfig()
-    views = {name: prepare_sensor_view(cloud, limits) for name, cloud in state.clouds.items()}
+    views = {name: prepare_sensor_view(cloud) for name, cloud in state.clouds.items()}
     pairs = [pair(seen, (TURN @ seen,), Verdict("undecided")), pair(apart, verdict=Verdict("accept"))]
 
     def score(pose: RigidTransform) -> Registration:
-        return score_pose(views[pose.target], views[pose.source], pose, *limits.rough_tolerances)
+        return score_pose(views[pose.target], views[pose.source], pose, *ROUGH_TOLERANCES)
 
     def score_turned(_: RigidTransform) -> visibility.VisibilityScore:
         return replace(pairs[0].registrations[0].visibility, violate=0)

@@ -21,7 +21,13 @@ from multilica.stages import refine, stillness
 
 _STEP = 1e-5
 _TURNS_RAD = (0.1, 1.0, 2.0, 3.0)
-_CONFIG = RefineConfig(distance_m=0.3)
+_CONFIG = RefineConfig()
+
+
+@pytest.fixture(autouse=True)
+def wide_matching(monkeypatch):
+    """Match points up to 0.3 m apart."""
+    monkeypatch.setattr(plane_fit, "_DISTANCE_M", 0.3)
 
 
 def _derivative(function):
@@ -139,7 +145,7 @@ def _rooms(turn_rad, seed=0):
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
 def test_residuals_of_the_plane_fit_by_motions_of_the_source(turn_rad):
     target, source, pose = _rooms(turn_rad)
-    overlap = plane_fit._overlap(target, source, pose, _CONFIG)
+    overlap = plane_fit._overlap(target, source, pose)
     here = plane_fit._residuals(overlap, pose)
 
     def residual_m(motion):
@@ -159,19 +165,19 @@ def test_residuals_of_the_plane_fit_by_motions_of_the_source(turn_rad):
 def test_information_of_a_pose_is_that_of_its_gradients_by_patch(turn_rad):
     """H B^-1 H, with B the sum over patches of 1 m of the outer products of the gradients, and the least noise."""
     target, source, pose = _rooms(turn_rad)
-    overlap = plane_fit._overlap(target, source, pose, _CONFIG)
+    overlap = plane_fit._overlap(target, source, pose)
     here = plane_fit._residuals(overlap, pose)
     jacobian = _derivative(lambda motion: plane_fit._residuals(overlap, moved(pose, motion[:3], motion[3:])).residual_m)
     patches = {}
     for index, point_m in enumerate(np.floor(here.points_m)):
         patches.setdefault(tuple(point_m), []).append(index)
     pulls = here.weight[:, None] * jacobian
-    spread = (_CONFIG.min_sigma_m * pulls).T @ (_CONFIG.min_sigma_m * pulls)
+    spread = (plane_fit._MIN_SIGMA_M * pulls).T @ (plane_fit._MIN_SIGMA_M * pulls)
     for members in patches.values():
         gradient = np.sum(here.residual_m[members, None] * pulls[members], axis=0)
         spread += np.outer(gradient, gradient)
     remaining = plane_fit._remaining_hessian(overlap, pose, here)
-    found = plane_fit.pose_information(target, source, pose, _CONFIG)
+    found = plane_fit.pose_information(target, source, pose)
     _assert_alike(found, remaining @ np.linalg.inv(spread) @ remaining, 1e-5)
     assert np.linalg.eigvalsh(here.hessian - remaining).min() > -1e-6 * np.abs(here.hessian).max()
 

@@ -16,6 +16,9 @@ from multilica.stages.ground.ground_surface import NEAR_M, GroundSurface, axes_o
 _CELL_M = 0.3
 _MIN_CELLS = 100
 _LEVEL_POINTS = 3_000
+# A point nearer than this to the ground belongs to it.
+_DISTANCE_M = 0.05
+_RANSAC_DRAWS = 1000
 # Enough to rank planes by their points.
 _SCORED_POINTS = 4_000
 _CANDIDATES = 10
@@ -63,9 +66,7 @@ def estimate_ground(
     forward = np.array([1.0, 0.0, 0.0]) if known is None else known.rotation[0]
     wheels_m = _WHEELS_OF_ANY_HEADING_M if known is None else _WHEELS_M
     fitted = (
-        fit_surface(
-            points_m - middle_m, -middle_m, axes_of(normal, forward), height_m, wheels_m, config.ground.distance_m
-        )
+        fit_surface(points_m - middle_m, -middle_m, axes_of(normal, forward), height_m, wheels_m, _DISTANCE_M)
         for normal, height_m in _planes(points_m - middle_m, config.ground, config.runtime.seed)
     )
     surfaces = [each for each in fitted if each.below <= _MAX_SHARE_BELOW]
@@ -126,7 +127,7 @@ def _planes(points_m: FloatArray, config: GroundConfig, seed: int) -> Iterator[t
     rng = np.random.default_rng(seed)
     nearness = nearness_of(points_m)
     share = np.sqrt(nearness)
-    corners = points_m[rng.choice(len(points_m), (config.iterations, 3), p=share / share.sum())]
+    corners = points_m[rng.choice(len(points_m), (_RANSAC_DRAWS, 3), p=share / share.sum())]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals[normals[:, 2] < 0.0] *= -1.0
     length = lengths(normals)
@@ -138,12 +139,12 @@ def _planes(points_m: FloatArray, config: GroundConfig, seed: int) -> Iterator[t
     if len(points_m) > _SCORED_POINTS:
         rows = np.sort(rng.choice(len(points_m), _SCORED_POINTS, replace=False))
     above_m = points_m[rows] @ normals.T + heights_m
-    on_plane, below = np.abs(above_m) <= config.distance_m / 2.0, above_m < -2.0 * config.distance_m
+    on_plane, below = np.abs(above_m) <= _DISTANCE_M / 2.0, above_m < -2.0 * _DISTANCE_M
     scores = nearness[rows] @ on_plane - nearness[rows] @ below
     around_m = NEAR_M * np.concatenate([np.eye(3), -np.eye(3)]) @ normals.T + heights_m
     chosen: list[int] = []
     for index in np.argsort(-scores, kind="stable").tolist():
-        if all(np.abs(around_m[:, index] - around_m[:, other]).max() > config.distance_m for other in chosen):
+        if all(np.abs(around_m[:, index] - around_m[:, other]).max() > _DISTANCE_M for other in chosen):
             chosen.append(index)
             yield normals[index], float(heights_m[index])
         if len(chosen) == _CANDIDATES:

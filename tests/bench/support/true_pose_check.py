@@ -138,5 +138,5 @@ def _side(watch: Watch, members: Members, truth: Extrinsics, config: Calibration
     root = members[0]
     poses = {name: truth.between(root, name) for name in members}
     points_m = np.concatenate([pose.apply(watch.clouds[name].points_m) for name, pose in poses.items()])
-    views = [(pose, prepare_sensor_view(watch.clouds[name], config.visibility)) for name, pose in poses.items()]
+    views = [(pose, prepare_sensor_view(watch.clouds[name])) for name, pose in poses.items()]
     return prepare_registration_cloud(root, points_m, views, config)

@@ -6,6 +6,7 @@ import pytest
 
 from multilica.config import FineConfig, preset
 from multilica.geometry import RigidTransform
+from multilica.registration import gicp
 from multilica.registration.gicp import fitness_and_rmse, register, register_narrower
 from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.registration.lazy_open3d import o3d
@@ -44,12 +45,11 @@ def test_finds_the_truth(config):
     assert result.steps[-1].fitness == pytest.approx(result.steps[-1].inliers / len(source.points_m))
 
 
-def test_epsilon_changes_the_pose_of_open3d():
-    config = preset("paper").fine
-    poses = [
-        register(*_clouds(each), RigidTransform.identity("t", "s"), each).T_target_source
-        for each in (config, config.model_copy(update={"gicp_epsilon": 0.5}))
-    ]
+def test_epsilon_changes_the_pose_of_open3d(monkeypatch):
+    config, poses = preset("paper").fine, []
+    for epsilon in (gicp._OPEN3D_EPSILON, 0.5):
+        monkeypatch.setattr(gicp, "_OPEN3D_EPSILON", epsilon)
+        poses.append(register(*_clouds(config), RigidTransform.identity("t", "s"), config).T_target_source)
     assert poses[0].distance_to(poses[1])[0] > 1e-5
 
 

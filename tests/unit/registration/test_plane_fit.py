@@ -3,13 +3,19 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multilica.config import FineConfig, RefineConfig
+from multilica.config import FineConfig
 from multilica.geometry import RigidTransform
+from multilica.registration import plane_fit
 from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
 
 _HERE = RigidTransform.identity("t", "s")
-_CONFIG = RefineConfig(distance_m=0.3)
+
+
+@pytest.fixture(autouse=True)
+def wide_matching(monkeypatch):
+    """Match points up to 0.3 m apart."""
+    monkeypatch.setattr(plane_fit, "_DISTANCE_M", 0.3)
 
 
 def _room(name, seed, roughness_m=(0.01, 0.01, 0.01), count=4000, clutter=0):
@@ -28,7 +34,7 @@ def _cloud(name, points_m):
 
 
 def _information(target, source, pose=_HERE):
-    return pose_information(target, source, pose, _CONFIG)
+    return pose_information(target, source, pose)
 
 
 def _sigma_m(information):
@@ -41,7 +47,7 @@ def _nudged(xyz_m, yaw_rad=0.0):
 
 def test_the_fit_ends_where_the_planes_are_in_common():
     target, source = _room("t", 0), _room("s", 1)
-    found, information = fit_planes(target, source, _nudged([0.04, -0.03, 0.05], 0.01), _CONFIG)
+    found, information = fit_planes(target, source, _nudged([0.04, -0.03, 0.05], 0.01))
     metres, radians = found.distance_to(_HERE)
     assert metres < 0.002
     assert radians < np.deg2rad(0.02)
@@ -53,31 +59,32 @@ def test_bushes_do_not_pull_the_fit():
     target, source = _room("t", 0, clutter=6000), _room("s", 1)
     bush_m = target.points_m[np.all(target.points_m > 1.9, axis=1)] + [0.06, 0.06, 0.06]
     source = _cloud("s", np.concatenate([source.points_m, bush_m]))
-    found, _ = fit_planes(target, source, _nudged([0.02, 0.0, 0.0]), _CONFIG)
+    found, _ = fit_planes(target, source, _nudged([0.02, 0.0, 0.0]))
     assert found.distance_to(_HERE)[0] < 0.002
 
 
 def test_few_points_in_common_leave_the_pose():
     target, source = _room("t", 0), _room("s", 1)
     away = _nudged([100.0, 0.0, 0.0])
-    found, information = fit_planes(target, source, away, _CONFIG)
+    found, information = fit_planes(target, source, away)
     assert found is away
     assert information is None
     assert _information(target, source, away) is None
 
 
-def test_a_fit_that_leads_away_is_not_taken():
+def test_a_fit_that_leads_away_is_not_taken(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
     off = _nudged([0.16, 0.16, 0.16])
-    assert fit_planes(target, source, off, _CONFIG)[0].distance_to(_HERE)[0] < 0.01
-    short = _CONFIG.model_copy(update={"distance_m": 0.2})
-    assert fit_planes(target, source, off, short)[0] is off
+    assert fit_planes(target, source, off)[0].distance_to(_HERE)[0] < 0.01
+    monkeypatch.setattr(plane_fit, "_DISTANCE_M", 0.2)
+    assert fit_planes(target, source, off)[0] is off
 
 
-def test_more_points_than_wanted_are_thinned_evenly():
+def test_more_points_than_wanted_are_thinned_evenly(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
-    found, of_fewer = fit_planes(target, source, _HERE, _CONFIG.model_copy(update={"max_points": 800}))
-    _, of_all = fit_planes(target, source, _HERE, _CONFIG)
+    _, of_all = fit_planes(target, source, _HERE)
+    monkeypatch.setattr(plane_fit, "_MAX_POINTS", 800)
+    found, of_fewer = fit_planes(target, source, _HERE)
     assert found.distance_to(_HERE)[0] < 0.004
     assert np.trace(of_fewer) < 0.6 * np.trace(of_all)
 
@@ -141,7 +148,7 @@ def test_the_truth_lies_as_far_off_as_the_covariance_says():
         truth = RigidTransform.from_rotation_translation("t", "s", turn, rng.normal(0.0, 0.5, 3))
         target, other = (_room(name, (seed, index), (0.015,) * 3, 1500) for index, name in enumerate("ts"))
         source = _cloud("s", truth.inverse().apply(other.points_m))
-        found, information = fit_planes(target, source, truth, _CONFIG)
+        found, information = fit_planes(target, source, truth)
         turned = Rotation.from_matrix(found.rotation @ truth.rotation.T).as_rotvec()
         error = np.concatenate([turned, found.xyz_m - truth.xyz_m])
         squared.append(error @ information @ error)

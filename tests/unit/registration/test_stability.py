@@ -4,7 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
+from multilica.config import AcceptanceConfig, FineConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import register
 from multilica.registration.gicp_cloud import prepare_gicp_cloud
@@ -27,7 +27,7 @@ def _registered(objects):
     fewer = _FINE.model_copy(update={"max_points": 2000})
     thinned = tuple(prepare_gicp_cloud(cloud.name, cloud.points_m, fewer) for cloud in ready)
     registration = register(*ready, _TRUTH, _FINE)
-    information = pose_information(*ready, registration.T_target_source, RefineConfig())
+    information = pose_information(*ready, registration.T_target_source)
     return ready, thinned, replace(registration, information=information)
 
 

@@ -3,10 +3,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multilica.config import preset
 from multilica.solvers.teaser import decoupled_pose, vote_translation
 
-_CONFIG = preset("paper").coarse
+_NOISE_BOUND_M = 0.35
 
 
 def _clique(seed, count, wrong):
@@ -22,7 +21,7 @@ def _clique(seed, count, wrong):
 @pytest.mark.parametrize("seed", range(5))
 def test_a_few_wrong_matches_do_not_matter(seed):
     target, source, rotation, translation = _clique(seed, 30, 3)
-    found_rotation, found_translation = decoupled_pose(target, source, _CONFIG)
+    found_rotation, found_translation = decoupled_pose(target, source, _NOISE_BOUND_M)
     assert Rotation.from_matrix(found_rotation.T @ rotation).magnitude() < np.deg2rad(0.3)
     assert np.abs(found_translation - translation).max() < 0.1
 
@@ -30,7 +29,7 @@ def test_a_few_wrong_matches_do_not_matter(seed):
 def test_without_noise_it_is_exact():
     target, source, rotation, translation = _clique(1, 10, 0)
     target = source @ rotation.T + translation
-    found_rotation, found_translation = decoupled_pose(target, source, _CONFIG)
+    found_rotation, found_translation = decoupled_pose(target, source, _NOISE_BOUND_M)
     assert np.allclose(found_rotation, rotation, atol=1e-9)
     assert np.allclose(found_translation, translation, atol=1e-9)
 
@@ -49,10 +48,3 @@ def test_the_vote_has_the_least_cost_of_all_sets(seed):
     least, mean = min((each for each in costs if np.isfinite(each[1])), key=lambda each: each[0])
     assert vote_translation(offsets, bound) == pytest.approx(mean, abs=1e-9)
     assert least <= 9 * bound
-
-
-def test_a_larger_c_bar_lets_more_offsets_vote():
-    target, source, *_ = _clique(2, 12, 4)
-    _, narrow = decoupled_pose(target, source, _CONFIG)
-    _, wide = decoupled_pose(target, source, _CONFIG.model_copy(update={"cbar2": 9.0}))
-    assert np.abs(narrow - wide).max() > 0.05

@@ -7,7 +7,7 @@ from multilica.errors import UnknownNameError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from multilica.stages.base_frame import known_in_base, require_usable_rig
+from multilica.stages.known_poses import known_in_base, require_usable_rig
 
 ROOT = RigidTransform.from_xyz_rpy("root", "base_link", [1.0, 0.0, 0.0], [0.0, 0.0, 0.5])
 TOP = RigidTransform.from_xyz_rpy("root", "top_link", [0.0, 2.0, 1.0], [0.1, 0.0, 0.0])

@@ -6,6 +6,7 @@ import pytest
 
 from multilica.config import AcceptanceConfig, CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
+from multilica.registration import poses
 from multilica.registration.gicp import register
 from multilica.results import Hypothesis
 from multilica.stages import fine
@@ -27,7 +28,7 @@ def _near(pose, xyz_m=(0.1, -0.1, 0.05), yaw_rad=0.02):
 
 
 def _side(cloud, *, verified=True):
-    view = (RigidTransform.identity(cloud.lidar, cloud.lidar), prepare_sensor_view(cloud, _CONFIG.visibility))
+    view = (RigidTransform.identity(cloud.lidar, cloud.lidar), prepare_sensor_view(cloud))
     return prepare_registration_cloud(cloud.lidar, cloud.points_m, [view] if verified else [], _CONFIG)
 
 
@@ -215,15 +216,15 @@ def corridor():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("along_m", [-1.0, 3.0])
-def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m):
+def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m, monkeypatch):
     start = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [along_m, 0, 0], [0, 0, 0]) @ _SOURCE
     best, *others = register_best(*corridor, [_hypothesis(start, 4, origin="cliques")], _CONFIG).registrations
     _assert_true(best.T_target_source)
     assert best.stability.perturbed_offset_m < _CONFIG.acceptance.max_perturbed_offset_m
     assert best.hypothesis == 4
     assert all(other.evidence < best.evidence for other in others)
-    no_slides = with_overrides(_CONFIG, ["verify.slide_steps=0"])
-    (stuck,) = register_best(*corridor, [_hypothesis(start, 4)], no_slides).registrations
+    monkeypatch.setattr(poses, "_SLIDE_STEPS", 0)
+    (stuck,) = register_best(*corridor, [_hypothesis(start, 4)], _CONFIG).registrations
     assert stuck.T_target_source.distance_to(_TRUTH)[0] > 1.0
     assert stuck.stability.perturbed_offset_m > _CONFIG.acceptance.max_perturbed_offset_m
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from multilica.results import Verdict
-from multilica.stages.loops import choose_loops, implied_poses, is_open
+from multilica.stages.pair_choice import choose_loops, implied_poses, is_open
 from tests.unit.made_pairs import ACCEPTED, pair, pose, registration, undecided
 
 _PLACED = pose("a", "b", (1.0, 0.0, 0.0))

@@ -3,7 +3,7 @@ from itertools import combinations
 
 import pytest
 
-from multilica.stages.search_order import components, next_round, pairs_by_role
+from multilica.stages.pair_choice import components, next_round, pairs_by_role
 
 _NAMES = "abcd"
 _PRIORITY = {pair: priority for priority, pair in enumerate(combinations(_NAMES, 2))}

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig, VerifyConfig, VisibilityConfig
+from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import register_narrower
 from multilica.registration.gicp_cloud import prepare_gicp_cloud
@@ -15,9 +15,9 @@ from multilica.stages.verify import RoughSide, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_rooms import HALL, box, scan
 
-_CONFIG, _LIMITS = VerifyConfig(max_symmetric_poses=0), AcceptanceConfig()
+_LIMITS = AcceptanceConfig()
 _NEVER_FIRM = AcceptanceConfig(min_well_constrained_eigenvalue=1e9)
-_GICP = short_gicp(_CONFIG, FineConfig())
+_GICP = short_gicp(FineConfig())
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
 _TRUTH = _TARGET.inverse() @ _SOURCE
@@ -32,7 +32,7 @@ def _prepared(objects):
     clouds = [scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)]
     return [
         RoughSide(
-            prepare_sensor_view(cloud, VisibilityConfig()),
+            prepare_sensor_view(cloud),
             prepare_gicp_cloud(cloud.lidar, cloud.points_m, _GICP),
         )
         for cloud in clouds
@@ -44,11 +44,16 @@ def hall():
     return _prepared(HALL)
 
 
-def _verified(lidars, *poses, limits=_LIMITS, prior=None, **changed):
+def _verified(lidars, *poses, limits=_LIMITS, prior=None, slide_steps=6, **changed):
+    """Verify without symmetric poses, and with constants of the stage changed."""
     origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
     hypotheses = tuple(Hypothesis(pose, origin=origin, index=index) for index, (pose, origin) in enumerate(origins))
-    config = CalibrationConfig(verify=_CONFIG.model_copy(update=changed), acceptance=limits)
-    return verify_hypotheses(*lidars, CoarseResult("t", "s", hypotheses), config)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("multilica.registration.poses._SLIDE_STEPS", slide_steps)
+        for name, value in ({"max_symmetric_poses": 0} | changed).items():
+            patch.setattr(verify, f"_{name.upper()}", value)
+        config = CalibrationConfig(acceptance=limits)
+        return verify_hypotheses(*lidars, CoarseResult("t", "s", hypotheses), config)
 
 
 def test_the_true_pose_wins_over_one_with_more_matches(hall):
@@ -129,7 +134,7 @@ def test_hopeless_competing_poses_are_not_registered(hall, monkeypatch):
     few = len(registered)
     monkeypatch.setattr(verify, "min_competing_evidence", lambda *_: -np.inf)
     best.append(_verified(hall, _near(_TRUTH), limits=_NEVER_FIRM)[0])
-    assert len(registered) - few >= 1 + _CONFIG.slide_steps > few
+    assert len(registered) - few >= 1 + 6 > few
     assert best[0].T_target_source.matrix.tobytes() == best[1].T_target_source.matrix.tobytes()
 
 
@@ -245,8 +250,8 @@ def test_without_hypotheses_there_is_no_registration(hall):
 
 
 def test_the_short_gicp_is_coarse_and_by_small_gicp():
-    gicp = short_gicp(VerifyConfig(max_points=123, voxel_size_m=0.7), FineConfig(engine="open3d", neighbours=11))
-    assert (gicp.engine, gicp.max_points, gicp.voxel_size_m, gicp.neighbours) == ("small_gicp", 123, 0.7, 11)
+    gicp = short_gicp(FineConfig(engine="open3d", neighbours=11))
+    assert (gicp.engine, gicp.max_points, gicp.voxel_size_m, gicp.neighbours) == ("small_gicp", 4000, 0.5, 11)
     # It ends well within its grid, at 10 m too.
     assert 10.0 * max(gicp.translation_epsilon_m, 10.0 * gicp.rotation_epsilon_rad) < gicp.voxel_size_m
     assert list(gicp.max_correspondence_distances_m) == sorted(gicp.max_correspondence_distances_m, reverse=True)

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from multilica.config import AcceptanceConfig, VisibilityConfig
+from multilica.config import AcceptanceConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.results import BeamLabel, PreprocessedCloud
-from multilica.visibility.sensor_view import prepare_sensor_view, score_pose, score_visibility
+from multilica.visibility.sensor_view import FINE_TOLERANCES, prepare_sensor_view, score_pose, score_visibility
 from tests.unit.made_rooms import HALL, Face, Foliage, box, scan
 
-_CONFIG, _LIMITS = VisibilityConfig(), AcceptanceConfig()
+_LIMITS = AcceptanceConfig()
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
 _TRUTH = _TARGET.inverse() @ _SOURCE
 
 
 def _view(pose, objects, seed=0):
-    return prepare_sensor_view(scan(pose.source, pose, objects, seed=seed), _CONFIG)
+    return prepare_sensor_view(scan(pose.source, pose, objects, seed=seed))
 
 
 def _placed(view):
@@ -27,7 +27,7 @@ def _placed(view):
 
 
 def _score(target, source, pose=_TRUTH):
-    return score_pose(target, source, pose, *_CONFIG.fine_tolerances).visibility
+    return score_pose(target, source, pose, *FINE_TOLERANCES).visibility
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_a_wall_near_a_dense_sensor_is_solid_despite_noise():
     rng = np.random.default_rng(5)
     y_m, z_m = (axis.ravel() for axis in np.meshgrid(np.arange(-2.0, 2.0, 0.02), np.arange(-1.0, 1.0, 0.02)))
     wall_m = np.stack([rng.normal(8.0, 0.02, len(y_m)), y_m, z_m], axis=1)
-    view = prepare_sensor_view(PreprocessedCloud("t", wall_m, wall_m), _CONFIG)
+    view = prepare_sensor_view(PreprocessedCloud("t", wall_m, wall_m))
     assert np.mean(view.solid) > 0.9
     assert np.mean(np.abs(view.normals[:, 0]) > 0.98) > 0.9
 
@@ -109,7 +109,7 @@ def test_a_post_with_a_return_of_the_sensor_cannot_violate():
 def test_things_between_two_beams_cannot_violate():
     """Sixteen rings, 4.7 degrees apart: a beam across the hall at 11 m can stand between two of them."""
     beam = [*HALL, *box((10.0, -6.5, 2.55), (10.2, 6.5, 2.85))]
-    sparse = prepare_sensor_view(scan("t", _TARGET, beam, rings=16), _CONFIG)
+    sparse = prepare_sensor_view(scan("t", _TARGET, beam, rings=16))
     source = _view(_SOURCE, beam, seed=1)
     assert _score(sparse, source).violate == 0
     closed = replace(sparse, image=replace(sparse.image, gap_rad=np.zeros_like(sparse.image.gap_rad)))
@@ -204,7 +204,7 @@ def test_the_score_of_a_group_sums_those_of_its_members(target, source):
 @pytest.mark.parametrize("count", [0, 1, 3])
 def test_a_sensor_with_few_returns_proves_nothing(target, count):
     points_m = np.eye(3)[:count] * 5.0
-    blind = prepare_sensor_view(PreprocessedCloud("s", points_m, points_m), _CONFIG)
+    blind = prepare_sensor_view(PreprocessedCloud("s", points_m, points_m))
     score = _score(target, blind)
     assert blind.image is None
     assert len(blind.probes_m) == count
@@ -212,6 +212,7 @@ def test_a_sensor_with_few_returns_proves_nothing(target, count):
     assert score.violate == 0
 
 
-def test_points_beyond_the_range_are_not_labelled():
-    near = prepare_sensor_view(scan("t", _TARGET, HALL), _CONFIG.model_copy(update={"max_range_m": 5.0}))
+def test_points_beyond_the_range_are_not_labelled(monkeypatch):
+    monkeypatch.setattr("multilica.visibility.sensor_view._MAX_RANGE_M", 5.0)
+    near = prepare_sensor_view(scan("t", _TARGET, HALL))
     assert 0 < np.linalg.norm(near.probes_m, axis=1).max() <= 5.5

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from itertools import accumulate
 from mmap import ACCESS_READ, mmap
 
-# A parcel starts with a counter and the number of its sections; then come the lengths of the sections, and the
+# A buffer starts with a counter and the number of its sections; then come the lengths of the sections, and the
 # sections: a pickle, and the arrays that it refers to.
 _COUNTER = struct.Struct("=Q")
 _LENGTHS_AT = 2 * _COUNTER.size
@@ -57,18 +57,18 @@ def _aligned(size: int) -> int:
     return -(-size // _ALIGNMENT) * _ALIGNMENT
 
 
-def take(descriptor: int) -> int:
-    """Return how often this was called for the parcel before, by any process."""
+def claim_next(descriptor: int) -> int:
+    """Return how often this was called for the buffer before, by any process."""
     # A process that dies releases its lock.
     fcntl.lockf(descriptor, fcntl.LOCK_EX)
-    (taken,) = _COUNTER.unpack(os.pread(descriptor, _COUNTER.size, 0))
-    os.pwrite(descriptor, _COUNTER.pack(taken + 1), 0)
+    (claimed,) = _COUNTER.unpack(os.pread(descriptor, _COUNTER.size, 0))
+    os.pwrite(descriptor, _COUNTER.pack(claimed + 1), 0)
     fcntl.lockf(descriptor, fcntl.LOCK_UN)
-    return int(taken)
+    return int(claimed)
 
 
-def end(descriptor: int) -> None:
-    """Let `take` return a number beyond any from now on."""
+def end_claims(descriptor: int) -> None:
+    """Let `claim_next` return a number beyond any from now on."""
     fcntl.lockf(descriptor, fcntl.LOCK_EX)
     os.pwrite(descriptor, _COUNTER.pack(_NEVER), 0)
     fcntl.lockf(descriptor, fcntl.LOCK_UN)

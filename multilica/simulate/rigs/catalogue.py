@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated rigs with their LiDARs and bodies."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from multilica.simulate.rigs.rig import Mount, Rig
+from multilica.simulate.sensors import RasterPattern, RosettePattern, SensorModel, SpinningPattern
+from multilica.simulate.shapes.mesh import Mesh, box, merged, tapered_box, tube
+
+OS1_64 = SensorModel(SpinningPattern(64, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-64
+OS1_128 = SensorModel(SpinningPattern(128, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-128
+OS2_128 = SensorModel(SpinningPattern(128, 1024, (-11.25, 11.25)), 120.0, 0.8)  # Ouster OS2-128
+VLP_16 = SensorModel(SpinningPattern(16, 1800, (-15.0, 15.0)), 90.0, 0.4, 0.015)  # Velodyne VLP-16
+ROOF_64 = SensorModel(SpinningPattern(64, 1800, (-25.0, 15.0)), 110.0, 0.5, 0.015)  # 64-channel roof LiDAR
+SIDE_32 = SensorModel(SpinningPattern(32, 900, (-32.0, 48.0)), 60.0, 0.3, 0.02, 0.03)  # 32-channel side LiDAR
+FALCON = SensorModel(RasterPattern(104, 640, 120.0, 25.0), 120.0, 0.5, 0.02, 0.02)  # Seyond Falcon
+AVIA = SensorModel(RosettePattern(24_000, 70.4, 77.2), 100.0, 0.5, 0.02, 0.03)  # Livox Avia
+AERIES_II = SensorModel(RasterPattern(64, 800, 120.0, 19.2), 120.0, 0.8, 0.016, 0.03)  # Aeva Aeries II
+NARROW = SensorModel(RasterPattern(120, 400, 70.0, 30.0), 90.0, 0.4, 0.018, 0.02)  # narrow solid-state LiDAR
+
+
+def car(roof_height_m: float, roof_length_m: float, roof_width_m: float) -> Mesh:
+    """Build a hull of 4.6 m by 1.8 m with a cabin whose roof carries the LiDARs."""
+    hull = tapered_box((-2.3, 2.3, -0.9, 0.9), (-2.25, 2.1, -0.88, 0.88), 0.3, 0.55 * roof_height_m)
+    foot = (-0.5 * roof_length_m - 0.25, 0.5 * roof_length_m + 0.5, -0.86, 0.86)
+    roof = (-0.5 * roof_length_m, 0.5 * roof_length_m, -0.5 * roof_width_m, 0.5 * roof_width_m)
+    return merged([hull, tapered_box(foot, roof, 0.55 * roof_height_m, roof_height_m)])
+
+
+def shuttle(length_m: float, width_m: float, height_m: float) -> Mesh:
+    """Build a small bus: one box with rounded shoulders."""
+    half_x_m, half_y_m = length_m / 2.0, width_m / 2.0
+    side = (-half_x_m, half_x_m, -half_y_m, half_y_m)
+    roof = (-half_x_m + 0.1, half_x_m - 0.1, -half_y_m + 0.1, half_y_m - 0.1)
+    return merged([tapered_box(side, side, 0.3, height_m - 0.2), tapered_box(side, roof, height_m - 0.2, height_m)])
+
+
+def articulated_truck() -> Mesh:
+    """Build a tractor with a straight trailer, 12.6 m long and low enough for a garage, with arms for its mirrors."""
+    cab = tapered_box((3.3, 6.3, -1.2, 1.2), (3.4, 6.0, -1.15, 1.15), 0.5, 2.25)
+    trailer = box((-6.3, -1.22, 0.9), (2.7, 1.22, 2.15))
+    chassis = box((-6.0, -0.5, 0.5), (6.0, 0.5, 0.9))
+    arms = box((5.46, -1.36, 1.9), (5.54, 1.36, 1.96))
+    axles_x_m = (-5.2, -3.9, 3.0, 5.2)
+    wheels = [tube((x, s * 0.85, 0.5), (x, s * 1.15, 0.5), 0.5, sides=14) for x in axles_x_m for s in (-1.0, 1.0)]
+    return merged([cab, trailer, chassis, arms, *wheels])
+
+
+def fan(overlap_deg: float) -> Rig:
+    """Build a rig of four narrow LiDARs on the roof; neighbours overlap by that angle."""
+    step_deg = NARROW.pattern.horizontal_fov_deg - overlap_deg
+    mounts = []
+    for index, name in enumerate(("right", "front_right", "front_left", "left")):
+        yaw_deg = step_deg * (index - 1.5)
+        yaw_rad = np.deg2rad(yaw_deg)
+        xyz_m = (0.3 * float(np.cos(yaw_rad)), 0.3 * float(np.sin(yaw_rad)), 1.95)
+        mounts.append(Mount(name, NARROW, xyz_m, (0.0, 4.0 + 2.0 * (index % 2), yaw_deg)))
+    return Rig("chain", tuple(mounts), car(1.7, 1.2, 1.1))
+
+
+# Two 128-channel spinning LiDARs at the sides and two 120-degree solid-state LiDARs at the ends, all tilted.
+EDGAR = Rig(
+    "edgar",
+    (
+        Mount("front", FALCON, (1.45, 0.0, 2.12), (1.0, 6.0, 0.0)),
+        Mount("left", OS1_128, (0.15, 0.72, 2.14), (2.0, 18.0, 88.0)),
+        Mount("rear", FALCON, (-1.45, 0.0, 2.12), (-1.0, 8.0, 180.0)),
+        Mount("right", OS1_128, (0.15, -0.72, 2.14), (-3.0, 17.0, -91.0)),
+    ),
+    car(1.95, 2.7, 1.5),
+)
+# 128-channel spinning, 16-channel spinning, rosette and frequency-modulated solid-state LiDARs, close together.
+HELIPR = Rig(
+    "helipr",
+    (
+        Mount("aeva", AERIES_II, (0.65, -0.22, 1.95), (0.5, 1.0, -1.0)),
+        Mount("livox", AVIA, (0.75, 0.25, 2.10), (-0.5, 1.0, 1.5)),
+        Mount("ouster", OS2_128, (0.0, 0.0, 2.20), (0.5, 0.5, 0.0)),
+        Mount("velodyne", VLP_16, (-0.45, 0.05, 2.05), (0.0, -1.0, 2.0)),
+    ),
+    car(1.72, 1.7, 1.4),
+)
+# A 64-channel LiDAR on the roof and two 32-channel LiDARs at the sides, tilted by 45 degrees.
+SIDES = Rig(
+    "sides",
+    (
+        Mount("left", SIDE_32, (0.01, 0.57, 1.65), (-4.2, 45.1, 91.8)),
+        Mount("right", SIDE_32, (-0.03, -0.56, 1.62), (-0.5, 45.8, -86.1)),
+        Mount("top", ROOF_64, (0.0, 0.0, 2.05), (0.0, 0.0, 0.0)),
+    ),
+    car(1.52, 1.2, 1.0),
+)
+# Two narrow LiDARs that overlap, with a third that looks away from both.
+BLIND = Rig(
+    "blind",
+    (
+        Mount("front_left", NARROW, (1.0, 0.35, 1.9), (0.0, 5.0, 18.0)),
+        Mount("front_right", NARROW, (1.0, -0.35, 1.9), (0.0, 6.0, -18.0)),
+        Mount("rear", NARROW, (-1.0, 0.0, 1.9), (0.0, 6.0, 180.0)),
+    ),
+    car(1.7, 1.2, 1.1),
+)
+
+
+def _sectors(name: str, count: int, roof_edge_m: tuple[float, float, float], body: Mesh) -> Rig:
+    """Build a rig of LiDARs that look outwards, at even angles, from an ellipse with two half axes and a height."""
+    half_x_m, half_y_m, height_m = roof_edge_m
+    mounts = []
+    for index in range(count):
+        yaw_deg = 360.0 * index / count
+        yaw_rad = np.deg2rad(yaw_deg)
+        xyz_m = (half_x_m * float(np.cos(yaw_rad)), half_y_m * float(np.sin(yaw_rad)), height_m)
+        mounts.append(Mount(f"at_{round(yaw_deg):03d}", FALCON, xyz_m, (0.0, 5.0 + index % 3, yaw_deg)))
+    return Rig(name, tuple(mounts), body)
+
+
+# Six 64-channel spinning LiDARs on a circle of 1.53 m, at different heights, most of them tilted: all see all around.
+RING6 = Rig(
+    "ring6",
+    (
+        Mount("front", OS1_64, (1.530, 0.0, 2.20), (0.0, 8.0, 0.0)),
+        Mount("front_left", OS1_64, (0.765, 1.325, 2.15), (-12.0, 3.0, 60.0)),
+        Mount("front_right", OS1_64, (0.765, -1.325, 2.15), (14.0, 0.0, -60.0)),
+        Mount("rear", OS1_64, (-1.530, 0.0, 2.30), (0.0, -6.0, 180.0)),
+        Mount("rear_left", OS1_64, (-0.765, 1.325, 2.25), (-2.0, 0.0, 120.0)),
+        Mount("rear_right", OS1_64, (-0.765, -1.325, 2.10), (9.0, -4.0, -120.0)),
+    ),
+    shuttle(4.6, 2.4, 1.95),
+)
+SECTORS8 = _sectors("sectors8", 8, (1.6, 0.75, 2.12), car(1.95, 3.0, 1.4))
+SECTORS20 = _sectors("sectors20", 20, (3.3, 0.95, 2.25), shuttle(7.0, 2.1, 2.1))
+
+
+# 32-channel LiDARs on the mirrors, 128-channel ones on both roofs, 120-degree solid-state ones on the trailer's walls.
+TRUCK = Rig(
+    "truck",
+    (
+        Mount("mirror_left", SIDE_32, (5.5, 1.44, 2.0), (-2.0, 28.0, 80.0)),
+        Mount("mirror_right", SIDE_32, (5.5, -1.44, 2.0), (1.0, 30.0, -80.0)),
+        Mount("roof", OS1_128, (3.4, 0.0, 2.42), (0.0, 1.0, 0.0)),
+        Mount("trailer_left", FALCON, (-0.2, 1.28, 1.7), (0.0, 5.0, 90.0)),
+        Mount("trailer_rear", FALCON, (-6.36, 0.0, 1.9), (0.0, 7.0, 180.0)),
+        Mount("trailer_right", FALCON, (-0.2, -1.28, 1.7), (0.0, 6.0, -90.0)),
+        Mount("trailer_roof", OS1_128, (-2.8, 0.0, 2.36), (0.0, -1.0, 180.0)),
+    ),
+    articulated_truck(),
+)
+
+
+RIGS: Mapping[str, Rig] = {
+    rig.name: rig for rig in (BLIND, fan(overlap_deg=22.5), EDGAR, HELIPR, RING6, SECTORS8, SECTORS20, SIDES, TRUCK)
+}
