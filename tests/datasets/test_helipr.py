@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from multilica.datasets import DatasetScene, SceneRequest
-from multilica.datasets.helipr import read_scenes
-from multilica.datasets.helipr_files import LAST_SHORT_AEVA_NS, ScanFiles, point_layout
+from multilica.datasets.helipr import LAST_SHORT_AEVA_NS, ScanFiles, point_layout, read_scenes
 from multilica.errors import InputError, SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError
 from tests.datasets.dataset_writers import (
     DRIVE,

@@ -49,7 +49,7 @@ def datasets(
     from multilica.datasets import READERS, SceneRequest, run_presets
     from multilica.runs import Tolerances
     from multilica_cli.progress import show_progress
-    from multilica_cli.tables.datasets import print_dataset
+    from multilica_cli.tables.paper import print_dataset
 
     limits = Tolerances(within_m, within_deg, max(0.05, within_m), max(0.5, within_deg))
     request = SceneRequest(scenes, frames, topic_names(topics or ()) or {}, truth)
@@ -67,4 +67,4 @@ def datasets(
     if as_json:
         typer.echo(found.model_dump_json(indent=2))
     else:
-        print_dataset(found, limits, stdout_console(quiet=quiet))
+        print_dataset(found, stdout_console(quiet=quiet))
