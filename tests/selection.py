@@ -88,7 +88,8 @@ def seeds(count: int, *, at_night: int) -> range:
 
 def some_of(cases: Sequence[object], count: int) -> list[object]:
     """Return some cases of a set in which each is known to hold, others from push to push, and all at night."""
-    return list(cases) if NIGHTLY else [cases[(push_seed() + index) % len(cases)] for index in range(count)]
+    places = (push_seed() + index * len(cases) // count for index in range(count))
+    return list(cases) if NIGHTLY else [cases[place % len(cases)] for place in places]
 
 
 def _git(*arguments: str) -> list[str] | None:

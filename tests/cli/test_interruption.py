@@ -14,11 +14,17 @@ import pytest
 
 from multilica_cli.signals import Interrupted, received, unwind_on_signals
 from tests.cli.support import command_of_process, environment_of_process
+from tests.selection import some_of
+
+STOPS = (signal.SIGINT, signal.SIGTERM)
+DELAYS_S = (0.1, 0.2, 0.4, 0.7, 0.9, 1.1, 1.3)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("stage", ["preprocess", "fine"])
+@pytest.mark.parametrize(
+    ("number", "stage"),
+    some_of([(number, stage) for stage in ("preprocess", "fine") for number in (*STOPS, signal.SIGHUP)], 3),
+)
 def test_a_stopped_run_leaves_a_readable_recording(
     number: signal.Signals, stage: str, two_lidars: Path, tmp_path: Path
 ) -> None:
@@ -111,8 +117,9 @@ def _import_and_wait() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("delay_s", [0.1, 0.2, 0.4, 0.7, 0.9, 1.1, 1.3])
+@pytest.mark.parametrize(
+    ("number", "delay_s"), some_of([(number, delay_s) for delay_s in DELAYS_S for number in STOPS], 7)
+)
 def test_a_signal_at_the_start_is_told_in_one_line(
     number: signal.Signals, delay_s: float, two_lidars: Path, tmp_path: Path
 ) -> None:

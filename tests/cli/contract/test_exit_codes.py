@@ -18,6 +18,7 @@ from multilica.results import CalibrationResult, LidarPlacement
 from multilica.run import CalibrationRun
 from multilica_cli.exit_codes import ExitCode, exit_code
 from tests.cli.support import ROOT, Invoke, write_pcd
+from tests.selection import some_of
 
 CODES = {"DONE": 0, "BROKEN": 1, "USAGE": 2, "INPUT": 3, "NOT_PLACED": 4, "DIFFERENT": 5}
 PLACES_LIDARS = {
@@ -75,7 +76,7 @@ def apart(two_lidars: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("until", STAGES)
+@pytest.mark.parametrize("until", some_of(STAGES, 4))
 def test_each_until_stops_after_its_stage(until, invoke: Invoke, two_lidars: Path, apart: Path):
     options = ("--target", "left", "--out", "run", "--until", until, "--ground", "--workers", "1")
     placed = invoke("calibrate", two_lidars, *options, "--quiet")

@@ -13,6 +13,7 @@ from multilica import events
 from multilica.errors import UnreadableSourceError
 from multilica.sinks.rerun.reading import TABLES, read_recorded_table
 from multilica.sinks.rerun.recording import RerunRecording
+from tests.selection import some_of
 from tests.sinks.conftest import record
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 from tests.sinks.made_surfaces import COUNT
@@ -136,26 +137,37 @@ def test_timings_are_those_of_the_result(recordings):
     assert rows[0]["seconds"] == pytest.approx(0.01, abs=1e-8)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TABLES)
-def test_a_recording_that_was_cut_off_has_the_tables_so_far(tmp_path, name):
-    path = tmp_path / "recording.rrd"
+@pytest.fixture(scope="module")
+def cut_off(tmp_path_factory):
+    path = tmp_path_factory.mktemp("cut off") / "recording.rrd"
     told = list(made_events("complete"))
     merged = next(index for index, event in enumerate(told) if isinstance(event, events.MergeStepTaken))
     with RerunRecording(path) as observe:
         for event in told[:merged]:
             observe(event)
-    rows = read_recorded_table(path.with_name("recording.partial.rrd"), name).num_rows
-    assert rows == {"pairs": 3, "matches": 240, "surfaces": 0, "merge": 0, "timings": 0}[name]
+    return path.with_name("recording.partial.rrd")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TABLES)
-def test_a_recording_of_an_earlier_version_is_refused(tmp_path, name, monkeypatch):
-    for log in ("log_data", "log_data_tables", "log_timings"):
-        monkeypatch.setattr(f"multilica.sinks.rerun.recording.{log}", lambda *_: None)
+def test_a_recording_that_was_cut_off_has_the_tables_so_far(cut_off, name):
+    rows = read_recorded_table(cut_off, name).num_rows
+    assert rows == {"pairs": 3, "matches": 240, "surfaces": 0, "merge": 0, "timings": 0}[name]
+
+
+@pytest.fixture(scope="module")
+def of_an_earlier_version(tmp_path_factory):
+    with pytest.MonkeyPatch.context() as patch:
+        for log in ("log_data", "log_data_tables", "log_timings"):
+            patch.setattr(f"multilica.sinks.rerun.recording.{log}", lambda *_: None)
+        return record(tmp_path_factory.mktemp("old") / "old.rrd", "partial")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", some_of(TABLES, 2))
+def test_a_recording_of_an_earlier_version_is_refused(of_an_earlier_version, name):
     with pytest.raises(UnreadableSourceError, match=r"earlier version of multilica wrote it; calibrate again"):
-        read_recorded_table(record(tmp_path / "old.rrd", "partial"), name)
+        read_recorded_table(of_an_earlier_version, name)
 
 
 def test_the_residual_map_goes_from_dark_to_bright(recordings):
