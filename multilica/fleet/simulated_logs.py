@@ -13,6 +13,7 @@ import numpy as np
 
 from multilica.documents import LFS_POINTER
 from multilica.errors import UsageError
+from multilica.fleet.store.records import POSE_COLUMNS
 from multilica.geometry import RigidTransform
 from multilica.optional_libraries import require_library
 from multilica.simulate import FleetPlan, PlannedLog, simulate_snapshot, thinned
@@ -187,8 +188,7 @@ def _event(plan: FleetPlan, event: PlannedEvent) -> dict[str, Any]:
 
 def _pose(pose: RigidTransform) -> dict[str, float]:
     """Return a pose under the names of the columns of tables."""
-    values = (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist())
-    return dict(zip(("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"), values, strict=True))
+    return dict(zip(POSE_COLUMNS, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True))
 
 
 def _iso(time_ns: int) -> str:

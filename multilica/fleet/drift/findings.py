@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, PlainSerializer, computed_field
+from pydantic import BaseModel, Field, PlainSerializer, computed_field
 
 from multilica.fleet.times import day_of, moment
 
@@ -24,11 +24,7 @@ _TimeNs = Annotated[int, PlainSerializer(lambda time_ns: moment(time_ns).isoform
 _RotationRad = Annotated[Vector, PlainSerializer(lambda rotation_rad: np.rad2deg(rotation_rad).tolist())]
 
 
-class _Finding(BaseModel):
-    model_config = ConfigDict(frozen=True)
-
-
-class DriftEvent(_Finding):
+class DriftEvent(BaseModel, frozen=True):
     """A LiDAR, or the target of a vehicle's LiDARs, that moved.
 
     Attributes:
@@ -100,7 +96,7 @@ class DriftEvent(_Finding):
         return f"{self.vehicle}: {self.part} moved by {motion} between {first} and {then}."
 
 
-class FleetOffset(_Finding):
+class FleetOffset(BaseModel, frozen=True):
     """A LiDAR that is elsewhere than its reference.
 
     Attributes:
@@ -145,7 +141,7 @@ class FleetOffset(_Finding):
         return f"{self.vehicle}: {self.lidar} is {motion} off {reference}."
 
 
-class Outage(_Finding):
+class Outage(BaseModel, frozen=True):
     """A LiDAR without a pose in two or more logs in a row, for one cause.
 
     Attributes:

@@ -18,6 +18,8 @@ PASSING = ("network", "killed")
 """Reasons of a failure that may be gone the next time; such a log is taken up again by the next run."""
 MEASURED = ("elapsed_s", "cpu_s", "memory_mb", "artifacts_mb", "attempts", "finished_at")
 """Columns of `logs` that are measured, so that they differ between equal runs."""
+POSE_COLUMNS = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+"""Columns of `lidars` with ``T_target_lidar``."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,6 +16,9 @@ from multilica.fleet.store.records import LogRow
 
 Calibrate = Literal["when-needed", "always"]
 
+_SHARED = ("key", "vehicle", "time_ns", "source", "fingerprint", "size_bytes", "config_sha256", "reference")
+"""Fields of a task that are also fields of its row."""
+
 
 class LogTask(BaseModel):
     """What a worker needs to know of a log.
@@ -43,20 +46,9 @@ class LogTask(BaseModel):
 
     def row(self) -> LogRow:
         """Return the part of the row that is known beforehand."""
-        return LogRow(
-            key=self.key,
-            vehicle=self.vehicle,
-            time_ns=self.time_ns,
-            source=self.source,
-            fingerprint=self.fingerprint,
-            size_bytes=self.size_bytes,
-            state="failed",
-            version=multilica.__version__,
-            config_sha256=self.config_sha256,
-            reference=self.reference,
-            calibration=self.reference,
-            attempts=self.attempt,
-        )
+        known = {name: getattr(self, name) for name in _SHARED}
+        version = multilica.__version__
+        return LogRow(**known, state="failed", version=version, calibration=self.reference, attempts=self.attempt)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
-from multilica.fleet.store.records import LidarRow, LogRow
+from multilica.fleet.store.records import POSE_COLUMNS, LidarRow, LogRow
 from multilica.fleet.store.store import Store, folder_name, open_store
 from multilica.fleet.tasks.log_task import LogTask, failed_row
 from multilica.geometry import FloatArray, RigidTransform
@@ -209,18 +209,11 @@ def _row(
 ) -> LidarRow:
     row = LidarRow(request.key, request.time_ns, request.source, lidar, target, how, status, **more)
     if pose is not None:
-        x_m, y_m, z_m = pose.xyz_m.tolist()
-        qx, qy, qz, qw = pose.quaternion_xyzw.tolist()
-        row = replace(row, x_m=x_m, y_m=y_m, z_m=z_m, qx=qx, qy=qy, qz=qz, qw=qw)
+        values = zip(POSE_COLUMNS, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
+        row = replace(row, **dict(values))
     if covariance is not None:
-        sigma_rad, sigma_m = (
-            float(np.sqrt(max(np.linalg.eigvalsh(block)[-1], 0.0)))
-            for block in (covariance[:3, :3], covariance[3:, 3:])
-        )
-        row = replace(
-            row,
-            covariance=tuple(covariance.ravel().tolist()),
-            sigma_mm=1000.0 * sigma_m,
-            sigma_deg=float(np.rad2deg(sigma_rad)),
-        )
+        blocks = np.stack([covariance[:3, :3], covariance[3:, 3:]])
+        sigma_rad, sigma_m = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1].clip(min=0.0)).tolist()
+        flat, sigma_deg = tuple(covariance.ravel().tolist()), float(np.rad2deg(sigma_rad))
+        row = replace(row, covariance=flat, sigma_mm=1000.0 * sigma_m, sigma_deg=sigma_deg)
     return row
