@@ -31,7 +31,7 @@ Four = tuple[Number, Number, Number, Number]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Extrinsics:
-    """Poses of LiDARs in one common frame, that of a LiDAR or a base frame.
+    """Poses of LiDARs in one common frame: the frame of a LiDAR, or a base frame.
 
     Args:
         moving: the joints between the common frame and a frame that are not fixed, by frame, for messages.

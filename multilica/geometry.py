@@ -82,11 +82,11 @@ def rotation_vector_rad(rotation: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidTransform:
-    """``p_target = matrix @ p_source``: where the source frame sits in the target frame.
+    """``p_target = matrix @ p_source``: the pose of the source frame in the target frame.
 
     Args:
-        target: name of the frame that points are taken to.
-        source: name of the frame that points come from.
+        target: name of the frame that points are mapped to.
+        source: name of the frame that points are mapped from.
         matrix: (4, 4) homogeneous matrix, metres; its rotation is re-orthonormalised within 1e-6.
 
     Raises:
@@ -170,7 +170,7 @@ class RigidTransform:
 
     @property
     def quaternion_xyzw(self) -> FloatArray:
-        """(4,) unit quaternion with w > 0; of a half turn, the first component that is not zero is positive."""
+        """(4,) unit quaternion with w > 0; for a half turn, the first component that is not zero is positive."""
         quaternion = np.asarray(Rotation.from_matrix(self.rotation).as_quat(canonical=True))
         if quaternion[3] > _ROUNDING:
             return quaternion
@@ -209,11 +209,11 @@ class RigidTransform:
         )
 
     def apply(self, points_m: npt.ArrayLike) -> FloatArray:
-        """Take points (N, 3) of the source frame to the target frame."""
+        """Map points (N, 3) from the source frame to the target frame."""
         return np.asarray(points_m, dtype=np.float64) @ self.rotation.T + self.xyz_m
 
     def rotate(self, vectors: npt.ArrayLike) -> FloatArray:
-        """Take directions (N, 3) of the source frame to the target frame."""
+        """Map directions (N, 3) from the source frame to the target frame."""
         return np.asarray(vectors, dtype=np.float64) @ self.rotation.T
 
     def offset_from(self, other: RigidTransform) -> FloatArray:

@@ -78,17 +78,17 @@ def run_calibration(
 
     Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
     own below `out`, then all of them jointly into `out`. Every file is written under a temporary name and renamed when
-    it is whole. An exception that ends the run carries a note that says what is left in the directory.
+    it is complete. An exception that ends the run carries a note on the files that are left in the directory.
 
     Args:
-        sources: as `read_snapshot` takes them.
-        out: the run directory, whose files are replaced; None: `default_directory`, where no run is.
+        sources: as for `read_snapshot`.
+        out: the run directory, whose files are replaced; None: a new one from `default_directory`.
         config: None: the default preset, with all frames of what `multilica record` took.
-        prior: poses to try as well, as `read_prior` takes them.
+        prior: poses to test in addition, as for `read_prior`.
         rig: as for `calibrate`.
         mcap_encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
         observe: called with each event as it happens; not with those of the joint result.
-        workers: an open pool, as `calibrate` takes it.
+        workers: an open pool, as for `calibrate`.
 
     Returns:
         The result, joint if there are several snapshots, with the paths of its files.

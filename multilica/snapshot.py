@@ -15,9 +15,9 @@ class Scan:
 
     Args:
         points_m: (N, 3) finite returns in the LiDAR's own frame, float32.
-        stamp_ns: nanoseconds since the epoch; 0 where the format has no time.
+        stamp_ns: nanoseconds since the epoch; 0 if the format has no time.
         intensity: (N,) or None.
-        log_time_ns: when it was recorded, by the clock of the recorder; 0 where the format has no time.
+        log_time_ns: when it was recorded, by the clock of the recorder; 0 if the format has no time.
     """
 
     points_m: Float32Array
@@ -43,7 +43,7 @@ class LidarScans:
 
     Args:
         scans: at least one frame.
-        frame_id: frame id of the recording; the name where the format has none.
+        frame_id: frame id of the recording; the name if the format has none.
         topic: topic or file that the frames come from.
     """
 
@@ -77,10 +77,10 @@ class Snapshot:
 
     Args:
         lidars: one entry per LiDAR, names unique, sorted by name.
-        source_sha256: hash over the bytes of what was read, "" if it was made in memory.
+        source_sha256: hash of the bytes that were read, "" if the snapshot was made in memory.
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
-        notes: what the reader noticed and the user should know ("12 of 20 scans, then the file ends").
-        reading_s: seconds that reading took; 0 if it was made in memory.
+        notes: findings of the reader that the user should know ("12 of 20 scans, then the file ends").
+        reading_s: duration of reading in seconds; 0 if the snapshot was made in memory.
     """
 
     lidars: tuple[LidarScans, ...]

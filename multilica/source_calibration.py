@@ -22,16 +22,16 @@ def calibrate(
     workers: Workers | None = None,
     rig: Extrinsics | None = None,
 ) -> CalibrationResult:
-    """Find where every LiDAR of a snapshot or a recording sits relative to the target LiDAR.
+    """Find the pose of every LiDAR of a snapshot or a recording relative to the target LiDAR.
 
     `run_calibration` does the same and writes the files; it also takes several snapshots of one rig.
 
     Args:
-        source: a snapshot with at least two LiDARs, or what `read_snapshot` takes.
+        source: a snapshot with at least two LiDARs, or a source as for `read_snapshot`.
         config: the default preset if None.
         observe: called with each event of `multilica.events` as it happens.
-        prior: poses in metres and radians that the user claims, by the LiDARs' names; verified like other hypotheses.
-        rig: has the target in the base frame `config.ground.frame`: x, y and yaw of the ground plane's base frame.
+        prior: known poses in metres and radians, by the LiDARs' names; tested like other hypotheses.
+        rig: contains the target in the base frame `config.ground.frame`, for x, y and yaw of that frame.
         workers: an open pool, to start it once for several calibrations; None: a pool of its own.
 
     Returns:

@@ -72,7 +72,7 @@ def take_snapshot(
 
 
 def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig | None = None) -> Snapshot:
-    """Read what each LiDAR of a recording saw in one window of time.
+    """Read the frames of each LiDAR of a recording in one time window.
 
     Args:
         source: an MCAP file, a ROS 2 bag (folder, ``.db3`` or ``.mcap``), a ROS 1 bag, a folder of point files with one

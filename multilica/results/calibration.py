@@ -114,14 +114,14 @@ class CalibrationResult:
         target_reason: why that LiDAR is the target.
         placements: per LiDAR in name order, the target with the identity.
         pairs: registrations of all pairs that were tried, in name order.
-        refinement: what the joint adjustment did; None where it did not run.
+        refinement: result of the joint adjustment; None if it did not run.
         health: of each LiDAR that was examined, in name order.
-        refusal: None unless the snapshot was not fit.
+        refusal: reason why the snapshot was not calibrated; None if it was.
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
-        snapshots: what each snapshot contributed; empty where there is only one.
+        snapshots: contribution of each snapshot; empty if there is only one.
         level: pose of the target in a frame with z up, for pictures; None without a ground plane.
         time_limit: None if the search was not cut short.
-        ground_refusal: why there is no ground plane although one was asked for; else empty.
+        ground_refusal: reason why a requested ground plane is missing; else empty.
     """
 
     target: str

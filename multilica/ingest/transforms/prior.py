@@ -63,7 +63,7 @@ def read_prior(source: str | Extrinsics, snapshot: Snapshot) -> Prior:
 
     Args:
         source: ``tf`` for the recording's static transforms, a TOML file like `calibration.toml` or a truth file, a
-            URDF file, or poses that were read. Uncertain LiDARs of a `calibration.toml` are taken as well: each pose of
+            URDF file, or poses that were read. Uncertain LiDARs of a `calibration.toml` are included: each pose of
             a prior is tested.
 
     Raises:
