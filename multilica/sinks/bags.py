@@ -15,17 +15,15 @@ from typing import Any, Final
 
 from mcap.well_known import Profile
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
-import multilica
 from multilica.pointcloud2 import encode_points
 from multilica.sinks.files.atomic import atomic_file
 from multilica.sinks.mcap import ros2_types as ros2
-from multilica.sinks.mcap.messages import McapMessage, MessageWriter
+from multilica.sinks.mcap.messages import McapMessage, mcap_messages
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 _POINT_CLOUD = ros2.POINT_CLOUD
@@ -74,16 +72,12 @@ def write_ros2_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, st
         metadata: entries of the metadata record ``log``, for instance `vehicle`.
     """
     schema, channel = ros2.schema_of(_POINT_CLOUD), ros2.offered_qos(latched=False)
-    with atomic_file(path) as file:
-        writer = McapWriter(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        writer.start(profile=Profile.ROS2, library=f"multilica {multilica.__version__}")
-        messages = MessageWriter(writer)
+    with atomic_file(path) as file, mcap_messages(file, Profile.ROS2, compression=CompressionType.ZSTD) as messages:
         for lidar, scan in _frames_in_order(snapshot):
             cloud = _ros2_cloud(lidar.frame_id, scan)
             messages.write(McapMessage(_topic_of(lidar), schema, cloud, channel), scan.stamp_ns)
         if metadata:
-            writer.add_metadata(_METADATA_NAME, dict(metadata))
-        writer.finish()  # type: ignore[no-untyped-call]
+            messages.writer.add_metadata(_METADATA_NAME, dict(metadata))
 
 
 def _frames_in_order(snapshot: Snapshot) -> Iterator[tuple[LidarScans, Scan]]:

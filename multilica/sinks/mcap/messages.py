@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of an MCAP file."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any, BinaryIO
 
 from mcap.writer import Writer
+
+import multilica
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,3 +55,12 @@ class MessageWriter:
             self._channels[topic] = self.writer.register_channel(*channel)
         self.writer.add_message(self._channels[topic], stamp_ns, message.data, stamp_ns, self._sequence)
         self._sequence += 1
+
+
+@contextmanager
+def mcap_messages(file: BinaryIO, profile: str, **options: Any) -> Iterator[MessageWriter]:  # noqa: ANN401 - of Writer
+    """Write an MCAP file with checksums, complete when the block ends."""
+    writer = Writer(file, enable_data_crcs=True, **options)
+    writer.start(profile=profile, library=f"multilica {multilica.__version__}")
+    yield MessageWriter(writer)
+    writer.finish()  # type: ignore[no-untyped-call]

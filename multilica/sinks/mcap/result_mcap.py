@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 
 from multilica import events
 from multilica.errors import UnknownNameError
@@ -18,7 +18,7 @@ from multilica.results.document import ResultDocument
 from multilica.sinks.drawing.shapes import sample_points
 from multilica.sinks.files.atomic import atomic_file, partial_path
 from multilica.sinks.files.result_files import config_toml
-from multilica.sinks.mcap.messages import McapMessage, MessageWriter
+from multilica.sinks.mcap.messages import McapMessage, MessageWriter, mcap_messages
 from multilica.sinks.mcap.result_drawings import cloud_frames, foxglove_layout, result_drawings
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, log_end, log_lines
@@ -114,19 +114,16 @@ class ResultMcap:
         target = document.target or snapshot.names[0]
         start_ns = _first_stamp_ns(snapshot)
         end_ns = start_ns + len(self._lines) * _LINE_SPACING_NS
-        with atomic_file(path) as file:
-            writer = Writer(file, compression=compression, enable_data_crcs=True)
-            writer.start(profile=self._encoding.profile, library=f"multilica {document.versions['multilica']}")
-            writer.add_metadata("multilica", _metadata(document))
-            messages = MessageWriter(writer)
+        profile = self._encoding.profile
+        with atomic_file(path) as file, mcap_messages(file, profile, compression=compression) as messages:
+            messages.writer.add_metadata("multilica", _metadata(document))
             self._write_scene(messages, snapshot, document.model_copy(update={"target": target}), start_ns)
             for index, line in enumerate(self._lines):
                 stamp_ns = start_ns + index * _LINE_SPACING_NS
                 messages.write(self._encoding.log(line, stamp_ns), stamp_ns)
             messages.write(self._encoding.metrics(_metrics(document)), end_ns)
             for name, data in self._attachments(document, target).items():
-                writer.add_attachment(start_ns, start_ns, name, _MEDIA_TYPES[Path(name).suffix], data)
-            writer.finish()  # type: ignore[no-untyped-call]
+                messages.writer.add_attachment(start_ns, start_ns, name, _MEDIA_TYPES[Path(name).suffix], data)
 
     def _write_scene(
         self, messages: MessageWriter, snapshot: Snapshot, document: ResultDocument, stamp_ns: int

@@ -15,7 +15,7 @@ from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
 from multilica.sinks.files.atomic import atomic_file
 from multilica.sinks.mcap import ros2_types as ros2
-from multilica.sinks.mcap.messages import McapMessage, MessageWriter
+from multilica.sinks.mcap.messages import McapMessage, MessageWriter, mcap_messages
 from multilica.snapshot import LidarScans, Snapshot
 
 _CHUNK_BYTES = 4 << 20
@@ -32,13 +32,11 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
     Args:
         metadata: further entries of the metadata record, for instance of `window_metadata`.
     """
-    with atomic_file(path) as file:
-        writer = Writer(file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True)
-        writer.start(profile=Profile.ROS2, library=f"multilica {multilica.__version__}")
-        _write_static_transforms(writer, snapshot)
-        _write_scans(writer, snapshot)
-        writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
-        writer.finish()  # type: ignore[no-untyped-call]
+    zstd = {"chunk_size": _CHUNK_BYTES, "compression": CompressionType.ZSTD}
+    with atomic_file(path) as file, mcap_messages(file, Profile.ROS2, **zstd) as messages:
+        _write_static_transforms(messages, snapshot)
+        _write_scans(messages.writer, snapshot)
+        messages.writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
 
 
 def window_metadata(config: IngestConfig, vehicle: str = "") -> dict[str, str]:
@@ -66,18 +64,20 @@ def _origin(snapshot: Snapshot) -> dict[str, str]:
     }
 
 
-def _write_static_transforms(writer: Writer, snapshot: Snapshot) -> None:
-    if not snapshot.static_transforms:
-        return
-    time_ns = min((time_ns for time_ns, _, _ in _frames(snapshot)), default=0)
-    data = ros2.serialised(ros2.transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)))
-    schema = _register_schema(writer, ros2.TRANSFORMS)
-    channel = writer.register_channel("/tf_static", MessageEncoding.CDR, schema, ros2.offered_qos(latched=True))
-    writer.add_message(channel, time_ns, data, time_ns)
+def _write_static_transforms(messages: MessageWriter, snapshot: Snapshot) -> None:
+    if snapshot.static_transforms:
+        time_ns = min((time_ns for time_ns, _, _ in _frames(snapshot)), default=0)
+        messages.write(_static_transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)), time_ns)
+
+
+def _static_transforms(poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:
+    data = ros2.serialised(ros2.transforms(poses, stamp_ns))
+    return McapMessage("/tf_static", ros2.schema_of(ros2.TRANSFORMS), data, ros2.offered_qos(latched=True))
 
 
 def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
-    schema = _register_schema(writer, ros2.POINT_CLOUD)
+    cloud_schema = ros2.schema_of(ros2.POINT_CLOUD)
+    schema = int(writer.register_schema(cloud_schema.name, cloud_schema.encoding, cloud_schema.data))
     channels = {}
     for lidar in snapshot.lidars:
         topic = lidar.topic if lidar.topic.startswith("/") else f"/{lidar.name}/points"  # a file has no topic
@@ -104,18 +104,9 @@ def _ros_stamp_ns(stamp_ns: int) -> int:
     return stamp_ns if 0 <= stamp_ns < ros2.ROS_END_NS else 0
 
 
-def _register_schema(writer: Writer, message_type: str) -> int:
-    schema = ros2.schema_of(message_type)
-    return int(writer.register_schema(schema.name, schema.encoding, schema.data))
-
-
 def static_transforms_mcap(poses: Sequence[RigidTransform]) -> bytes:
     """Return a ROS 2 recording with one ``tf2_msgs/msg/TFMessage`` on `/tf_static`, latched for late subscribers."""
     file = BytesIO()
-    writer = Writer(file, enable_data_crcs=True)
-    writer.start(profile=Profile.ROS2, library=f"multilica {multilica.__version__}")
-    schema, channel = ros2.schema_of(ros2.TRANSFORMS), ros2.offered_qos(latched=True)
-    data = ros2.serialised(ros2.transforms(poses, _STAMP_NS))
-    MessageWriter(writer).write(McapMessage("/tf_static", schema, data, channel), _STAMP_NS)
-    writer.finish()  # type: ignore[no-untyped-call]
+    with mcap_messages(file, Profile.ROS2) as messages:
+        messages.write(_static_transforms(poses, _STAMP_NS), _STAMP_NS)
     return file.getvalue()

@@ -34,8 +34,7 @@ def log_timings(scene: RerunScene) -> None:
 
     Equal runs differ on that timeline only.
     """
-    timing_s = {} if scene.state.result is None else scene.state.result.timing_s
-    known_s = {stage: seconds for stage, seconds in timing_s.items() if math.isfinite(seconds)}
+    known_s = {stage: seconds for stage, seconds in scene.state.document.timing_s.items() if seconds is not None}
     if not known_s:
         return
     seconds = np.array(list(known_s.values()))
