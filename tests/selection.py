@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
@@ -86,10 +86,11 @@ def seeds(count: int, *, at_night: int) -> range:
     return range(at_night) if NIGHTLY else range(push_seed(), push_seed() + count)
 
 
-def some_of(cases: Sequence[object], count: int) -> list[object]:
+def some_of(cases: Iterable[object], count: int) -> list[object]:
     """Return some cases of a set in which each is known to hold, others from push to push, and all at night."""
-    places = (push_seed() + index * len(cases) // count for index in range(count))
-    return list(cases) if NIGHTLY else [cases[place % len(cases)] for place in places]
+    known = list(cases)
+    places = (push_seed() + index * len(known) // count for index in range(count))
+    return known if NIGHTLY else [known[place % len(known)] for place in places]
 
 
 def _git(*arguments: str) -> list[str] | None:

@@ -31,6 +31,7 @@ def drawn(target: str, *lidars: str) -> Path:
     return Path("rig.toml")
 
 
+@pytest.mark.slow
 def test_a_run_is_exported_in_its_base_frame(invoke: Invoke, two_lidars: Path) -> None:
     rig = drawn("wheels", "left")
     outcome = invoke("calibrate", two_lidars, "--target", "left", "--rig", rig, "--out", "run")
@@ -79,6 +80,7 @@ def test_wrong_rigs_get_a_sentence(
     assert not Path("run").exists()
 
 
+@pytest.mark.slow
 def test_no_ground_is_told_with_its_own_code(invoke: Invoke, two_lidars: Path) -> None:
     for lidar in ("left", "right"):
         pose = _true("wheels", lidar)

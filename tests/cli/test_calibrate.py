@@ -23,6 +23,7 @@ from tests.cli.support import (
 WRITTEN = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "result.json", "result.mcap"}
 
 
+@pytest.mark.slow
 def test_a_run_ends_with_a_table_and_what_was_written(invoke: Invoke, two_lidars: Path) -> None:
     outcome = invoke("calibrate", two_lidars, "--target", "left", "--out", "run")
     assert outcome.code == ExitCode.DONE
@@ -99,6 +100,7 @@ def test_json_is_the_whole_of_stdout(two_lidars: Path, tmp_path: Path) -> None:
     assert document["lidars"]["right"]["xyz_m"] == pytest.approx(true_pose("left", "right").xyz_m, abs=0.02)
 
 
+@pytest.mark.slow
 def test_options_reach_the_configuration_of_the_result(invoke: Invoke, two_lidars: Path) -> None:
     options = ("--until", "preprocess", "--frames", "3", "--workers", "2", "--ground", "--set", "fine.max_iterations=7")
     document = json.loads(invoke("calibrate", two_lidars, "--out", "run", "--json", *options).out)
@@ -109,6 +111,7 @@ def test_options_reach_the_configuration_of_the_result(invoke: Invoke, two_lidar
     assert config["fine"]["max_iterations"] == 7
 
 
+@pytest.mark.slow
 def test_a_lidar_that_cannot_be_placed_has_its_own_code(invoke: Invoke, two_lidars: Path) -> None:
     shutil.copytree(two_lidars, "apart")
     write_pcd(Path("apart/right.pcd"), np.random.default_rng(5).uniform(20.0, 24.0, (200, 3)))
@@ -125,6 +128,7 @@ def test_files_on_the_command_line_are_one_snapshot(invoke: Invoke, two_lidars: 
     assert set(json.loads(outcome.out)["lidars"]) == {"left", "right"}
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_ends_the_command_in_silence(two_lidars: Path) -> None:
     with subprocess.Popen(
         command_of_process("inspect", two_lidars),

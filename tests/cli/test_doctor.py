@@ -71,6 +71,7 @@ def test_a_missing_core_library_is_a_failure(versions: dict[str, str], invoke: I
     ]
 
 
+@pytest.mark.slow
 def test_a_broken_library_is_found(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, invoke: Invoke) -> None:
     """A module in the place of a library fails in the process that tries it."""
     (tmp_path / "small_gicp.py").write_text("raise ImportError('it does\\n not fit')")
@@ -120,6 +121,7 @@ def test_it_fits_eighty_columns(missing: tuple[str, ...], versions: dict[str, st
     assert max(map(len, lines[:commands])) <= 80
 
 
+@pytest.mark.slow
 def test_it_imports_nothing_that_takes_time() -> None:
     code = "import sys; from multilica_cli.main import run; run(['doctor']); print(' '.join(sys.modules))"
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -15,12 +15,14 @@ def store(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_the_page_lies_in_the_working_directory(store, invoke: Invoke):
     outcome = invoke("fleet", "report", "--store", store)
     assert (outcome.code, outcome.out) == (ExitCode.DONE, "wrote fleet-report.html\n")
     assert "1 LiDAR moved on 1 of 3 vehicles." in Path("fleet-report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_page_in_the_store_links_its_recordings(store, invoke: Invoke):
     outcome = invoke("fleet", "report", "--store", store, "--out", store / "report.html", "--quiet")
     assert (outcome.code, outcome.out) == (ExitCode.DONE, "")

@@ -17,6 +17,7 @@ from tests.datasets.dataset_writers import write_opencalib
 POINT = [[1.0, 2.0, 3.0]]
 
 
+@pytest.mark.slow
 def test_scenes_are_folders_and_names_end_at_the_hyphen(tmp_path: Path) -> None:
     for name in ("0002", "0001"):
         write_opencalib(tmp_path / name, keep_every=50)

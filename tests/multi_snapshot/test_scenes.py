@@ -22,6 +22,8 @@ from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.sinks.recording_reader import Recording, blueprint_names
 
+pytestmark = pytest.mark.slow
+
 _CONFIG = with_overrides(CalibrationConfig(), ["target=top", "fine.max_finalists=2"])
 _LEVER_ARM_M = 10.0
 
@@ -55,7 +57,6 @@ def _error_m(result):
     return float(np.hypot(metres, _LEVER_ARM_M * radians))
 
 
-@pytest.mark.slow
 def test_two_scenes_are_no_worse_than_each_alone():
     runs = [_run("garage"), _run("parking")]
     joint = join(runs, _CONFIG)

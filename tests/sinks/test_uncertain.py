@@ -106,6 +106,7 @@ def test_nothing_counts_as_failed(state):
     assert failures(state) == ()
 
 
+@pytest.mark.slow
 def test_the_recording_shows_it_at_its_pose(recording):
     found = Recording(recording)
     assert found.last("/lidars/rear/sensor", "Transform3D:parent_frame") == ["lidar/top"]

@@ -101,6 +101,7 @@ def test_verify_tells_of_a_lidar_far_away(invoke: Invoke, tmp_path: Path) -> Non
     assert "front: its beams contradict the known pose" in outcome.out
 
 
+@pytest.mark.slow
 def test_a_recording_is_calibrated_before_it_is_checked(invoke: Invoke, two_lidars: Path, tmp_path: Path) -> None:
     truth = truth_with(tmp_path / "truth.toml", "left", 0.5)
     outcome = invoke("check", two_lidars, "--against", truth, "--out", "run", "--workers", "1", "--quiet")

@@ -20,6 +20,7 @@ def run_of_a_dead_lidar(invoke: Invoke, two_lidars: Path) -> tuple[Path, str]:
     return Path("run"), invoke("calibrate", "scans", "--out", "run", "--target", "left").out
 
 
+@pytest.mark.slow
 def test_all_files_of_a_run_explain_the_same_cause(
     run_of_a_dead_lidar: tuple[Path, str], invoke: Invoke, tmp_path: Path
 ) -> None:
@@ -36,6 +37,7 @@ def test_all_files_of_a_run_explain_the_same_cause(
     assert invoke("explain", run / "result.mcap").out == told.out
 
 
+@pytest.mark.slow
 def test_the_explanation_as_json(run_of_a_dead_lidar: tuple[Path, str], invoke: Invoke) -> None:
     run, _ = run_of_a_dead_lidar
     document = json.loads(invoke("explain", run, "--json").out)

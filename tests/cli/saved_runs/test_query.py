@@ -54,6 +54,7 @@ def test_pairs_have_their_figures_and_reasons(invoke, run):
     assert rows[2]["sigma_m"] is None
 
 
+@pytest.mark.slow
 def test_the_rows_go_to_a_file(invoke, run, tmp_path):
     done = invoke("query", run / "recording.rrd", "merge", "--out", tmp_path / "merge.csv")
     assert (done.code, done.out) == (0, "")

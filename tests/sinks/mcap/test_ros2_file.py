@@ -99,6 +99,7 @@ def test_each_topic_has_qos_that_every_rosbag2_reads(summary_and_header):
         assert profile["durability"] == (1 if channel.topic in LATCHED else 2)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not ROS2_PYTHON.exists(), reason="run: make ros2")
 def test_ros2_itself_understands_every_message(result):
     command = [str(ROS2_PYTHON), str(Path(__file__).parent / "read_ros2.py"), str(result)]

@@ -21,6 +21,7 @@ _DROP_CAPABILITY, _OF_RESOURCES = 24, 24
 """Of prctl(2), and CAP_SYS_RESOURCE."""
 
 
+@pytest.mark.slow
 def test_clouds_and_document_are_read_back(recordings):
     document = read_recorded_document(recordings["partial"])
     assert document.status == "partial"
@@ -39,6 +40,7 @@ def test_a_reader_that_crashes_is_told_in_one_sentence(recordings, monkeypatch):
         read_recorded_document(recordings["partial"])
 
 
+@pytest.mark.slow
 def test_damaged_recordings_are_read_or_refused(recordings, tmp_path):
     rng, whole = np.random.default_rng(0), recordings["partial"].read_bytes()
     refused = 0

@@ -37,6 +37,7 @@ def test_full_has_no_budget():
     assert limits_for(RecordConfig(detail="full", max_megabytes=0.001), rig_of(8, 300_000)) == (NO_LIMITS, 1.0)
 
 
+@pytest.mark.slow
 def test_a_recording_stays_below_its_budget(tmp_path):
     config = CalibrationConfig(target=TARGET, record={"max_megabytes": 5.0})
     _, *rest = made_events()
@@ -51,6 +52,7 @@ def test_a_recording_stays_below_its_budget(tmp_path):
     assert line.endswith("of the usual points and matches to stay below 5 MB (record.max_megabytes)")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("detail", ["full", "normal", "slim"])
 def test_every_detail_keeps_every_decision(tmp_path, rerun_rrd, detail):
     path = record(tmp_path / "run.rrd", "partial", record={"detail": detail})

@@ -49,12 +49,14 @@ def test_help_stays_light(arguments: list[str]) -> None:
     assert loaded & HEAVY == set()
 
 
+@pytest.mark.slow
 def test_reading_takes_no_viewer_and_no_engine() -> None:
     loaded = imported_by(READ_SAMPLE)
     assert "mcap" in loaded
     assert loaded & (PLOTS | {"open3d", "small_gicp", "kiss_matcher", "rerun", "rosbags"}) == set()
 
 
+@pytest.mark.slow
 def test_a_run_until_ingest_takes_no_open3d(tmp_path: Path) -> None:
     arguments = ["calibrate", str(SAMPLE), "--out", str(tmp_path), "--until", "ingest", "--quiet"]
     loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")
@@ -62,6 +64,7 @@ def test_a_run_until_ingest_takes_no_open3d(tmp_path: Path) -> None:
     assert loaded & (PLOTS | {"open3d", "kiss_matcher", "rosbags"}) == set()
 
 
+@pytest.mark.slow
 def test_a_calibration_takes_no_open3d(tmp_path: Path) -> None:
     options = ["--out", str(tmp_path), "--until", "fine", "--workers", "1", "--quiet"]
     loaded = imported_by(f"from multilica_cli.main import run; run({['calibrate', str(SAMPLE), *options]!r})")
@@ -75,12 +78,14 @@ def test_open3d_comes_without_its_plots() -> None:
     assert loaded & PLOTS == set()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("before", ["", "import dash, open3d"])
 def test_the_plots_of_open3d_still_work(before: str) -> None:
     plot = "for _ in range(2): print(len(o3d.visualization.get_plotly_fig([cloud]).data))"
     assert imported_by(f"{before}{SHOW_POINT}{plot}\nimport dash") >= PLOTS
 
 
+@pytest.mark.slow
 def test_verify_takes_no_viewer_and_draws_no_picture() -> None:
     arguments = ["verify", str(SAMPLE), "--calibration", str(SAMPLE.with_suffix(".truth.toml"))]
     loaded = imported_by(f"from multilica_cli.main import run; run({arguments!r})")

@@ -51,6 +51,7 @@ def test_a_constrained_pose_returns(in_the_hall):
     assert stability.sigma_rad < np.deg2rad(0.05)
 
 
+@pytest.mark.slow
 def test_along_a_corridor_a_pose_stays_where_it_is_pushed():
     stability = _stability(*_registered(_CORRIDOR))
     assert stability.perturbed_offset_m > _CONFIG.max_perturbed_offset_m

@@ -67,6 +67,7 @@ def test_exact_pairs_give_exact_poses_from_a_rough_start():
     assert np.array_equal(rig.poses["T"].matrix, np.eye(4))
 
 
+@pytest.mark.slow
 def test_loops_lower_the_error_and_the_covariance_covers_it():
     """Here the noise of the pairs is independent; the covariance allows for pairs that have it in common."""
     normalised, direct, joint = [], [], []
