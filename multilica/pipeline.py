@@ -46,29 +46,19 @@ def calibrate(
     rig: Extrinsics | None = None,
     deadline_s: float | None = None,
 ) -> CalibrationResult:
-    """Find where every LiDAR of the snapshot sits relative to the target LiDAR.
+    """Find where every LiDAR of the snapshot sits relative to the target LiDAR, as `multilica.calibrate`.
 
     Args:
-        snapshot: at least two LiDARs with returns.
-        config: the default preset if None.
-        observe: called with each event of `multilica.events` as it happens.
-        prior: poses that the user claims, by the LiDARs' names: one more hypothesis for each pair that it has,
-            verified like the others. The result still has full poses, not corrections to the prior.
-        rig: has the target in the base frame `config.ground.frame`, by name or frame id: x, y and yaw of the ground
-            plane's base frame.
+        prior: one more hypothesis for each pair that it has, verified like the others. The result still has full poses,
+            not corrections to the prior.
+        rig: has the target in the base frame, by name or frame id.
         deadline_s: on `time.monotonic`, after which no pair is searched; by default `runtime.max_time_s` from now.
-        workers: an open pool, to start it once for several calibrations; None: a pool of its own.
-
-    Returns:
-        A pose or a reason per LiDAR; a LiDAR that cannot be placed is a normal outcome.
 
     Raises:
         UnfitSnapshotError: fewer than two LiDARs have returns in range, the target has none, or the vehicle moves.
         UnknownNameError: the snapshot has no LiDAR of the target's name.
         UsageError: the prior lacks two of the LiDARs, or verification is off, so that nothing could check it; the rig
             lacks the base frame or a LiDAR that may become the target.
-        MissingDependencyError: the configuration asks for an engine that is not installed.
-        WorkerDiedError: a worker process was killed or crashed.
     """
     config = config or CalibrationConfig()
     require_libraries(config)

@@ -7,7 +7,7 @@ from multilica.config import CalibrationConfig
 from multilica.workers import Workers, open_workers
 
 # Modules that tasks need, imported once for all workers.
-_MODULES = ("multilica.orchestration.worker_imports",)
+_MODULES = tuple(f"multilica.orchestration.{name}" for name in ("clouds", "pairs", "surfaces"))
 
 
 def open_calibration_workers(config: CalibrationConfig) -> AbstractContextManager[Workers]:

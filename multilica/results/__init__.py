@@ -10,7 +10,7 @@ from multilica.results.calibration import (
     Status,
     TimeLimit,
 )
-from multilica.results.clouds import FeatureCloud, PreprocessedCloud, SensorHealth
+from multilica.results.clouds import FeatureCloud, PreprocessedCloud, SensorHealth, SurfaceMatches, SurfaceResiduals
 from multilica.results.hypotheses import (
     PRIOR,
     BoolArray,
@@ -41,7 +41,6 @@ from multilica.results.registrations import (
     Verdict,
     connected,
 )
-from multilica.results.surface_matches import SurfaceMatches, SurfaceResiduals
 from multilica.results.visibility_score import BeamLabel, VisibilityScore
 
 __all__ = [

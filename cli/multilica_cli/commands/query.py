@@ -35,7 +35,7 @@ def query(
     """Print a table of a run's recording: pairs, matches, merge decisions or timings."""
     if form == "parquet" and out is None:
         raise UsageError("--format parquet needs a file; add --out FILE.")
-    from multilica.runs.recorded_tables import table_of_run, write_parquet
+    from multilica.runs.run_report import table_of_run, write_parquet
     from multilica.sinks.files.atomic import write_text_atomically
     from multilica_cli.tables.answer import answer_lines
 

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Modules that tasks use, imported once for all worker processes."""
