@@ -3,12 +3,12 @@
 
 import numpy as np
 
-from multilica.acceptance.placement import place_target
+from multilica.acceptance.placement import place, place_target
+from multilica.config import AcceptanceConfig
 from multilica.datasets.opencalib import AGREED
 from multilica.datasets.truth_files import MAIN_LIDAR, extrinsics_of
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import LidarPlacement
 from multilica.results.document.values import Entry
 from multilica.runs import SavedRun, Tolerances, Truth
 from multilica.runs.paper_table import PaperTable, paper_table
@@ -96,9 +96,7 @@ def published(dataset: str, tolerances: Tolerances | None = None) -> Published:
 
 
 def _table(found: Extrinsics, truth: Extrinsics, tolerances: Tolerances | None) -> PaperTable:
-    placements = tuple(
-        LidarPlacement(name, "published", "placed", pose) for name, pose in found.T_target_source.items()
-    )
+    placements = tuple(place(pose, None, AcceptanceConfig(), "published") for pose in found.T_target_source.values())
     target = place_target(found.target)
     run = SavedRun("published", found.target, (target, *placements))
     return paper_table([run], [Truth("published truth", truth)], tolerances)
