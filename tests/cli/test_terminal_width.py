@@ -137,6 +137,7 @@ def calibrated(two_lidars, tmp_path_factory):
     return run_calibration(two_lidars, tmp_path_factory.mktemp("runs") / "street", config)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [("calibrate", _SAMPLE.recording, "--workers", "1"), ("demo",)], ids=lambda it: it[0]
 )

@@ -42,6 +42,7 @@ def test_bags_with_the_truth_of_the_authors(simulation: Simulation, tmp_path: Pa
         assert scene.truth.between("main_lidar", "lidar_3").distance_to(true) == pytest.approx((0.0, 0.0), abs=1e-7)
 
 
+@pytest.mark.slow
 def test_one_bag_alone(simulation: Simulation, tmp_path: Path) -> None:
     write_ros2_bag(simulation.snapshot, tmp_path / "bag")
     (scene,) = read_scenes(tmp_path / "bag", SceneRequest(frames=3))
@@ -53,6 +54,7 @@ def test_one_bag_alone(simulation: Simulation, tmp_path: Path) -> None:
     assert [each.name for each in read_scenes(file, SceneRequest())] == [file.stem]
 
 
+@pytest.mark.slow
 def test_folders_of_point_files(simulation: Simulation, tmp_path: Path) -> None:
     for scene in ("b", "a"):
         for lidar, name in NAMES.items():
@@ -67,6 +69,7 @@ def test_folders_of_point_files(simulation: Simulation, tmp_path: Path) -> None:
     assert len(list(read_scenes(tmp_path, SceneRequest(scenes=1)))) == 1
 
 
+@pytest.mark.slow
 def test_a_given_truth_wins(simulation: Simulation, tmp_path: Path) -> None:
     write_pcd(tmp_path / "scene" / "main_lidar.pcd", [[1, 2, 3]])
     write_truth(tmp_path / "scene", simulation)

@@ -80,11 +80,13 @@ def test_scenes_are_stops(scenes: list[DatasetScene]) -> None:
         assert max(stamps_ns) - int(scene.name) < 4 * PERIOD_NS
 
 
+@pytest.mark.slow
 def test_the_longest_stop_comes_first(sequence: Path, scenes: list[DatasetScene]) -> None:
     (one,) = read_scenes(sequence, replace(REQUEST, scenes=1))
     assert one.name == scenes[0].name
 
 
+@pytest.mark.slow
 def test_the_truth_is_that_of_the_poses(scenes: list[DatasetScene]) -> None:
     for scene in scenes:
         assert scene.truth is not None
@@ -96,6 +98,7 @@ def test_the_truth_is_that_of_the_poses(scenes: list[DatasetScene]) -> None:
             assert turn_rad < 1e-8
 
 
+@pytest.mark.slow
 def test_a_folder_above_the_sequence_will_do(sequence: Path, scenes: list[DatasetScene]) -> None:
     assert [scene.name for scene in read_scenes(sequence.parent, REQUEST)] == [scene.name for scene in scenes]
 
@@ -109,6 +112,7 @@ def test_without_poses_the_scans_tell_the_stops(tmp_path: Path) -> None:
     assert not [scene.name for scene in found if int(scene.name) in drive_ns]
 
 
+@pytest.mark.slow
 def test_a_lidar_without_poses_is_not_in_the_truth(damaged: Path) -> None:
     (damaged / "LiDAR_GT" / "Aeva_gt.txt").unlink()
     scene = next(read_scenes(damaged, REQUEST))
@@ -135,6 +139,7 @@ def test_poses_that_claim_a_stop_are_checked_by_scans(tmp_path: Path) -> None:
         list(read_scenes(sequence, REQUEST))
 
 
+@pytest.mark.slow
 def test_missing_scans_are_noted(damaged: Path, scenes: list[DatasetScene]) -> None:
     (damaged / "LiDAR" / "Aeva" / f"{scenes[0].snapshot['Aeva'].scans[1].stamp_ns}.bin").unlink()
     late = scenes[0].snapshot["Avia"].scans[0].stamp_ns
@@ -147,6 +152,7 @@ def test_missing_scans_are_noted(damaged: Path, scenes: list[DatasetScene]) -> N
     assert len(found["Aeva"].scans) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("data", "words"),
     [
@@ -163,6 +169,7 @@ def test_a_damaged_scan_is_one_sentence(data: bytes, words: str, damaged: Path) 
     assert str(caught.value).count("\n") == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -69,6 +69,7 @@ def test_every_scene_runs_with_every_preset(found: tuple[DatasetDocument, Path, 
     assert not (out / "unknown" / "truth.toml").exists()
 
 
+@pytest.mark.slow
 def test_tables_cover_the_scenes_with_truth(found: tuple[DatasetDocument, Path, list[str]]) -> None:
     default, paper = found[0].presets.values()
     assert default.median_stages_s is not None
@@ -87,6 +88,7 @@ def test_what_is_left_out_is_told(found: tuple[DatasetDocument, Path, list[str]]
     assert "only one LiDAR (top)" in runs.refused[0].reason
 
 
+@pytest.mark.slow
 def test_the_document_has_a_table_per_preset(found: tuple[DatasetDocument, Path, list[str]]) -> None:
     document = json.loads(found[0].model_dump_json())
     assert document["schema"] == "multilica/dataset/1"
@@ -96,6 +98,7 @@ def test_the_document_has_a_table_per_preset(found: tuple[DatasetDocument, Path,
     assert document["published"]["table"]["to_target"]["poses"] == 2
 
 
+@pytest.mark.slow
 def test_without_any_truth_there_is_no_table(found: tuple[DatasetDocument, Path, list[str]]) -> None:
     document = run_presets("helipr", [], ["default"], found[1], LIMITS)
     assert document.presets["default"].table is None

@@ -52,6 +52,7 @@ def test_intact_logs_are_read(log: PlannedLog, folder: Path) -> None:
     assert {scan.stamp_ns for name in alive for scan in snapshot[name].scans} == {log.time_ns}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_broken_logs_are_refused(fault: str, folder: Path) -> None:
     (log,) = (log for log in PLAN.logs if log.fault == fault)
@@ -71,6 +72,7 @@ def test_nothing_is_read_of_a_cut_log_of_usual_size(seed: int, tmp_path: Path) -
         read_snapshot(tmp_path / "logs" / log.path)
 
 
+@pytest.mark.slow
 def test_a_duplicate_has_the_same_bytes(folder: Path) -> None:
     (copy,) = (log for log in PLAN.logs if log.duplicate_of)
     assert copy.path != copy.duplicate_of
@@ -87,6 +89,7 @@ def test_any_number_of_workers_gives_the_same_bytes(folder: Path, tmp_path: Path
     assert sorted(seen) == sorted(log.path for log in PLAN.logs)
 
 
+@pytest.mark.slow
 def test_the_truth_names_every_log_and_event(folder: Path) -> None:
     truth = json.loads((folder / TRUTH_NAME).read_text(encoding="utf-8"))
     assert truth == fleet_truth(PLAN)

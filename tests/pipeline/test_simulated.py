@@ -53,6 +53,7 @@ def test_the_ground_gives_roll_pitch_and_height_of_the_target(complete):
     assert of(events.GroundEstimated, seen)[0].ground is result.ground
 
 
+@pytest.mark.slow
 def test_events_are_in_the_order_of_the_stages(complete):
     result, seen = complete
     assert isinstance(seen[0], events.CalibrationStarted)
@@ -93,6 +94,7 @@ def _assert_stages_nest(seen):
     assert running == []
 
 
+@pytest.mark.slow
 def test_the_result_document_follows_its_schema(complete):
     result, _ = complete
     document = result_document(
