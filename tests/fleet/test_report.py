@@ -19,8 +19,14 @@ from multilica.fleet.drift.outages import find_outages
 from multilica.fleet.lidar_series import read_series
 from multilica.fleet.report import page as page_module
 from multilica.fleet.report.charts import LidarHistory
-from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, drawn_vehicles, fleet_page
-from multilica.fleet.report.store_report import store_report
+from multilica.fleet.report.page import (
+    FleetOverview,
+    PageFailure,
+    PageVehicle,
+    drawn_vehicles,
+    fleet_page,
+    store_report,
+)
 from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.store import open_store
 from tests.fleet.support.made_store import SIGMA_DEG, SIGMA_MM, add_log, key_of, lidar_row, made_store

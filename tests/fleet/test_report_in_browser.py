@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, fleet_page
-from multilica.fleet.report.store_report import store_report
+from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, fleet_page, store_report
 from tests.fleet.support.made_store import made_store
 from tests.fleet.support.requests import DAY_NS
 from tests.fleet.test_report import HOSTILE, JUMP, changed, read_histories, renamed

@@ -249,7 +249,7 @@ def report(
     quiet: options.Quiet = False,
 ) -> None:
     """Write one HTML page: LiDARs that moved, vehicles, failures by cause, and the pose of each LiDAR over time."""
-    from multilica.fleet.report.store_report import store_report
+    from multilica.fleet.report.page import store_report
     from multilica.sinks.files.atomic import write_text_atomically
 
     write_text_atomically(out, store_report(_opened(store), out))

@@ -131,7 +131,7 @@ def _without(
         return [*periods[:index], replace(periods[index], creeps=False), *periods[index + 1 :]]
     start, end = periods[index - 1].start, periods[index].end
     flat, sloped = fits.costs(np.array([start]), end)
-    joined = Period(start, end, creeps=bool(sloped[0] + thresholds.creep < flat[0]))
+    joined = Period(start, end, creeps=bool(sloped[0] + thresholds.least(creep=True) < flat[0]))
     return [*periods[: index - 1], joined, *periods[index + 1 :]]
 
 

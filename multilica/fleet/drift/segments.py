@@ -51,24 +51,16 @@ class Thresholds:
     logs: int
     dof: float
 
-    @property
-    def jump(self) -> float:
-        """Of a jump, at the best split."""
-        return 6.0 * float(f_distribution.isf(self.false_alarm_rate / self._jump_tests, 6, self.dof))
-
-    @property
-    def creep(self) -> float:
-        """Of a creep."""
-        return 6.0 * float(f_distribution.isf(self.false_alarm_rate / _CREEP_TESTS, 6, self.dof))
+    def least(self, *, creep: bool) -> float:
+        """Return the limit for a creep, or for a jump at the best split."""
+        return 6.0 * float(f_distribution.isf(self.false_alarm_rate / self._tests(creep=creep), 6, self.dof))
 
     def p_value(self, squared: float, *, creep: bool) -> float:
         """Return the share of series without any change in which the best jump, or the creep, is as large."""
-        tests = _CREEP_TESTS if creep else self._jump_tests
-        return min(1.0, tests * float(f_distribution.sf(squared / 6.0, 6, self.dof)))
+        return min(1.0, self._tests(creep=creep) * float(f_distribution.sf(squared / 6.0, 6, self.dof)))
 
-    @property
-    def _jump_tests(self) -> float:
-        return _SPLIT_TESTS * max(1, self.logs - 2 * MIN_LOGS + 1)
+    def _tests(self, *, creep: bool) -> float:
+        return _CREEP_TESTS if creep else _SPLIT_TESTS * max(1, self.logs - 2 * MIN_LOGS + 1)
 
 
 class PeriodFits:
@@ -155,7 +147,7 @@ def partition(fits: PeriodFits, thresholds: Thresholds) -> list[Period]:
 
 def _partition(fits: PeriodFits, thresholds: Thresholds, boundaries: np.ndarray) -> list[Period]:
     """Return the partition of least cost among those between the boundaries."""
-    jump, creep = thresholds.jump, thresholds.creep
+    jump, creep = thresholds.least(creep=False), thresholds.least(creep=True)
     best = [-jump, *[np.inf] * (len(boundaries) - 1)]
     last: list[tuple[int, bool]] = [(0, False)] * len(boundaries)
     for index, end in enumerate(boundaries):

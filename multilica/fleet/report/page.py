@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML page of the report of a fleet."""
+"""HTML page of a store: findings, vehicles, failures and poses over time."""
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
+from itertools import groupby
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -16,9 +19,15 @@ from jinja2 import Template
 from markupsafe import Markup
 
 from multilica.errors import escape_controls
+from multilica.fleet.drift.drift import find_drift
 from multilica.fleet.drift.findings import DriftEvent, Finding
+from multilica.fleet.drift.fleet_offsets import find_offsets
+from multilica.fleet.drift.outages import find_outages
+from multilica.fleet.lidar_series import read_series
 from multilica.fleet.report import charts
 from multilica.fleet.report.charts import DriftPlot, LidarHistory, drift_plots, sparklines
+from multilica.fleet.store.query import FAILURES, STATUS, ask
+from multilica.fleet.store.store import Store
 from multilica.fleet.times import day_of
 from multilica.sinks.report.template import own_text, page_template
 
@@ -91,6 +100,56 @@ class PageFailure:
     reason: str
     sentence: str
     recording: str = ""
+
+
+def store_report(store: Store, page: Path) -> str:
+    """Render the report of a store, with the findings of `fleet drift` without nominal poses.
+
+    Args:
+        page: where it will lie; files of the store are linked if that is within the store.
+    """
+    from multilica import __version__
+
+    series, failures = list(read_series(store)), _failures(store)
+    unlike = [offset for offset in find_offsets(series) if offset.vehicle is not None]
+    events: list[Finding] = [*find_drift(series), *find_outages(store), *unlike]
+    with ask(store, STATUS) as answer:
+        rows = list(answer.rows())
+    drawn = drawn_vehicles([vehicle for vehicle, *_ in rows], events, failures)
+    histories = {
+        vehicle: tuple(map(LidarHistory.of, own))
+        for vehicle, own in groupby(series, key=lambda each: each.vehicle)
+        if vehicle in drawn
+    }
+    vehicles = [
+        replace(
+            PageVehicle(*row[:-1]),
+            not_placed_last=tuple(row[-1].split(", ")) if row[-1] else (),
+            histories=histories.get(row[0], ()),
+        )
+        for row in rows
+    ]
+    return fleet_page(FleetOverview(store.name, __version__, _files_seen_from(page, store)), vehicles, events, failures)
+
+
+def _failures(store: Store) -> list[PageFailure]:
+    def kept(path: str) -> bool:  # `fleet prune` removes recordings; a request for each were slow in a bucket
+        return store.system is not None or store.exists(path)
+
+    with ask(store, FAILURES) as answer:
+        failures = [PageFailure(*row) for row in answer.rows()]
+    return [each if kept(each.recording) else replace(each, recording="") for each in failures]
+
+
+def _files_seen_from(page: Path, store: Store) -> str | None:
+    """Return the relative path from the page's folder to the store; None if the page lies elsewhere."""
+    if store.system is not None:
+        return None
+    root, folder = Path(store.root).resolve(), page.absolute().parent.resolve()
+    if not folder.is_relative_to(root):
+        return None
+    path = os.path.relpath(root, folder)
+    return "" if path == "." else path
 
 
 def drawn_vehicles(names: Sequence[str], events: Sequence[Finding], failures: Sequence[PageFailure]) -> list[str]:
