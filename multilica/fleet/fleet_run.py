@@ -57,7 +57,7 @@ FleetObserver = Callable[[LogsPlanned | LogFinished], None]
 
 @dataclass(frozen=True, slots=True)
 class FleetOptions:
-    """What is done with each log, and where.
+    """Treatment of each log, and its place.
 
     Args:
         config: of reading and calibration; each task uses one thread.
@@ -81,7 +81,7 @@ class FleetOptions:
 
 @dataclass(slots=True)
 class FleetOutcome:
-    """How a run ended: logs per state, those of earlier runs as `skipped`."""
+    """Outcome of a run: logs per state, those of earlier runs as `skipped`."""
 
     found: int = 0
     skipped: int = 0

@@ -91,8 +91,8 @@ def calibrate_scatter(series: Sequence[LidarSeries]) -> list[ScatteredPoses]:
 def _pooled(steps: list[_Steps], reported: list[FloatArray]) -> list[FloatArray]:
     """Return the covariances that explain the differences of successive logs best, per series.
 
-    Where the errors of scenes prevail, the logs scatter alike whatever their covariances say: these are blended with
-    their mean by the share of greatest likelihood.
+    If the errors of scenes prevail, all logs scatter alike, whatever their covariances: the covariances are blended
+    with their mean by the share of greatest likelihood.
     """
     mean = np.linalg.inv(np.mean(np.linalg.inv(np.concatenate(reported)), axis=0))
     best: tuple[float, list[FloatArray]] = (-np.inf, reported)

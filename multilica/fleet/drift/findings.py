@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is found in the poses of a fleet: the output of `multilica fleet drift`, for programs and for people."""
+"""Findings in the poses of a fleet: the output of `multilica fleet drift`, for programs and for people."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ periods the search is the generalised likelihood ratio test over all splits (Bas
 Changes, 1993). The penalties are the thresholds of the tests at the false-alarm rate, corrected for their number.
 
 `ruptures` has the same search, but its `BaseCost.fit` takes a signal without covariances: each log here has its own, of
-all six components. What a custom cost would have to compute is all of this file but the ten lines of `_partition`.
+all six components. A custom cost would have to compute all of this file but the ten lines of `_partition`.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ _DATE = re.compile(r"(\b\d{4}-\d\d-\d\d(?: \d\d:\d\d)?\b)", re.ASCII)
 
 @dataclass(frozen=True, slots=True)
 class FleetOverview:
-    """What the page shows of the whole store.
+    """The figures of the whole store on the page.
 
     Args:
         store: its address, for people.

@@ -61,7 +61,7 @@ class LidarRow:
 
 @dataclass(frozen=True, slots=True)
 class LogRow:
-    """What became of one log.
+    """The outcome of one log.
 
     Args:
         key: of source, configuration and version; the name of its files in the store.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where log tasks run: threads that each keep a process, or the workers of a Dask cluster."""
+"""Executors of log tasks: threads that each keep a process, or the workers of a Dask cluster."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ _STOPPED = threading.Event()
 
 
 class LogTaskLimits(BaseModel):
-    """What a task may take.
+    """Limits of a task.
 
     Attributes:
         time_s: from its start to its end, then it is killed.

@@ -21,7 +21,7 @@ _SHARED = ("key", "vehicle", "time_ns", "source", "fingerprint", "size_bytes", "
 
 
 class LogTask(BaseModel):
-    """What a worker needs to know of a log.
+    """The input of a worker for one log.
 
     Attributes:
         reference: path in the store of the vehicle's last accepted poses; empty if there are none.
