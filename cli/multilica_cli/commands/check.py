@@ -13,23 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from multilica.errors import UsageError
+from multilica_cli import options
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import (
-    NEW_RUN_DIRECTORY,
-    ConfigFile,
-    Frames,
-    Json,
-    Parameters,
-    Quiet,
-    Reading,
-    Settings,
-    Sources,
-    Topics,
-    Workers,
-    argument,
-    option,
-    output,
-)
+from multilica_cli.options import argument, option, output
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
@@ -75,15 +61,15 @@ class Gate:
 class _Recording:
     """The group of options for reading a recording that is compared."""
 
-    topics: Topics = None
-    frames: Frames = None
-    config_file: ConfigFile = None
-    settings: Settings = None
+    topics: options.Topics = None
+    frames: options.Frames = None
+    config_file: options.ConfigFile = None
+    settings: options.Settings = None
 
     def resolve(self, workers: int | None = None, recorded_frames: int | None = None) -> CalibrationConfig:
         """Build the configuration."""
-        given = Reading(self.topics, self.frames).values | {"runtime.workers": workers}
-        return Parameters(None, self.config_file, self.settings).resolve(given, recorded_frames)
+        given = options.Reading(self.topics, self.frames).values | {"runtime.workers": workers}
+        return options.Parameters(None, self.config_file, self.settings).resolve(given, recorded_frames)
 
 
 def check(
@@ -96,12 +82,12 @@ def check(
     ],
     gate: Gate,
     out: Annotated[
-        Path | None, output("--out DIR", "Directory of the calibration.", show_default=NEW_RUN_DIRECTORY)
+        Path | None, output("--out DIR", "Directory of the calibration.", show_default=options.NEW_RUN_DIRECTORY)
     ] = None,
     recording: _Recording,
-    workers: Workers = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    workers: options.Workers = None,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
 ) -> int:
     """Compare the poses of a run with a reference, LiDAR by LiDAR, in units of tolerance and sigma.
 
@@ -140,15 +126,15 @@ def check(
 
 
 def verify(
-    sources: Sources,
+    sources: options.Sources,
     *,
     calibration: Annotated[
         Path, option("--calibration FILE", "A calibration.toml, a run, or another file of poses.", show_default=False)
     ],
     gate: Gate,
     recording: _Recording,
-    quiet: Quiet = False,
-    as_json: Json = False,
+    quiet: options.Quiet = False,
+    as_json: options.Json = False,
 ) -> int:
     """Test known extrinsics on a recording, without a search, and name a LiDAR that has moved.
 
@@ -177,7 +163,7 @@ def accept(
     ],
     max_translation_m: _MaxTranslation = 0.03,
     max_rotation_deg: _MaxRotation = 0.3,
-    quiet: Quiet = False,
+    quiet: options.Quiet = False,
 ) -> None:
     """Write the extrinsics of a reviewed run, with their provenance, into the file that pipelines check against.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from multilica_cli.tables.folding_table import FoldingTable
+from multilica_cli.tables.folding_table import FoldingTable, number_cells
 
 if TYPE_CHECKING:
     from multilica.checks import LidarCheck, RigCheck
@@ -37,16 +37,6 @@ def print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Co
 
 
 def _cells(check: LidarCheck) -> tuple[str, ...]:
-    limits = f"{1000.0 * check.max_translation_m:g}", f"{check.max_rotation_deg:g}"
-    return (
-        _figure(check.distance_m, 1000.0, 1),
-        _figure(check.sigma_m, 1000.0, 1),
-        limits[0],
-        _figure(check.angle_deg, 1.0, 3),
-        _figure(check.sigma_deg, 1.0, 3),
-        limits[1],
-    )
-
-
-def _figure(value: float | None, scale: float, digits: int) -> str:
-    return "-" if value is None else f"{scale * value:.{digits}f}"
+    lengths = number_cells((check.distance_m, check.sigma_m), 1000.0, 1)
+    angles = number_cells((check.angle_deg, check.sigma_deg), 1.0, 3)
+    return *lengths, f"{1000.0 * check.max_translation_m:g}", *angles, f"{check.max_rotation_deg:g}"

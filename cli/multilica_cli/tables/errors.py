@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from multilica_cli.tables.folding_table import FoldingTable
+from multilica_cli.tables.folding_table import FoldingTable, number_cells
 
 if TYPE_CHECKING:
     from multilica.runs.difference import Change, Move, RunDifference
@@ -47,11 +47,6 @@ def print_left_out(left_out: Sequence[LeftOut], console: Console) -> None:
     for each in left_out:
         what = each.run if each.lidar is None else f"{each.run}, LiDAR {each.lidar}"
         console.print(f"left out: {what}: {each.reason}")
-
-
-def number_cells(values: Sequence[float | None], scale: float, digits: int) -> tuple[str, ...]:
-    """Format numbers; "-" for one that is not known."""
-    return tuple("-" if value is None else f"{scale * value:z.{digits}f}" for value in values)
 
 
 def _error_cells(lengths_m: Sequence[float | None], angles_deg: Sequence[float | None]) -> tuple[str, ...]:

@@ -129,3 +129,13 @@ def _width(table: Table, console: Console) -> int:
         return Measurement.get(console, console.options.update_width(10_000), table).maximum
     finally:
         table.title = title
+
+
+def number_cells(values: Iterable[float | None], scale: float, digits: int) -> tuple[str, ...]:
+    """Format numbers; "-" for one that is not known."""
+    return tuple("-" if value is None else f"{scale * value:z.{digits}f}" for value in values)
+
+
+def size_cells(length_m: float | None, angle_deg: float | None) -> tuple[str, ...]:
+    """Format a distance in mm and an angle in degrees."""
+    return number_cells((length_m,), 1000.0, 1) + number_cells((angle_deg,), 1.0, 3)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from rich.console import Console
 
-from multilica_cli.tables.errors import number_cells, print_left_out, short_names
-from multilica_cli.tables.folding_table import FoldingTable
+from multilica_cli.tables.errors import print_left_out, short_names
+from multilica_cli.tables.folding_table import FoldingTable, number_cells
 
 if TYPE_CHECKING:
     from multilica.datasets import DatasetDocument

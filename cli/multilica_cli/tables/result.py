@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from math import degrees
 from typing import TYPE_CHECKING
 
-from multilica_cli.tables.folding_table import FoldingTable
+from multilica_cli.tables.folding_table import FoldingTable, number_cells, size_cells
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
     from multilica.results.document import LidarEntry, ResultDocument
-    from multilica.results.document.lidars import PriorEntry, SpreadEntry
+    from multilica.results.document.lidars import SpreadEntry
     from multilica.run import CalibrationRun
 
 _PRIOR_COLUMNS = ("to prior\nmm", "to prior\ndeg")
@@ -29,7 +29,7 @@ def pose_cells(pose: RigidTransform | LidarEntry | None) -> tuple[str, ...]:
     """Format a pose for `POSE_COLUMNS`."""
     if pose is None or pose.xyz_m is None or pose.rpy_deg is None:
         return ("-",) * len(POSE_COLUMNS)
-    return *(f"{value:z.3f}" for value in pose.xyz_m), *(f"{value:z.2f}" for value in pose.rpy_deg)
+    return *number_cells(pose.xyz_m, 1.0, 3), *number_cells(pose.rpy_deg, 1.0, 2)
 
 
 def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bool) -> None:
@@ -68,21 +68,16 @@ def print_placements(document: ResultDocument, console: Console) -> None:
     for name, entry in lidars.items():
         is_target = name == document.target
         status = "target" if is_target else _STATUS[entry.status]
-        scores = ("-",) * 3
+        scores: tuple[str, ...] = ("-",) * 3
         if entry.xyz_m is not None and not is_target:
-            fitness = "-" if entry.fitness is None else f"{entry.fitness:.3f}"
-            scores = (*_largest(entry.sigma_xyz_m, entry.sigma_rotation_deg), fitness)
+            fitness = number_cells((entry.fitness,), 1.0, 3)
+            scores = (*_largest(entry.sigma_xyz_m, entry.sigma_rotation_deg), *fitness)
         cells = (name, status, *pose_cells(entry), *scores)
         if prior:
-            cells += _deviation(None if is_target else entry.prior)
+            compared = None if is_target else entry.prior
+            cells += ("-", "-") if compared is None else size_cells(compared.deviation_m, compared.deviation_deg)
         table.add_row(*cells, *(_spread(entry.spread) if document.snapshots else ()))
     console.print(table)
-
-
-def _deviation(prior: PriorEntry | None) -> tuple[str, str]:
-    if prior is None or prior.deviation_m is None or prior.deviation_deg is None:
-        return "-", "-"
-    return f"{1000.0 * prior.deviation_m:.1f}", f"{prior.deviation_deg:.3f}"
 
 
 def _truth_table(document: ResultDocument, truth: Extrinsics) -> FoldingTable:
@@ -95,22 +90,16 @@ def _truth_table(document: ResultDocument, truth: Extrinsics) -> FoldingTable:
             continue
         found, true = document.poses.get(name), truth.between(document.target, name)
         table.add_row(name, "found", *pose_cells(found))
-        error = None if found is None else true.distance_to(found)
-        table.add_row("", "true", *pose_cells(true), *_distance_cells(error), end_section=True)
+        error_m, error_rad = (None, None) if found is None else true.distance_to(found)
+        error = size_cells(error_m, None if error_rad is None else degrees(error_rad))
+        table.add_row("", "true", *pose_cells(true), *error, end_section=True)
     return table
 
 
-def _spread(spread: SpreadEntry | None) -> tuple[str, str, str]:
+def _spread(spread: SpreadEntry | None) -> tuple[str, ...]:
     """Return the standard deviations over the snapshots of the worst axes, and the number of snapshots."""
     return ("-", "-", "-") if spread is None else (*_largest(spread.xyz_m, spread.rotation_deg), str(spread.snapshots))
 
 
-def _largest(xyz_m: Iterable[float] | None, rotation_deg: Iterable[float] | None) -> tuple[str, str]:
-    if xyz_m is None or rotation_deg is None:
-        return "-", "-"
-    return f"{1000.0 * max(xyz_m):.1f}", f"{max(rotation_deg):.3f}"
-
-
-def _distance_cells(distance: tuple[float, float] | None) -> tuple[str, str]:
-    """Format a distance in metres and an angle in radians."""
-    return ("-", "-") if distance is None else (f"{1000.0 * distance[0]:.1f}", f"{degrees(distance[1]):.3f}")
+def _largest(xyz_m: Iterable[float] | None, rotation_deg: Iterable[float] | None) -> tuple[str, ...]:
+    return size_cells(*(None if values is None else max(values) for values in (xyz_m, rotation_deg)))

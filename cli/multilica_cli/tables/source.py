@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
-from multilica_cli.tables.folding_table import FoldingTable
+from multilica_cli.tables.folding_table import FoldingTable, number_cells
 from multilica_cli.tables.result import POSE_COLUMNS, pose_cells
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def print_summary(summary: SourceSummary, console: Console) -> None:
         table = FoldingTable("Point clouds", columns, numbers_from=4, keys=2, spare=("type",))
         for cloud in summary.clouds:
             names = (cloud.lidar or "-", cloud.topic, cloud.message_type.rpartition("/")[2], cloud.frame_id)
-            rate, *ranges = map(_number, (cloud.rate_hz, cloud.range_median_m, cloud.range_max_m))
+            rate, *ranges = number_cells((cloud.rate_hz, cloud.range_median_m, cloud.range_max_m), 1.0, 1)
             table.add_row(*names, str(cloud.frames), rate, str(cloud.points_median), *ranges)
         console.print(table)
     if summary.others:
@@ -76,10 +76,6 @@ def _span(summary: SourceSummary) -> str:
         return ""
     begin = datetime.fromtimestamp(min(starts) / _NS_PER_S, tz=UTC)
     return f", {begin:%Y-%m-%d %H:%M:%S} UTC, {summary.duration_s:.1f} s"
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
 
 
 def recorded_document(taken: TakenSnapshot, out: Path) -> dict[str, Any]:
