@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every parameter of multilica, each once, with its unit, default and meaning."""
 
-from multilica.config.calibration import PRESETS, STAGES, CalibrationConfig, Stage
 from multilica.config.loading import known_keys, load_config, preset, read_config_table, with_overrides
+from multilica.config.presets import PRESETS
 from multilica.config.sections import (
+    STAGES,
     AcceptanceConfig,
+    CalibrationConfig,
     CoarseConfig,
     CorrespondConfig,
     FeaturesConfig,
@@ -19,6 +21,7 @@ from multilica.config.sections import (
     RefineConfig,
     RuntimeConfig,
     Section,
+    Stage,
     StillnessConfig,
     VerifyConfig,
 )

@@ -9,8 +9,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from multilica.config.calibration import PRESETS, CalibrationConfig
-from multilica.config.sections import Section
+from multilica.config.presets import PRESETS
+from multilica.config.sections import CalibrationConfig, Section
 from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited, shown
 from multilica.errors import ConfigError, UnknownNameError
 

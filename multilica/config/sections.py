@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sections of the configuration, in the order of the stages."""
+"""The configuration and its sections, in the order of the stages."""
 
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, field_validator
 
 from multilica.documents import require_length
+
+Stage = Literal[
+    "ingest", "preprocess", "features", "correspond", "coarse", "verify", "fine", "merge", "refine", "ground"
+]
+STAGES: tuple[Stage, ...] = get_args(Stage)
 
 NotNegative = Annotated[float, Strict(), Field(ge=0.0)]
 Positive = Annotated[float, Strict(), Field(gt=0.0)]
@@ -282,3 +287,29 @@ class RecordConfig(Section):
     max_megabytes: Positive = Field(
         100.0, description="a larger recording is thinned to this size, and its log says so; full: no limit"
     )
+
+
+class CalibrationConfig(Section):
+    """The whole configuration; one table per section."""
+
+    preset: Literal["default", "paper", "paper-algorithm1"] = Field(
+        "default", description="preset that the configuration started from"
+    )
+    target: str = Field("", description="name of the target LiDAR; empty: the one with the most overlap")
+    until: Stage = Field("ground", description="the last stage to run")
+    ingest: IngestConfig = IngestConfig()
+    stillness: StillnessConfig = StillnessConfig()
+    preprocess: PreprocessConfig = PreprocessConfig()
+    health: HealthConfig = HealthConfig()
+    features: FeaturesConfig = FeaturesConfig()
+    correspond: CorrespondConfig = CorrespondConfig()
+    coarse: CoarseConfig = CoarseConfig()
+    verify: VerifyConfig = VerifyConfig()
+    fine: FineConfig = FineConfig()
+    acceptance: AcceptanceConfig = AcceptanceConfig()
+    merge: MergeConfig = MergeConfig()
+    refine: RefineConfig = RefineConfig()
+    joint: JointConfig = JointConfig()
+    ground: GroundConfig = GroundConfig()
+    runtime: RuntimeConfig = RuntimeConfig()
+    record: RecordConfig = RecordConfig()

@@ -74,7 +74,7 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
         found.coarse = find_hypotheses(found.matches, *limits, request.prior)
         clock.stop("coarse", found)
     if "verify" in stages and found.coarse is not None and config.verify.enabled:
-        found.verified = verify_hypotheses(target.rough_side, source.rough_side, found.coarse, config)
+        found.verified = verify_hypotheses(target.verification_cloud, source.verification_cloud, found.coarse, config)
         clock.stop("verify", found)
     if "fine" in stages and found.coarse is not None:
         hypotheses = found.coarse.hypotheses if found.verified is None else _as_hypotheses(found.verified)
@@ -94,7 +94,7 @@ def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:
 def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
     """Score a pose between two LiDARs by their beams."""
     target, source = (lidars[name] for name in (pose.target, pose.source))
-    return score_pose(target.rough_side.view, source.rough_side.view, pose, *FINE_TOLERANCES)
+    return score_pose(target.verification_cloud.view, source.verification_cloud.view, pose, *FINE_TOLERANCES)
 
 
 def register_sides(

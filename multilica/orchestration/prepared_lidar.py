@@ -11,7 +11,7 @@ from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.results import FeatureCloud, PreprocessedCloud
 from multilica.stages.features import compute_features
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud
-from multilica.stages.verify import RoughSide, short_gicp
+from multilica.stages.verify import VerificationCloud, short_gicp
 from multilica.visibility.sensor_view import SensorView, prepare_sensor_view
 
 _NO_POINTS = np.empty((0, 3))
@@ -44,11 +44,11 @@ class PreparedLidar:
         return self._features[voxel_size_m]
 
     @cached_property
-    def rough_side(self) -> RoughSide:
+    def verification_cloud(self) -> VerificationCloud:
         """The LiDAR as one side of a short GICP; only where verification is on."""
         assert self.view is not None  # noqa: S101
         gicp = short_gicp(self.config.fine)
-        return RoughSide(self.view, prepare_gicp_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
+        return VerificationCloud(self.view, prepare_gicp_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
 
     @cached_property
     def side(self) -> RegistrationCloud:

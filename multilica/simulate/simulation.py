@@ -20,7 +20,7 @@ from multilica.simulate.disturbances import (
     truck_beside,
 )
 from multilica.simulate.raycast import Surroundings, measure, nearer, returned_points
-from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, fan, misjudged
+from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, chain_rig, with_drawing_error
 from multilica.simulate.scenes import SCENES
 from multilica.simulate.shapes.mesh import merged
 from multilica.snapshot import LidarScans, Scan, Snapshot
@@ -84,13 +84,13 @@ def simulate_snapshot(
             f"and {frames} frames."
         )
     require_known(disturbances, rig, [mount.name for mount in RIGS[rig].mounts])
-    chosen = fan(_LOW_OVERLAP_DEG) if "low_overlap" in disturbances else RIGS[rig]
+    chosen = chain_rig(_LOW_OVERLAP_DEG) if "low_overlap" in disturbances else RIGS[rig]
     original = as_built(chosen, random_stream(rig, "mounting", built))
     poses = _moved(original, moved, rig)
     world = _World(chosen, scene, seed, poses, disturbances, start_ns)
     scans = tuple(world.scans(mount, frames) for mount in chosen.mounts)
     priors = random_stream(rig, "prior", built)
-    static = tuple(misjudged(pose, priors) for pose in original.values())
+    static = tuple(with_drawing_error(pose, priors) for pose in original.values())
     vehicle = "" if build_seed is None else f", vehicle {build_seed}"
     description = f"simulation {world.label}{vehicle}" + (f" with {', '.join(disturbances)}" if disturbances else "")
     return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses))

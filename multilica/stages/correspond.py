@@ -12,7 +12,7 @@ from multilica.results import Correspondences, FeatureCloud, IndexArray
 from multilica.solvers.cliques import solve_by_cliques
 
 # From 1500 x 1500 to 8000 x 1500, the order of the pairs of 70 simulated snapshots was equally good within the noise.
-_PROMISE_TARGETS, _PROMISE_SOURCES = 1500, 1500
+_PRIORITY_TARGETS, _PRIORITY_SOURCES = 1500, 1500
 
 # Rows of distances that are computed at once: as many as the processor's cache holds.
 _BLOCK = 64
@@ -35,7 +35,7 @@ def pair_priority(target: FeatureCloud, source: FeatureCloud, config: CoarseConf
         The largest number of sampled matches that agree on one pose; 0 if none do. Only the order between pairs of one
         rig has a meaning.
     """
-    found = _match(target, source, CorrespondConfig(), _PROMISE_TARGETS, _PROMISE_SOURCES)
+    found = _match(target, source, CorrespondConfig(), _PRIORITY_TARGETS, _PRIORITY_SOURCES)
     matches = found.within_baseline(max_baseline_m)
     if len(matches) == 0:
         return 0.0

@@ -35,7 +35,7 @@ _SHORT_POINTS = 4000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RoughSide:
+class VerificationCloud:
     """One LiDAR's view with its cloud as prepared for `short_gicp`."""
 
     view: SensorView
@@ -59,7 +59,7 @@ def short_gicp(fine: FineConfig) -> FineConfig:
 
 
 def verify_hypotheses(
-    target: RoughSide, source: RoughSide, coarse: CoarseResult, config: CalibrationConfig
+    target: VerificationCloud, source: VerificationCloud, coarse: CoarseResult, config: CalibrationConfig
 ) -> tuple[Registration, ...]:
     """Score the hypotheses by the beams of both sensors, and register the promising ones by a short GICP.
 
@@ -101,7 +101,7 @@ def verify_hypotheses(
 
 
 def _promising(
-    target: RoughSide, source: RoughSide, hypotheses: Sequence[Hypothesis], config: CalibrationConfig
+    target: VerificationCloud, source: VerificationCloud, hypotheses: Sequence[Hypothesis], config: CalibrationConfig
 ) -> list[Hypothesis]:
     """Select the hypotheses that beams do not contradict as they are, the one with the most evidence first.
 
@@ -166,7 +166,11 @@ def _turn_between(pose: RigidTransform, turned: RigidTransform) -> str:
 
 
 def _registered(
-    target: RoughSide, source: RoughSide, hypothesis: Hypothesis, gicp: FineConfig, config: CalibrationConfig
+    target: VerificationCloud,
+    source: VerificationCloud,
+    hypothesis: Hypothesis,
+    gicp: FineConfig,
+    config: CalibrationConfig,
 ) -> list[Registration]:
     """Register a hypothesis; one that GICP carried away is registered among near points as well.
 
@@ -181,7 +185,9 @@ def _registered(
     return [near, far] if better else [far]
 
 
-def _register(target: RoughSide, source: RoughSide, hypothesis: Hypothesis, gicp: FineConfig) -> Registration:
+def _register(
+    target: VerificationCloud, source: VerificationCloud, hypothesis: Hypothesis, gicp: FineConfig
+) -> Registration:
     start = hypothesis.T_target_source
     found = register_narrower(target.cloud, source.cloud, start, gicp)
     found = replace(found, T_target_source=found.T_target_source.with_target(start.target))

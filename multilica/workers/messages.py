@@ -42,14 +42,14 @@ class TaskTracebackError(Exception):
     """The cause of an exception that was raised in another process: its traceback there, as text."""
 
 
-class TaskFailure(NamedTuple):
+class WorkerFailure(NamedTuple):
     """An exception that travels to another process, with the text of its traceback."""
 
     error: Exception
     trace: str
 
     @classmethod
-    def of(cls, error: Exception) -> "TaskFailure":
+    def of(cls, error: Exception) -> "WorkerFailure":
         """Prepare an exception; one that cannot travel becomes a RuntimeError with its text."""
         trace = "".join(traceback.format_exception(error))
         try:

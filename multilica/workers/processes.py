@@ -11,7 +11,7 @@ from selectors import EVENT_READ, DefaultSelector
 from typing import Any, NoReturn, TypeVar
 
 from multilica.errors import WorkerDiedError
-from multilica.workers.messages import UNREADABLE, Answer, Job, Release, TaskFailure
+from multilica.workers.messages import UNREADABLE, Answer, Job, Release, WorkerFailure
 from multilica.workers.pool import Shared, Workers
 from multilica.workers.server import start_server
 from multilica.workers.shared_buffers import end_claims, pack, unpack
@@ -177,7 +177,7 @@ class WorkerProcesses(Workers):
 
 
 def _result_of(answer: Any) -> Any:  # noqa: ANN401 - results have any type
-    if isinstance(answer, TaskFailure):
+    if isinstance(answer, WorkerFailure):
         answer.reraise()
     return answer
 

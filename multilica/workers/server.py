@@ -13,7 +13,7 @@ from functools import partial
 from importlib import import_module
 
 from multilica.allocator import keep_freed_memory
-from multilica.workers.messages import UNREADABLE, Answer, Job, Release, TaskFailure
+from multilica.workers.messages import UNREADABLE, Answer, Job, Release, WorkerFailure
 from multilica.workers.pool import Shared
 from multilica.workers.shared_buffers import claim_next, pack, unpack
 
@@ -96,7 +96,7 @@ def _work(caller: socket.socket) -> None:
         try:
             message = unpack(descriptor)
         except Exception as error:  # noqa: BLE001
-            _send(caller, pack(Answer(UNREADABLE, 0, TaskFailure.of(error))))
+            _send(caller, pack(Answer(UNREADABLE, 0, WorkerFailure.of(error))))
         else:
             match message:
                 case Release(names):
@@ -114,7 +114,7 @@ def _run(caller: socket.socket, job: int, index: int, task: Callable[[], object]
     try:
         buffer = pack(Answer(job, index, task(), name))
     except Exception as error:  # noqa: BLE001
-        buffer = pack(Answer(job, index, TaskFailure.of(error)))
+        buffer = pack(Answer(job, index, WorkerFailure.of(error)))
     _send(caller, buffer)
 
 

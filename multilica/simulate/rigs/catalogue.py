@@ -48,7 +48,7 @@ def articulated_truck() -> Mesh:
     return merged([cab, trailer, chassis, arms, *wheels])
 
 
-def fan(overlap_deg: float) -> Rig:
+def chain_rig(overlap_deg: float) -> Rig:
     """Build a rig of four narrow LiDARs on the roof; neighbours overlap by that angle."""
     step_deg = NARROW.pattern.horizontal_fov_deg - overlap_deg
     mounts = []
@@ -150,5 +150,6 @@ TRUCK = Rig(
 
 
 RIGS: Mapping[str, Rig] = {
-    rig.name: rig for rig in (BLIND, fan(overlap_deg=22.5), EDGAR, HELIPR, RING6, SECTORS8, SECTORS20, SIDES, TRUCK)
+    rig.name: rig
+    for rig in (BLIND, chain_rig(overlap_deg=22.5), EDGAR, HELIPR, RING6, SECTORS8, SECTORS20, SIDES, TRUCK)
 }

@@ -62,7 +62,7 @@ def as_built(rig: Rig, rng: np.random.Generator) -> dict[str, RigidTransform]:
     return {mount.name: _disturbed(mount.T_base_lidar, rng, _BUILD_SIGMA_M, _BUILD_SIGMA_RAD) for mount in rig.mounts}
 
 
-def misjudged(T_base_lidar: RigidTransform, rng: np.random.Generator) -> RigidTransform:
+def with_drawing_error(T_base_lidar: RigidTransform, rng: np.random.Generator) -> RigidTransform:
     """Return the pose for the recording's static transforms, which is off by about 5 cm and 2 degrees."""
     return _disturbed(T_base_lidar, rng, _DRAWING_SIGMA_M, _DRAWING_SIGMA_RAD)
 

@@ -54,7 +54,7 @@ def test_a_copy_builds_its_sides_itself(lidars):
     lidar = lidars[0]
     before = len(pickle.dumps(lidar))
     assert lidar.side is lidar.side
-    assert lidar.rough_side.cloud is lidar.rough_side.cloud
+    assert lidar.verification_cloud.cloud is lidar.verification_cloud.cloud
     lidar.features_at(0.5)
     assert len(pickle.dumps(lidar)) == before
     (copy,) = _copied([lidar])

@@ -11,7 +11,7 @@ from multilica.registration.gicp import register_narrower
 from multilica.registration.gicp_cloud import prepare_gicp_cloud
 from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages import verify
-from multilica.stages.verify import RoughSide, short_gicp, verify_hypotheses
+from multilica.stages.verify import VerificationCloud, short_gicp, verify_hypotheses
 from multilica.visibility.sensor_view import prepare_sensor_view
 from tests.unit.made_rooms import HALL, box, scan
 
@@ -31,7 +31,7 @@ def _near(pose, xyz_m=(0.3, -0.2, 0.1), yaw_rad=0.05):
 def _prepared(objects):
     clouds = [scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)]
     return [
-        RoughSide(
+        VerificationCloud(
             prepare_sensor_view(cloud),
             prepare_gicp_cloud(cloud.lidar, cloud.points_m, _GICP),
         )
