@@ -101,16 +101,14 @@ class Plan:
                     with suppress(pa.ArrowException, OSError):
                         yield store.dataset("logs", [part]).to_table(columns=columns)
 
-    def add(self, logs: Iterable[FleetLog]) -> int:
-        """Add logs; return how many."""
-        count, waiting = 0, iter(logs)
+    def add(self, logs: Iterable[FleetLog]) -> None:
+        """Add logs."""
+        waiting = iter(logs)
         while batch := list(islice(waiting, _BATCH)):
             values = [{"key": _log_key(log, self._config_sha256)} | asdict(log) for log in batch]
             self._base.register("batch", pa.Table.from_pylist(values, schema=_LOGS))
             self._base.execute(f"INSERT INTO found SELECT {', '.join(_LOGS.names)} FROM batch")  # noqa: S608
             self._base.unregister("batch")
-            count += len(batch)
-        return count
 
     def settle(self, identify: Callable[[Sequence[str]], Iterable[tuple[str, int | None]]]) -> None:
         """Find vehicle and time of the logs that lack one: from the store, else by reading them.
