@@ -16,7 +16,7 @@ HEAD_BYTES = 1024
 
 
 class Content(Enum):
-    """What a file of a format holds."""
+    """Content of a file of a format."""
 
     RECORDING = "messages of several topics"
     CLOUD = "one point cloud"

@@ -95,7 +95,7 @@ class Recording(Protocol):
 
     @property
     def is_indexed(self) -> bool:
-        """Whether messages from some time on can be read without those before."""
+        """True if messages from some time on can be read without earlier ones."""
 
     def span_ns(self, topics: Collection[str]) -> Span | None:
         """Return when these topics begin and end; None without messages or without time."""

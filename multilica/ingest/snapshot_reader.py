@@ -26,7 +26,7 @@ from multilica.ingest.transforms.prior import StaticTransforms, read_static_tran
 from multilica.snapshot import LidarScans, Snapshot
 
 WHOLE_FILE_BYTES = 256 << 20
-"""Of larger files, only the size, the beginning and the end are hashed."""
+"""Larger files are hashed by size, beginning and end only."""
 _EDGE_BYTES = 64 << 20
 _NAMELESS = "lidar"
 _REMOTE_EDGE_BYTES = 1 << 20

@@ -15,7 +15,7 @@ from multilica.registration.lazy_open3d import o3d
 from multilica.results import GicpStep, PairRegistration
 
 SHORT_ITERATIONS = 10
-"""Of a pose that may prove wrong or come to nothing."""
+"""Iterations for a pose that may prove wrong."""
 
 # Iterations between two recorded steps.
 _OBSERVED_ITERATIONS = 3

@@ -66,7 +66,7 @@ class Registration:
 
     @property
     def name(self) -> str:
-        """Where the pose comes from, for people."""
+        """The origin of the pose as text."""
         return pose_name(self.hypothesis, self.origin, self.derivation)
 
     @property
@@ -201,7 +201,7 @@ class PairRegistration:
 
     @property
     def start_name(self) -> str:
-        """Where the pose comes from, for people."""
+        """The origin of the pose as text."""
         return self.registrations[0].name if self.registrations else pose_name(self.hypothesis, "")
 
     @property

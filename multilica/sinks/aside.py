@@ -17,7 +17,7 @@ _SIGNAL_CHECK_S = 0.2
 def pass_aside(observe: Observer) -> Iterator[Observer]:
     """Pass events to an observer in a thread, in their order; all are passed when the context ends.
 
-    What the observer raises is raised by the next call or at the end, and no event follows. A signal that interrupts
+    An error of the observer is raised by the next call or at the end, and no event follows. A signal that interrupts
     the wait for the last events drops those that are not begun; the one that is begun is passed completely.
     """
     aside = _Aside(observe)

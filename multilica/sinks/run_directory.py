@@ -69,7 +69,7 @@ class RunDirectory:
 
     @property
     def keeps_earlier(self) -> bool:
-        """Whether the directory holds the result of an earlier run."""
+        """True if the directory holds the result of an earlier run."""
         return self.place != self.directory
 
     @property

@@ -70,7 +70,7 @@ class RunState:
 
     @property
     def document(self) -> ResultDocument:
-        """What is known of the run so far, with progress and figures per stage.
+        """The facts about the run so far, with progress and figures per stage.
 
         Raises:
             ValueError: nothing is known before a calibration has started.

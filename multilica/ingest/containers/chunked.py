@@ -57,7 +57,7 @@ class PackedChunk:
 
     @property
     def is_worth_a_thread(self) -> bool:
-        """Whether unpacking does more than copy and check the data."""
+        """True if unpacking does more than copy and check the data."""
         return self.compression not in UNCOMPRESSED and len(self.data) < _MAX_RATIO * self.size
 
     def unpack(self) -> memoryview:

@@ -29,7 +29,7 @@ with needed_for("Listening to a running vehicle", "websockets"):
     from websockets.typing import Subprotocol
 
 _SUBPROTOCOLS = (Subprotocol("foxglove.sdk.v1"), Subprotocol("foxglove.websocket.v1"))
-"""Of foxglove-sdk and foxglove_bridge 3 or newer, and of older bridges; the messages are the same."""
+"""Subprotocols of foxglove-sdk and foxglove_bridge 3 or newer, and of older bridges; the messages are the same."""
 _MESSAGE_HEAD = struct.Struct("<BIQ")
 """Opcode, subscription, log time."""
 _MESSAGE_DATA = 1

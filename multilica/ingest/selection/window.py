@@ -152,7 +152,7 @@ class TopicFrames:
 
     @property
     def is_full(self) -> bool:
-        """Whether there are enough frames, or so many broken ones that no more are tried."""
+        """True if there are enough frames, or too many broken ones to try more."""
         return len(self.clouds) >= self.wanted or len(self.broken) >= _MAX_BROKEN
 
     def take(self, message: RawMessage) -> None:

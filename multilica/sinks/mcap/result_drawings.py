@@ -165,7 +165,7 @@ def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
         topic: {
             "visible": True,
             "colorMode": "flat",
-            # Where none is named, the panel picks one and colours by it.
+            # If none is named, the panel picks one and colours by it.
             "colorField": "z",
             "flatColor": hex_colour(colours[name]),
             "pointSize": 2,

@@ -216,4 +216,4 @@ TABLES: Mapping[str, Callable[[Path], pa.Table]] = MappingProxyType(
         "timings": _timings,
     }
 )
-"""What can be asked of a recording, with its reader: `matches` are of descriptors, `surfaces` at the final pose."""
+"""Tables of a recording, each with its reader: `matches` are of descriptors, `surfaces` at the final pose."""

@@ -49,7 +49,7 @@ PAIR_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
         **dict.fromkeys(("rig_residual_m", "rig_residual_deg", "rig_weight", *_POSE), _NUMBER),
     }
 )
-"""Of the table of pairs; a figure that is not known is null, a text empty. The pose is `T_target_source`."""
+"""Columns of the table of pairs; a figure that is not known is null, a text empty. The pose is `T_target_source`."""
 MERGE_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
     {
         **dict.fromkeys(("merge_step", "rank"), _COUNT),
@@ -59,7 +59,7 @@ MERGE_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
         **dict.fromkeys(("chosen", "of_groups"), _FLAG),
     }
 )
-"""Of the table of merge candidates; steps and ranks count from 1."""
+"""Columns of the table of merge candidates; steps and ranks count from 1."""
 
 
 def log_data_tables(scene: RerunScene) -> None:

@@ -16,6 +16,7 @@ from types import UnionType
 import pytest
 
 import multilica
+from tests.documentation.prose import OPENERS
 
 ROOT = Path(__file__).parents[3]
 UNTRACKED = {".git", ".venv", ".hypothesis", "node_modules", "__pycache__", "dist", "build"}
@@ -35,20 +36,9 @@ MOST_LINES = 400
 MOST_FILES = 20
 LONGEST_TEST_NAME = 60
 OLD_WORDS = re.compile("witness|testimony|retell|far_fetched|upheld", re.IGNORECASE)
-CLAUSE_OPENERS = (
-    "What ",
-    "Whether ",
-    "Where ",
-    "How ",
-    "The ",
-    "A ",
-    "An ",
-    "All ",
-    "Every ",
-    "Each ",
-    "Those ",
-    "It ",
-)
+NOT_A_VERB = re.compile("(The|An?|All|Every|Each|Those|It) ")
+LABELS = ("What helps: ",)
+"""Texts that are no sentence."""
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
@@ -192,7 +182,37 @@ def test_docstrings_of_functions_start_with_a_verb() -> None:
     clauses = [
         f"{place} {node.name}: {docstring.splitlines()[0]}"
         for place, node in nodes_below(PRODUCT, Function)
-        if (docstring := ast.get_docstring(node) or "").startswith(CLAUSE_OPENERS)
+        if NOT_A_VERB.match(docstring := ast.get_docstring(node) or "")
         and not any("property" in ast.unparse(decorator) for decorator in node.decorator_list)
     ]
     assert not clauses, listed(clauses, "a function's docstring starts with a verb in the imperative")
+
+
+def test_no_sentence_of_the_product_opens_with_a_clause() -> None:
+    texts = [(place, node.value) for place, node in nodes_below(PRODUCT, ast.Constant) if isinstance(node.value, str)]
+    clauses = [f"{place}: {clause}" for place, text in [*texts, *comments()] for clause in clauses_in(text)]
+    assert not clauses, listed(clauses, "a sentence of a docstring, comment or message opens with its subject")
+
+
+def comments() -> Iterator[tuple[str, str]]:
+    for path in files_below(PRODUCT, ".py"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        yield from (
+            (f"{relative(path)}:{at}", line.lstrip(" #")) for at, line in enumerate(lines, 1) if "# " in line[:50]
+        )
+
+
+def clauses_in(text: str) -> list[str]:
+    """The sentences that open with a clause, as on the pages of the documentation."""
+    if text.lstrip().startswith(LABELS):
+        return []
+    sentences = (sentence.strip() for sentence in re.split(r"(?<=[.!?])\s+|\n\s*\n", text))
+    return [each for each in sentences if OPENERS.match(each) and each[0].isupper() and not each.endswith("?")]
+
+
+@pytest.mark.parametrize(
+    "text", ["What is found.", "It ends. Of two, one is kept.", "Return it.\n\n    Where it is.\n"]
+)
+def test_a_clause_in_a_text_is_found(text: str) -> None:
+    assert len(clauses_in(text)) == 1
+    assert clauses_in(text.replace(".", "?")) == clauses_in(f"See {text.split(maxsplit=1)[0].lower()} it is.") == []
