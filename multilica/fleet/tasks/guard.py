@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict
 
 from multilica.fleet.store.records import PASSING, LogRow
 from multilica.fleet.store.store import open_store
-from multilica.fleet.tasks.log_task import LogTask, TaskFailure, failed_row
+from multilica.fleet.tasks.log_task import LogTask, LogTaskFailure, failed_row
 from multilica.ingest.metadata import LogIdentity
 
 _PAUSES_S = (0.5, 2.0, 8.0)
@@ -61,8 +61,8 @@ def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
         tried = request.model_copy(update={"attempt": attempt})
         return _process(limits).ask(tried, limits.time_s)
 
-    answer: LogRow | TaskFailure = _tried(ask, limits)
-    if isinstance(answer, TaskFailure):
+    answer: LogRow | LogTaskFailure = _tried(ask, limits)
+    if isinstance(answer, LogTaskFailure):
         answer = failed_row(tried, answer.reason, answer.text)
         open_store(request.store, create=False).finish(answer, [])
     return answer
@@ -71,8 +71,8 @@ def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
 def identify_guarded(address: str, limits: LogTaskLimits) -> LogIdentity:
     """Read vehicle and time of a log, again after what may pass; nothing if that takes too much."""
     time_s = min(_IDENTIFY_S, limits.time_s)
-    answer: LogIdentity | TaskFailure = _tried(lambda _: _process(limits).ask(address, time_s), limits)
-    return LogIdentity("", None) if isinstance(answer, TaskFailure) else answer
+    answer: LogIdentity | LogTaskFailure = _tried(lambda _: _process(limits).ask(address, time_s), limits)
+    return LogIdentity("", None) if isinstance(answer, LogTaskFailure) else answer
 
 
 def _tried(ask: Callable[[int], Any], limits: LogTaskLimits) -> Any:  # noqa: ANN401 - as above
@@ -83,7 +83,7 @@ def _tried(ask: Callable[[int], Any], limits: LogTaskLimits) -> Any:  # noqa: AN
         answer = ask(attempt + 1)
         if _STOPPED.is_set():
             raise CancelledError
-        if not (isinstance(answer, TaskFailure) and answer.reason in PASSING):
+        if not (isinstance(answer, LogTaskFailure) and answer.reason in PASSING):
             break
     return answer
 
@@ -132,7 +132,7 @@ class _TaskProcess:
         return self._process.poll() is None
 
     def ask(self, request: LogTask | str, time_s: float) -> Any:  # noqa: ANN401 - what the server answers
-        """Return the answer, or the TaskFailure that says why there is none."""
+        """Return the answer, or the LogTaskFailure that says why there is none."""
         try:
             self._connection.send(request)
             if self._connection.poll(time_s):
@@ -140,17 +140,17 @@ class _TaskProcess:
         except (OSError, EOFError):
             return self._death()
         self.end()
-        return TaskFailure("timeout", f"The log took more than {time_s:g} s.")
+        return LogTaskFailure("timeout", f"The log took more than {time_s:g} s.")
 
-    def _death(self) -> TaskFailure:
+    def _death(self) -> LogTaskFailure:
         with suppress(subprocess.TimeoutExpired):
             self._process.wait(5.0)
         self.end()
         code = self._process.returncode
         if -code in _KILLED:
-            return TaskFailure("killed", f"The process of the log was killed ({signal.Signals(-code).name}).")
+            return LogTaskFailure("killed", f"The process of the log was killed ({signal.Signals(-code).name}).")
         how = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
-        return TaskFailure("crashed", f"The process of the log ended with {how}; a library crashed on it.")
+        return LogTaskFailure("crashed", f"The process of the log ended with {how}; a library crashed on it.")
 
     def end(self) -> None:
         """Kill the process and what it started."""

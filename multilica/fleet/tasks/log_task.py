@@ -52,7 +52,7 @@ class LogTask(BaseModel):
 
 
 @dataclass(frozen=True, slots=True)
-class TaskFailure:
+class LogTaskFailure:
     """Reason why a task ended without a row."""
 
     reason: str

@@ -33,19 +33,19 @@ def main() -> None:
 
 
 def _answer(request: LogTask | str, run_task: Any) -> object:  # noqa: ANN401 - a module that takes time to load
-    from multilica.fleet.tasks.log_task import TaskFailure
+    from multilica.fleet.tasks.log_task import LogTaskFailure
     from multilica.ingest.metadata import identify_log
     from multilica.ingest.remote.remote_file import ConnectionLostError
 
     try:
         return identify_log(request) if isinstance(request, str) else run_task.run_log_task(_below_folder(request))
     except ConnectionLostError as failure:
-        return TaskFailure("network", str(failure))
+        return LogTaskFailure("network", str(failure))
     except MemoryError:
-        return TaskFailure("memory", "The log takes more memory than a task may have.")
+        return LogTaskFailure("memory", "The log takes more memory than a task may have.")
     except Exception as failure:  # noqa: BLE001 - one log must not end the others
         text = f"This is a bug in multilica, not in the log ({type(failure).__name__}: {failure})."
-        return TaskFailure("bug", text[:500])
+        return LogTaskFailure("bug", text[:500])
 
 
 def _below_folder(request: LogTask) -> LogTask:
