@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sample of mutations is the same each time, and every mutated module has tests."""
+"""The sample of mutations is the same each time, every mutated module has tests, and kernels run tests that exist."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests import mutate
+from tests import kernels, mutate
 
 ROOT = Path(__file__).parents[3]
 
@@ -16,6 +16,11 @@ ROOT = Path(__file__).parents[3]
 @pytest.mark.parametrize("module", mutate.modules())
 def test_each_mutated_module_has_tests(module: str) -> None:
     assert [path for path in mutate.tests_of(module) if not (ROOT / path).exists()] == []
+
+
+def test_kernels_run_tests_that_are_there() -> None:
+    named = (*kernels.FOLDERS, *kernels.NUMERIC, *kernels.SAME_ON_ANY_CPU)
+    assert [path for path in named if not (ROOT / path).exists()] == []
 
 
 def test_the_sample_is_the_same_each_time() -> None:
