@@ -46,7 +46,7 @@ def calibrate(
     rig: Extrinsics | None = None,
     deadline_s: float | None = None,
 ) -> CalibrationResult:
-    """Find where every LiDAR of the snapshot sits relative to the target LiDAR, as `multilica.calibrate`.
+    """Find the pose of every LiDAR of the snapshot relative to the target LiDAR, like `multilica.calibrate`.
 
     Args:
         prior: one more hypothesis for each pair that it has, verified like the others. The result still has full poses,

@@ -15,7 +15,7 @@ _Degrees = Annotated[float, Strict(), Field(gt=0.0, le=180.0)]
 
 
 class Tolerance(BaseModel):
-    """Largest difference that is no drift."""
+    """Largest difference that does not count as drift."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 

@@ -137,7 +137,7 @@ class TopicFrames:
         offsets_s: log time minus stamp of each cloud that has both.
         repeated: scans that are equal to one before.
         backward: scans with a stamp before that of the previous one.
-        fell_silent: whether the topic was given up before it was full.
+        fell_silent: True if reading of the topic ended before it was full.
     """
 
     topic: str
