@@ -3,8 +3,7 @@
 
 import math
 import time
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -20,13 +19,6 @@ from multilica.sinks.rerun.input import log_in_slot
 from multilica.sinks.rerun.scene import CLOCK_TIMELINE, RerunScene
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
-
-
-def log_data(scene: RerunScene, event: events.Event) -> None:
-    """Log the figures of an event as scalars below its pair and stage, and its matches."""
-    log = _LOGGERS.get(type(event))
-    if log is not None:
-        log(scene, event)
 
 
 def log_timings(scene: RerunScene) -> None:
@@ -49,27 +41,31 @@ def log_timings(scene: RerunScene) -> None:
             log_in_slot(scene, lidar, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times[:1])])
 
 
-def _log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None:
+def log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None:
+    """Log the number of matches of a pair, and the matches."""
     matches = event.correspondences
     _log_scalars(scene, (matches.target, matches.source), "correspond", {"matches": len(matches)})
     _log_matches(scene, matches)
 
 
-def _log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
+def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
+    """Log the figures of a pair's hypotheses, and which of them each match agrees with."""
     found = event.coarse.hypotheses
     figures = {"hypotheses": len(found), "agreeing_matches": found[0].score if found else 0.0}
     _log_scalars(scene, (event.coarse.target, event.coarse.source), "coarse", figures)
     _log_agreement(scene, event.correspondences)
 
 
-def _log_verified(scene: RerunScene, event: events.HypothesesVerified) -> None:
+def log_verified(scene: RerunScene, event: events.HypothesesVerified) -> None:
+    """Log the figures of the hypothesis with the most evidence."""
     if event.registrations:
         _log_scalars(scene, (event.target, event.source), "verify", event.registrations[0].figures)
 
 
-def _log_registration(
+def log_registration(
     scene: RerunScene, event: events.PairRegistered | events.VerdictChanged | events.LoopRegistered
 ) -> None:
+    """Log the figures of a registered pair, and the residuals of its matches; none of a refused loop."""
     found = event.registration
     if isinstance(event, events.LoopRegistered) and not found.verdict.accepted:
         return
@@ -84,7 +80,8 @@ def candidate_pairs(state: RunState) -> tuple[PairKey, ...]:
     return tuple(sorted({state.key_of(one.target, one.source) for one in candidates}))
 
 
-def _log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
+def log_candidates(scene: RerunScene, event: events.MergeStepTaken) -> None:
+    """Log the figures of the candidates of a merge step."""
     for pair in candidate_pairs(scene.state):
         label, colour = pair_label(*pair), scene.pair_colour(*pair)
         lines = rr.SeriesLines(names=label, colors=colour)
@@ -96,7 +93,8 @@ def _log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
         _log_scalars(scene, scene.state.key_of(one.target, one.source), stage, figures)
 
 
-def _log_refined(scene: RerunScene, event: events.RigRefined) -> None:
+def log_refined(scene: RerunScene, event: events.RigRefined) -> None:
+    """Log how far the poses are from each registered pair."""
     for each in event.refinement.pairs:
         figures = {"residual_m": each.after_m, "residual_deg": each.after_deg, "weight": each.weight}
         _log_scalars(scene, scene.state.key_of(each.target, each.source), "refine", figures)
@@ -147,7 +145,8 @@ def _log_residuals(scene: RerunScene, pair: PairKey, pose: RigidTransform) -> No
     scene.log(_data_path(matches), rr.AnyValues(residual_m=pa.array(residual_m, pa.float32())))
 
 
-def _log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> None:
+def log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> None:
+    """Log the matches of surfaces at the final pose."""
     found = event.matches
     pair = scene.state.key_of(found.target, found.source)
     points = (found.target_points_m, found.source_points_m)
@@ -169,16 +168,3 @@ def _data_path(matches: Correspondences) -> str:
 
 def _points(points_m: npt.NDArray[np.floating]) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(pa.array(points_m.astype(np.float32).ravel()), 3)
-
-
-_LOGGERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
-    events.CorrespondencesMatched: _log_matched,
-    events.HypothesesFound: _log_hypotheses,
-    events.HypothesesVerified: _log_verified,
-    events.PairRegistered: _log_registration,
-    events.VerdictChanged: _log_registration,
-    events.LoopRegistered: _log_registration,
-    events.MergeStepTaken: _log_merge_step,
-    events.RigRefined: _log_refined,
-    events.SurfacesMatched: _log_surface_matches,
-}

@@ -13,14 +13,11 @@ import rerun_bindings as bindings
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.files.result_files import config_toml
-from multilica.sinks.rerun import pairs
+from multilica.sinks.rerun import data, pairs
 from multilica.sinks.rerun.blueprint import final_blueprint, stage_blueprint
-from multilica.sinks.rerun.data import log_data, log_timings
 from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed, log_residuals
-from multilica.sinks.rerun.pairs import log_contested_places, log_matches
-from multilica.sinks.rerun.record_limits import limits_for
 from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
-from multilica.sinks.rerun.scene import RerunScene
+from multilica.sinks.rerun.scene import RerunScene, limits_for
 from multilica.sinks.rerun.tables import log_data_tables, log_pair_tables, log_summary
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine, cause_of_end, log_end, log_lines
@@ -84,10 +81,8 @@ class RerunRecording:
         scene.advance()
         for line in log_lines(event):
             scene.log_line(line)
-        handle = _HANDLERS.get(type(event))
-        if handle is not None:
+        for handle in _HANDLERS.get(type(event), ()):
             handle(scene, event)
-        log_data(scene, event)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -149,9 +144,9 @@ def _register_pair(scene: RerunScene, event: events.PairRegistered) -> None:
 
 def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
     log_outcome(scene)
-    log_contested_places(scene)
+    pairs.log_contested_places(scene)
     log_data_tables(scene)
-    log_timings(scene)
+    data.log_timings(scene)
     log_summary(scene)
     _send_properties(scene, event.result.status)
     blueprint = final_blueprint if event.result.refusal is None else stage_blueprint
@@ -179,20 +174,23 @@ def _send_properties(scene: RerunScene, status: str) -> None:
     scene.stream.send_property(_NAME, values)
 
 
-_HANDLERS: Mapping[type[events.Event], Callable[[RerunScene, Any], None]] = {
-    events.CalibrationStarted: _start,
-    events.CloudPreprocessed: log_preprocessed,
-    events.FeaturesComputed: log_features,
-    events.CorrespondencesMatched: log_matches,
-    events.HypothesesFound: pairs.log_hypotheses,
-    events.HypothesesVerified: pairs.log_verified,
-    events.PairRegistered: _register_pair,
-    events.VerdictChanged: pairs.log_changed_verdict,
-    events.GroupsRegistered: pairs.log_group_registration,
-    events.LoopRegistered: pairs.log_registration,
-    events.MergeStepTaken: log_merge_step,
-    events.ResidualsMeasured: log_residuals,
-    events.GroundEstimated: log_ground,
-    events.StageFinished: _finish_stage,
-    events.CalibrationFinished: _finish,
+_HANDLERS: Mapping[type[events.Event], tuple[Callable[[RerunScene, Any], None], ...]] = {
+    events.CalibrationStarted: (_start,),
+    events.CloudPreprocessed: (log_preprocessed,),
+    events.FeaturesComputed: (log_features,),
+    events.CorrespondencesMatched: (pairs.log_matches, data.log_matched),
+    events.HypothesesFound: (pairs.log_hypotheses, data.log_hypotheses),
+    events.HypothesesVerified: (pairs.log_verified, data.log_verified),
+    events.PairRegistered: (_register_pair, data.log_registration),
+    events.VerdictChanged: (pairs.log_changed_verdict, data.log_registration),
+    events.GroupsRegistered: (pairs.log_group_registration,),
+    events.LoopRegistered: (pairs.log_registration, data.log_registration),
+    events.MergeStepTaken: (log_merge_step, data.log_candidates),
+    events.RigRefined: (data.log_refined,),
+    events.SurfacesMatched: (data.log_surface_matches,),
+    events.ResidualsMeasured: (log_residuals,),
+    events.GroundEstimated: (log_ground,),
+    events.StageFinished: (_finish_stage,),
+    events.CalibrationFinished: (_finish,),
 }
+"""What is logged of an event: what people see, then what programs read."""

@@ -8,8 +8,8 @@ import pytest
 
 from multilica import events
 from multilica.config import CalibrationConfig, RecordConfig
-from multilica.sinks.rerun.record_limits import NO_LIMITS, limits_for
 from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.rerun.scene import NO_LIMITS, limits_for
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.sinks.conftest import record
 from tests.sinks.made_events import LIDARS, TARGET, made_events
