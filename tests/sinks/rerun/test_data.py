@@ -164,7 +164,7 @@ def of_an_earlier_version(tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", some_of(TABLES, 2))
+@pytest.mark.parametrize("name", some_of([*TABLES], 2))
 def test_a_recording_of_an_earlier_version_is_refused(of_an_earlier_version, name):
     with pytest.raises(UnreadableSourceError, match=r"earlier version of multilica wrote it; calibrate again"):
         read_recorded_table(of_an_earlier_version, name)
