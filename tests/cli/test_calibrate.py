@@ -68,6 +68,7 @@ def test_a_preset_of_the_paper_says_what_it_accepted_by(preset: str, invoke: Inv
     assert json.loads(Path("run/result.json").read_text(encoding="utf-8"))["accepted_by"] == "fitness"
 
 
+@pytest.mark.slow
 def test_progress_goes_to_stderr_without_colours(invoke: Invoke, two_lidars: Path) -> None:
     outcome = invoke("calibrate", two_lidars, "--out", "run", "--until", "features")
     assert outcome.code == ExitCode.DONE

@@ -24,6 +24,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.slow,
     pytest.mark.slow,
+    pytest.mark.slow,
     pytest.mark.shows("docs", "multilica", "cli", *(path.name for path in ROOT.glob("*.md"))),
 ]
 

@@ -20,6 +20,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.slow,
     pytest.mark.slow,
+    pytest.mark.slow,
     pytest.mark.shows("multilica/fleet", "multilica/sinks/report", "tests/fleet"),
 ]
 LONG = "a_name_without_any_space_" * 8

@@ -74,6 +74,7 @@ def test_one_lidar_in_millimetres_is_named() -> None:
     assert note.startswith("The points of left are at a median range of")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("scene", ["street", "garage"])
 def test_a_mirrored_cloud_is_told_by_the_static_transforms(scene: str, axis: int) -> None:

@@ -30,6 +30,7 @@ def found(truth: Extrinsics) -> CalibrationResult:
     return register_from_known(read_snapshot(find_sample().recording), known)
 
 
+@pytest.mark.slow
 def test_lidars_at_their_known_poses_are_found(found: CalibrationResult, truth: Extrinsics) -> None:
     assert {*found.poses} == {"front", "right"}
     for name, pose in found.poses.items():
@@ -42,6 +43,7 @@ def test_lidars_at_their_known_poses_are_found(found: CalibrationResult, truth: 
     assert 0.0 < np.sqrt(np.linalg.eigvalsh(covariance)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_lidars_without_a_pose_have_the_reason(found: CalibrationResult) -> None:
     assert {each.lidar for each in found.placements if each.status == "not_placed"} == {MOVED, MISSING}
     assert found[MISSING].reason == "it has no returns in range, or no known pose"

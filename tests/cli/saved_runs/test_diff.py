@@ -20,6 +20,7 @@ def runs(invoke: Invoke, two_lidars: Path) -> tuple[Path, Path]:
     return Path("a"), Path("b")
 
 
+@pytest.mark.slow
 def test_two_runs_are_told_apart(runs: tuple[Path, Path], invoke: Invoke) -> None:
     outcome = invoke("diff", *runs)
     assert outcome.code == ExitCode.DIFFERENT

@@ -109,6 +109,7 @@ def half_a_document(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [nowhere, empty, no_recording, no_mcap, another_schema, half_a_document])
 def test_what_is_no_run_is_refused(make: object, invoke: Invoke, tmp_path: Path) -> None:
     assert_one_sentence(invoke("explain", make(tmp_path)), ExitCode.INPUT)

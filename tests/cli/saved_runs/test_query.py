@@ -44,6 +44,7 @@ def test_all_forms_have_the_same_rows(invoke, run, tmp_path, table):
         assert texts == {name: "" if value is None else str(value) for name, value in values.items()}
 
 
+@pytest.mark.slow
 def test_pairs_have_their_figures_and_reasons(invoke, run):
     rows = [
         json.loads(line)
@@ -77,6 +78,7 @@ def test_a_wrong_use_is_told(invoke, run, arguments, code, said):
     assert done.out == ""
 
 
+@pytest.mark.slow
 def test_a_run_without_a_recording_is_told(invoke, tmp_path):
     (tmp_path / "empty").mkdir()
     done = invoke("query", tmp_path / "empty", "pairs")

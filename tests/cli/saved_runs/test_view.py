@@ -41,6 +41,7 @@ def test_a_picture_is_written(invoke: Invoke, run: Path) -> None:
     assert Path("rig.png").read_bytes() == b"\x89PNG"
 
 
+@pytest.mark.slow
 def test_without_a_driver_the_package_is_named(invoke: Invoke, run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
         monkeypatch.setenv(name, "nowhere.json")

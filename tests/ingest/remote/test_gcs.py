@@ -42,6 +42,7 @@ def gs(gcs_port: int, monkeypatch: pytest.MonkeyPatch) -> str:
     return f"gs://{BUCKET}/june/long.mcap"
 
 
+@pytest.mark.slow
 def test_a_window_of_a_gcs_object_costs_its_chunks(gs: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from gcsfs.core import GCSFile
 

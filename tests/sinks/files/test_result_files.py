@@ -98,6 +98,7 @@ def document_after(last):
     return state.document
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("last", "finished", "running"),
     [

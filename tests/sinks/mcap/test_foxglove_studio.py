@@ -17,6 +17,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.slow,
     pytest.mark.slow,
+    pytest.mark.slow,
     pytest.mark.shows(*RUN_FILES),
     pytest.mark.skipif(not has_studio(), reason="run: npm install --prefix tests/node --no-package-lock"),
 ]

@@ -38,11 +38,13 @@ def known(recordings, tmp_path_factory):
     return found
 
 
+@pytest.mark.slow
 def test_what_is_known_never_shrinks_as_the_file_grows(known):
     counts = [-1 if count is None else count for count in known.values()]
     assert counts == sorted(counts)
 
 
+@pytest.mark.slow
 def test_most_cuts_leave_something_to_tell(known, recordings):
     known_counts = [count for count in known.values() if count is not None]
     assert len(known_counts) > CUTS // 2
@@ -50,6 +52,7 @@ def test_most_cuts_leave_something_to_tell(known, recordings):
     assert stages_known(recordings["partial"]) == 10
 
 
+@pytest.mark.slow
 def test_junk_after_the_cut_is_refused_or_left_out(recordings, tmp_path):
     whole = recordings["partial"].read_bytes()
     path = tmp_path / "junk.rrd"

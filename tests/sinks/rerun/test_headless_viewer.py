@@ -28,6 +28,7 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.slow,
     pytest.mark.slow,
+    pytest.mark.slow,
     pytest.mark.shows(*RUN_FILES),
     pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1"),
 ]

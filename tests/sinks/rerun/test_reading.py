@@ -56,6 +56,7 @@ def test_damaged_recordings_are_read_or_refused(recordings, tmp_path):
     assert refused > 0
 
 
+@pytest.mark.slow
 def test_a_recording_is_read_under_a_limit_of_memory(recordings):
     """As of `ulimit -v`, which only a privileged process could raise."""
     code = "import sys; from pathlib import Path; from multilica.runs.run_documents import explain_run\n"

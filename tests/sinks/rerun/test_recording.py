@@ -206,6 +206,7 @@ def test_every_event_type_is_in_the_made_runs():
     assert all(dataclasses.is_dataclass(kind) for kind in happened)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outcome", ["complete", "partial", "failed"])
 def test_a_frame_is_known_before_something_is_in_it(recordings, outcome):
     """On the wall clock each entity has a time of its own, so that the order shows."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from multilica.config import CalibrationConfig
 from multilica.sinks.run_directory import open_run
 from tests.sinks.made_events import made_events
@@ -14,6 +16,7 @@ def threads_and_files():
     return tuple(len(list(Path("/proc/self", kind).iterdir())) for kind in ("task", "fd"))
 
 
+@pytest.mark.slow
 def test_runs_leave_no_threads_and_no_open_files(tmp_path):
     counted = []
     for number in range(4):

@@ -39,6 +39,7 @@ def _registered(lidars):
     return register_sides(target.side, source.side, [Hypothesis(_TRUTH)], _CONFIG)
 
 
+@pytest.mark.slow
 def test_a_copy_gives_the_same_bits(lidars):
     one, other = (_registered(each) for each in (lidars, _copied(lidars)))
     assert one.T_target_source.matrix.tobytes() == other.T_target_source.matrix.tobytes()

@@ -45,6 +45,7 @@ def test_finds_the_truth(config):
     assert result.steps[-1].fitness == pytest.approx(result.steps[-1].inliers / len(source.points_m))
 
 
+@pytest.mark.slow
 def test_epsilon_changes_the_pose_of_open3d(monkeypatch):
     config, poses = preset("paper").fine, []
     for epsilon in (gicp._OPEN3D_EPSILON, 0.5):
