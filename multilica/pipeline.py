@@ -12,10 +12,10 @@ from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
-from multilica.orchestration import clouds, outcome, rig, surfaces
-from multilica.orchestration.calibration_workers import open_calibration_workers
+from multilica.orchestration import clouds, open_calibration_workers
 from multilica.orchestration.pairs import PAIR_STAGES
 from multilica.orchestration.required_libraries import require_libraries
+from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refine_rig, refused, result_of
 from multilica.orchestration.search import search_pairs
 from multilica.orchestration.state import CalibrationState
 from multilica.results import CalibrationResult, Refusal
@@ -27,9 +27,9 @@ _STEPS: tuple[tuple[tuple[Stage, ...], Callable[[CalibrationState, Stage], None]
     (("preprocess",), lambda state, _: clouds.preprocess_clouds(state)),
     (("features",), lambda state, _: clouds.prepare_lidars(state)),
     (PAIR_STAGES, search_pairs),
-    (("merge",), lambda state, _: rig.merge_pairs(state)),
+    (("merge",), lambda state, _: merge_pairs(state)),
     (("refine",), lambda state, _: _refine(state)),
-    (("ground",), lambda state, _: rig.fit_ground(state)),
+    (("ground",), lambda state, _: fit_ground(state)),
 )
 """The stages that are run together, with their function, which gets the last of them to run.
 
@@ -75,10 +75,10 @@ def calibrate(
     try:
         with threadpool_limits(1), _opened(workers, config) as state.workers:
             _run_stages(state)
-            result = outcome.result_of(state)
+            result = result_of(state)
             state.workers.forget()
     except UnfitSnapshotError as error:
-        observe(events.CalibrationFinished(outcome.refused(state, Refusal(error.code, str(error)))))
+        observe(events.CalibrationFinished(refused(state, Refusal(error.code, str(error)))))
         raise
     del state  # prepared LiDARs take most of the memory, and the sinks need some for the last files
     observe(events.CalibrationFinished(result))
@@ -117,8 +117,8 @@ def _run_stages(state: CalibrationState) -> None:
 
 
 def _refine(state: CalibrationState) -> None:
-    rig.refine_rig(state)
-    surfaces.compare_surfaces(state)
+    refine_rig(state)
+    compare_surfaces(state)
 
 
 def _nothing_to_do(state: CalibrationState, stage: Stage) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError
-from multilica.orchestration.prepared_lidar import PreparedLidar, prepare_lidar
+from multilica.orchestration.pairs import PreparedLidar, prepare_lidar
 from multilica.orchestration.state import CalibrationState
 from multilica.results import PreprocessedCloud, SensorHealth
 from multilica.snapshot import LidarScans, Snapshot

@@ -1,23 +1,88 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Search and registration of single pairs, as tasks for worker processes."""
+"""LiDARs prepared for the stages of pairs, and search and registration of single pairs, as tasks for workers."""
 
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
 
 from multilica.acceptance.accept import accept, accept_by_fitness
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
-from multilica.orchestration.prepared_lidar import PreparedLidar
-from multilica.results import CoarseResult, Correspondences, Hypothesis, PairKey, PairRegistration, Registration
+from multilica.registration.gicp_cloud import prepare_gicp_cloud
+from multilica.results import (
+    CoarseResult,
+    Correspondences,
+    FeatureCloud,
+    Hypothesis,
+    PairKey,
+    PairRegistration,
+    PreprocessedCloud,
+    Registration,
+)
 from multilica.stages.coarse import find_hypotheses
 from multilica.stages.correspond import match_features, pair_priority
-from multilica.stages.fine import RegistrationCloud, register_best
-from multilica.stages.verify import verify_hypotheses
-from multilica.visibility.sensor_view import FINE_TOLERANCES, score_pose
+from multilica.stages.features import compute_features
+from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
+from multilica.stages.verify import VerificationCloud, short_gicp, verify_hypotheses
+from multilica.visibility.sensor_view import FINE_TOLERANCES, SensorView, prepare_sensor_view, score_pose
 from multilica.workers import Shared
 
 PAIR_STAGES: tuple[Stage, ...] = ("correspond", "coarse", "verify", "fine")
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedLidar:
+    """Data that all searches and registrations of one LiDAR share; clouds for GICP are built on first use.
+
+    Args:
+        cloud: its points; the returns are left out.
+        features: descriptors on the usual voxel grid.
+        view: None where verification is off.
+    """
+
+    cloud: PreprocessedCloud
+    features: FeatureCloud
+    view: SensorView | None
+    config: CalibrationConfig
+    _features: dict[float, FeatureCloud] = field(default_factory=dict)
+
+    def features_at(self, voxel_size_m: float) -> FeatureCloud:
+        """Return the descriptors on a voxel grid of that size."""
+        usual = self.config.features
+        if voxel_size_m == usual.voxel_size_m:
+            return self.features
+        if voxel_size_m not in self._features:
+            of_size = usual.model_copy(update={"voxel_size_m": voxel_size_m})
+            self._features[voxel_size_m] = compute_features(self.cloud, of_size)
+        return self._features[voxel_size_m]
+
+    @cached_property
+    def verification_cloud(self) -> VerificationCloud:
+        """The LiDAR as one side of a short GICP; only where verification is on."""
+        assert self.view is not None  # noqa: S101
+        gicp = short_gicp(self.config.fine)
+        return VerificationCloud(self.view, prepare_gicp_cloud(self.cloud.lidar, self.cloud.points_m, gicp))
+
+    @cached_property
+    def side(self) -> RegistrationCloud:
+        """The LiDAR as one side of a fine registration."""
+        views = [] if self.view is None else self.view.alone
+        return prepare_registration_cloud(self.cloud.lidar, self.cloud.points_m, views, self.config)
+
+    def __reduce__(self) -> tuple[object, ...]:
+        """Leave out what is built on first use: types of the engines cannot be copied to another process."""
+        return PreparedLidar, (self.cloud, self.features, self.view, self.config)
+
+
+def prepare_lidar(cloud: PreprocessedCloud, config: CalibrationConfig, *, described: bool = True) -> PreparedLidar:
+    """Compute the descriptors of a LiDAR, if they are wanted, and its view if verification is on."""
+    features = compute_features(cloud if described else replace(cloud, points_m=np.empty((0, 3))), config.features)
+    view = prepare_sensor_view(cloud) if config.verify.enabled else None
+    slim = replace(cloud, returns_m=np.empty((0, 3), np.float32), dropped_m={}, left_out=cloud.returns)
+    return PreparedLidar(slim, features, view, config)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,27 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages that work on the whole rig."""
+"""Stages that work on the whole rig, and the result that follows."""
 
+import sys
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from multilica import events
+from multilica.acceptance.placement import contested_place, place, place_target, why_unplaced
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.orchestration.pairs import SearchRequest, register_sides, search_pair
-from multilica.orchestration.prepared_lidar import prepare_lidar
+from multilica.orchestration.pairs import SearchRequest, prepare_lidar, register_sides, search_pair
 from multilica.orchestration.state import CalibrationState
-from multilica.results import GroundPlane, Group, Hypothesis, PairRegistration, PreprocessedCloud
+from multilica.results import (
+    LEVEL_FRAME,
+    CalibrationResult,
+    GroundPlane,
+    Group,
+    Hypothesis,
+    LidarPlacement,
+    PairRegistration,
+    PreprocessedCloud,
+    Refusal,
+    TimeLimit,
+)
 from multilica.snapshot import Snapshot
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, select_finalists
-from multilica.stages.ground import estimate_ground, middle_of
+from multilica.stages.ground import estimate_ground, estimate_level, middle_of
 from multilica.stages.group_registration import poses_between, register_groups
-from multilica.stages.known_poses import known_in_base
+from multilica.stages.known_poses import known_between, known_in_base
 from multilica.stages.merge import merge_along_graph, merge_by_fitness, merge_target_first
 from multilica.stages.refine import refine, trusted_pairs
+from multilica.stages.surface_distances import PairMatches, match_surfaces, residuals_of
 from multilica.stages.target import choose_target
+from multilica.workers import Shared
+
+# Enough to see where a pair does not meet; `--record full` has all.
+_ENOUGH_MATCHES = 2000
 
 
 def merge_pairs(state: CalibrationState) -> None:
@@ -131,6 +148,39 @@ def refine_rig(state: CalibrationState) -> None:
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
 
+def compare_surfaces(state: CalibrationState) -> None:
+    """Report the matches of each registered pair, and the residual of the merged cloud at each placed LiDAR."""
+    if state.observe is events.ignore:
+        return
+    poses = {key: _final_pose(state, pair.T_target_source) for key, pair in sorted(state.registrations.items())}
+    compared = dict(zip(poses, state.workers.map(compare_pair, list(poses.values())), strict=True))
+    of_lidar: dict[str, list[PairMatches]] = {}
+    for key, both_ways in compared.items():
+        state.observe(events.SurfacesMatched(both_ways[0].matches))
+        if state.registrations[key].verdict.accepted and {*key} <= {*state.poses}:
+            for each in both_ways:
+                of_lidar.setdefault(each.matches.source, []).append(each)
+    for name, found in sorted(of_lidar.items()):
+        state.observe(events.ResidualsMeasured(residuals_of(state.lidars[name].side.cloud, found)))
+
+
+def _final_pose(state: CalibrationState, registered: RigidTransform) -> RigidTransform:
+    """Return the pose in the rig; that of the registration where the rig lacks one of the two."""
+    target, source = registered.target, registered.source
+    if target in state.poses and source in state.poses:
+        return state.poses[target].inverse() @ state.poses[source]
+    return registered
+
+
+def compare_pair(lidars: Shared, pose: RigidTransform) -> tuple[PairMatches, PairMatches]:
+    """Match the points of the source in the target, and the other way round, a task for a worker."""
+    target, source = lidars[pose.target], lidars[pose.source]
+    clouds, config = (target.side.cloud, source.side.cloud), target.config
+    most = sys.maxsize if config.record.detail == "full" else _ENOUGH_MATCHES
+    limits = config.fine.fitness_distance_m, most
+    return match_surfaces(*clouds, pose, *limits), match_surfaces(*clouds[::-1], pose.inverse(), *limits)
+
+
 def fit_ground(state: CalibrationState) -> None:
     """Fit the ground plane to the merged cloud, if the configuration asks for it."""
     if not state.config.ground.enabled or state.group is None:
@@ -163,3 +213,74 @@ def ground_under(
             return None, f"the rig file has no pose of the target {target}"
     points_m = np.concatenate([pose.apply(clouds[name]) for name, pose in sorted(poses.items()) if name in clouds])
     return estimate_ground(target, points_m, config, middle_of(poses), known)
+
+
+def result_of(state: CalibrationState) -> CalibrationResult:
+    """Return the outcome as far as the stages went."""
+    target = state.target or state.config.target or state.snapshot.names[0]
+    return CalibrationResult(
+        target=target,
+        target_reason=state.target_reason or "no pair was registered",
+        placements=tuple(placement_of(name, target, state) for name in state.snapshot.names),
+        pairs=tuple(state.registrations.values()),
+        decisions=tuple(state.decisions),
+        refinement=state.refinement,
+        ground=state.ground,
+        ground_refusal=state.ground_refusal,
+        time_limit=TimeLimit(state.config.runtime.max_time_s, state.not_reached) if state.cut_short else None,
+        trusted=tuple(trusted_pairs(state.registrations.values(), state.merges)),
+        timing_s=dict(state.timing_s),
+        health=tuple(state.health),
+        level=_level(state, target),
+    )
+
+
+def refused(state: CalibrationState, refusal: Refusal) -> CalibrationResult:
+    """Return the outcome of a refused snapshot: no LiDAR is placed, not even the target."""
+    return CalibrationResult(
+        target=state.config.target or state.snapshot.names[0],
+        target_reason="the snapshot was refused",
+        placements=tuple(LidarPlacement(name, reason=refusal.text) for name in state.snapshot.names),
+        timing_s=dict(state.timing_s),
+        health=tuple(state.health),
+        refusal=refusal,
+    )
+
+
+def _level(state: CalibrationState, target: str) -> RigidTransform | None:
+    """Return the pose of the target in a frame with z up, from the ground plane or a quick estimate of it."""
+    if state.ground is not None:
+        return RigidTransform(LEVEL_FRAME, target, state.ground.T_base_target.matrix)
+    clouds = {name: cloud.points_m for name, cloud in state.clouds.items()}
+    return estimate_level(target, clouds, state.poses, state.config)
+
+
+def placement_of(name: str, target: str, state: CalibrationState) -> LidarPlacement:
+    """Return the LiDAR's pose with its figures, or why it has none."""
+    poses, pairs = state.poses, tuple(state.registrations.values())
+    claimed = known_between(state.prior, target, name)
+    if name == target:
+        return place_target(name, T_target_source_prior=claimed)
+    if name not in poses:
+        score_pose = state.score_pose if state.lidars and state.config.verify.enabled else None
+        reason = why_unplaced(
+            name,
+            target,
+            pairs,
+            state.decisions,
+            in_range=state.clouds,
+            until=state.config.until,
+            not_reached=state.not_reached,
+        )
+        contested = contested_place(name, poses, pairs, score_pose)
+        return LidarPlacement(name, reason, T_target_source_prior=claimed, contested=contested)
+    chosen = (decision.chosen for decision in state.decisions if name in decision.groups[0])
+    merged = next(candidate for candidate in chosen if candidate is not None)
+    return place(
+        poses[name],
+        state.covariances.get(name),
+        state.config.acceptance,
+        fitness=merged.fitness,
+        rmse_m=merged.rmse_m,
+        T_target_source_prior=claimed,
+    )

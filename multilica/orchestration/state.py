@@ -11,7 +11,7 @@ from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.orchestration.prepared_lidar import PreparedLidar
+from multilica.orchestration.pairs import PreparedLidar
 from multilica.results import (
     CoarseResult,
     GroundPlane,

@@ -13,8 +13,7 @@ from scipy.optimize import minimize
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray
 from multilica.orchestration.clouds import clean_lidar
-from multilica.orchestration.pairs import SearchRequest, search_pair
-from multilica.orchestration.prepared_lidar import prepare_lidar
+from multilica.orchestration.pairs import SearchRequest, prepare_lidar, search_pair
 from multilica.results import Registration
 from multilica.results.visibility_score import (
     DISTANCE_WEIGHT,

@@ -6,7 +6,7 @@ from multilica.acceptance.placement import contested_place
 from multilica.config import CalibrationConfig
 from multilica.events import ignore
 from multilica.extrinsics import Extrinsics
-from multilica.orchestration.outcome import placement_of
+from multilica.orchestration.rig import placement_of
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Group, MergeCandidate, MergeDecision
 from multilica_cli.configuration import resolve_config, sigma_limits

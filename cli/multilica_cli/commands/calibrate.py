@@ -83,7 +83,7 @@ def calibrate(
 
     Several recordings of the same LiDARs are several snapshots of one rig: each is calibrated alone, then all jointly.
     """
-    from multilica.orchestration.calibration_workers import open_calibration_workers
+    from multilica.orchestration import open_calibration_workers
 
     known = None
     if rig is not None:

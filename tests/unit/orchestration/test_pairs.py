@@ -6,8 +6,14 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.orchestration.pairs import PAIR_STAGES, SearchRequest, register_implied, score_implied, search_pair
-from multilica.orchestration.prepared_lidar import prepare_lidar
+from multilica.orchestration.pairs import (
+    PAIR_STAGES,
+    SearchRequest,
+    prepare_lidar,
+    register_implied,
+    score_implied,
+    search_pair,
+)
 from multilica.results import PRIOR, Hypothesis
 from tests.unit.made_rooms import HALL, scan
 

@@ -8,8 +8,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.orchestration.pairs import register_sides
-from multilica.orchestration.prepared_lidar import prepare_lidar
+from multilica.orchestration.pairs import prepare_lidar, register_sides
 from multilica.results import Hypothesis
 from multilica.visibility.sensor_view import score_pose
 from tests.unit.made_rooms import HALL, scan
