@@ -7,20 +7,17 @@ from typing import Annotated
 import typer
 
 import multilica
-from multilica_cli.app import App
-from multilica_cli.commands.calibrate import calibrate
+from multilica_cli.commands.calibrate import calibrate, demo
 from multilica_cli.commands.check import accept, check, verify
 from multilica_cli.commands.config import config
-from multilica_cli.commands.datasets import datasets
-from multilica_cli.commands.demo import demo
 from multilica_cli.commands.doctor import doctor
-from multilica_cli.commands.export import export
+from multilica_cli.commands.evaluate import datasets, evaluate
 from multilica_cli.commands.fleet import fleet
-from multilica_cli.commands.query import query
 from multilica_cli.commands.recordings import inspect, record
-from multilica_cli.commands.saved_runs import diff, evaluate, explain, report, view
+from multilica_cli.commands.saved_runs import diff, explain, export, query, report, view
 from multilica_cli.commands.simulate import simulate
 from multilica_cli.exit_codes import print_failure
+from multilica_cli.options import App
 from multilica_cli.signals import Interrupted, received
 
 app = App(

@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arguments and options, those that several commands share as types and groups."""
+"""Declaration of commands: arguments and options, those that several commands share as types and groups."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import partial
+import inspect
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import partial, wraps
+from inspect import Parameter
+from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from multilica.errors import UsageError
-from multilica_cli.configuration import resolve_config, topic_names
 
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
@@ -169,3 +174,157 @@ class Parameters:
     ) -> CalibrationConfig:
         """Build the configuration; see `resolve_config`."""
         return resolve_config(self.preset, self.config_file, options or {}, self.settings or (), recorded_frames)
+
+
+def resolve_config(
+    preset_name: str | None,
+    config_file: Path | None,
+    options: Mapping[str, object],
+    settings: Sequence[str],
+    recorded_frames: int | None = None,
+) -> CalibrationConfig:
+    """Build the configuration from the preset or file, then options, then `--set`.
+
+    Args:
+        options: key of the configuration -> value of its own option; None where it was not given.
+        recorded_frames: frames of a file made by `multilica record`; used unless file or options give a number.
+
+    Raises:
+        UsageError: a preset and a file, an unknown key or a value out of range.
+        SourceNotFoundError: no such file.
+    """
+    from multilica.config import load_config, preset, read_config_table, with_overrides
+
+    if preset_name and config_file:
+        raise UsageError(
+            f"Found both --preset {preset_name} and --config {config_file}; give one of them, "
+            f'or write preset = "{preset_name}" into the file.'
+        )
+    config = load_config(config_file) if config_file else preset(preset_name or "default")
+    table = read_config_table(config_file) if config_file else {}
+    if recorded_frames and "frames" not in table.get("ingest", {}):
+        config = with_overrides(config, [f"ingest.frames={recorded_frames}"])
+    given = [f"{key}={inline_toml(value)}" for key, value in options.items() if value is not None]
+    return with_overrides(config, [*given, *settings])
+
+
+def inline_toml(value: object) -> str:
+    """Write a scalar, an array or a table as TOML on one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{inline_toml(key)} = {inline_toml(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(map(inline_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
+
+
+def sigma_limits(text: str | None) -> dict[str, object]:
+    """Return the limits of `--max-sigma MM,DEG`, as `resolve_config` takes them.
+
+    Raises:
+        UsageError: not two numbers above zero.
+    """
+    if text is None:
+        return {}
+    try:
+        millimetres, degrees = map(float, text.split(","))
+    except ValueError:
+        millimetres = degrees = 0.0
+    if not (0.0 < millimetres < inf and 0.0 < degrees < inf):
+        raise UsageError(
+            f"Cannot read --max-sigma '{text}'; expected MM,DEG: two numbers above zero, in millimetres and degrees, "
+            "for example --max-sigma 50,0.5."
+        )
+    return {"acceptance.max_sigma_m": millimetres / 1000.0, "acceptance.max_sigma_deg": degrees}
+
+
+def topic_names(texts: Sequence[str]) -> dict[str, str] | None:
+    """Parse texts ``NAME=/topic`` into name -> topic; None if there are none.
+
+    Raises:
+        UsageError: a text in another form, or a name twice.
+    """
+    topics: dict[str, str] = {}
+    for text in texts:
+        name, _, topic = text.partition("=")
+        if not name or not topic:
+            raise UsageError(
+                f"Cannot read --topic '{text}'; expected NAME=/topic, for example --topic front=/lidar_front/points."
+            )
+        if name in topics:
+            raise UsageError(f"Found the name '{name}' in two --topic options; expected one topic per LiDAR.")
+        topics[name] = topic
+    return topics or None
+
+
+def _without_types(params: list[Any]) -> list[Any]:
+    """Leave out the type of flags, which take no value, and of arguments, whose help describes them."""
+    for param in params:
+        if getattr(param, "is_flag", False):
+            param.metavar = ""
+        elif param.param_type_name == "argument":
+            param.display_type_rich = _no_type
+    return params
+
+
+def _no_type(ctx: object) -> None:
+    del ctx
+
+
+class _PlainHelp:
+    def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - a private type of typer
+        """Return the parameters for parsing and for help."""
+        return _without_types(super().get_params(ctx))  # type: ignore[misc]
+
+
+class _Command(_PlainHelp, TyperCommand):
+    pass
+
+
+class _Group(_PlainHelp, TyperGroup):
+    pass
+
+
+class App(typer.Typer):
+    """A command line, or a group of commands within one."""
+
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of typer
+        super().__init__(cls=_Group, **options)
+
+    def command(self, *names: Any, **options: Any) -> Callable[[Any], Any]:  # noqa: ANN401 - those of typer
+        """Register a function as a command; a parameter that is a dataclass stands for an option per field."""
+        register = super().command(*names, cls=_Command, **options)
+        return lambda function: register(_with_groups(function))
+
+
+def _with_groups(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function with the fields of its parameters that are dataclasses as parameters of their own."""
+    signature = inspect.signature(function, eval_str=True)
+    every = signature.parameters.items()
+    groups: dict[str, Any] = {name: each.annotation for name, each in every if is_dataclass(each.annotation)}
+    if not groups:
+        return function
+
+    @wraps(function)
+    def with_fields(**values: Any) -> Any:  # noqa: ANN401 - those of the function
+        for name, group in groups.items():
+            values[name] = group(**{each.name: values.pop(each.name) for each in fields(group)})
+        return function(**values)
+
+    parameters: list[Parameter] = []
+    for name, each in every:
+        parameters += _fields_of(groups[name]) if name in groups else [each]
+    with_fields.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    return with_fields
+
+
+def _fields_of(group: Any) -> list[Parameter]:  # noqa: ANN401 - a type of dataclass
+    hints = get_type_hints(group, include_extras=True)
+    return [
+        Parameter(
+            each.name,
+            Parameter.KEYWORD_ONLY,
+            default=Parameter.empty if each.default is MISSING else each.default,
+            annotation=hints[each.name],
+        )
+        for each in fields(group)
+    ]

@@ -15,7 +15,7 @@ import pytest
 import tomli_w
 import yaml
 
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 
 ROOT = Path(__file__).parents[2]
 PIPELINES = ROOT / "docs" / "pipelines"

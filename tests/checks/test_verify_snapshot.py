@@ -10,7 +10,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
 from multilica.runs import SavedRun
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 
 LIMITS = RigTolerances()
 

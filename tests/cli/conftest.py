@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from multilica import RigidTransform, read_snapshot
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.main import run
 from tests.cli.support import Invoke, Outcome, write_pcd, write_recording
 

@@ -13,7 +13,7 @@ from multilica import read_extrinsics
 from multilica.geometry import RigidTransform
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 
 ROOT = Path(__file__).parents[2]
 

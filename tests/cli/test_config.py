@@ -9,7 +9,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, known_keys, load_config, preset
 from multilica_cli.commands.config import list_parameters
-from multilica_cli.configuration import inline_toml, resolve_config, sigma_limits, topic_names
+from multilica_cli.options import inline_toml, resolve_config, sigma_limits, topic_names
 from tests.cli.support import Invoke
 
 

@@ -8,8 +8,8 @@ import pytest
 from mcap.reader import make_reader
 
 from multilica import read_extrinsics
-from multilica_cli.commands import demo as sample_module
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands import calibrate as sample_module
+from multilica_cli.commands.calibrate import find_sample
 from tests.cli.support import Invoke, assert_one_sentence
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -9,7 +9,7 @@ import pytest
 
 from multilica.ingest import read_snapshot
 from multilica.snapshot import Snapshot
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence, write_pcd
 from tests.ingest.support.recording_writers import make_snapshot, write_mcap

@@ -12,7 +12,7 @@ import tomli_w
 
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.geometry import RigidTransform
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence, true_pose, write_pcd
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from multilica import read_snapshot
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.ingest.support.processes import served

@@ -10,7 +10,7 @@ import jsonschema
 import pytest
 
 from multilica import read_extrinsics
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import ROOT, Invoke, assert_one_sentence, true_pose
 

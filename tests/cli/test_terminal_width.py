@@ -16,11 +16,11 @@ from multilica.config import preset, with_overrides
 from multilica.fleet.fleet_run import LogFinished, LogsPlanned
 from multilica.fleet.store.records import LogRow
 from multilica.run import run_calibration
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.commands.fleet import fleet
 from multilica_cli.fleet_progress import show_fleet
 from multilica_cli.main import app
-from multilica_cli.tables.folding_table import FoldingTable
+from multilica_cli.tables import FoldingTable
 from multilica_cli.terminal import wrapped
 from tests.fleet.support.made_store import made_store
 from tests.runs.made_runs import write_run, write_truth

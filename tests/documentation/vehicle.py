@@ -15,7 +15,7 @@ from multilica import read_extrinsics, read_snapshot
 from multilica.exports import export_extrinsics
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.main import run
 from tests.cli.support import ROOT, write_pcd
 from tests.ingest.support.recording_writers import write_ros1_bag

@@ -21,7 +21,7 @@ from multilica.ingest import frames_recorded, inspect_source
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
 from multilica.sinks.mcap.snapshot_mcap import window_metadata, write_snapshot_mcap
 from multilica.snapshot import Snapshot
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from tests.ingest.support.recording_writers import (
     CLOUD,
     START_NS,

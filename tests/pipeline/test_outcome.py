@@ -9,7 +9,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.orchestration.rig import placement_of
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Group, MergeCandidate, MergeDecision
-from multilica_cli.configuration import resolve_config, sigma_limits
+from multilica_cli.options import resolve_config, sigma_limits
 from tests.unit.made_pairs import pair, pose, registration, undecided
 
 _POSES = {"a": pose("a", "a"), "b": pose("a", "b", (1.0, 0.0, 0.0), 0.3)}

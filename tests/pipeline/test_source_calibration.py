@@ -10,7 +10,7 @@ import pytest
 
 import multilica
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UsageError
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from tests.cli.support import write_pcd
 
 CONFIG = multilica.preset("default").model_copy(

@@ -12,7 +12,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult
 from multilica.verification import register_from_known
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 
 MOVED, MISSING = "left", "rear"
 

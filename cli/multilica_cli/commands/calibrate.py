@@ -1,20 +1,44 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`multilica calibrate`: calibration of a recording."""
+"""`multilica calibrate` and `multilica demo`: calibration of a recording or of the embedded sample."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import partial
+from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.console import Console
 
-from multilica_cli.configuration import sigma_limits
 from multilica_cli.exit_codes import exit_code
-from multilica_cli.options import NEW_RUN_DIRECTORY, Json, Parameters, Quiet, Reading, Sources, Workers, option, output
+from multilica_cli.options import (
+    NEW_RUN_DIRECTORY,
+    Json,
+    Parameters,
+    Quiet,
+    Reading,
+    Sources,
+    Workers,
+    option,
+    output,
+    sigma_limits,
+)
+from multilica_cli.tables import POSE_COLUMNS, FoldingTable, number_cells, pose_cells, size_cells
+from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
+    from multilica.results.document import ResultDocument
+    from multilica.results.document.lidars import SpreadEntry
+    from multilica.run import CalibrationRun
+
+SAMPLE_NAME = "edgar-street"
+_PRIOR_COLUMNS = ("to prior\nmm", "to prior\ndeg")
+_STATUS = {"placed": "placed", "uncertain": "UNCERTAIN", "not_placed": "NOT PLACED"}
+_SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")
 
 
 def calibrate(
@@ -109,7 +133,6 @@ def calibrate(
         from multilica.ingest.locate import locate
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
-        from multilica_cli.tables.result import print_run
 
         files = [locate(source) for source in sources]
         config = resolve(frames_recorded(files))
@@ -132,3 +155,117 @@ def _prior(source: str | None) -> str | Extrinsics | None:
     from multilica import read_extrinsics
 
     return read_extrinsics(source)
+
+
+def demo(
+    *,
+    out: Annotated[Path, output("--out DIR", "Directory for the results.")] = Path("recordings/runs/demo"),
+    quiet: Quiet = False,
+) -> int:
+    """Calibrate the embedded sample and compare the result with the ground truth."""
+    from multilica.config import preset
+    from multilica.exports import read_extrinsics
+    from multilica.run import run_calibration
+    from multilica_cli.progress import show_progress
+
+    sample = find_sample()
+    with show_progress(quiet=quiet) as observe:
+        run = run_calibration(sample.recording, out, preset("default"), observe=observe)
+    print_run(run, read_extrinsics(sample.truth), quiet=quiet)
+    return exit_code(run)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A simulated MCAP file with a TOML file of its exact extrinsics."""
+
+    recording: Path
+    truth: Path
+
+
+def find_sample() -> Sample:
+    """Find the embedded sample in the installed package or in the checkout.
+
+    Raises:
+        FileNotFoundError: it is in neither.
+    """
+    package = Path(__file__).parents[1]
+    folders = (package / "samples", package.parents[1] / "recordings" / "samples")
+    for folder in folders:
+        sample = Sample(folder / f"{SAMPLE_NAME}.mcap", folder / f"{SAMPLE_NAME}.truth.toml")
+        if sample.recording.is_file() and sample.truth.is_file():
+            return sample
+    raise FileNotFoundError(2, "the embedded sample is missing; `make sample` creates it", str(folders[-1]))
+
+
+def print_run(run: CalibrationRun, truth: Extrinsics | None = None, *, quiet: bool) -> None:
+    """Print the extrinsics, the errors if the truth is known, the files, and why a LiDAR is missing or doubtful."""
+    from multilica.diagnosis import explain
+    from multilica.runs.run_documents import read_run_document
+
+    console, result = stdout_console(quiet=quiet), run.result
+    document = read_run_document(run.directory).document
+    print_placements(document, console)
+    if any(place.T_target_source is not None and place.lidar != result.target for place in result.placements):
+        console.print(f"target {result.target}: {result.target_reason}")
+    if result.ground is not None:
+        console.print(f"ground, frame {result.ground.frame}: {result.ground.text}")
+    if truth is not None:
+        console.print(_truth_table(document, truth))
+    for snapshot in result.snapshots:
+        console.print(f"snapshot {snapshot.name}: {snapshot.text}")
+    for path in run.written:
+        console.print(f"wrote {path}")
+    for line in explain(document).findings:
+        console.print(line)
+
+
+def print_placements(document: ResultDocument, console: Console) -> None:
+    """Tabulate the pose of each LiDAR in the target's frame; nothing before there are poses."""
+    lidars = document.lidars
+    if not any(entry.xyz_m for entry in lidars.values()):
+        return
+    prior = any(entry.prior is not None for entry in lidars.values())
+    columns = ["LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness"]
+    columns += _PRIOR_COLUMNS if prior else ()
+    columns += _SPREAD_COLUMNS if document.snapshots else ()
+    title = f"T_target_source, target {document.target}"
+    table = FoldingTable(title, columns, numbers_from=2, spare=("fitness",))
+    for name, entry in lidars.items():
+        is_target = name == document.target
+        status = "target" if is_target else _STATUS[entry.status]
+        scores: tuple[str, ...] = ("-",) * 3
+        if entry.xyz_m is not None and not is_target:
+            fitness = number_cells((entry.fitness,), 1.0, 3)
+            scores = (*_largest(entry.sigma_xyz_m, entry.sigma_rotation_deg), *fitness)
+        cells = (name, status, *pose_cells(entry), *scores)
+        if prior:
+            compared = None if is_target else entry.prior
+            cells += ("-", "-") if compared is None else size_cells(compared.deviation_m, compared.deviation_deg)
+        table.add_row(*cells, *(_spread(entry.spread) if document.snapshots else ()))
+    console.print(table)
+
+
+def _truth_table(document: ResultDocument, truth: Extrinsics) -> FoldingTable:
+    """Tabulate each pose with its true pose and the distance between the two."""
+    table = FoldingTable(
+        "Ground truth", ("LiDAR", "", *POSE_COLUMNS, "error\nmm", "error\ndeg"), numbers_from=2, keys=2
+    )
+    for name in document.lidars:
+        if name == document.target:
+            continue
+        found, true = document.poses.get(name), truth.between(document.target, name)
+        table.add_row(name, "found", *pose_cells(found))
+        error_m, error_rad = (None, None) if found is None else true.distance_to(found)
+        error = size_cells(error_m, None if error_rad is None else degrees(error_rad))
+        table.add_row("", "true", *pose_cells(true), *error, end_section=True)
+    return table
+
+
+def _spread(spread: SpreadEntry | None) -> tuple[str, ...]:
+    """Return the standard deviations over the snapshots of the worst axes, and the number of snapshots."""
+    return ("-", "-", "-") if spread is None else (*_largest(spread.xyz_m, spread.rotation_deg), str(spread.snapshots))
+
+
+def _largest(xyz_m: Iterable[float] | None, rotation_deg: Iterable[float] | None) -> tuple[str, ...]:
+    return size_cells(*(None if values is None else max(values) for values in (xyz_m, rotation_deg)))

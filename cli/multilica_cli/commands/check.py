@@ -11,17 +11,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.console import Console
 
 from multilica.errors import UsageError
 from multilica_cli import options
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import argument, option, output
+from multilica_cli.tables import FoldingTable, number_cells
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
-    from multilica.checks import RigCheck, RigTolerances
+    from multilica.checks import LidarCheck, RigCheck, RigTolerances
     from multilica.config import CalibrationConfig
 
+_WORDS = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
+_COLUMNS = ("LiDAR", "verdict", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
 _MaxTranslation = Annotated[
     float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6)
 ]
@@ -170,10 +174,9 @@ def accept(
     Shows the difference to the earlier file. Refuses a run that does not place every LiDAR, or is in another frame.
     """
     from multilica.checks import accept_run
-    from multilica_cli.tables.check import print_check
 
     before = accept_run(run, into, _tolerances(max_translation_m, max_rotation_deg))
-    print_check([] if before is None else [before], [into], stdout_console(quiet=quiet))
+    _print_check([] if before is None else [before], [into], stdout_console(quiet=quiet))
 
 
 def _tolerances(translation_m: float, rotation_deg: float) -> RigTolerances:
@@ -186,7 +189,6 @@ def _finish(checks: Sequence[RigCheck], reference: Path, gate: Gate, *, quiet: b
     """Write the reports, print the outcome, and return the exit code."""
     from multilica.checks import check_document
     from multilica.checks.ci_reports import github_annotations, write_reports
-    from multilica_cli.tables.check import print_check
 
     written = write_reports(
         checks,
@@ -201,9 +203,33 @@ def _finish(checks: Sequence[RigCheck], reference: Path, gate: Gate, *, quiet: b
     if as_json:
         typer.echo(document.model_dump_json(indent=2))
     else:
-        print_check(checks, written, stdout_console(quiet=quiet))
+        _print_check(checks, written, stdout_console(quiet=quiet))
         if os.environ.get("GITHUB_ACTIONS") == "true":
             for line in github_annotations(checks):
                 typer.echo(line)
     codes = {"within": ExitCode.DONE, "outside": ExitCode.DIFFERENT, "undecided": ExitCode.NOT_PLACED}
     return codes[document.verdict]
+
+
+def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Console) -> None:
+    """Print a table per rig, the reasons of what is not within, and the outcome."""
+    for rig in checks:
+        table = FoldingTable(f"{rig.name}, compared to {rig.root}", _COLUMNS, numbers_from=2, keys=2)
+        for each in rig.lidars:
+            table.add_row(each.lidar, _WORDS[each.verdict], *_cells(each))
+        console.print(table)
+        for each in rig.lidars:
+            if each.verdict != "within":
+                console.print(f"{each.lidar}: {each.reason}")
+        for note in rig.notes:
+            console.print(f"note: {note}")
+    for path in written:
+        console.print(f"wrote {path}")
+    for rig in checks:
+        console.print(rig.sentence if len(checks) == 1 else f"{rig.name}: {rig.sentence}")
+
+
+def _cells(check: LidarCheck) -> tuple[str, ...]:
+    lengths = number_cells((check.distance_m, check.sigma_m), 1000.0, 1)
+    angles = number_cells((check.angle_deg, check.sigma_deg), 1.0, 3)
+    return *lengths, f"{1000.0 * check.max_translation_m:g}", *angles, f"{check.max_rotation_deg:g}"

@@ -14,8 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from multilica.errors import UsageError
-from multilica_cli.configuration import inline_toml
-from multilica_cli.options import Parameters, option
+from multilica_cli.options import Parameters, inline_toml, option
 from multilica_cli.terminal import print_json, stdout_console
 
 if TYPE_CHECKING:

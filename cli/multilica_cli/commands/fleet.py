@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from multilica_cli import options
-from multilica_cli.app import App
-from multilica_cli.configuration import resolve_config
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.terminal import print_json, stdout_console
 
 if TYPE_CHECKING:
     from multilica.fleet.store.store import Store
 
-fleet = App(
+fleet = options.App(
     name="fleet",
     no_args_is_help=True,
     help="Turn many logs into one table of extrinsics over time.",
@@ -123,7 +121,7 @@ def run(
     from multilica_cli.fleet_progress import show_fleet
 
     given = {**options.Reading(topics, frames, window=window).values, "target": target}
-    config = resolve_config(None, config_file, {**given, "runtime.workers": 1}, settings or ())
+    config = options.resolve_config(None, config_file, {**given, "runtime.workers": 1}, settings or ())
     chosen = FleetOptions(
         config,
         RigTolerances(default=Tolerance(translation_m=max_translation_m, rotation_deg=max_rotation_deg)),
@@ -313,7 +311,7 @@ def _print_answer(
     store: Store, sql: str, form: Literal["table", "csv", "json"], values: Sequence[object] = (), *, keys: int = 1
 ) -> None:
     from multilica.fleet.store.query import ask
-    from multilica_cli.tables.answer import print_answer
+    from multilica_cli.tables import print_answer
 
     with ask(store, sql, values) as answer:
         print_answer(answer, form, stdout_console(), keys=keys)

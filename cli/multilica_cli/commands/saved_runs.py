@@ -1,17 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commands that read saved runs: `explain`, `diff`, `evaluate`, `view`, `report`."""
+"""Commands that read saved runs: `explain`, `query`, `diff`, `view`, `report`, `export`."""
 
+from __future__ import annotations
+
+from collections.abc import Iterable
 from dataclasses import asdict
 from math import radians
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.console import Console
 
 from multilica.errors import UsageError
+from multilica.exports import CLOUD_FORMATS, FORMATS
+from multilica_cli.commands.calibrate import print_placements
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Json, Quiet, WithinDeg, WithinM, argument, option, output
-from multilica_cli.terminal import print_json, stdout_console
+from multilica_cli.options import Json, Quiet, argument, local_path, option, output
+from multilica_cli.tables import ERROR_COLUMNS, FoldingTable, answer_lines, error_cells
+from multilica_cli.terminal import print_json, stderr_console, stdout_console
+
+if TYPE_CHECKING:
+    from multilica.runs.difference import Change, Move, RunDifference
+
+_MOST_CHANGES = 8
+_MOST_CHARACTERS = 60
 
 _COMPARED = "A run directory, its result.json, a recording (.rrd), or a file of poses."
 
@@ -27,7 +40,6 @@ def explain(
     """Explain a run: the placed LiDARs with their accuracy, the others with cause and remedy."""
     from multilica import diagnosis
     from multilica.runs.run_documents import read_run_document
-    from multilica_cli.tables.result import print_placements
 
     document = read_run_document(run).document
     explanation = diagnosis.explain(document)
@@ -60,7 +72,6 @@ def diff(
     """
     from multilica.runs.difference import compare_poses, compare_runs
     from multilica.runs.run_documents import is_run, read_run_document
-    from multilica_cli.tables.errors import print_difference
 
     limits = {"within_m": within_m, "within_rad": radians(within_deg)}
     files = [path for path in (run_a, run_b) if path.is_file() and not is_run(path)]
@@ -77,60 +88,119 @@ def diff(
     return ExitCode.DONE if difference.same else ExitCode.DIFFERENT
 
 
-def evaluate(
-    runs: Annotated[list[Path], argument("RUN", "Run directory or its result.json; one or more.")],
-    *,
-    truths: Annotated[
-        list[Path],
-        option(
-            "--truth FILE",
-            "Ground truth as `simulate` writes it, or in any format of export: one file for all runs, or "
-            "repeated, one per run in order.",
+def print_difference(difference: RunDifference, console: Console) -> None:
+    """Print which LiDARs moved, which changed status, and at which step the runs first differ."""
+    before, after = difference.runs
+    console.print(f"A: {before}\nB: {after}")
+    if difference.moves:
+        console.print(_moves_table(difference))
+    for change in difference.statuses.values():
+        console.print(f"{change.lidar}: {change.before} in A, {change.after} in B. {change.why}")
+    _print_placed_by_neither(difference, console)
+    if difference.targets[0] != difference.targets[1]:
+        console.print(f"note: the target is {difference.targets[0]} in A and {difference.targets[1]} in B")
+    for note in difference.notes:
+        console.print(f"note: {note}")
+    _print_stage_differences(difference, console)
+    console.print(_verdict(difference))
+
+
+def _print_placed_by_neither(difference: RunDifference, console: Console) -> None:
+    """Print LiDARs with the same cause, such as a refused snapshot, in one line."""
+    names: dict[tuple[str, str], list[str]] = {}
+    for each in difference.placed_by_neither.values():
+        names.setdefault((each.before, each.after), []).append(each.lidar)
+    for (before, after), lidars in names.items():
+        why = before if before == after else f"In A: {before} In B: {after}"
+        console.print(f"{', '.join(lidars)}: placed neither in A nor in B. {why}")
+
+
+def _move_cells(move: Move) -> tuple[str, ...]:
+    return error_cells((*move.translation_m, move.distance_m), (*move.rotation_deg, move.angle_deg))
+
+
+def _moves_table(difference: RunDifference) -> FoldingTable:
+    title = f"Change (B - A) in the axes of {difference.target}"
+    table = FoldingTable(title, ("LiDAR", "", *ERROR_COLUMNS, "sigma"), numbers_from=2, keys=2)
+    for lidar, move in difference.moves.items():
+        sigma = "-" if move.sigmas is None else f"{move.sigmas:.1f}"
+        name = f"{lidar} (uncertain)" if move.uncertain else lidar
+        table.add_row(name, "MOVED" if move.moved else "same", *_move_cells(move), sigma)
+    return table
+
+
+def _print_stage_differences(difference: RunDifference, console: Console) -> None:
+    if not difference.differences:
+        console.print("The runs do not differ at any step.")
+        return
+    (first, changes), *later = difference.differences.items()
+    console.print(f"The runs first differ at: {first}")
+    for change in changes[:_MOST_CHANGES]:
+        console.print(f"  {change.what}: {_shown(change)}")
+    if len(changes) > _MOST_CHANGES:
+        console.print(f"  and {len(changes) - _MOST_CHANGES} more, see --json")
+    if later:
+        console.print(f"after it: {', '.join(step for step, _ in later)}")
+
+
+def _shown(change: Change) -> str:
+    texts = ("none" if value is None else str(value) for value in (change.before, change.after))
+    cut = (text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..." for text in texts)
+    return " -> ".join(cut)
+
+
+def _verdict(difference: RunDifference) -> str:
+    moved = [lidar for lidar, move in difference.moves.items() if move.moved]
+    if difference.same:
+        if difference.places_nothing:
+            return "Neither run places any LiDAR."
+        missing = ", ".join(difference.placed_by_neither)
+        return f"Both runs place the same LiDARs at the same places{f'; neither places {missing}' if missing else ''}."
+    told = [f"{len(moved)} of {len(difference.moves)} LiDARs moved"] if moved else []
+    told += [f"{len(difference.statuses)} changed status"] if difference.statuses else []
+    return f"The runs differ: {', '.join(told)}."
+
+
+def query(
+    run: Annotated[Path, argument("RUN", "Run directory, or a recording (.rrd), complete or not.")],
+    table: Annotated[
+        Literal["pairs", "matches", "surfaces", "merge", "timings"],
+        typer.Argument(
+            metavar="TABLE",
+            help="pairs: figures and pose of each pair. matches: descriptor matches in the LiDARs' own frames. "
+            "surfaces: matches of the clouds at the final pose. merge: candidates of each merge step. "
+            "timings: seconds of each stage.",
             show_default=False,
         ),
     ],
-    within_m: WithinM = 0.02,
-    within_deg: WithinDeg = 0.1,
-    wrong_m: Annotated[float, option("--wrong-m M", "Position error above which it is a false accept.")] = 0.05,
-    wrong_deg: Annotated[float, option("--wrong-deg DEG", "Rotation error above which it is a false accept.")] = 0.5,
-    wrong_sigma: Annotated[float, option("--wrong-sigma N", "Sigmas above which an error is a false accept.")] = 4.0,
+    *,
+    form: Annotated[
+        Literal["csv", "json", "parquet"],
+        typer.Option("--format", metavar="csv|json|parquet", help="Form of the rows; json: an object per line."),
+    ] = "csv",
     out: Annotated[
-        Path | None, output("--out FILE", "Also write a .parquet or .csv table with a row per LiDAR.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write to a file instead of stdout; parquet needs it.", callback=local_path),
     ] = None,
-    table: Annotated[
-        Literal["paper"] | None,
-        option("--table paper", "Print the paper's table instead: RMSE per axis, also between the LiDARs."),
-    ] = None,
-    quiet: Quiet = False,
-    as_json: Json = False,
 ) -> None:
-    """Compare runs with ground truth: RMSE per axis, success rate, false accepts and false refusals."""
-    from multilica import read_extrinsics
-    from multilica import runs as saved
-    from multilica.runs.evaluation import require_table_name, write_table
-    from multilica.runs.paper_table import paper_table
-    from multilica_cli.tables.errors import print_evaluation
-    from multilica_cli.tables.paper import print_paper_table
+    """Print a table of a run's recording: pairs, matches, merge decisions or timings."""
+    if form == "parquet" and out is None:
+        raise UsageError("--format parquet needs a file; add --out FILE.")
+    from multilica.runs.run_report import table_of_run, write_parquet
+    from multilica.sinks.files.atomic import write_text_atomically
 
-    if out is not None:
-        require_table_name(out)
-    tolerances = saved.Tolerances(within_m, within_deg, wrong_m, wrong_deg, wrong_sigma)
-    known = [saved.Truth(str(path), read_extrinsics(path)) for path in truths]
-    read = [saved.read_run(path) for path in runs]
-    evaluation = saved.evaluate(read, known, tolerances)
-    of_paper = paper_table(read, known, tolerances) if table else None
-    if out is not None:
-        write_table(evaluation, out)
-    if as_json:
-        typer.echo((of_paper or evaluation).model_dump_json(indent=2))
+    found = table_of_run(run, table)
+    if out is not None and form == "parquet":
+        write_parquet(found, out)
         return
-    console = stdout_console(quiet=quiet)
-    if of_paper:
-        print_paper_table(of_paper, console)
-    else:
-        print_evaluation(evaluation, console)
+    rows = zip(*(column.to_pylist() for column in found.columns), strict=True)
+    lines = answer_lines(found.column_names, rows, "json" if form == "json" else "csv")
     if out is not None:
-        console.print(f"wrote {out}")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_text_atomically(out, "".join(lines))
+        return
+    for line in lines:
+        typer.echo(line, nl=False)
 
 
 def view(
@@ -173,3 +243,63 @@ def report(
         raise UsageError(f"{file} already exists and may show more than a new one; give --out FILE.")
     write_text_atomically(file, report_of_run(run))
     stdout_console(quiet=quiet).print(f"wrote {file}")
+
+
+def _listed(names: Iterable[str]) -> str:
+    *others, last = names
+    return f"{', '.join(others)} or {last}"
+
+
+def export(
+    run: Annotated[Path, argument("RUN", "Run directory, its result.json or result.mcap, or a recording.")],
+    *,
+    to: Annotated[
+        str,
+        option(
+            "--to FORMAT",
+            f"{_listed(FORMATS)}; for the stitched cloud {_listed(CLOUD_FORMATS)}.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        str,
+        option(
+            "--out FILE",
+            "File to write; in an existing URDF or Autoware file, only the poses of the LiDARs change.",
+            show_default=False,
+        ),
+    ],
+    base: Annotated[
+        str | None,
+        option(
+            "--base FRAME",
+            "Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, the run's base frame or another "
+            "name of the target.",
+            show_default="the frame of calibrate --rig, else the target",
+        ),
+    ] = None,
+    rig: Annotated[
+        Path | None, option("--rig FILE", "Known pose of the target in FRAME: TOML, URDF or any format of --to.")
+    ] = None,
+    frames: Annotated[
+        Literal["names", "ids"],
+        option("--frames names|ids", "Call frames by the LiDARs' names, or by the frame ids of the input."),
+    ] = "names",
+    with_uncertain: Annotated[bool, option("--with-uncertain", "Export uncertain LiDARs too.")] = False,
+    quiet: Quiet = False,
+) -> int:
+    """Write the poses of a run as a file for other programs, or its clouds in one frame.
+
+    Exits with 4 if a LiDAR of the run is not placed.
+    """
+    from multilica.exports import export_run
+
+    done = export_run(run, out, to, base=base, rig=rig, frames=frames, with_uncertain=with_uncertain)
+    stdout_console(quiet=quiet).print(f"wrote {done.path}: {', '.join(done.lidars)} in {done.base}")
+    told = stderr_console()
+    if done.missing:
+        listed = ", ".join(f"{name} ({status.replace('_', ' ')})" for name, status in done.missing.items())
+        told.print(f"multilica: Without {listed}.")
+    if done.uncertain:
+        told.print(f"multilica: With {', '.join(done.uncertain)}, which are uncertain.")
+    return ExitCode.DONE if done.complete else ExitCode.NOT_PLACED

@@ -11,9 +11,9 @@ import pytest
 import typer
 
 from multilica.config import CalibrationConfig, preset
-from multilica_cli.configuration import resolve_config
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.main import app
+from multilica_cli.options import resolve_config
 from tests.cli.support import Invoke
 from tests.runs.made_runs import write_run, write_truth
 from tests.sinks.made_documents import made_document

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import tomli_w
 
-from multilica_cli.commands.demo import find_sample
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.sinks.made_documents import made_document

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from multilica_cli.tables.result import print_run
+from multilica_cli.commands.calibrate import print_run
 from tests.sinks.numbers import made_numbers as made
 from tests.sinks.numbers.expected import (
     LARGEST_AFTER_DEG,

@@ -1,17 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables that keep their digits in a narrow terminal."""
+"""Tables on the terminal, and their rows as CSV or JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING, Literal
 
+import typer
 from rich import box
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.measure import Measurement
 from rich.table import Table
 
+if TYPE_CHECKING:
+    from multilica.fleet.store.query import QueryAnswer
+    from multilica.geometry import RigidTransform
+    from multilica.results.document import LidarEntry
+
+POSE_COLUMNS = ("x\nm", "y\nm", "z\nm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg")
+ERROR_COLUMNS = ("x\nmm", "y\nmm", "z\nmm", "total\nmm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg", "total\ndeg")
 _NARROWEST = 8
+_MOST_ROWS = 1000
 
 
 class FoldingTable:
@@ -139,3 +154,78 @@ def number_cells(values: Iterable[float | None], scale: float, digits: int) -> t
 def size_cells(length_m: float | None, angle_deg: float | None) -> tuple[str, ...]:
     """Format a distance in mm and an angle in degrees."""
     return number_cells((length_m,), 1000.0, 1) + number_cells((angle_deg,), 1.0, 3)
+
+
+def error_cells(lengths_m: Sequence[float | None], angles_deg: Sequence[float | None]) -> tuple[str, ...]:
+    """Format an error for `ERROR_COLUMNS`."""
+    return number_cells(lengths_m, 1e3, 1) + number_cells(angles_deg, 1.0, 3)
+
+
+def pose_cells(pose: RigidTransform | LidarEntry | None) -> tuple[str, ...]:
+    """Format a pose for `POSE_COLUMNS`."""
+    if pose is None or pose.xyz_m is None or pose.rpy_deg is None:
+        return ("-",) * len(POSE_COLUMNS)
+    return *number_cells(pose.xyz_m, 1.0, 3), *number_cells(pose.rpy_deg, 1.0, 2)
+
+
+def print_answer(
+    answer: QueryAnswer, form: Literal["table", "csv", "json"], console: Console, *, keys: int = 1
+) -> None:
+    """Print the rows: as a table for people, which ends after a thousand, or all as CSV or as JSON, a row per line.
+
+    Args:
+        keys: number of leading columns that name a row.
+    """
+    if form != "table":
+        for line in answer_lines(answer.columns, answer.rows(), form):
+            typer.echo(line, nl=False)
+        return
+    columns = [name.replace("_", " ") for name in answer.columns]
+    table = FoldingTable("", columns, numbers_from=len(columns), keys=min(keys, len(columns)))
+    count = 0
+    for row in answer.rows():
+        count += 1
+        if count <= _MOST_ROWS:
+            table.add_row(*map(_cell, row))
+    console.print(table)
+    if count > _MOST_ROWS:
+        console.print(f"{count - _MOST_ROWS} more rows; --format csv prints all.")
+
+
+def answer_lines(
+    columns: Sequence[str], rows: Iterable[Sequence[object]], form: Literal["csv", "json"]
+) -> Iterator[str]:
+    """Yield the lines of a table: CSV with a header, or a JSON object per row; what is unknown is empty or null."""
+    if form == "csv":
+        yield _csv_line(columns)
+    for row in rows:
+        values = [_plain(value) for value in row]
+        if form == "csv":
+            yield _csv_line(values)
+        else:
+            named = dict(zip(columns, values, strict=True))
+            yield json.dumps(named, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value.isoformat() if isinstance(value, datetime) else value
+
+
+def _csv_line(values: object) -> str:
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow(values)  # type: ignore[arg-type]
+    return line.getvalue()
+
+
+def _cell(value: object) -> str:
+    match value:
+        case None:
+            return "-"
+        case datetime():
+            return value.strftime("%Y-%m-%d %H:%M")
+        case float():
+            return f"{value:z.4g}"
+        case _:
+            return str(value)
