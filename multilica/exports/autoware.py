@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Autoware's `sensors_calibration.yaml` and `sensor_kit_calibration.yaml`: parent, child, x to yaw in m and rad."""
 
-from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 from multilica.errors import UnreadableSourceError
 from multilica.exports.values import (
-    extrinsics_of_poses,
+    extrinsics_of_tree,
     mapping_of,
     numbers,
     pose_of_rpy,
@@ -21,8 +20,6 @@ from multilica.geometry import RigidTransform
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
 _KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
-_WIDTH = 4096
-"""Long lines stay as they are."""
 
 
 def autoware_yaml(extrinsics: Extrinsics) -> str:
@@ -34,9 +31,13 @@ def autoware_yaml(extrinsics: Extrinsics) -> str:
     )
 
 
-def read_autoware(path: Path) -> Extrinsics:
-    """Read the pose of every frame in the root."""
-    return extrinsics_of_poses(_poses(read_yaml(path)))
+def read_autoware(path: Path) -> list[RigidTransform]:
+    """Read the pose of each child in its parent."""
+    return [
+        _pose(parent, child, values)
+        for parent, children in read_yaml(path).items()
+        for child, values in mapping_of(children, f"'{parent}'").items()
+    ]
 
 
 def updated_autoware(path: Path, extrinsics: Extrinsics) -> bytes:
@@ -52,13 +53,13 @@ def updated_autoware(path: Path, extrinsics: Extrinsics) -> bytes:
     yaml.Representer = type("Representer", (RoundTripRepresenter,), {})
     yaml.Representer.add_representer(float, _represent_number)
     yaml.preserve_quotes = True
-    yaml.width = _WIDTH
+    yaml.width = 4096  # long lines stay as they are
     content = BytesIO()
     try:
-        known = _poses(read_yaml(path))
+        known = read_autoware(path)
         new = child_poses(extrinsics)
         frames = {(pose.target, pose.source) for pose in new}
-        extrinsics_of_poses([*(pose for pose in known if (pose.target, pose.source) not in frames), *new])
+        extrinsics_of_tree([*(pose for pose in known if (pose.target, pose.source) not in frames), *new])
         document = yaml.load(read_text(path))
         below = document.setdefault(extrinsics.target, {})
         for pose in new:
@@ -75,14 +76,6 @@ def _represent_number(representer: Any, value: float) -> Any:  # noqa: ANN401 - 
 
 def _values(pose: RigidTransform) -> dict[str, float]:
     return dict(zip(_KEYS, (*pose.xyz_m.tolist(), *pose.rpy_rad.tolist()), strict=True))
-
-
-def _poses(document: Mapping[str, Any]) -> list[RigidTransform]:
-    return [
-        _pose(parent, child, values)
-        for parent, children in document.items()
-        for child, values in mapping_of(children, f"'{parent}'").items()
-    ]
 
 
 def _pose(parent: str, child: str, values: object) -> RigidTransform:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -14,15 +14,13 @@ from multilica.errors import UnknownNameError, UsageError
 
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
+    from multilica.geometry import RigidTransform
+    from multilica.ingest.transforms.urdf import Joint
 
     Writer = Callable[[Extrinsics], str | bytes]
     """A function that returns the content of a file."""
-    Reader = Callable[[Path], Extrinsics]
-    """A function that reads a file; the common frame is the root of its frames.
-
-    Raises:
-        ValueError: it is not of the format, or its transforms are no tree; the text is a clause.
-    """
+    Reader = Callable[[Path], Iterable[RigidTransform | Joint]]
+    """A function that reads the edges of a tree of frames; raise ValueError, with a clause, for another file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +50,8 @@ class ExchangeFormat:
     def read(self, path: Path) -> Extrinsics:
         """Read a file; one with a foreign suffix as if it had the first one of the format."""
         read: Reader = _function(self.readers.get(path.suffix, next(iter(self.readers.values()))))
-        return read(path)
+        found: Extrinsics = _function("values:extrinsics_of_tree")(read(path))
+        return found
 
     def suffix_of(self, path: Path) -> str:
         """Return the suffix of a file to write; raise UsageError if it is not one of the format."""
@@ -72,12 +71,12 @@ def _format(name: str, suffixes: str, writer: str, reader: str, *, also_read: st
 
 
 _ALL = (
-    _format("toml", ".toml", "tables:toml_extrinsics", "multilica.extrinsics:read_extrinsics_table"),
+    _format("toml", ".toml", "text_files:toml_extrinsics", ""),  # `read_extrinsics` reads its own table
     _format(
         "urdf",
         ".urdf",
         "multilica.sinks.text.extrinsics_text:urdf_text",
-        "urdf:read_urdf_extrinsics",
+        "multilica.ingest.transforms.urdf:read_urdf",
         also_read=".xacro .xml",
     ),
     ExchangeFormat(
@@ -96,13 +95,13 @@ _ALL = (
     ),
     _format("ros2-static", ".sh .txt", "ros_launch:command_lines", "ros_launch:read_command_lines"),
     _format("ros1-launch", ".launch", "ros_launch:ros1_launch_xml", "ros_launch:read_launch_xml"),
-    _format("tf-static", ".mcap", "tf_static:tf_static_mcap", "tf_static:read_tf_static", also_read=".bag .db3"),
+    _format("tf-static", ".mcap", "ros_launch:tf_static_mcap", "ros_launch:read_tf_static", also_read=".bag .db3"),
     _format("autoware", ".yaml", "autoware:autoware_yaml", "autoware:read_autoware", also_read=".yml"),
-    _format("kalibr", ".yaml", "matrices:kalibr_yaml", "matrices:read_kalibr", also_read=".yml"),
-    _format("kitti", ".txt", "matrices:kitti_text", "matrices:read_kitti"),
-    _format("matrices", ".txt", "multilica.sinks.text.extrinsics_text:matrix_text", "matrices:read_matrices"),
-    _format("opencalib", ".json", "matrices:opencalib_json", "matrices:read_opencalib"),
-    _format("csv", ".csv", "tables:csv_text", "tables:read_csv"),
+    _format("kalibr", ".yaml", "text_files:kalibr_yaml", "text_files:read_kalibr", also_read=".yml"),
+    _format("kitti", ".txt", "text_files:kitti_text", "text_files:read_kitti"),
+    _format("matrices", ".txt", "multilica.sinks.text.extrinsics_text:matrix_text", "text_files:read_matrices"),
+    _format("opencalib", ".json", "text_files:opencalib_json", "text_files:read_opencalib"),
+    _format("csv", ".csv", "text_files:csv_text", "text_files:read_csv"),
 )
 FORMATS: Mapping[str, ExchangeFormat] = MappingProxyType({each.name: each for each in _ALL})
 """Formats of extrinsics by name."""

@@ -6,8 +6,8 @@ from pathlib import Path
 from multilica.documents import DocumentError
 from multilica.errors import MultilicaError, SourceNotFoundError, UnreadableSourceError
 from multilica.exports.formats import FORMATS, ExchangeFormat, format_named
-from multilica.exports.matrices import KALIBR_MATRIX, KITTI_LINE
 from multilica.exports.ros_launch import EXECUTABLE
+from multilica.exports.text_files import KALIBR_MATRIX, KITTI_LINE
 from multilica.exports.values import read_text, read_yaml
 from multilica.extrinsics import Extrinsics, read_extrinsics_table
 from multilica.ingest.transforms.urdf import parse_xml

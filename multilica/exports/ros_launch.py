@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS node `static_transform_publisher` in launch files and command lines.
+"""Static transforms of ROS in launch files, command lines and recordings.
 
 Arguments of ROS 1: ``x y z qx qy qz qw parent child`` or ``x y z yaw pitch roll parent child``; the node of the package
 `tf` also takes a period in milliseconds. ROS 2: named arguments; those of ROS 1 are deprecated.
@@ -11,21 +11,19 @@ import re
 import shlex
 import warnings
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from xml.etree.ElementTree import Element
-from xml.sax.saxutils import quoteattr
 
 from multilica.documents import MAX_YAML_BYTES, parse_yaml, read_limited
 from multilica.errors import UsageError
-from multilica.exports.values import extrinsics_of_poses, numbers, pose_of_quaternion, pose_of_rpy, read_text
+from multilica.exports.values import numbers, pose_of_quaternion, pose_of_rpy, read_text
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import parse_xml
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
 EXECUTABLE = "static_transform_publisher"
-PACKAGE = "tf2_ros"
-_LEGACY_PACKAGE = "tf"
 _MAX_COMMAND = 4096
 """The splitter needs a second per 100,000 characters."""
 _TRANSLATION, _ANGLES, _QUATERNION = ("x", "y", "z"), ("roll", "pitch", "yaw"), ("qx", "qy", "qz", "qw")
@@ -43,71 +41,90 @@ def generate_launch_description():
 {nodes}        ]
     )
 """
-_NODE = """\
+_PYTHON_NODE = """\
             Node(
-                package="{package}",
-                executable="{executable}",
+                package="tf2_ros",
+                executable="static_transform_publisher",
                 name="{name}",
-                arguments={arguments},
+                arguments={listed},
             ),
+"""
+_YAML_NODE = """\
+  - node:
+      pkg: tf2_ros
+      exec: static_transform_publisher
+      name: {name}
+      args: "{words}"
+"""
+_XML_NODE = """\
+  <node pkg="tf2_ros" %s="static_transform_publisher" name="{name}"
+        args="{words}"/>
 """
 
 
 def launch_python(extrinsics: Extrinsics) -> str:
     """Return a launch file in Python."""
-    nodes = (
-        _NODE.format(
-            package=PACKAGE, executable=EXECUTABLE, name=node_name(pose), arguments=json.dumps(ros2_arguments(pose))
-        )
-        for pose in child_poses(extrinsics)
-    )
-    return _PYTHON.format(nodes="".join(nodes))
+    return _PYTHON.format(nodes=_nodes(_PYTHON_NODE, extrinsics))
 
 
 def launch_yaml(extrinsics: Extrinsics) -> str:
     """Return a launch file in YAML."""
-    nodes = (
-        f"  - node:\n      pkg: {PACKAGE}\n      exec: {EXECUTABLE}\n      name: {node_name(pose)}\n"
-        f'      args: "{" ".join(ros2_arguments(pose))}"\n'
-        for pose in child_poses(extrinsics)
-    )
-    return f"launch:\n{''.join(nodes)}"
+    return f"launch:\n{_nodes(_YAML_NODE, extrinsics)}"
 
 
 def command_lines(extrinsics: Extrinsics) -> str:
     """Return a command per frame; each of them runs until it is stopped."""
-    return "".join(
-        f"ros2 run {PACKAGE} {EXECUTABLE} {' '.join(ros2_arguments(pose))}\n" for pose in child_poses(extrinsics)
-    )
+    return _nodes("ros2 run tf2_ros static_transform_publisher {words}\n", extrinsics)
 
 
 def ros1_launch_xml(extrinsics: Extrinsics) -> str:
     """Return a launch file of ROS 1."""
-    return _launch_xml(extrinsics, "type", ros1_arguments)
+    return f"<launch>\n{_nodes(_XML_NODE % 'type', extrinsics, _ros1_arguments)}</launch>\n"
 
 
 def ros2_launch_xml(extrinsics: Extrinsics) -> str:
     """Return a launch file of ROS 2."""
-    return _launch_xml(extrinsics, "exec", ros2_arguments)
+    return f"<launch>\n{_nodes(_XML_NODE % 'exec', extrinsics)}</launch>\n"
 
 
-def _launch_xml(extrinsics: Extrinsics, key: str, arguments: Callable[[RigidTransform], tuple[str, ...]]) -> str:
-    nodes = (
-        f'  <node pkg="{PACKAGE}" {key}="{EXECUTABLE}" name={quoteattr(node_name(pose))}\n'
-        f"        args={quoteattr(' '.join(arguments(pose)))}/>\n"
-        for pose in child_poses(extrinsics)
+def tf_static_mcap(extrinsics: Extrinsics) -> bytes:
+    """Return a ROS 2 recording with `/tf_static`."""
+    from multilica.sinks.mcap.snapshot_mcap import static_transforms_mcap
+
+    return static_transforms_mcap(child_poses(extrinsics))
+
+
+def _ros1_arguments(pose: RigidTransform) -> list[str]:
+    values = (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist())
+    return [*map(number_text, values), _frame(pose.target), _frame(pose.source)]
+
+
+def _ros2_arguments(pose: RigidTransform) -> list[str]:
+    names = (*_TRANSLATION, *_QUATERNION, _PARENT, _CHILD)
+    return [word for name, value in zip(names, _ros1_arguments(pose), strict=True) for word in (f"--{name}", value)]
+
+
+def _nodes(
+    node: str, extrinsics: Extrinsics, arguments: Callable[[RigidTransform], list[str]] = _ros2_arguments
+) -> str:
+    """Fill in the text of a node per frame; no argument needs quotes (`_frame`)."""
+    poses = child_poses(extrinsics)
+    names = ["static_transform_" + re.sub(r"\W", "_", pose.source, flags=re.ASCII) for pose in poses]
+    words = [arguments(pose) for pose in poses]
+    return "".join(
+        node.format(name=name, words=" ".join(own), listed=json.dumps(own))
+        for name, own in zip(names, words, strict=True)
     )
-    return f"<launch>\n{''.join(nodes)}</launch>\n"
 
 
-def read_launch_python(path: Path) -> Extrinsics:
+def read_launch_python(path: Path) -> list[RigidTransform]:
     """Read the static transforms of a launch file in Python, without running it."""
     text = read_text(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             tree = ast.parse(text)
-        return extrinsics_of_poses(_constant_pose(call) for call in ast.walk(tree) if _publishes(call))
+        return [_constant_pose(call) for call in ast.walk(tree) if _publishes(call)]
     except (SyntaxError, RecursionError, MemoryError) as error:
         raise ValueError("it is not Python") from error
 
@@ -127,16 +144,16 @@ def _constant_pose(call: ast.AST) -> RigidTransform:
     if "condition" in given:
         raise ValueError(f"the node in line {line} has a condition; expected none")
     try:
-        package = ast.literal_eval(given.get("package", given.get("node_package", ast.Constant(PACKAGE))))
+        package = ast.literal_eval(given.get("package", given.get("node_package", ast.Constant("tf2_ros"))))
         words = [str(word) for word in ast.literal_eval(given["arguments"])]
     except (KeyError, ValueError, TypeError) as error:
         raise ValueError(f"the node in line {line} has arguments that are not constants") from error
-    return pose_of_arguments(str(package), words)
+    return _pose_of_arguments(str(package), words)
 
 
-def read_launch_yaml(path: Path) -> Extrinsics:
+def read_launch_yaml(path: Path) -> Iterator[RigidTransform]:
     """Read the static transforms of a launch file in YAML."""
-    return extrinsics_of_poses(_yaml_poses(parse_yaml(read_limited(path, MAX_YAML_BYTES)), conditional=False))
+    return _yaml_poses(parse_yaml(read_limited(path, MAX_YAML_BYTES)), conditional=False)
 
 
 def _yaml_poses(value: object, *, conditional: bool) -> Iterator[RigidTransform]:
@@ -148,30 +165,40 @@ def _yaml_poses(value: object, *, conditional: bool) -> Iterator[RigidTransform]
         if value.get("exec") == EXECUTABLE:
             if depends:
                 raise ValueError(f"node '{value.get('name', '')}' has a condition; expected none")
-            yield pose_of_arguments(str(value.get("pkg", "")), split_arguments(str(value.get("args", ""))))
+            yield _pose_of_arguments(str(value.get("pkg", "")), split_arguments(str(value.get("args", ""))))
             return
         for item in value.values():
             yield from _yaml_poses(item, conditional=depends)
 
 
-def read_command_lines(path: Path) -> Extrinsics:
+def read_command_lines(path: Path) -> Iterator[RigidTransform]:
     """Read command lines of ROS 1 or ROS 2; other lines are ignored."""
-    lines = read_text(path).replace("\\\n", " ").splitlines()
-    return extrinsics_of_poses(_pose_of_command(line) for line in lines if EXECUTABLE in line.partition("#")[0])
+    for line in read_text(path).replace("\\\n", " ").splitlines():
+        if EXECUTABLE in line.partition("#")[0]:
+            words = [word for word in split_arguments(line) if word != "&"]
+            at = words.index(EXECUTABLE) if EXECUTABLE in words else len(words)
+            yield _pose_of_arguments(words[at - 1] if at else "", words[at + 1 :])
 
 
-def _pose_of_command(line: str) -> RigidTransform:
-    words = [word for word in split_arguments(line) if word != "&"]
-    at = words.index(EXECUTABLE) if EXECUTABLE in words else len(words)
-    return pose_of_arguments(words[at - 1] if at else "", words[at + 1 :])
-
-
-def read_launch_xml(path: Path) -> Extrinsics:
+def read_launch_xml(path: Path) -> Iterator[RigidTransform]:
     """Read the static transforms of a launch file of ROS 1 or ROS 2; files that it includes are not read."""
     root = parse_xml(path, "launch")
     if root.tag != "launch":
         raise ValueError(f"it begins with <{root.tag}>; expected <launch>")
-    return extrinsics_of_poses(_xml_poses(root, conditional=False))
+    yield from _xml_poses(root, conditional=False)
+
+
+def read_tf_static(path: Path) -> Sequence[RigidTransform]:
+    """Read `/tf_static` of an MCAP file or ROS bag."""
+    from multilica.ingest.locate import find_source
+    from multilica.ingest.opening import open_source
+    from multilica.ingest.transforms.prior import read_static_transforms
+
+    with closing(open_source(find_source(path))) as recording:
+        poses, notes = read_static_transforms(recording)
+    if notes:
+        raise ValueError(notes[0].rstrip("."))
+    return poses
 
 
 def _xml_poses(element: Element, *, conditional: bool) -> Iterator[RigidTransform]:
@@ -180,30 +207,9 @@ def _xml_poses(element: Element, *, conditional: bool) -> Iterator[RigidTransfor
         if child.tag == "node" and EXECUTABLE in (child.get("exec"), child.get("type")):
             if depends:
                 raise ValueError(f"node '{child.get('name', '')}' has a condition; expected none")
-            yield pose_of_arguments(child.get("pkg", ""), split_arguments(child.get("args", "")))
+            yield _pose_of_arguments(child.get("pkg", ""), split_arguments(child.get("args", "")))
         else:
             yield from _xml_poses(child, conditional=depends)
-
-
-def ros1_arguments(pose: RigidTransform) -> tuple[str, ...]:
-    """Return the arguments for `tf2_ros` of ROS 1."""
-    values = (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist())
-    return (*map(number_text, values), _frame(pose.target), _frame(pose.source))
-
-
-def ros2_arguments(pose: RigidTransform) -> tuple[str, ...]:
-    """Return the arguments for `tf2_ros` of ROS 2."""
-    values = dict(
-        zip((*_TRANSLATION, *_QUATERNION), (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
-    )
-    given = {name: number_text(value) for name, value in values.items()}
-    given |= {_PARENT: _frame(pose.target), _CHILD: _frame(pose.source)}
-    return tuple(word for name, value in given.items() for word in (f"--{name}", value))
-
-
-def node_name(pose: RigidTransform) -> str:
-    """Return a valid name of a ROS node that publishes the pose."""
-    return "static_transform_" + re.sub(r"\W", "_", pose.source, flags=re.ASCII)
 
 
 def split_arguments(text: str) -> list[str]:
@@ -213,7 +219,7 @@ def split_arguments(text: str) -> list[str]:
     return shlex.split(text, comments=True)
 
 
-def pose_of_arguments(package: str, arguments: Sequence[str]) -> RigidTransform:
+def _pose_of_arguments(package: str, arguments: Sequence[str]) -> RigidTransform:
     """Return ``T_parent_child`` of the arguments of a node; raise ValueError, with a clause, if they are wrong."""
     words = list(arguments)
     if "--ros-args" in words:
@@ -222,7 +228,7 @@ def pose_of_arguments(package: str, arguments: Sequence[str]) -> RigidTransform:
         raise ValueError(f"'{' '.join(words)}' has a substitution; expected numbers and frames")
     if any(word.startswith("--") for word in words):
         return _named(words)
-    if package == _LEGACY_PACKAGE:
+    if package == "tf":
         words = words[:-1]
     if len(words) not in (8, 9):
         raise ValueError(f"'{' '.join(arguments)}' has {len(arguments)} arguments; expected 6 or 7 numbers, two frames")

@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from multilica.errors import InputError, UnreadableSourceError
-from multilica.exports.values import extrinsics_of_joints
+from multilica.exports.values import extrinsics_of_tree
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms.urdf import Joint, read_urdf
@@ -16,11 +16,6 @@ from multilica.sinks.text.extrinsics_text import child_poses, number_list
 
 _TAG = rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>"""
 _ATTRIBUTE = rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')"""
-
-
-def read_urdf_extrinsics(path: Path) -> Extrinsics:
-    """Read the pose of every link in the root link."""
-    return extrinsics_of_joints(read_urdf(path))
 
 
 @dataclass(slots=True)
@@ -44,7 +39,7 @@ def updated_urdf(path: Path, extrinsics: Extrinsics) -> bytes:
     """
     joints = read_urdf(path)
     try:
-        extrinsics_of_joints(joints)
+        extrinsics_of_tree(joints)
     except ValueError as error:
         raise UnreadableSourceError(f"{path} is not a valid URDF file: {error}.") from error
     origins = _origins(path, joints, extrinsics)
@@ -87,7 +82,7 @@ def _origins(path: Path, joints: tuple[Joint, ...], extrinsics: Extrinsics) -> d
             replace(joint, T_parent_child=origins.get(child, joint.T_parent_child)) for child, joint in above.items()
         ]
         try:
-            origins[frame] = extrinsics_of_joints(now).between(parent, anchor) @ wanted[frame]
+            origins[frame] = extrinsics_of_tree(now).between(parent, anchor) @ wanted[frame]
         except InputError as error:
             raise InputError(f"{path} cannot take the pose of '{frame}': {error}") from error
     return origins

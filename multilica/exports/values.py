@@ -108,22 +108,16 @@ def read_yaml(path: Path) -> Mapping[str, Any]:
     return mapping_of(parse_yaml(read_limited(path, MAX_YAML_BYTES)), "the document")
 
 
-def extrinsics_of_poses(poses: Iterable[RigidTransform]) -> Extrinsics:
-    """Return the pose of every frame of a tree in its root; `T_parent_child` of each are given.
-
-    Raises:
-        ValueError: as `extrinsics_of_joints`.
-    """
-    return extrinsics_of_joints(Joint(pose) for pose in poses)
-
-
-def extrinsics_of_joints(joints: Iterable[Joint]) -> Extrinsics:
+def extrinsics_of_tree(edges: Iterable[RigidTransform | Joint]) -> Extrinsics:
     """Return the pose of every frame of a tree in its root, with every joint at rest.
+
+    Args:
+        edges: joints, or the ``T_parent_child`` of fixed ones.
 
     Raises:
         ValueError: there are no frames, a cycle, two roots, or two parents of a frame; the text is a clause.
     """
-    above = _joint_above(joints)
+    above = _joint_above(edge if isinstance(edge, Joint) else Joint(edge) for edge in edges)
     if not above:
         raise ValueError("it has no transforms")
     roots = sorted({joint.T_parent_child.target for joint in above.values()} - {*above})

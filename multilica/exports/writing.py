@@ -1,21 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Export of extrinsics and of saved runs."""
+"""Export of extrinsics and of saved runs, in the frame and under the names that are asked for."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
-from multilica.errors import UnknownNameError, UsageError
+import numpy as np
+
+from multilica.errors import InputError, UnknownNameError, UsageError
 from multilica.exports.autoware import updated_autoware
 from multilica.exports.formats import CLOUD_FORMATS, FORMATS, format_named
-from multilica.exports.run_rig import FrameNames, rig_of_run
+from multilica.exports.reading import read_extrinsics
 from multilica.exports.urdf import updated_urdf
-from multilica.extrinsics import Extrinsics
+from multilica.extrinsics import Extrinsics, require_metres
 from multilica.geometry import RigidTransform
 from multilica.ingest.remote.address import local_output
+from multilica.results.document import ResultDocument
+from multilica.results.document.result import GroundEntry
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.files.atomic import atomic_file
 
+FrameNames = Literal["names", "ids"]
 _UPDATES: Mapping[str, Callable[[Path, Extrinsics], bytes]] = {"urdf": updated_urdf, "autoware": updated_autoware}
 
 
@@ -118,3 +125,113 @@ def _local(path: str | Path) -> Path:
 def _write(file: Path, content: bytes) -> None:
     with atomic_file(file) as opened:
         opened.write(content)
+
+
+def rig_of_run(
+    document: ResultDocument,
+    *,
+    base: str | None = None,
+    rig: Path | None = None,
+    frames: FrameNames = "names",
+    with_uncertain: bool = False,
+) -> tuple[Extrinsics, dict[str, str]]:
+    """Return the poses of the placed LiDARs of a run.
+
+    Args:
+        base: the common frame: a LiDAR's frame, a frame of `rig`, or, without `rig`, the base frame on the ground that
+            the run found, or another name of the target's frame; by default the common frame of `rig`, else the base
+            frame of the run if a rig file gave it x, y and yaw, else the target's.
+        rig: a file of extrinsics with the pose of the target in `base`, under its name or its frame id.
+        frames: whether a LiDAR's frame has its name, or is the frame id of its messages.
+        with_uncertain: also take the uncertain LiDARs, and a base frame that is uncertain.
+
+    Returns:
+        The poses by frame, in the base frame, and the frame of each LiDAR that has a pose, the target among them.
+
+    Raises:
+        InputError: only the target is placed, frame ids are missing or not unique, or the base frame is uncertain.
+        UnknownNameError: `rig` lacks the base frame or the target.
+        UsageError: a frame cannot be named.
+    """
+    wanted = {name: pose for name, pose in document.poses.items() if with_uncertain or document.lidars[name].placed}
+    if not {*wanted} - {document.target}:
+        raise InputError("The run has no placed LiDAR besides the target, so there is nothing to export.")
+    named = _frames(document, wanted, frames)
+    target = named[document.target]
+    poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}
+    found = Extrinsics(target, {frame: pose for frame, pose in poses.items() if frame != target})
+    ground = None if rig is not None else _own_base(document, base, with_uncertain=with_uncertain)
+    if ground is not None:
+        T_base_target = RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))
+        found = found.seen_from(T_base_target)
+    else:
+        found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
+    for frame in found.members:
+        _require_name(frame)
+    return found, named
+
+
+def _frames(document: ResultDocument, lidars: Mapping[str, object], frames: FrameNames) -> dict[str, str]:
+    if frames == "names":
+        return {name: name for name in lidars}
+    ids = _frame_ids(document)
+    found = {name: ids.get(name, "") for name in lidars}
+    without = sorted(name for name, frame in found.items() if not frame)
+    if without:
+        raise InputError(f"The run knows no frame id of '{without[0]}'; export it with --frames names.")
+    frame, count = Counter(found.values()).most_common(1)[0]
+    if count > 1:
+        raise InputError(f"{count} LiDARs of the run have the frame id '{frame}'; export it with --frames names.")
+    return found
+
+
+def _frame_ids(document: ResultDocument) -> dict[str, str]:
+    """Return the frame id of each LiDAR as ROS 2 writes it; empty where it is not known."""
+    return {name: entry.frame_id.removeprefix("/") for name, entry in document.input.lidars.items()}
+
+
+def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple[str, str]) -> Extrinsics:
+    """Return the same poses in another frame, where the target gets a pose of its own; `rig` has one of its names."""
+    if rig is not None:
+        known = read_extrinsics(rig)
+        pose = _base_pose(known, base or known.target, names, rig)
+        T_base_target = RigidTransform(pose.target, found.target, pose.matrix)
+    elif base in (None, found.target):
+        return found
+    elif base in found.members:
+        T_base_target = found.between(str(base), found.target)
+    else:
+        T_base_target = RigidTransform.identity(str(base), found.target)
+    base = T_base_target.target
+    if base in found.members and rig is not None and base != found.target:
+        raise UsageError(f"The base frame '{base}' has the name of a LiDAR of the run; give another one.")
+    return found.seen_from(T_base_target)
+
+
+def _own_base(document: ResultDocument, base: str | None, *, with_uncertain: bool) -> GroundEntry | None:
+    """Return the base frame on the ground that the run found, if that is what is asked for."""
+    ground = document.ground
+    if ground is None or (ground.T_base_target_rig is None if base is None else base != ground.frame):
+        return None
+    if ground.doubt and not with_uncertain:
+        raise InputError(
+            f"The base frame '{ground.frame}' of the run is uncertain: {ground.doubt}; give --with-uncertain, or "
+            f"another frame as --base."
+        )
+    return ground
+
+
+def _base_pose(known: Extrinsics, base: str, names: tuple[str, str], rig: Path) -> RigidTransform:
+    target = next((name for name in names if name in known.members), None)
+    if target is None:
+        raise UnknownNameError("frame", names[0], known.members, str(rig))
+    if base not in known.members:
+        raise UnknownNameError("frame", base, known.members, str(rig))
+    pose = known.between(base, target)
+    require_metres(pose, str(rig))
+    return pose
+
+
+def _require_name(frame: str) -> None:
+    if not frame or not frame.isprintable() or frame != frame.strip():
+        raise UsageError(f"The frame '{frame}' has no name that files can hold; rename the LiDAR with --topic.")
