@@ -29,7 +29,6 @@ from multilica.ingest.recording import (
     Recording,
     Span,
     Topic,
-    WrappedRecording,
     damage_named,
     joint_span,
     joint_topics,
@@ -74,14 +73,28 @@ def _read_by(found: FileFormat, path: SourceFile, where: str) -> Recording:
 
 
 def _open_recorders(sources: tuple[Source, ...]) -> Recording:
+    """Open recordings of the same moment; a topic in several of them is prefixed with its file: ``left.bag:/points``.
+
+    Raises:
+        UsageError: two of them hold the same LiDAR.
+    """
     with ExitStack() as opened:
-        parts = []
-        for source in sources:
-            parts.append((locate(source.label), open_source(source)))
-            opened.enter_context(closing(parts[-1][1]))
-        joined = _JoinedRecording(parts)
-        opened.pop_all()
-    return joined
+        parts = [(locate(source.label), opened.enter_context(closing(open_source(source)))) for source in sources]
+        _require_disjoint(parts)
+        recordings = [recording for _, recording in parts]
+        counts = Counter(name for part in recordings for name in {topic.name for topic in part.topics})
+        names = [
+            {
+                topic.name: topic.name if counts[topic.name] == 1 else f"{path.name}:{topic.name}"
+                for topic in recording.topics
+            }
+            for path, recording in parts
+        ]
+        renamed = zip(recordings, names, strict=True)
+        topics = [replace(topic, name=public[topic.name]) for part, public in renamed for topic in part.topics]
+        title = " beside ".join(sorted({recording.format for recording in recordings}))
+        sorted_topics = tuple(sorted(topics, key=lambda topic: topic.name))
+        return _CombinedRecording(title, recordings, sorted_topics, opened.pop_all(), names=names)
 
 
 def _open_parts(files: tuple[SourceFile, ...], missing: tuple[str, ...]) -> Recording:
@@ -97,32 +110,24 @@ def _open_parts(files: tuple[SourceFile, ...], missing: tuple[str, ...]) -> Reco
     damage = str(errors[0]).rstrip(".") if errors else ""
     if missing:
         damage = f"the bag lacks {missing[0]}, which its metadata.yaml names"
-    return _SplitRecording(parts, damage)
+    title = f"{parts[0].format}, {'1 file' if len(parts) == 1 else f'{len(parts)} files'}"
+    topics = joint_topics((topic, topic.count) for part in parts for topic in part.topics)
+    with ExitStack() as opened:
+        for part in parts:
+            opened.enter_context(closing(part))
+        return _CombinedRecording(title, parts, topics, opened.pop_all(), damage)
 
 
 def _open_packed(path: Path, where: str) -> Recording:
     """Unpack a file that was compressed with zstd into a temporary folder and open it there."""
-    with ExitStack() as stack:
-        unpacked = stack.enter_context(scratch_folder()) / path.stem
+    with ExitStack() as opened:
+        unpacked = opened.enter_context(scratch_folder()) / path.stem
         _unpack(path, unpacked, where)
         found = detect_format(unpacked, f"{where} unpacks to a file that")
         if found.content is not Content.RECORDING:
             raise UnreadableSourceError(f"{where} does not unpack to a recording; unpack it with `zstd -d`.")
-        return _PackedRecording(_read_by(found, unpacked, where), stack.pop_all())
-
-
-class _PackedRecording(WrappedRecording):
-    """A recording in a temporary folder, which is removed when it is closed."""
-
-    def __init__(self, recording: Recording, folder: ExitStack) -> None:
-        super().__init__(recording)
-        self.format = f"{recording.format}, zstd"
-        self._folder = folder
-
-    def close(self) -> None:
-        """Close the recording and remove the unpacked file."""
-        super().close()
-        self._folder.close()
+        part = opened.enter_context(closing(_read_by(found, unpacked, where)))
+        return _CombinedRecording(f"{part.format}, zstd", [part], part.topics, opened.pop_all())
 
 
 def _unpack(path: Path, target: Path, where: str) -> None:
@@ -142,97 +147,67 @@ def _unpack(path: Path, target: Path, where: str) -> None:
                 raise DamagedRecordingError(where, "compressed data cannot be unpacked") from error
 
 
-class _SplitRecording:
-    """Several open recordings, one after the other, oldest first."""
+class _CombinedRecording:
+    """Several open recordings as one.
 
-    def __init__(self, parts: Sequence[Recording], damage: str = "") -> None:
-        files = "1 file" if len(parts) == 1 else f"{len(parts)} files"
-        self.format = f"{parts[0].format}, {files}"
-        self.damage = damage or next((part.damage for part in parts if part.damage), "")
-        self.is_indexed = all(part.is_indexed for part in parts)
-        self.topics = joint_topics((topic, topic.count) for part in parts for topic in part.topics)
-        self._parts = tuple(parts)
-
-    def span_ns(self, topics: Collection[str]) -> Span | None:
-        """Return the span over all parts."""
-        return joint_span(part.span_ns(topics) for part in self._parts)
-
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """Yield messages part after part; damage in one part does not affect the next ones."""
-        damage: DamagedRecordingError | None = None
-        for part in self._parts:
-            try:
-                yield from part.messages(topics, start_ns)
-            except DamagedRecordingError as error:
-                damage = damage or error
-        if damage is not None:
-            raise damage
-
-    def close(self) -> None:
-        """Close every part."""
-        for part in self._parts:
-            part.close()
-
-
-class _JoinedRecording:
-    """Recordings of the same moment; a topic in several of them is prefixed with its file, as in ``left.bag:/points``.
-
-    Raises:
-        UsageError: two of them hold the same LiDAR.
+    Args:
+        opened: closes them.
+        names: topic in the recording -> topic, for recordings of the same moment; None for parts of one recording,
+            oldest first.
     """
 
-    def __init__(self, parts: Sequence[tuple[SourceFile, Recording]]) -> None:
-        _require_disjoint(parts)
-        recordings = [recording for _, recording in parts]
-        counts = Counter(name for part in recordings for name in {topic.name for topic in part.topics})
-        self._parts = tuple(
-            (
-                recording,
-                {
-                    topic.name: topic.name if counts[topic.name] == 1 else f"{path.name}:{topic.name}"
-                    for topic in recording.topics
-                },
-            )
-            for path, recording in parts
+    def __init__(
+        self,
+        title: str,
+        parts: Sequence[Recording],
+        topics: tuple[Topic, ...],
+        opened: ExitStack,
+        damage: str = "",
+        names: Sequence[Mapping[str, str]] | None = None,
+    ) -> None:
+        self.format = title
+        self.topics = topics
+        self.damage = damage or next((part.damage for part in parts if part.damage), "")
+        self.is_indexed = all(part.is_indexed for part in parts)
+        self.close = opened.close
+        self._are_beside = names is not None
+        self._parts = list(
+            zip(parts, names or [{topic.name: topic.name for topic in topics}] * len(parts), strict=True)
         )
-        self.format = " beside ".join(sorted({recording.format for recording in recordings}))
-        self.is_indexed = all(recording.is_indexed for recording in recordings)
-        self.damage = next((recording.damage for recording in recordings if recording.damage), "")
-        topics = (replace(topic, name=names[topic.name]) for part, names in self._parts for topic in part.topics)
-        self.topics: tuple[Topic, ...] = tuple(sorted(topics, key=lambda topic: topic.name))
 
     def span_ns(self, topics: Collection[str]) -> Span | None:
         """Return the span over all recordings."""
         return joint_span(part.span_ns(_own(names, topics)) for part, names in self._parts)
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """Yield messages by log time; damage of one recording is raised after the others have ended."""
+        """Yield messages by log time, or part after part; raise damage of one recording after the others have ended."""
         damage: list[DamagedRecordingError] = []
-        streams = [
-            _renamed(part, names, own, start_ns, damage) for part, names in self._parts if (own := _own(names, topics))
-        ]
-        yield from heapq.merge(*streams, key=lambda message: message.log_time_ns)
+        if self._are_beside:
+            chosen = [(part, names) for part, names in self._parts if _own(names, topics)]
+            streams = [_renamed(part, names, topics, start_ns, damage) for part, names in chosen]
+            yield from heapq.merge(*streams, key=lambda message: message.log_time_ns)
+        else:
+            for part, names in self._parts:
+                yield from _renamed(part, names, topics, start_ns, damage)
         if damage:
             raise damage[0]
 
-    def close(self) -> None:
-        """Close all recordings."""
-        with ExitStack() as stack:
-            for part, _ in self._parts:
-                stack.enter_context(closing(part))
 
-
-def _own(names: dict[str, str], topics: Collection[str]) -> list[str]:
+def _own(names: Mapping[str, str], topics: Collection[str]) -> list[str]:
     """Return the names of topics within their recording."""
     return [own for own, public in names.items() if public in topics]
 
 
 def _renamed(
-    part: Recording, names: dict[str, str], topics: list[str], start_ns: int, damage: list[DamagedRecordingError]
+    part: Recording,
+    names: Mapping[str, str],
+    topics: Collection[str],
+    start_ns: int,
+    damage: list[DamagedRecordingError],
 ) -> Iterator[RawMessage]:
     try:
-        for message in part.messages(topics, start_ns):
-            yield replace(message, topic=names[message.topic])
+        for message in part.messages(_own(names, topics), start_ns):
+            yield message if names[message.topic] == message.topic else replace(message, topic=names[message.topic])
     except DamagedRecordingError as error:
         damage.append(error)
 

@@ -111,29 +111,6 @@ class Recording(Protocol):
         """Close the files."""
 
 
-class WrappedRecording:
-    """A recording that passes everything on to another one; subclasses change part of it."""
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-        self.format = recording.format
-        self.topics = recording.topics
-        self.damage = recording.damage
-        self.is_indexed = recording.is_indexed
-
-    def span_ns(self, topics: Collection[str]) -> Span | None:
-        """Return when these topics begin and end."""
-        return self._recording.span_ns(topics)
-
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """Yield the messages of the wrapped recording."""
-        yield from self._recording.messages(topics, start_ns)
-
-    def close(self) -> None:
-        """Close the wrapped recording."""
-        self._recording.close()
-
-
 def normal_type(message_type: str) -> str:
     """Return ``package/msg/Name`` for ROS 1's ``package/Name``; other names unchanged."""
     package, slash, name = message_type.partition("/")

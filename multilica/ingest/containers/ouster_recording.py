@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from multilica.ingest.message_types import MESSAGE_TYPES, OTHER_PACKETS, OUSTER, OUSTER_TURN, is_installed
 from multilica.ingest.messages.ros import WireReader
-from multilica.ingest.recording import DamagedRecordingError, Messages, RawMessage, Recording, Topic, WrappedRecording
+from multilica.ingest.recording import DamagedRecordingError, Messages, RawMessage, Recording, Span, Topic
 
 if TYPE_CHECKING:
     from multilica.ingest.messages.ouster_packets import Sensor
@@ -31,19 +31,27 @@ def with_turns(recording: Recording) -> Recording:
     return OusterRecording(recording, metadata) if metadata else recording
 
 
-class OusterRecording(WrappedRecording):
+class OusterRecording:
     """A recording with the packets of each turn joined; `metadata` is the driver's JSON by topic of packets."""
 
     def __init__(self, recording: Recording, metadata: dict[str, str]) -> None:
-        super().__init__(recording)
+        self.format = recording.format
+        self.damage = recording.damage
+        self.is_indexed = recording.is_indexed
+        self.close = recording.close
+        self._recording = recording
         self._metadata = metadata
         self.topics = tuple(self._topic(topic) for topic in recording.topics)
         self._turns = {topic.name for topic in self.topics if topic.encoding == OUSTER_TURN}
 
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Return when these topics begin and end."""
+        return self._recording.span_ns(topics)
+
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield messages by log time; the log time of a turn is that of its last packet."""
         turns = {topic: _Turn(self._metadata[topic]) for topic in topics if topic in self._turns}
-        with closing(super().messages(topics, start_ns)) as messages:
+        with closing(self._recording.messages(topics, start_ns)) as messages:
             for message in messages:
                 if message.topic in turns:
                     yield from turns[message.topic].add(message)
