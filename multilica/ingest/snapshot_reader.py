@@ -128,7 +128,7 @@ def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObse
         UnknownNameError: a topic is not offered in time.
         UsageError: a window is configured, or the address is not valid.
     """
-    from multilica.ingest.live.live_recording import LiveRecording
+    from multilica.ingest.live import LiveRecording
 
     config = config or IngestConfig()
     report: MessageObserver = observe or (lambda _topic, _count: None)

@@ -14,9 +14,8 @@ from websockets.sync.server import ServerConnection, serve
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError
-from multilica.ingest.live import foxglove_socket
-from multilica.ingest.live.foxglove_socket import Advertised, ConnectionLost, FoxgloveSocket, UnadvertiseMessage
-from multilica.ingest.live.live_recording import LiveRecording
+from multilica.ingest import live
+from multilica.ingest.live import Advertised, ConnectionLost, FoxgloveSocket, LiveRecording, UnadvertiseMessage
 from multilica.ingest.recording import Topic
 from multilica.ingest.snapshot_reader import listen
 from tests.ingest.support.recording_writers import (
@@ -108,7 +107,7 @@ def test_oddities_are_counted_and_told() -> None:
 
 @pytest.mark.slow
 def test_a_message_without_bounds_ends_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(foxglove_socket, "_MAX_MESSAGE_BYTES", 1000)
+    monkeypatch.setattr(live, "_MAX_MESSAGE_BYTES", 1000)
     with saying([b"\x01" + bytes(10_000)]) as url, pytest.raises(UnfitSnapshotError, match="holds no point clouds"):
         listen(url, config=IngestConfig(frames=1, timeout_s=2.5))
     with saying([b"\x01" + bytes(10_000)]) as url:

@@ -15,8 +15,7 @@ from mcap.writer import Writer
 from multilica.config import CalibrationConfig, load_config, with_overrides
 from multilica.exports import FORMATS, read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics_table
-from multilica.ingest import frames_recorded, read_snapshot
-from multilica.ingest.live import foxglove_socket
+from multilica.ingest import frames_recorded, live, read_snapshot
 from multilica.ingest.transforms.prior import read_prior
 from multilica.ingest.transforms.urdf import read_urdf
 from multilica.runs.run_documents import explain_run, read_run, read_run_document
@@ -124,4 +123,4 @@ def _recorded(name: str) -> bytes:
 
 
 def _advertised(path: Path) -> object:
-    return foxglove_socket._text(path.read_bytes().decode("utf-8", "replace"))
+    return live._text(path.read_bytes().decode("utf-8", "replace"))
