@@ -17,7 +17,7 @@ from multilica.datasets.standstill import Stamps, Trajectory, read_trajectory, s
 from multilica.datasets.truth_files import read_truth
 from multilica.errors import InputError, SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError
 from multilica.extrinsics import Extrinsics
-from multilica.ingest.point_files.point_table import PointTable
+from multilica.ingest.point_files.tables import PointTable
 from multilica.pointcloud2 import PointField
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.stages.stillness import detect_motion

@@ -83,10 +83,10 @@ FORMATS = {
             "ros1", "a ROS 1 bag", (".bag", ".bag.active"), _MESSAGES, "containers.ros1_bag", (b"#ROSBAG V2.0",)
         ),
         FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), Content.FILE, "", (ZSTD_MAGIC,)),
-        FileFormat("ply", "a PLY file", (".ply",), _CLOUD, "point_files.ply", (b"ply\n", b"ply\r")),
+        FileFormat("ply", "a PLY file", (".ply",), _CLOUD, "point_files.tables", (b"ply\n", b"ply\r")),
         FileFormat("las", "a LAS file", (".las", ".laz"), _CLOUD, "point_files.las", (b"LASF",)),
         FileFormat("npy", "a NumPy file", (".npy",), _CLOUD, "point_files.raw_arrays", (b"\x93NUMPY",)),
-        FileFormat("pcd", "a PCD file", (".pcd",), _CLOUD, "point_files.pcd", (b"# .PCD",), (b"VERSION", b"FIELDS")),
+        FileFormat("pcd", "a PCD file", (".pcd",), _CLOUD, "point_files.tables", (b"# .PCD",), (b"VERSION", b"FIELDS")),
         FileFormat("kitti", "a float32 file (KITTI)", (".bin",), _CLOUD, "point_files.raw_arrays"),
         FileFormat("nuscenes", "a float32 file (nuScenes)", (".pcd.bin",), _CLOUD, "point_files.raw_arrays"),
     )

@@ -4,7 +4,7 @@
 import heapq
 import shutil
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, suppress
 from dataclasses import replace
 from importlib import import_module
@@ -20,8 +20,7 @@ from multilica.ingest.formats import Content, FileFormat, detect_format, named_f
 from multilica.ingest.locate import FrameFiles, Source, locate
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import decode_cloud, is_cloud
-from multilica.ingest.point_files import pcd, ply
-from multilica.ingest.point_files.point_table import MAX_HEADER_BYTES
+from multilica.ingest.point_files.tables import MAX_HEADER_BYTES, claimed_bytes
 from multilica.ingest.recording import (
     DamagedRecordingError,
     Messages,
@@ -44,8 +43,6 @@ _ALWAYS_BYTES = 64 << 20
 _MAX_TRIES = 4
 """Scans to try for the frame id; the first ones may be broken."""
 
-_CLAIMED: Mapping[str, Callable[[bytes], int]] = {"pcd": pcd.claimed_bytes, "ply": ply.claimed_bytes}
-"""Format -> function from the beginning of a file to the bytes that its header claims."""
 _MAX_FILE_BYTES = 1 << 30
 """A file with thirty million points is a map, not a scan."""
 
@@ -290,8 +287,8 @@ def _content(path: SourceFile, encoding: str, size: int) -> bytes:
     """Return the content of a file; of one with more bytes than its header claims, only the claimed ones."""
     with path.open("rb") as file:
         head = file.read(MAX_HEADER_BYTES)
-        claimed = _CLAIMED[encoding](head) if encoding in _CLAIMED else size
-        length = min(size, max(claimed, len(head)))
+        claimed = claimed_bytes(encoding, head)
+        length = size if claimed is None else min(size, max(claimed, len(head)))
         memory_budget().require(length)
         file.seek(0)
         return file.read(length)
