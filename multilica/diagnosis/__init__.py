@@ -2,6 +2,6 @@
 """Explanations of a run in sentences for people."""
 
 from multilica.diagnosis.explain import explain
-from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed, Uncertain
+from multilica.diagnosis.explanation import CAUSES, DecisivePair, Explanation, Missing, Placed, Uncertain
 
-__all__ = ["Cause", "DecisivePair", "Explanation", "Missing", "Placed", "Uncertain", "explain"]
+__all__ = ["CAUSES", "DecisivePair", "Explanation", "Missing", "Placed", "Uncertain", "explain"]

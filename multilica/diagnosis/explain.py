@@ -6,8 +6,20 @@ from dataclasses import replace
 from typing import Any
 
 from multilica.config import STAGES
-from multilica.diagnosis.causes import ADVICE, PRIOR_ADVICE, REASON_WORDS, WORDS, by_weight, cause_of_codes, step_of
-from multilica.diagnosis.explanation import Cause, DecisivePair, Explanation, Missing, Placed, Uncertain
+from multilica.diagnosis.explanation import (
+    ADVICE,
+    PRIOR_ADVICE,
+    REASON_WORDS,
+    WORDS,
+    DecisivePair,
+    Explanation,
+    Missing,
+    Placed,
+    Uncertain,
+    by_weight,
+    cause_of_codes,
+    step_of,
+)
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 from multilica.results.document.stages import VerifyFigures
 
@@ -87,7 +99,7 @@ _OUTLIER_WEIGHT = 0.5
 def explain(document: ResultDocument) -> Explanation:
     """Explain a run: which LiDARs are placed, which are uncertain or not placed, why, and what would help."""
     if document.refusal is not None:
-        cause: Cause = "moving_vehicle" if document.refusal.code == "moving_vehicle" else "unfit_input"
+        cause = "moving_vehicle" if document.refusal.code == "moving_vehicle" else "unfit_input"
         return _without_places(document, f"Nothing was calibrated: {WORDS[cause]}.", cause, (document.refusal.text,))
     if document.status == "unfinished":
         return _without_places(document, _progress(document), "unfinished", _known_so_far(document))
@@ -111,7 +123,7 @@ def explain(document: ResultDocument) -> Explanation:
     )
 
 
-def _without_places(document: ResultDocument, headline: str, cause: Cause, known: Iterable[str]) -> Explanation:
+def _without_places(document: ResultDocument, headline: str, cause: str, known: Iterable[str]) -> Explanation:
     return Explanation(
         headline=headline,
         input=_input(document),
@@ -238,7 +250,7 @@ def _missing(document: ResultDocument, name: str) -> Missing:
 
 
 def _missing_by(
-    document: ResultDocument, name: str, cause: Cause, decisive: DecisivePair | None, next_best: str
+    document: ResultDocument, name: str, cause: str, decisive: DecisivePair | None, next_best: str
 ) -> Missing:
     had_prior = document.lidars[name].prior is not None
     advice = tuple(one for one in ADVICE[cause] if not (had_prior and one == PRIOR_ADVICE))
@@ -256,7 +268,7 @@ def _missing_from_rig(
     if places is not None:
         missing = _missing_by(document, name, fault or "two_places", places[0], refusal)
         return replace(missing, elsewhere=places[1])
-    cause: Cause = "not_joined" if len(group_of(document, name)) > 1 else "not_in_rig" if refusal else "unknown"
+    cause = "not_joined" if len(group_of(document, name)) > 1 else "not_in_rig" if refusal else "unknown"
     sentence = f"{decisive.sentence} {refusal}".rstrip()
     return _missing_by(document, name, fault or cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
 
@@ -268,18 +280,18 @@ def _missing_jointly(
     if decisive is not None and decisive.codes:
         return _missing_by(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
     disputed = any(snapshot.disputed for snapshot in document.snapshots)
-    unplaced: Cause = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
+    unplaced = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
     cause = _sensor_fault(document, name) or unplaced
     by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
     return replace(_missing_by(document, name, cause, None, ""), by_snapshot=by_snapshot)
 
 
-def _cause(document: ResultDocument, name: str, decisive: DecisivePair | None) -> Cause:
+def _cause(document: ResultDocument, name: str, decisive: DecisivePair | None) -> str:
     """Return the fault of the sensor, from which that of its pairs may follow, else the fault of the pair."""
     return _sensor_fault(document, name) or ("no_overlap" if decisive is None else cause_of_codes(decisive.codes))
 
 
-def _sensor_fault(document: ResultDocument, name: str) -> Cause | None:
+def _sensor_fault(document: ResultDocument, name: str) -> str | None:
     health, given = document.lidars[name].health, document.input.lidars.get(name)
     codes = {reason.code for reason in health.reasons} if health is not None else set()
     silent = given is not None and given.points == 0

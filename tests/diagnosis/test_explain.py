@@ -5,14 +5,13 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import get_args
 
 import pytest
 
 from multilica.config import STAGES
-from multilica.diagnosis import Cause
+from multilica.diagnosis import CAUSES
 from multilica.diagnosis import explain as explain_document
-from multilica.diagnosis.causes import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
+from multilica.diagnosis.explanation import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
 from multilica.events import PairRegistered, StageFinished
 from multilica.orchestration.pairs import PAIR_STAGES
 from tests.sinks.made_documents import made_document, parsed
@@ -284,7 +283,7 @@ def test_every_code_of_the_decision_has_a_cause():
 
 def test_every_cause_has_words_advice_and_documentation():
     page = (ROOT / "docs" / "cookbook.md").read_text(encoding="utf-8")
-    for cause in get_args(Cause):
+    for cause in CAUSES:
         assert WORDS[cause]
         assert ADVICE[cause]
         assert f"`{cause}`" in page

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from multilica.diagnosis import explain
-from multilica.diagnosis.causes import ADVICE
+from multilica.diagnosis.explanation import ADVICE
 from tests.sinks.made_documents import made_document, parsed
 from tests.sinks.made_events import UNPLACED
 

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 import numpy.typing as npt
 
-from multilica.diagnosis import Cause, Explanation, explain
+from multilica.diagnosis import Explanation, explain
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Registration
 from multilica.results.document import ResultDocument
@@ -17,7 +17,7 @@ from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans
 
 _RAW_SAMPLE = 60_000
-_BADGES: Mapping[Cause, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
+_BADGES: Mapping[str, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,7 @@ import numpy.typing as npt
 import rerun as rr
 
 from multilica import events
-from multilica.diagnosis.causes import REASON_WORDS, by_weight
+from multilica.diagnosis.explanation import REASON_WORDS, by_weight
 from multilica.geometry import FloatArray, RigidTransform, fixed_sign, largest_index
 from multilica.results import (
     BeamLabel,
