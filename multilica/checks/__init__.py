@@ -1,9 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks of a rig against reference extrinsics, for pipelines."""
 
-from multilica.checks.comparison import LidarCheck, RigCheck, check_document, check_rig, relative_covariance
+from multilica.checks.comparison import (
+    LidarCheck,
+    RigCheck,
+    RigTolerances,
+    Tolerance,
+    check_document,
+    check_rig,
+    read_tolerances,
+    relative_covariance,
+)
 from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
-from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 from multilica.checks.verify_snapshot import check_found, decide_unplaced, verify_snapshot
 
 __all__ = [

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of a rig with its reference: which LiDARs are where they should be, and which have moved."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_serializer
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_serializer
 
-from multilica.checks.tolerances import RigTolerances, Tolerance
-from multilica.errors import UsageError
+from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited
+from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.results import LidarPlacement
@@ -21,6 +21,61 @@ CheckVerdict = Literal["within", "outside", "undecided"]
 
 # A difference of less is explained by the uncertainty of the result: with correct covariances, one in 370 is larger.
 _SIGMAS = 3.0
+_Metres = Annotated[float, Strict(), Field(gt=0.0, le=100.0)]
+_Degrees = Annotated[float, Strict(), Field(gt=0.0, le=180.0)]
+
+
+class Tolerance(BaseModel):
+    """Largest difference that does not count as drift."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    translation_m: _Metres = 0.03
+    rotation_deg: _Degrees = 0.3
+
+    def holds(self, error: PoseError) -> bool:
+        """Return whether an error is within it."""
+        return error.distance_m <= self.translation_m and error.angle_deg <= self.rotation_deg
+
+
+class RigTolerances(BaseModel):
+    """The tolerance of all LiDARs, and what differs for some."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    default: Tolerance = Tolerance()
+    lidars: Mapping[str, Tolerance] = Field(default_factory=dict)
+
+    def of(self, lidar: str) -> Tolerance:
+        """Return the tolerance of one LiDAR."""
+        own = self.lidars[lidar].model_dump(exclude_unset=True) if lidar in self.lidars else {}
+        return self.default.model_copy(update=own)
+
+
+def read_tolerances(path: Path, default: Tolerance) -> RigTolerances:
+    """Read a TOML file with ``[default]`` and ``[lidars.NAME]``, each with `translation_m` and `rotation_deg`.
+
+    Args:
+        default: holds where the file has no value.
+
+    Raises:
+        SourceNotFoundError: there is no such file.
+        UnreadableSourceError: it is not TOML, or has other keys or values.
+    """
+    try:
+        values = parse_toml(read_limited(path, MAX_TOML_BYTES))
+        found = RigTolerances.model_validate(values)
+    except FileNotFoundError as error:
+        raise SourceNotFoundError(f"No file of tolerances at {path}.") from error
+    except (OSError, DocumentError) as error:
+        raise UnreadableSourceError(f"{path} is not a TOML file that can be read: {error}.") from error
+    except ValidationError as error:
+        where, what, _ = first_problem(error)
+        raise UnreadableSourceError(
+            f"{path} is not a file of tolerances: {where}: {what}; expected [default] and [lidars.NAME], each with "
+            "translation_m and rotation_deg."
+        ) from error
+    return found.model_copy(update={"default": default.model_copy(update=found.default.model_dump(exclude_unset=True))})
 
 
 class LidarCheck(Entry):
@@ -173,8 +228,7 @@ def _root(
         root: frozenset(
             name
             for name, placement in placed.items()
-            if name == root
-            or _agrees(PoseError.between(*_poses(placed[root], placement, reference)), tolerances.of(name))
+            if name == root or tolerances.of(name).holds(PoseError.between(*_poses(placed[root], placement, reference)))
         )
         for root in sorted(placed)
     }
@@ -184,10 +238,6 @@ def _root(
     if rival is None:
         return root, []
     return root, [f"equally many LiDARs agree with {root} and with {rival}, so the one that moved is unknown"]
-
-
-def _agrees(error: PoseError, tolerance: Tolerance) -> bool:
-    return error.distance_m <= tolerance.translation_m and error.angle_deg <= tolerance.rotation_deg
 
 
 def _poses(
@@ -223,38 +273,33 @@ def _check(
         lidar=placement.lidar,
         verdict=verdict,
         reason="; ".join(text for one, text in verdicts if one == verdict),
-        sigma_m=None if of_translation is None else of_translation.largest,
-        sigma_deg=None if of_rotation is None else of_rotation.largest,
+        sigma_m=of_translation and of_translation[1],
+        sigma_deg=of_rotation and of_rotation[1],
         **limits,
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Sigmas:
-    """Standard deviations: along a difference, and in the weakest direction."""
-
-    along: float
-    largest: float
-
-
-def _sigmas(difference: FloatArray, covariance: FloatArray) -> _Sigmas:
-    largest = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
-    length = float(np.linalg.norm(difference))
+def _sigmas(difference: FloatArray, covariance: FloatArray) -> tuple[float, float]:
+    """Return the standard deviations along a difference (3,), and in the weakest direction."""
+    largest, length = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])), float(np.linalg.norm(difference))
     if length == 0.0:
-        return _Sigmas(largest, largest)
+        return largest, largest
     direction = difference / length
-    return _Sigmas(float(np.sqrt(direction @ covariance @ direction)), largest)
+    return float(np.sqrt(direction @ covariance @ direction)), largest
 
 
-def _decide(off: float, limit: float, sigmas: _Sigmas | None, scale: float, unit: str) -> tuple[CheckVerdict, str]:
+def _decide(
+    off: float, limit: float, sigmas: tuple[float, float] | None, scale: float, unit: str
+) -> tuple[CheckVerdict, str]:
     """Return the verdict on one of translation and rotation, with its reason."""
     size, most = f"{scale * off:.3g} {unit}", f"{scale * limit:.3g} {unit}"
-    if sigmas is not None and off > limit and off <= _SIGMAS * sigmas.along:
-        return "undecided", f"{size} is above {most}, but within three sigma ({scale * sigmas.along:.2g} {unit})"
+    along, largest = sigmas or (0.0, 0.0)
+    if limit < off <= _SIGMAS * along:
+        return "undecided", f"{size} is above {most}, but within three sigma ({scale * along:.2g} {unit})"
     if off > limit:
         return "outside", f"{size} is above {most}"
-    if sigmas is not None and sigmas.largest > limit:
-        return "undecided", f"its sigma of {scale * sigmas.largest:.2g} {unit} is above the tolerance of {most}"
+    if largest > limit:
+        return "undecided", f"its sigma of {scale * largest:.2g} {unit} is above the tolerance of {most}"
     return "within", f"{size} of {most}"
 
 

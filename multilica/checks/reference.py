@@ -4,8 +4,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from multilica.checks.comparison import RigCheck, check_rig
-from multilica.checks.tolerances import RigTolerances
+from multilica.checks.comparison import RigCheck, RigTolerances, check_rig
 from multilica.documents import MAX_TOML_BYTES, read_limited
 from multilica.errors import SourceNotFoundError, UnfitRunError, UnreadableSourceError, UsageError
 from multilica.exports import read_extrinsics

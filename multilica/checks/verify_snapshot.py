@@ -3,8 +3,7 @@
 
 from collections.abc import Iterable
 
-from multilica.checks.comparison import LidarCheck, RigCheck, check_rig
-from multilica.checks.tolerances import RigTolerances
+from multilica.checks.comparison import LidarCheck, RigCheck, RigTolerances, check_rig
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.results import CalibrationResult

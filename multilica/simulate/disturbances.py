@@ -13,7 +13,7 @@ from multilica.simulate.rigs import BASE, Mount, Rig
 from multilica.simulate.scenes import Scene
 from multilica.simulate.sensors import SensorModel, unit_directions
 from multilica.simulate.shapes.mesh import Mesh, merged
-from multilica.simulate.shapes.vehicles import pedestrian, truck
+from multilica.simulate.shapes.objects import pedestrian, truck
 
 DISTURBANCES: Mapping[str, str] = {
     "dead:<lidar>": "that LiDAR returns nothing",

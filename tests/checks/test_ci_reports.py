@@ -13,13 +13,13 @@ from PIL import Image
 
 from multilica.checks import check_document
 from multilica.checks.ci_reports import (
+    check_png,
     code_quality_json,
     github_annotations,
     junit_xml,
     summary_markdown,
     write_reports,
 )
-from multilica.checks.picture import check_png
 from tests.checks.test_comparison import SHIFT, checked, run_with
 
 TIME = "2026-11-23T03:00:00"

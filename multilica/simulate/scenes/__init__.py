@@ -5,9 +5,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from multilica.simulate.scenes.countryside import fence_field, open_field
+from multilica.simulate.scenes.outdoors import fence_field, open_field, parking, street
 from multilica.simulate.scenes.scene import Scene
-from multilica.simulate.scenes.town import parking, street
 from multilica.simulate.scenes.underground import garage, symmetric_garage, tunnel
 
 __all__ = ["SCENES", "Scene"]

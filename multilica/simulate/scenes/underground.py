@@ -7,7 +7,7 @@ import numpy as np
 
 from multilica.simulate.scenes.scene import FLAT, Scene
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, extrusion, quads, tube
-from multilica.simulate.shapes.vehicles import random_car
+from multilica.simulate.shapes.objects import random_car
 
 _TUNNEL_HALF_LENGTH_M = 250.0
 

@@ -11,7 +11,7 @@ from multilica.simulate.scenes import SCENES
 from multilica.simulate.scenes.scene import FLAT, Terrain, rolling_waves
 from multilica.simulate.sensors import RasterPattern, RosettePattern, SpinningPattern
 from multilica.simulate.shapes.mesh import Mesh, box, cylinder, merged, reaches_into, tube
-from multilica.simulate.shapes.vehicles import CAR_SHAPES, car
+from multilica.simulate.shapes.objects import CAR_SHAPES, car
 
 
 def area_m2(mesh) -> float:
