@@ -17,6 +17,7 @@ from multilica_cli.commands.config import configuration_page
 
 FOLDER = Path(__file__).resolve().parents[1] / "reference"
 _MADE = "<!-- Made by `make docs`. -->\n\n"
+_SHAPES = frozenset({"Matrix4", "Matrix6", "Quaternion", "Row4", "Row6", "Vector3"})
 _RESULT_HEAD = """# result.json
 
 `result.json` holds everything about a run, for programs. [A JSON schema](result.schema.json) says the same.
@@ -85,7 +86,7 @@ def _type(field: Mapping[str, Any]) -> str:
         return " or ".join(_type(each) for each in field["anyOf"])
     if "$ref" in field:
         name = field["$ref"].rpartition("/")[2]
-        return f"[{name}](#{name.lower()})" if name.endswith(("Entry", "Figures")) else name
+        return name if name in _SHAPES else f"[{name}](#{name.lower()})"
     if "const" in field or "enum" in field:
         return ", ".join(f"`{value}`" for value in field.get("enum", [field.get("const")]))
     if field.get("type") == "array":

@@ -108,7 +108,7 @@ def _best_of(lidar: str, pairs: Sequence[PairRegistration]) -> PairRegistration 
 def _last_refusal(lidar: str, target: str, last: MergeDecision) -> str:
     """Return why the group of a LiDAR with an accepted pair was not merged into the target's."""
     members = next((group for group in last.groups if lidar in group), (lidar,))
-    reasons = [each.reason for each in last.candidates if {each.target, each.source} & {*members} and each.reason]
+    reasons = [each.reason for each in last.candidates if each.names & {*members} and each.reason]
     return reasons[0] if reasons else f"{' and '.join(members)} could not be joined to {target}"
 
 
@@ -209,4 +209,6 @@ def contested_place(
     if score_pose is not None:
         (fixed,) = pair.lidars - {lidar}
         competing = score_pose((poses[fixed].inverse() @ place).with_target(pair.target))
-    return ContestedPlace((pair.target, pair.source), (other.target, other.source), distance_m, angle_rad, competing)
+    return ContestedPlace(
+        (pair.target, pair.source), (other.target, other.source), distance_m, float(np.rad2deg(angle_rad)), competing
+    )

@@ -13,7 +13,7 @@ from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageEr
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.results import LidarPlacement
-from multilica.results.document.values import Entry, Number, Vector3
+from multilica.results.values import Entry, Number, Vector3
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import SavedRun
 

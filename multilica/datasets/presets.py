@@ -17,7 +17,7 @@ from multilica.datasets.scene import DatasetScene
 from multilica.errors import InputError
 from multilica.events import RunObserver
 from multilica.extrinsics import extrinsics_table
-from multilica.results.document.values import Entry, Number
+from multilica.results.values import Entry, Number
 from multilica.run import run_calibration
 from multilica.runs import SavedRun, Tolerances, Truth, read_run
 from multilica.runs.paper_table import PaperTable, paper_table

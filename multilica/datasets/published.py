@@ -9,7 +9,7 @@ from multilica.datasets.opencalib import AGREED
 from multilica.datasets.truth_files import MAIN_LIDAR, extrinsics_of
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results.document.values import Entry
+from multilica.results.values import Entry
 from multilica.runs import SavedRun, Tolerances, Truth
 from multilica.runs.paper_table import PaperTable, paper_table
 

@@ -64,7 +64,7 @@ def spread_of(estimates: Sequence[Estimate]) -> Spread:
     if len(estimates) < 2:
         return Spread(len(estimates))
     sigma = np.std(_offsets(estimates), axis=0, ddof=1)
-    return Spread(len(estimates), sigma[3:], np.rad2deg(sigma[:3]))
+    return Spread(len(estimates), tuple(sigma[3:].tolist()), tuple(np.rad2deg(sigma[:3]).tolist()))
 
 
 def scatter_ratio(estimates: Sequence[Estimate]) -> FloatArray:

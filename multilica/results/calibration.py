@@ -3,12 +3,13 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import Field
 
 from multilica.geometry import RigidTransform
 from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
-from multilica.results.hypotheses import PairKey
 from multilica.results.merging import MergeDecision, Refinement
 from multilica.results.notebook import TABLE_COLUMNS, html_table, table_rows
 from multilica.results.placements import GroundPlane, LidarPlacement
@@ -24,29 +25,21 @@ Status = Literal["complete", "partial", "failed"]
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Reason why a snapshot was not calibrated at all.
+    """Reason why the snapshot was not calibrated at all."""
 
-    Args:
-        code: stable name, for programs: `moving_vehicle`, `too_few_lidars`, `blind_target`.
-        text: the sentence of the error that `calibrate` raises.
-    """
-
-    code: str
-    text: str
+    # moving_vehicle, too_few_lidars or blind_target
+    code: Annotated[str, Field(description="Stable name, for programs.")]
+    text: Annotated[str, Field(description="The reason for people.")]
 
 
 @dataclass(frozen=True, slots=True)
 class SnapshotDeviation:
-    """Deviation of a LiDAR in one snapshot alone from its pose in the joint result.
+    """Deviation of a LiDAR in one snapshot alone from its pose in the joint result."""
 
-    Args:
-        outlier: whether the snapshot was outvoted on this LiDAR.
-    """
-
-    lidar: str
-    distance_m: float
-    angle_deg: float
-    outlier: bool = False
+    lidar: Annotated[str, Field(description="Name of the LiDAR.")]
+    distance_m: Annotated[float, Field(description="Distance.")]
+    angle_deg: Annotated[float, Field(description="Angle.")]
+    outlier: Annotated[bool, Field(description="True if other snapshots outvoted this one.")] = False
 
     @property
     def text(self) -> str:
@@ -95,14 +88,10 @@ class SnapshotReport:
 
 @dataclass(frozen=True, slots=True)
 class TimeLimit:
-    """Searches that a calibration left out because its time was over; an equal run may do more or fewer.
+    """Searches left out because the time was over; equal runs may differ."""
 
-    Args:
-        not_reached: pairs that could have placed a LiDAR.
-    """
-
-    max_time_s: float
-    not_reached: tuple[PairKey, ...]
+    max_time_s: Annotated[float, Field(description="The limit, `runtime.max_time_s`.")]
+    not_reached: Annotated[tuple[tuple[str, str], ...], Field(description="Pairs that could have placed a LiDAR.")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Merge decisions, groups of placed LiDARs and the joint refinement."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
 
 from multilica.geometry import RigidTransform
+from multilica.results.values import Figure, Source, Target
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +24,7 @@ class Group:
     poses: Mapping[str, RigidTransform]
 
     @classmethod
-    def of_one(cls, name: str) -> Group:
+    def of_one(cls, name: str) -> "Group":
         """Create the group of a single LiDAR."""
         return cls(name, {name: RigidTransform.identity(name, name)})
 
@@ -31,12 +33,12 @@ class Group:
         """Names in order."""
         return tuple(sorted(self.poses))
 
-    def joined(self, other: Group, T_root_other: RigidTransform) -> Group:
+    def joined(self, other: "Group", T_root_other: RigidTransform) -> "Group":
         """Return this group with another one's members added."""
         added = {name: T_root_other @ pose for name, pose in other.poses.items()}
         return Group(self.root, {**self.poses, **added})
 
-    def pose_of(self, other: Group, known: RigidTransform) -> RigidTransform:
+    def pose_of(self, other: "Group", known: RigidTransform) -> RigidTransform:
         """Return the pose of the other group's root in this one's, from a pose between two of their members."""
         if known.target in other.poses:
             known = known.inverse()
@@ -45,61 +47,60 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class MergeCandidate:
-    """A pair that a merge step could have chosen.
+    """A pair that a merge step could have chosen."""
 
-    Args:
-        reason: why it does not pass.
-        uncertain: whether it is merged where no pair passes.
-        of_groups: whether the merged clouds of two groups were registered; target and source are their roots.
-    """
+    target: Target
+    source: Source
+    fitness: Annotated[
+        Figure, Field(description="Share of the source points that lie near a surface of the target cloud.")
+    ]
+    rmse_m: Annotated[Figure, Field(description="RMS distance of those points to their nearest target point.")]
+    passes: Annotated[bool, Field(description="True if the pair may be merged.")]
+    evidence: Annotated[Figure, Field(description="Evidence of the pair's registration.")] = 0.0
+    reason: Annotated[str, Field(description="Reason why the pair does not pass; empty if it does.")] = ""
+    uncertain: Annotated[bool, Field(description="True if the pair may be merged only where no other pair passes.")] = (
+        False
+    )
+    of_groups: Annotated[
+        bool,
+        Field(description="True if the merged clouds of two groups were registered; the names are their roots."),
+    ] = False
 
-    target: str
-    source: str
-    fitness: float
-    rmse_m: float
-    passes: bool
-    evidence: float = 0.0
-    reason: str = ""
-    uncertain: bool = False
-    of_groups: bool = False
+    @property
+    def names(self) -> frozenset[str]:
+        """Target and source, without order."""
+        return frozenset((self.target, self.source))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class MergeDecision:
-    """One step of the merge.
+    """One merge step."""
 
-    Args:
-        step: from 0.
-        candidates: what could have been chosen, best first.
-        chosen: the pair that was merged; None when merging stopped.
-        reason: why, in one sentence with its figures.
-        groups: members of every connected group after the step, largest first.
-    """
-
-    step: int
-    candidates: tuple[MergeCandidate, ...]
-    chosen: MergeCandidate | None
-    reason: str
-    groups: tuple[tuple[str, ...], ...]
+    step: Annotated[int, Field(description="Number of the step, from 0.")]
+    candidates: Annotated[
+        tuple[MergeCandidate, ...], Field(description="Pairs that could have been chosen, the best first.")
+    ]
+    chosen: Annotated[
+        MergeCandidate | None, Field(description="The pair that was merged; null if the merge stopped here.")
+    ]
+    reason: Annotated[str, Field(description="Reason for the decision, with its figures.")]
+    groups: Annotated[
+        tuple[tuple[str, ...], ...], Field(description="Connected LiDARs after the step, the largest group first.")
+    ]
 
 
 @dataclass(frozen=True, slots=True)
 class PairResidual:
-    """Disagreement of the rig's poses with one registered pair, before and after the joint refinement.
+    """Disagreement of the poses with one registered pair, before and after the refinement."""
 
-    Args:
-        weight: final weight of the pair, from 1 down to 0 for an outlier.
-        snapshot: name of the pair's snapshot; empty where there is only one.
-    """
-
-    target: str
-    source: str
-    before_m: float
-    before_deg: float
-    after_m: float
-    after_deg: float
-    weight: float
-    snapshot: str = ""
+    target: Target
+    source: Source
+    before_m: Annotated[Figure, Field(description="Distance before.")]
+    before_deg: Annotated[Figure, Field(description="Angle before.")]
+    after_m: Annotated[Figure, Field(description="Distance after.")]
+    after_deg: Annotated[Figure, Field(description="Angle after.")]
+    weight: Annotated[float, Field(description="Final weight of the pair: 1 for full trust, 0 for an outlier.")]
+    snapshot: Annotated[str, Field(description="Snapshot of the pair; empty for a single snapshot.")] = ""
 
 
 @dataclass(frozen=True, slots=True)

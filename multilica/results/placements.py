@@ -2,13 +2,15 @@
 """Placements of LiDARs and of the ground."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import PairKey
 from multilica.results.registrations import Registration
+from multilica.results.values import NotInDocument, Vector3
 
 PlacementStatus = Literal["placed", "uncertain", "not_placed"]
 """Uncertain: one pose stands alone and uncontradicted, but its standard deviation is above the limit."""
@@ -69,18 +71,18 @@ class GroundPlane:
         return ". ".join(parts)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Spread:
-    """Scatter of a LiDAR's pose over the snapshots of one rig.
+    """Scatter of the pose over several snapshots."""
 
-    Args:
-        snapshots: number of snapshots that place it.
-        xyz_m, rotation_deg: (3,) sample standard deviations along and about the target's axes; None below two.
-    """
-
-    snapshots: int
-    xyz_m: FloatArray | None = None
-    rotation_deg: FloatArray | None = None
+    snapshots: Annotated[int, Field(description="Number of snapshots that place the LiDAR.")]
+    xyz_m: Annotated[
+        Vector3 | None,
+        Field(description="Sample sigma along the axes of the target; null below two snapshots."),
+    ] = None
+    rotation_deg: Annotated[
+        Vector3 | None, Field(description="Sample sigma about these axes; null below two snapshots.")
+    ] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,20 +114,14 @@ class PoseConflict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContestedPlace:
-    """Two accepted pairs that put one LiDAR at different places.
+    """Two accepted pairs that put the LiDAR at different places."""
 
-    Args:
-        pair, other: (target, source) of the pairs, the one with more evidence first.
-        distance_m, angle_rad: between the two places.
-        competing: the pose of `pair` that follows from `other`, scored but not registered; None where verification is
-            off.
-    """
-
-    pair: PairKey
-    other: PairKey
-    distance_m: float
-    angle_rad: float
-    competing: Registration | None = None
+    pair: Annotated[tuple[str, str], Field(description="Target and source of the pair with more evidence.")]
+    other: Annotated[tuple[str, str], Field(description="Target and source of the other pair.")]
+    distance_m: Annotated[float, Field(description="Distance between the two places.")]
+    angle_deg: Annotated[float, Field(description="Angle between the two orientations.")]
+    # The pose of `pair` that follows from `other`, scored but not registered; None without verification.
+    competing: Annotated[Registration | None, *NotInDocument] = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,32 +3,30 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import hypothesis_label, pose_name
+from multilica.results.values import Figure, NotInDocument, Number
 from multilica.results.visibility_score import VisibilityScore
 
 
 @dataclass(frozen=True, slots=True)
 class Stability:
-    """Motion of a registered pose after perturbations. Rotations count as arcs at `LEVER_ARM_M`.
+    """Motion of the registered pose after perturbations; rotations count as arcs at 10 m."""
 
-    Args:
-        sigma_m, sigma_rad: standard deviations of position and attitude in their weakest directions; None where
-            too few points match.
-        perturbation_m: displacement of the pose along its weakest direction, to both sides.
-        perturbed_offset_m: how far from the pose the registration ends when it starts from there.
-        thinned_offset_m: how far from the pose the registration of fewer points ends.
-    """
-
-    sigma_m: float | None
-    sigma_rad: float | None
-    perturbation_m: float
-    perturbed_offset_m: float
-    thinned_offset_m: float
+    sigma_m: Annotated[Number, Field(description="Standard deviation of the position in its weakest direction.")]
+    sigma_rad: Annotated[Number, Field(description="Standard deviation of the attitude in its weakest direction.")]
+    perturbation_m: Annotated[Figure, Field(description="Displacement of the pose along its weakest direction.")]
+    perturbed_offset_m: Annotated[
+        Figure, Field(description="Distance from the pose to the end of the registration after the perturbation.")
+    ]
+    thinned_offset_m: Annotated[
+        Figure, Field(description="Distance from the pose to the end of the registration of fewer points.")
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,33 +86,26 @@ class Registration:
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Reason why a registration was not accepted, or a sensor not trusted.
+    """Reason why a registration was not accepted, or a sensor not trusted."""
 
-    Args:
-        code: stable name, for programs.
-        value, limit: the figure and the limit that it exceeds or misses.
-        text: the same for people.
-        competing: the pose that casts the doubt, where one does.
-    """
-
-    code: str
-    value: float
-    limit: float
-    text: str
-    competing: Registration | None = None
+    code: Annotated[str, Field(description="Stable name, for programs.")]
+    value: Annotated[Figure, Field(description="The measured figure.")]
+    limit: Annotated[Figure, Field(description="The limit that the figure exceeds or misses.")]
+    text: Annotated[str, Field(description="The reason for people.")]
+    # The pose that casts the doubt, if one does.
+    competing: Annotated[Registration | None, *NotInDocument] = None
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Verdict on a registration, with its reasons.
+    """Verdict on a registration, with its reasons."""
 
-    Args:
-        outcome: `accept` has no reasons; `uncertain` is a pose without competitor whose standard deviation is above
-            the limit; `undecided` has competitors, or contradicts others; `reject` is no pose that could be true.
-    """
-
-    outcome: Literal["accept", "uncertain", "undecided", "reject"]
-    reasons: tuple[Reason, ...] = ()
+    # Undecided: it has competitors or contradicts others. Rejected: it cannot be true.
+    outcome: Annotated[
+        Literal["accept", "uncertain", "undecided", "reject"],
+        Field(description="`uncertain` if only its standard deviation is above the limit."),
+    ]
+    reasons: Annotated[tuple[Reason, ...], Field(description="Reasons against it; empty if it is accepted.")] = ()
 
     @property
     def accepted(self) -> bool:

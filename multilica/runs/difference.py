@@ -14,7 +14,7 @@ from multilica.errors import InputError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray
 from multilica.results.document import ResultDocument
-from multilica.results.document.values import Entry, Number, Vector3
+from multilica.results.values import Entry, Number, Vector3
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import RunDocument
 

@@ -16,7 +16,7 @@ from pydantic import Field, InstanceOf
 from multilica.errors import InputError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.results import LidarPlacement
-from multilica.results.document.values import Entry, Number
+from multilica.results.values import Entry, Number
 from multilica.runs.pose_error import PoseError, as_sigma, normalised_error
 from multilica.runs.run_documents import SavedRun
 from multilica.sinks.files.atomic import atomic_file

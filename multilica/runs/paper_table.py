@@ -15,7 +15,7 @@ from pydantic import Field, InstanceOf
 
 from multilica.geometry import RigidTransform
 from multilica.results import LidarPlacement
-from multilica.results.document.values import Entry, Number
+from multilica.results.values import Entry, Number
 from multilica.runs.evaluation import LeftOut, Tolerances, Truth, evaluate, truth_per_run
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import SavedRun

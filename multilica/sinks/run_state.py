@@ -22,7 +22,7 @@ from multilica.results import (
 from multilica.results.document import ResultDocument
 from multilica.results.document.building import Provenance, provenance_of, result_document
 from multilica.results.document.result import ProgressEntry
-from multilica.results.document.values import Entry
+from multilica.results.values import Entry
 from multilica.sinks.text.stage_figures import stage_figures
 from multilica.snapshot import Snapshot
 

@@ -22,7 +22,7 @@ def test_two_accepted_pairs_contest_the_place_of_a_lidar():
     pairs = [pair(_FROM_B, fitness=0.4), pair(_PLACE, fitness=0.9)]
     contested = contested_place("c", _POSES, pairs, registration)
     assert (contested.pair, contested.other) == (("a", "c"), ("b", "c"))
-    assert (contested.distance_m, contested.angle_rad) == pytest.approx((3.0, np.pi / 2))
+    assert (contested.distance_m, contested.angle_deg) == pytest.approx((3.0, 90.0))
     assert contested.competing.T_target_source.distance_to(_OTHER) == pytest.approx((0.0, 0.0), abs=1e-9)
 
 

@@ -31,8 +31,8 @@ from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
+    from multilica.results import Spread
     from multilica.results.document import ResultDocument
-    from multilica.results.document.lidars import SpreadEntry
     from multilica.run import CalibrationRun
 
 SAMPLE_NAME = "edgar-street"
@@ -262,7 +262,7 @@ def _truth_table(document: ResultDocument, truth: Extrinsics) -> FoldingTable:
     return table
 
 
-def _spread(spread: SpreadEntry | None) -> tuple[str, ...]:
+def _spread(spread: Spread | None) -> tuple[str, ...]:
     """Return the standard deviations over the snapshots of the worst axes, and the number of snapshots."""
     return ("-", "-", "-") if spread is None else (*_largest(spread.xyz_m, spread.rotation_deg), str(spread.snapshots))
 

@@ -21,7 +21,7 @@ from multilica.results import (
     SensorHealth,
     SnapshotReport,
 )
-from multilica.results.document.lidars import ContestedEntry, LidarEntry, PriorEntry
+from multilica.results.document.lidars import LidarEntry, PriorEntry
 from multilica.results.document.pairs import CycleErrorEntry, PairEntry, RefinementEntry, RegistrationEntry
 from multilica.results.document.result import (
     RESULT_SCHEMA,
@@ -97,12 +97,11 @@ def _pose(T_target_source: RigidTransform | None) -> dict[str, Any]:
 def _lidar(
     placement: LidarPlacement, health: SensorHealth | None, target: str, exchanged: tuple[str, str] | None
 ) -> LidarEntry:
-    contested, prior = placement.contested, placement.T_target_source_prior
+    prior = placement.T_target_source_prior
     return LidarEntry.of(
         placement,
         **_pose(placement.T_target_source),
         prior=None if prior is None else _prior(prior, placement, target, exchanged),
-        contested=contested and ContestedEntry.of(contested, angle_deg=math.degrees(contested.angle_rad)),
         health=health,
     )
 

@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import Field
 
 from multilica.geometry import FloatArray, largest_index
-from multilica.results.document.pairs import ReasonEntry
-from multilica.results.document.values import Entry, Matrix4, Matrix6, Number, PoseEntry, Quaternion, Vector3
-from multilica.results.placements import PlacementStatus, SigmaOrigin
+from multilica.results.placements import ContestedPlace, PlacementStatus, SigmaOrigin, Spread
+from multilica.results.registrations import Reason
+from multilica.results.values import Entry, Matrix4, Matrix6, Number, PoseEntry, Quaternion, Vector3
 
 
 class PriorEntry(PoseEntry):
@@ -20,30 +20,13 @@ class PriorEntry(PoseEntry):
     surprise: str | None = Field(description="Warning about a result that is far from the prior; null if it is near.")
 
 
-class SpreadEntry(Entry):
-    """Scatter of the pose over several snapshots."""
-
-    snapshots: int = Field(description="Number of snapshots that place the LiDAR.")
-    xyz_m: Vector3 | None = Field(description="Sample sigma along the axes of the target; null below two snapshots.")
-    rotation_deg: Vector3 | None = Field(description="Sample sigma about these axes; null below two snapshots.")
-
-
 class HealthEntry(Entry):
     """Findings about the sensor itself."""
 
     returns: int = Field(description="Number of returns.")
     near_share: Number = Field(description="Share of the returns that are nearer than the minimum range.")
     blockage_ratio: Number = Field(description="Share of the field of view behind a dirty or covered window.")
-    reasons: tuple[ReasonEntry, ...] = Field(description="Reasons why the sensor is not trusted; empty if it is.")
-
-
-class ContestedEntry(Entry):
-    """Two accepted pairs that put the LiDAR at different places."""
-
-    pair: tuple[str, str] = Field(description="Target and source of the pair with more evidence.")
-    other: tuple[str, str] = Field(description="Target and source of the other pair.")
-    distance_m: float = Field(description="Distance between the two places.")
-    angle_deg: float = Field(description="Angle between the two orientations.")
+    reasons: tuple[Reason, ...] = Field(description="Reasons why the sensor is not trusted; empty if it is.")
 
 
 class LidarEntry(Entry):
@@ -66,8 +49,8 @@ class LidarEntry(Entry):
     sigma_from: SigmaOrigin = Field(description="Source of the covariance: residuals, or their widening to the spread.")
     covariance: Matrix6 | None = Field(description="Order: rotation (rad), translation (m), along the target's axes.")
     prior: PriorEntry | None = Field(description="The pose that the prior gives; null without a prior.")
-    spread: SpreadEntry | None = Field(description="Scatter over snapshots; null for a single snapshot.")
-    contested: ContestedEntry | None = Field(description="Accepted pairs that contradict each other on it, or null.")
+    spread: Spread | None = Field(description="Scatter over snapshots; null for a single snapshot.")
+    contested: ContestedPlace | None = Field(description="Accepted pairs that contradict each other on it, or null.")
     reason: str = Field(
         description="The pair or step that placed the LiDAR, or the reason why it is uncertain or not placed."
     )

@@ -14,11 +14,13 @@ from multilica.config import CalibrationConfig, Stage
 from multilica.documents import DocumentError, first_problem, parse_json, shown
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform, read_only
+from multilica.results.calibration import Refusal, SnapshotDeviation, TimeLimit
 from multilica.results.document.lidars import LidarEntry
-from multilica.results.document.pairs import DecisionEntry, PairEntry, RefinementEntry
+from multilica.results.document.pairs import PairEntry, RefinementEntry
 from multilica.results.document.stages import StageFigures
-from multilica.results.document.values import Entry, Matrix4, Number, Vector3
+from multilica.results.merging import MergeDecision
 from multilica.results.placements import LidarPlacement
+from multilica.results.values import Entry, Matrix4, Number, Vector3
 
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
 
@@ -41,27 +43,11 @@ class InputEntry(Entry):
     notes: tuple[str, ...] = Field((), description="Warnings of the reader, such as lost scans or implausible points.")
 
 
-class RefusalEntry(Entry):
-    """Reason why the snapshot was not calibrated at all."""
-
-    code: str = Field(description="Stable name, for programs.")
-    text: str = Field(description="The reason for people.")
-
-
 class ProgressEntry(Entry):
     """Progress of the run."""
 
     finished: tuple[Stage, ...] = Field(description="Finished stages, in order.")
     running: Stage | None = Field(description="The stage that was running when the document was written.")
-
-
-class DeviationEntry(Entry):
-    """Deviation of a LiDAR in one snapshot alone from its pose in the joint result."""
-
-    lidar: str = Field(description="Name of the LiDAR.")
-    distance_m: float = Field(description="Distance.")
-    angle_deg: float = Field(description="Angle.")
-    outlier: bool = Field(description="True if other snapshots outvoted this one.")
 
 
 class SnapshotEntry(Entry):
@@ -73,7 +59,7 @@ class SnapshotEntry(Entry):
     refusal: str | None = Field(description="Reason why the snapshot was left out; null if it was used.")
     outliers: tuple[str, ...] = Field(description="LiDARs on which other snapshots outvoted this one.")
     disputed: tuple[str, ...] = Field(description="LiDARs on which it contradicts other snapshots without a majority.")
-    deviations: tuple[DeviationEntry, ...] = Field(description="Per LiDAR that it places.")
+    deviations: tuple[SnapshotDeviation, ...] = Field(description="Per LiDAR that it places.")
 
 
 class GroundEntry(Entry):
@@ -99,13 +85,6 @@ class GroundEntry(Entry):
     text: str = Field(description="The same for people.")
 
 
-class TimeLimitEntry(Entry):
-    """Searches left out because the time was over; equal runs may differ."""
-
-    max_time_s: float = Field(description="The limit, `runtime.max_time_s`.")
-    not_reached: tuple[tuple[str, str], ...] = Field(description="Pairs that could have placed a LiDAR.")
-
-
 class ResultDocument(Entry):
     """The outcome of a calibration run.
 
@@ -123,15 +102,15 @@ class ResultDocument(Entry):
         "evidence",
         description="Placements were accepted by evidence of the beams, or by fitness alone, as in the paper.",
     )
-    refusal: RefusalEntry | None = Field(description="Reason why the snapshot was not calibrated; null if it was.")
+    refusal: Refusal | None = Field(description="Reason why the snapshot was not calibrated; null if it was.")
     lidars: Mapping[str, LidarEntry] = Field(description="Per LiDAR in name order, the target with the identity.")
     pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")
-    decisions: tuple[DecisionEntry, ...] = Field(description="Merge steps, in order.")
+    decisions: tuple[MergeDecision, ...] = Field(description="Merge steps, in order.")
     snapshots: tuple[SnapshotEntry, ...] = Field(description="Snapshots of a joint result, else empty.")
     refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     ground_refusal: str = Field("", description="Reason why a requested ground plane is missing; else empty.")
-    time_limit: TimeLimitEntry | None = Field(None, description="Set if the time limit ended the search.")
+    time_limit: TimeLimit | None = Field(None, description="Set if the time limit ended the search.")
     timing_s: Mapping[str, Number] = Field(description="Wall time per stage, in seconds.")
     input: InputEntry = Field(description="The snapshot that was calibrated.")
     config: Annotated[CalibrationConfig, WithJsonSchema({"type": "object"})] = Field(

@@ -6,7 +6,7 @@ from typing import TypeVar
 
 from pydantic import Field
 
-from multilica.results.document.values import Entry, Number, Vector3
+from multilica.results.values import Entry, Number, Vector3
 
 FiguresT = TypeVar("FiguresT")
 

@@ -232,7 +232,7 @@ def _template() -> Template:
 
 
 def _figure(value: float | None, scale: float, digits: int) -> str:
-    return "-" if value is None else f"{scale * value:z.{digits}f}"
+    return "-" if value is None or math.isnan(value) else f"{scale * value:z.{digits}f}"
 
 
 def _grouped(groups: Sequence[Sequence[str]]) -> str:

@@ -11,8 +11,7 @@ import pyarrow as pa
 import rerun as rr
 
 from multilica.geometry import FloatArray
-from multilica.results import MergeDecision, PairKey, PairRegistration
-from multilica.results.document.pairs import ResidualEntry
+from multilica.results import MergeDecision, PairKey, PairRegistration, PairResidual
 from multilica.sinks.drawing.palette import VERDICT_COLOURS, heat_colours
 from multilica.sinks.rerun.entity_paths import (
     COVERAGE,
@@ -87,11 +86,11 @@ def _known(value: object) -> object:
 def _pair_rows(state: RunState) -> list[dict[str, object]]:
     refinement = state.document.refinement
     refined = () if refinement is None else refinement.pairs
-    residuals = {state.key_of(*each.key): each for each in refined}
+    residuals = {state.key_of(each.target, each.source): each for each in refined}
     return [_pair_row(state, pair, residuals.get(pair)) for pair in state.pairs]
 
 
-def _pair_row(state: RunState, pair: PairKey, residual: ResidualEntry | None) -> dict[str, object]:
+def _pair_row(state: RunState, pair: PairKey, residual: PairResidual | None) -> dict[str, object]:
     found, coarse = state.registrations.get(pair), state.coarse.get(pair)
     row: dict[str, object] = {
         "target": pair[0],

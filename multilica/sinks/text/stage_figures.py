@@ -25,7 +25,7 @@ from multilica.results.document.stages import (
     StageFigures,
     VerifyFigures,
 )
-from multilica.results.document.values import Entry
+from multilica.results.values import Entry
 from multilica.sinks.text.log_lines import pair_label
 
 if TYPE_CHECKING:

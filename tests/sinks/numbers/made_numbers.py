@@ -145,7 +145,7 @@ def _placement(place: LidarPlacement) -> LidarPlacement:
         rmse_m=POSE_RMSE_MM[name] / 1000.0,
         covariance=covariance_of(name),
         T_target_source_prior=RigidTransform(TOP, name, prior),
-        spread=Spread(SNAPSHOTS[name], np.array(SPREAD_MM[name]) / 1000.0, np.array(SPREAD_DEG[name])),
+        spread=Spread(SNAPSHOTS[name], tuple(mm / 1000.0 for mm in SPREAD_MM[name]), SPREAD_DEG[name]),
     )
 
 

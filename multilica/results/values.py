@@ -1,13 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Value types of the documents that a run leaves behind."""
+"""Types of the numbers, vectors and poses in the documents that a run leaves behind."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, NoReturn, Self
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetPydanticSchema,
+    PlainSerializer,
+    WithJsonSchema,
+    field_validator,
+)
+from pydantic_core import PydanticOmit
+from pydantic_core.core_schema import none_schema
 from typing_extensions import TypeAliasType
 
 from multilica.documents import require_length
@@ -32,6 +44,10 @@ def _rigid(rows: _Rows4) -> _Rows4:
     return rows
 
 
+def _omit(*_: object) -> NoReturn:
+    raise PydanticOmit
+
+
 Vector3 = TypeAliasType("Vector3", tuple[float, float, float])
 Quaternion = TypeAliasType("Quaternion", tuple[float, float, float, float])
 Row4 = TypeAliasType("Row4", tuple[float, float, float, float])
@@ -41,6 +57,19 @@ _Rows4 = tuple[Row4, Row4, Row4, Row4]
 Number = Annotated[float | None, BeforeValidator(_plain)]
 Matrix4 = TypeAliasType("Matrix4", Annotated[_Rows4, AfterValidator(_rigid)])
 Matrix6 = TypeAliasType("Matrix6", tuple[Row6, Row6, Row6, Row6, Row6, Row6])
+
+
+Figure = Annotated[
+    float,
+    Field(allow_inf_nan=True),
+    BeforeValidator(lambda value: math.nan if value is None else value),
+    PlainSerializer(_plain, when_used="json"),
+    WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "null"}]}),
+]
+"""A number that is NaN where it is not known, in a document null."""
+
+NotInDocument: tuple[Any, ...] = (GetPydanticSchema(lambda *_: none_schema(), _omit), Field(exclude=True))
+"""Annotations of a field that documents leave out; its default is None."""
 
 
 class Entry(BaseModel):
@@ -64,11 +93,15 @@ class Entry(BaseModel):
         return cls(**found | values)
 
 
+Target = Annotated[str, Field(description="LiDAR whose frame the pose maps to.")]
+Source = Annotated[str, Field(description="LiDAR whose frame the pose maps from.")]
+
+
 class PairNames(Entry):
     """The two LiDARs of a pair."""
 
-    target: str = Field(description="LiDAR whose frame the pose maps to.")
-    source: str = Field(description="LiDAR whose frame the pose maps from.")
+    target: Target
+    source: Source
 
     @property
     def key(self) -> tuple[str, str]:
