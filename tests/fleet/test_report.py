@@ -18,7 +18,6 @@ from multilica.fleet.drift.fleet_offsets import find_offsets
 from multilica.fleet.drift.outages import find_outages
 from multilica.fleet.lidar_series import read_series
 from multilica.fleet.report import page as page_module
-from multilica.fleet.report.charts import LidarHistory
 from multilica.fleet.report.page import (
     FleetOverview,
     PageFailure,
@@ -60,15 +59,13 @@ def changed(event, **values):
 
 def read_histories(store, vehicle):
     """The histories of the LiDARs of a vehicle."""
-    return tuple(LidarHistory.of(each) for each in read_series(store) if each.vehicle == vehicle)
+    return tuple(each for each in read_series(store) if each.vehicle == vehicle)
 
 
-def renamed(history, name):
+def renamed(series, name):
     """The history of a LiDAR, a target and logs with another name."""
-    series = history.series
     poses = tuple(replace(pose, target=name, source=name) for pose in series.T_target_lidar)
-    named = replace(series, lidar=name, target=name, T_target_lidar=poses, sources=(name,) * len(series))
-    return replace(history, series=named)
+    return replace(series, lidar=name, target=name, T_target_lidar=poses, sources=(name,) * len(series))
 
 
 class Tables(HTMLParser):
@@ -135,11 +132,12 @@ def test_the_overview_has_the_numbers_of_the_tables(store, text):
 
 def test_the_lines_show_the_largest_distance_to_the_median(store, text):
     histories = read_histories(store, "v01")
-    assert [each.series.lidar for each in histories] == ["front", "rear"]
-    assert histories[0].distances_mm.max() == pytest.approx(40.0, abs=25.0)
+    assert [each.lidar for each in histories] == ["front", "rear"]
+    lengths = [np.linalg.norm(each.offsets_from_median().reshape(-1, 2, 3), axis=2) for each in histories]
+    assert lengths[0][:, 0].max() == pytest.approx(40.0, abs=25.0)
     (row,) = [row for row in Tables(text).body("overview") if row[0] == "v01"]
-    assert row[9] == f"{histories[0].distances_mm.max():.0f} mm front"
-    assert row[10].split()[0] == f"{max(each.angles_deg.max() for each in histories):.2f}"
+    assert row[9] == f"{lengths[0][:, 0].max():.0f} mm front"
+    assert row[10].split()[0] == f"{max(each[:, 1].max() for each in lengths):.2f}"
 
 
 def test_the_failures_are_those_of_the_command(store, text):
@@ -216,9 +214,11 @@ def test_offsets_and_sigmas_are_in_mm_and_deg(tmp_path):
         add_log(store, "v", day, lambda *log, s=shift_mm, t=turn_deg: [lidar_row(*log, "rear", shift_mm=s, turn_deg=t)])
     add_log(store, "v", None, lambda *log: [lidar_row(*log, "rear")])
     (history,) = read_histories(store, "v")
-    assert history.offsets == pytest.approx(np.array([[*shift, *turn] for shift, turn in moves]), abs=2e-3)
-    assert history.sigmas == pytest.approx(np.tile([*SIGMA_MM, *SIGMA_DEG], (3, 1)))
-    assert history.series.undated == 1
+    assert history.offsets_from_median() == pytest.approx(
+        np.array([[*shift, *turn] for shift, turn in moves]), abs=2e-3
+    )
+    assert history.sigmas() == pytest.approx(np.tile([*SIGMA_MM, *SIGMA_DEG], (3, 1)))
+    assert history.undated == 1
 
 
 @pytest.mark.slow
@@ -256,7 +256,7 @@ def test_names_cannot_leave_the_text(store):
         text = fleet_page(FleetOverview(HOSTILE, HOSTILE, files), [vehicle], [event], [failure])
         opened = [tag for tag, _ in Tables(text).opened]
         assert opened.count("script") == 1
-        assert opened.count("title") == 1 + 2 * len(history.series.sources)
+        assert opened.count("title") == 1 + 2 * len(history.sources)
         assert "img" not in opened
         assert not {attribute for _, values in Tables(text).opened for attribute in values if attribute[:2] == "on"}
         assert not re.search("[\u202e\x1b]", text)

@@ -4,8 +4,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -44,30 +45,6 @@ _DAYS_PER_MONTH = 30.44
 _EPOCH_MONTHS = 12 * 1970
 _PADDING = 0.03
 _LEAST_DAYS = 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LidarHistory:
-    """A series with its offsets (N, 6) from its median and their standard deviations, in mm and degrees."""
-
-    series: LidarSeries
-    offsets: FloatArray
-    sigmas: FloatArray
-
-    @classmethod
-    def of(cls, series: LidarSeries) -> LidarHistory:
-        """Compute the offsets of a series."""
-        return cls(series, series.offsets_from_median(), series.sigmas())
-
-    @property
-    def distances_mm(self) -> FloatArray:
-        """(N,) distances to the median position."""
-        return np.asarray(np.linalg.norm(self.offsets[:, :3], axis=1))
-
-    @property
-    def angles_deg(self) -> FloatArray:
-        """(N,) angles to the median rotation."""
-        return np.asarray(np.linalg.norm(self.offsets[:, 3:], axis=1))
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,137 +95,87 @@ def _label(date: np.datetime64, *, named: bool, first: bool) -> str:
     return f"{f'{int(day)} ' if named else ''}{_MONTHS[int(month) - 1]}{f' {year}' if first else ''}"
 
 
-@dataclass(frozen=True, slots=True)
-class PlotStrip:
-    """One component over time, as path data; `ticks` are rows and labels."""
-
-    name: str
-    top: float
-    ticks: tuple[tuple[float, str], ...]
-    band: str
-    line: str
-    rings: str
-    diamonds: str
-
-
-@dataclass(frozen=True, slots=True)
-class PlotSpan:
-    """An event: from where to where, its line, and its label."""
-
-    kind: str
-    left: float
-    width: float
-    line: float
-    label: str
-    label_x: float
-    label_y: float
-
-
-@dataclass(frozen=True, slots=True)
-class DriftPlot:
-    """Three strips with one axis of time.
-
-    Args:
-        months: columns and labels of the ticks.
-        logs: left edge, width and text of the area of each log with a pose.
-        missing: columns of the logs without a pose.
-    """
-
-    title: str
-    unit: str
-    summary: str
-    top: float
-    bottom: float
-    strips: tuple[PlotStrip, ...]
-    spans: tuple[PlotSpan, ...]
-    months: list[tuple[float, str]]
-    logs: tuple[tuple[float, float, str], ...]
-    missing: list[float]
-
-
 def number(value: float, digits: int = 1) -> str:
     """Return a number without trailing zeros."""
     text = f"{value:z.{digits}f}"
     return text.rstrip("0").rstrip(".") if "." in text else text
 
 
-def drift_plots(history: LidarHistory, events: Sequence[Finding], *, texts: bool) -> list[DriftPlot]:
+def drift_plots(series: LidarSeries, events: Sequence[Finding], *, texts: bool) -> list[dict[str, Any]]:
     """Return the plots of translation and rotation; none for a LiDAR that never had a pose at a known time.
 
     Args:
         events: of this LiDAR.
         texts: tell date and values of each log where the pointer rests.
+
+    Returns:
+        For each plot its three strips as path data, the spans of events, and columns in pixels: with their labels of
+        the `months`, with width and text of the `logs`, and of the logs that are `missing` a pose.
     """
-    series = history.series
     if not len(series):
         return []
     periods = [(event, period) for event in events if (period := event.period_ns) is not None]
     bounds_ns = np.array([bound for _, period in periods for bound in period], dtype=np.int64)
     axis = TimeAxis.around(np.concatenate([series.time_ns, series.missing_ns, bounds_ns]), LEFT_PX, RIGHT_PX)
     spans, rows = _spans(periods, axis)
-    top = 6.0 + rows * _LABEL_ROW_PX
-    return [_plot(history, axis, index, spans, top, texts=texts) for index in range(len(_QUANTITIES))]
+    columns, offsets, sigmas = axis.place(series.time_ns), series.offsets_from_median(), series.sigmas()
+    shared = {"spans": spans, "months": axis.ticks(), "missing": axis.place(series.missing_ns).tolist()}
+    plots = []
+    for index, part in enumerate((slice(3), slice(3, 6))):
+        own = columns, offsets[:, part], sigmas[:, part]
+        logs = _areas(series, *own, index) if texts else ()
+        plots.append({**shared, "logs": logs, **_plot(series, *own, index, 6.0 + rows * _LABEL_ROW_PX)})
+    return plots
 
 
 def _plot(
-    history: LidarHistory, axis: TimeAxis, index: int, spans: tuple[PlotSpan, ...], top: float, *, texts: bool
-) -> DriftPlot:
+    series: LidarSeries, columns: FloatArray, offsets: FloatArray, sigmas: FloatArray, index: int, top: float
+) -> dict[str, Any]:
     title, unit, names, least, digits = _QUANTITIES[index]
-    series = history.series
-    offsets, sigmas = (each[:, 3 * index : 3 * index + 3] for each in (history.offsets, history.sigmas))
-    limit = _half_range(offsets, sigmas, least)
-    columns = axis.place(series.time_ns)
-    calibrated = np.isin(np.arange(len(series)), list(series.calibrated))
-    strips = tuple(
-        _strip(name, columns, offsets[:, i], sigmas[:, i], limit, calibrated, top + i * (STRIP_PX + _GAP_PX))
-        for i, name in enumerate(names)
-    )
     sizes = np.linalg.norm(offsets, axis=1)
     worst = int(np.argmax(sizes))
-    return DriftPlot(
-        title,
-        unit,
-        f"{series.lidar}, {title}: at most {sizes[worst]:.{digits}f} {unit} from the median, "
+    # All offsets are shown, and nearly all of their bands.
+    bands = float(np.quantile(np.abs(offsets) + np.nan_to_num(sigmas), _NEARLY_ALL))
+    limit = max(least, 1.1 * float(np.abs(offsets).max()), 1.05 * bands)
+    calibrated = np.isin(np.arange(len(series)), list(series.calibrated))
+    tops = [top + i * (STRIP_PX + _GAP_PX) for i in range(3)]
+    return {
+        "title": title,
+        "unit": unit,
+        "summary": f"{series.lidar}, {title}: at most {sizes[worst]:.{digits}f} {unit} from the median, "
         f"on {day_of(int(series.time_ns[worst]))}",
-        top,
-        top + 3 * STRIP_PX + 2 * _GAP_PX,
-        strips,
-        spans,
-        axis.ticks(),
-        _areas(series, columns, offsets, sigmas, index) if texts else (),
-        axis.place(series.missing_ns).tolist(),
-    )
-
-
-def _half_range(offsets: FloatArray, sigmas: FloatArray, least: float) -> float:
-    """Return the half range of an axis: all offsets, and nearly all of their bands."""
-    bands = np.abs(offsets) + np.nan_to_num(sigmas)
-    return max(least, 1.1 * float(np.abs(offsets).max()), 1.05 * float(np.quantile(bands, _NEARLY_ALL)))
+        "top": top,
+        "bottom": tops[-1] + STRIP_PX,
+        "strips": [
+            {"name": name} | _strip(columns, offsets[:, i], sigmas[:, i], limit, calibrated, tops[i])
+            for i, name in enumerate(names)
+        ],
+    }
 
 
 def _strip(
-    name: str,
     columns: FloatArray,
     offsets: FloatArray,
     sigmas: FloatArray,
     limit: float,
     calibrated: npt.NDArray[np.bool_],
     top: float,
-) -> PlotStrip:
+) -> dict[str, Any]:
     def row(values: npt.ArrayLike) -> FloatArray:
         return np.asarray(top + STRIP_PX * (0.5 - np.clip(np.divide(values, limit), -1.0, 1.0) / 2.0))
 
     tick = _nice_below(0.85 * limit)
     places = np.column_stack([columns, row(offsets)])
-    return PlotStrip(
-        name,
-        top,
-        tuple((float(row(at)), _signed(at)) for at in (tick, 0.0, -tick)),
-        _band(columns, row(offsets + sigmas), row(offsets - sigmas), np.isfinite(sigmas)),
-        _path(places),
-        _marks(places[~calibrated], *_RING),
-        _marks(places[calibrated], *_DIAMOND),
-    )
+    return {
+        "top": top,
+        "ticks": [
+            (float(row(at)), "0" if at == 0.0 else f"{at:+g}".replace("-", "\u2212")) for at in (tick, 0.0, -tick)
+        ],
+        "band": _band(columns, row(offsets + sigmas), row(offsets - sigmas), np.isfinite(sigmas)),
+        "line": _path(places),
+        "rings": _marks(places[~calibrated], *_RING),
+        "diamonds": _marks(places[calibrated], *_DIAMOND),
+    }
 
 
 def _path(places: npt.ArrayLike) -> str:
@@ -273,7 +200,7 @@ def _band(columns: FloatArray, upper: FloatArray, lower: FloatArray, known: npt.
     return "".join(areas)
 
 
-def _spans(periods: Sequence[tuple[Finding, tuple[int, int]]], axis: TimeAxis) -> tuple[tuple[PlotSpan, ...], int]:
+def _spans(periods: Sequence[tuple[Finding, tuple[int, int]]], axis: TimeAxis) -> tuple[list[dict[str, Any]], int]:
     """Return the spans of events with labels that do not overlap, and the number of rows of labels."""
     spans, ends_px = [], list[float]()
     for event, period_ns in sorted(periods, key=lambda each: each[1][0]):
@@ -284,9 +211,10 @@ def _spans(periods: Sequence[tuple[Finding, tuple[int, int]]], axis: TimeAxis) -
         centre = min(max(line, LEFT_PX + half_px), RIGHT_PX - half_px)
         row = next((row for row, end in enumerate(ends_px) if end < centre - half_px), len(ends_px))
         ends_px[row : row + 1] = [centre + half_px]
+        place = {"left": left, "width": max(right - left, 1.0), "line": line, "label_x": centre}
         label_y = _LABEL_ROW_PX * (row + 1) - 2.0
-        spans.append(PlotSpan(event.kind, left, max(right - left, 1.0), line, label, centre, label_y))
-    return tuple(spans), len(ends_px)
+        spans.append({"kind": event.kind, "label": label, "label_y": label_y, **place})
+    return spans, len(ends_px)
 
 
 def _areas(
@@ -316,46 +244,40 @@ def _nice_below(value: float) -> float:
     )
 
 
-def _signed(value: float) -> str:
-    return "0" if value == 0.0 else f"{value:+g}".replace("-", "\u2212")
-
-
-@dataclass(frozen=True, slots=True)
-class Sparkline:
-    """Small lines of a vehicle.
+def sparklines(
+    vehicles: Mapping[str, Sequence[LidarSeries]], columns: slice
+) -> tuple[float, dict[str, dict[str, Any]]]:
+    """Draw the distances of the LiDARs of each vehicle from their median poses, as small lines.
 
     Args:
-        largest, lidar: the largest value, and whose it is.
-        paths: per LiDAR its path data and whether it is the one with the largest value, which comes last.
+        columns: of `LidarSeries.offsets_from_median`.
+
+    Returns:
+        The largest value of the scale, which is that of all vehicles and begins at zero. For each vehicle its largest
+        value, whose it is, and per LiDAR its path data and whether it is that one, which comes last.
     """
-
-    largest: float
-    lidar: str
-    paths: tuple[tuple[str, bool], ...]
-
-
-def sparklines(
-    vehicles: Mapping[str, Sequence[LidarHistory]], values: Callable[[LidarHistory], FloatArray]
-) -> tuple[float, dict[str, Sparkline]]:
-    """Draw the values (N,) of each history of each vehicle, all with one scale from zero to the value returned."""
-    drawn = {
-        name: sorted((each for each in own if len(each.series)), key=lambda each: float(values(each).max()))
-        for name, own in vehicles.items()
-    }
-    largest = {name: float(values(own[-1]).max()) for name, own in drawn.items() if own}
-    if not largest:
+    drawn = {}
+    for name, histories in vehicles.items():
+        own = [
+            (np.linalg.norm(each.offsets_from_median()[:, columns], axis=1), each) for each in histories if len(each)
+        ]
+        if own:
+            drawn[name] = sorted(own, key=lambda line: float(line[0].max()))
+    if not drawn:
         return 0.0, {}
+    largest = {name: float(own[-1][0].max()) for name, own in drawn.items()}
     top = min(max(largest.values()), _TALLEST * float(np.median(list(largest.values())))) or 1.0
-    return top, {name: Sparkline(size, *_lines(drawn[name], values, top)) for name, size in largest.items()}
+    return top, {
+        name: {"largest": largest[name], "lidar": own[-1][1].lidar, "paths": _lines(own, top)}
+        for name, own in drawn.items()
+    }
 
 
-def _lines(
-    histories: Sequence[LidarHistory], values: Callable[[LidarHistory], FloatArray], top: float
-) -> tuple[str, tuple[tuple[str, bool], ...]]:
-    axis = TimeAxis.around(np.concatenate([each.series.time_ns for each in histories]), 0.0, LINE_WIDTH_PX)
+def _lines(own: Sequence[tuple[FloatArray, LidarSeries]], top: float) -> list[tuple[str, bool]]:
+    axis = TimeAxis.around(np.concatenate([series.time_ns for _, series in own]), 0.0, LINE_WIDTH_PX)
     paths = []
-    for each in histories:
-        height_px = (LINE_HEIGHT_PX - 2 * _LINE_MARGIN_PX) * np.minimum(values(each) / top, 1.0)
-        places = np.column_stack([axis.place(each.series.time_ns), LINE_HEIGHT_PX - _LINE_MARGIN_PX - height_px])
-        paths.append((_path(places) + ("h0" if len(places) == 1 else ""), each is histories[-1]))
-    return histories[-1].series.lidar, tuple(paths)
+    for values, series in own:
+        height_px = (LINE_HEIGHT_PX - 2 * _LINE_MARGIN_PX) * np.minimum(values / top, 1.0)
+        places = np.column_stack([axis.place(series.time_ns), LINE_HEIGHT_PX - _LINE_MARGIN_PX - height_px])
+        paths.append((_path(places) + ("h0" if len(places) == 1 else ""), series is own[-1][1]))
+    return paths

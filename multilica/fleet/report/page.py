@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cache
@@ -23,12 +23,11 @@ from multilica.fleet.drift.drift import find_drift
 from multilica.fleet.drift.findings import DriftEvent, Finding
 from multilica.fleet.drift.fleet_offsets import find_offsets
 from multilica.fleet.drift.outages import find_outages
-from multilica.fleet.lidar_series import read_series
+from multilica.fleet.lidar_series import LidarSeries, read_series
 from multilica.fleet.report import charts
-from multilica.fleet.report.charts import DriftPlot, LidarHistory, drift_plots, sparklines
+from multilica.fleet.report.charts import drift_plots, sparklines
 from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.store import Store
-from multilica.fleet.times import day_of
 from multilica.sinks.report.template import own_text, page_template
 
 MAX_BYTES = 8_000_000
@@ -48,8 +47,6 @@ class FleetOverview:
     """The figures of the whole store on the page.
 
     Args:
-        store: its address, for people.
-        version: of multilica.
         files: relative path of the store as seen from the page, "" if the page lies in its top folder; None if no file
             of the store can be linked.
     """
@@ -64,8 +61,6 @@ class PageVehicle:
     """A row of the overview, and the section of a vehicle.
 
     Args:
-        first, last: times of its first and last log; None without a time.
-        without_result: logs that are refused or failed.
         not_placed_last: LiDARs without a certain pose in the last log with a result, with reasons.
         histories: of its LiDARs except the target; empty if they are not to be drawn.
     """
@@ -79,7 +74,7 @@ class PageVehicle:
     without_result: int
     duplicates: int
     not_placed_last: tuple[str, ...] = ()
-    histories: tuple[LidarHistory, ...] = ()
+    histories: tuple[LidarSeries, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +83,6 @@ class PageFailure:
 
     Args:
         lidar: empty if it is the whole log.
-        outcome: state of the log, or status of the LiDAR.
         recording: path in the store; empty if there is none.
     """
 
@@ -117,9 +111,7 @@ def store_report(store: Store, page: Path) -> str:
         rows = list(answer.rows())
     drawn = drawn_vehicles([vehicle for vehicle, *_ in rows], events, failures)
     histories = {
-        vehicle: tuple(map(LidarHistory.of, own))
-        for vehicle, own in groupby(series, key=lambda each: each.vehicle)
-        if vehicle in drawn
+        vehicle: tuple(own) for vehicle, own in groupby(series, key=lambda each: each.vehicle) if vehicle in drawn
     }
     vehicles = [
         replace(
@@ -181,7 +173,10 @@ def fleet_page(
     names = drawn_vehicles([each.name for each in vehicles if each.histories], events, failures)
     page = ""
     for count, texts in ((len(names), True), *((len(names) >> halvings, False) for halvings in range(8)), (0, False)):
-        page = _template().render(context | _sections(vehicles, context["own_events"], set(names[:count]), texts=texts))
+        shown = [vehicle for vehicle in vehicles if vehicle.name in names[:count]]
+        own = context["own_events"]
+        plots = {each.name: _plots(each, own.get(each.name, ()), texts=texts) for each in shown}
+        page = _template().render(context, shown=shown, plots=plots)
         if len(page.encode()) <= MAX_BYTES:
             break
     return page
@@ -202,10 +197,6 @@ def _context(
     rank = {reason: index for index, (reason, *_) in enumerate(causes)}
     times = [time for vehicle in vehicles for time in (vehicle.first, vehicle.last) if time is not None]
     histories = {vehicle.name: vehicle.histories for vehicle in vehicles}
-    lines = {
-        "mm": sparklines(histories, lambda history: history.distances_mm),
-        "deg": sparklines(histories, lambda history: history.angles_deg),
-    }
     return {
         "overview": overview,
         "vehicles": vehicles,
@@ -226,32 +217,18 @@ def _context(
         "first": min(times, default=None),
         "last": max(times, default=None),
         "anchors": {vehicle.name: f"vehicle-{index}" for index, vehicle in enumerate(vehicles, 1)},
-        "lines": lines,
+        "lines": {"mm": sparklines(histories, slice(3)), "deg": sparklines(histories, slice(3, 6))},
         "line_size": (charts.LINE_WIDTH_PX, charts.LINE_HEIGHT_PX),
         "frame": _FRAME,
         "max_drawn": MAX_DRAWN,
     }
 
 
-def _sections(
-    vehicles: Sequence[PageVehicle], events: Mapping[str, Sequence[Finding]], drawn: set[str], *, texts: bool
-) -> dict[str, Any]:
-    """Return the vehicles that have a section, and the plots per LiDAR."""
-    shown = [vehicle for vehicle in vehicles if vehicle.name in drawn]
-    return {
-        "shown": shown,
-        "plots": {each.name: _plots(each, events.get(each.name, ()), texts=texts) for each in shown},
-    }
-
-
-def _plots(vehicle: PageVehicle, events: Sequence[Finding], *, texts: bool) -> list[tuple[Any, list[DriftPlot]]]:
+def _plots(vehicle: PageVehicle, events: Sequence[Finding], *, texts: bool) -> list[tuple[LidarSeries, Any]]:
     """Return the series of a vehicle with their plots, those with an event first."""
-    own = [
-        (history, [event for event in events if history.series.lidar in _lidars(event)])
-        for history in vehicle.histories
-    ]
+    own = [(series, [event for event in events if series.lidar in _lidars(event)]) for series in vehicle.histories]
     own.sort(key=lambda each: not each[1])
-    return [(history.series, drift_plots(history, found, texts=texts)) for history, found in own]
+    return [(series, drift_plots(series, found, texts=texts)) for series, found in own]
 
 
 def _lidars(event: Finding) -> tuple[str, ...]:
@@ -270,22 +247,14 @@ def _causes(failures: Sequence[PageFailure]) -> list[tuple[str, int, int]]:
 def _template() -> Template:
     style = own_text("multilica.sinks.report", "page.css") + own_text(_PACKAGE, "page.css")
     filters = {
-        "day": _day,
-        "day_of": day_of,
-        "counted": _counted,
+        "day": lambda time: "-" if time is None else f"{time:%Y-%m-%d}",
+        "counted": lambda count, noun: f"{count:,} {noun}{'' if count == 1 else 's'}",
         "px": charts.number,
-        "address": _address,
+        # Relative, and names in the store may hold percent signs.
+        "address": lambda path, files: quote(f"{files}/{path}" if files else f"./{path}"),
         "with_dates": _with_dates,
     }
     return page_template(_PACKAGE, style, own_text(_PACKAGE, "page.js"), filters, one_line=True)
-
-
-def _day(time: datetime | None) -> str:
-    return "-" if time is None else f"{time:%Y-%m-%d}"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count:,} {noun}{'' if count == 1 else 's'}"
 
 
 def _with_dates(text: str) -> Markup:
@@ -293,8 +262,3 @@ def _with_dates(text: str) -> Markup:
     parts = _DATE.split(escape_controls(text))
     date = Markup('<span class="when">{}</span>')
     return Markup("").join(date.format(part) if index % 2 else part for index, part in enumerate(parts))
-
-
-def _address(path: str, files: str) -> str:
-    """Return the relative address of a file of the store, whose names may hold percent signs."""
-    return quote(f"{files}/{path}" if files else f"./{path}")
