@@ -1,5 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Significant changes of one series of poses."""
+"""Significant changes of one series of poses, between and in periods in which the pose rests or creeps.
+
+The partition with the least penalised cost is found by dynamic programming (Jackson et al., IEEE Signal Process. Lett.
+12, 2005). The cost of a period is the weighted sum of squares about its mean or its line in time, so that for two
+periods the search is the generalised likelihood ratio test over all splits (Basseville & Nikiforov, Detection of Abrupt
+Changes, 1993). The penalties are the thresholds of the tests at the false-alarm rate, corrected for their number.
+
+`ruptures` has the same search, but its `BaseCost.fit` takes a signal without covariances: each log here has its own, of
+all six components. A custom cost would have to compute all of this file but the ten lines of `_partition`.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +16,173 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import f as f_distribution
 
 from multilica.fleet.drift.dispersion import SHARED_COVARIANCE, ScatteredPoses
 from multilica.fleet.drift.findings import ChangeKind
-from multilica.fleet.drift.segments import Period, PeriodFits, Thresholds, partition, place
 from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray
+
+_MIN_LOGS = 2
+"""Least logs of a period: a jump needs a second log that confirms it, or one bad pose would be two jumps."""
+_MIN_CREEP_LOGS = 4
+_SPLIT_TESTS, _CREEP_TESTS = 4.0 / 3.0, 4.0
+# More boundaries are not tried at first; each one found is then placed among all logs.
+_MAX_BOUNDARIES = 200
+_NEWEST_LOGS = 16
+_RIDGE = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """Logs from `start` up to, and without, `end`."""
+
+    start: int
+    end: int
+    creeps: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Thresholds:
+    """Least reduction of the sum of squares that a jump and a creep must bring, in a series of N logs.
+
+    Three quarters of the false alarms are left to the best of all splits, a quarter to the creep (Bonferroni): with
+    equal parts, the creep would have so much the lower threshold that it would be named for jumps of short series.
+    """
+
+    false_alarm_rate: float
+    logs: int
+    dof: float
+
+    def least(self, *, creep: bool) -> float:
+        """Return the limit for a creep, or for a jump at the best split."""
+        return 6.0 * float(f_distribution.isf(self.false_alarm_rate / self._tests(creep=creep), 6, self.dof))
+
+    def p_value(self, squared: float, *, creep: bool) -> float:
+        """Return the share of series without any change in which the best jump, or the creep, is as large."""
+        return min(1.0, self._tests(creep=creep) * float(f_distribution.sf(squared / 6.0, 6, self.dof)))
+
+    def _tests(self, *, creep: bool) -> float:
+        return _CREEP_TESTS if creep else _SPLIT_TESTS * max(1, self.logs - 2 * _MIN_LOGS + 1)
+
+
+class PeriodFits:
+    """Weighted fits of constants and lines to any period of a series.
+
+    Args:
+        poses: whose order is that of time.
+    """
+
+    def __init__(self, poses: ScatteredPoses) -> None:
+        time_ns = poses.series.time_ns
+        self.count = len(time_ns)
+        since = (time_ns - time_ns[0]).astype(np.float64) if self.count else np.zeros(0)
+        self.span_ns = max(float(since[-1]) if self.count else 0.0, 1.0)
+        self.time = 2.0 * since / self.span_ns - 1.0
+        weights = np.linalg.inv(poses.covariances)
+        weighted = np.einsum("nij,nj->ni", weights, poses.offsets_m)
+        t = self.time
+        self._w, self._wt, self._wtt = (_sums(weights * factor[:, None, None]) for factor in (t**0, t, t**2))
+        self._y, self._yt = (_sums(weighted * factor[:, None]) for factor in (t**0, t))
+        self._yy = _sums(np.einsum("ni,ni->n", weighted, poses.offsets_m))
+
+    def costs(self, starts: np.ndarray, end: int) -> tuple[FloatArray, FloatArray]:
+        """Return the sums of squares about the mean and about the line of the periods from each start to one end."""
+        total = self._yy[end] - self._yy[starts]
+        right = self._y[end] - self._y[starts]
+        mean = np.linalg.solve(self._w[end] - self._w[starts], right[..., None])[..., 0]
+        flat = total - np.einsum("ni,ni->n", mean, right)
+        sloped = np.full(len(starts), np.inf)
+        able = (end - starts >= _MIN_CREEP_LOGS) & (self.time[end - 1] > self.time[starts])
+        if able.any():
+            matrix, both = self._line(starts[able], end)
+            line = np.linalg.solve(matrix, both[..., None])[..., 0]
+            sloped[able] = total[able] - np.einsum("ni,ni->n", line, both)
+        return flat, sloped
+
+    def value(self, period: Period, time: float) -> tuple[FloatArray, FloatArray]:
+        """Return the pose (6,) that a period has at a time (-1 to 1 over the series), and its covariance (6, 6)."""
+        if not period.creeps:
+            covariance = np.linalg.inv(self._w[period.end] - self._w[period.start])
+            return covariance @ (self._y[period.end] - self._y[period.start]), covariance
+        line, covariance = self.line(period)
+        at = np.hstack([np.eye(6), time * np.eye(6)])
+        return at @ line, at @ covariance @ at.T
+
+    def line(self, period: Period) -> tuple[FloatArray, FloatArray]:
+        """Return the line (12,) through a period, its value at time 0 and its slope, and its covariance (12, 12)."""
+        matrix, both = self._line(np.array([period.start]), period.end)
+        covariance = np.linalg.inv(matrix[0])
+        return covariance @ both[0], covariance
+
+    def motion(self, period: Period) -> tuple[FloatArray, FloatArray]:
+        """Return how far (6,) the line through a period moves from its first to its last log, and its covariance."""
+        line, covariance = self.line(period)
+        span = self.time[period.end - 1] - self.time[period.start]
+        return span * line[6:], span**2 * covariance[6:, 6:]
+
+    def jump(self, before: Period, after: Period) -> tuple[FloatArray, FloatArray]:
+        """Return the difference (6,) between two neighbouring periods half way between them, and its covariance."""
+        between = (self.time[after.start - 1] + self.time[after.start]) / 2.0
+        (old, old_covariance), (new, new_covariance) = self.value(before, between), self.value(after, between)
+        return new - old, old_covariance + new_covariance
+
+    def _line(self, starts: np.ndarray, end: int) -> tuple[FloatArray, FloatArray]:
+        w, wt, wtt = (sums[end] - sums[starts] for sums in (self._w, self._wt, self._wtt))
+        ridge = _RIDGE * np.trace(w, axis1=1, axis2=2)[:, None, None] * np.eye(6)
+        matrix = np.block([[w, wt], [wt, wtt + ridge]])
+        return matrix, np.hstack([self._y[end] - self._y[starts], self._yt[end] - self._yt[starts]])
+
+
+def _partition(fits: PeriodFits, thresholds: Thresholds) -> list[Period]:
+    """Partition a series into the periods of least cost; a single one that rests if nothing significant happens."""
+    if fits.count < 2 * _MIN_LOGS:
+        return [Period(0, fits.count)]
+    spread = np.linspace(0, fits.count, min(fits.count, _MAX_BOUNDARIES) + 1).round().astype(int)
+    # A jump that has just been confirmed may not wait until it falls on a boundary.
+    boundaries = np.union1d(spread, np.arange(max(0, fits.count - _NEWEST_LOGS), fits.count))
+    jump, creep = thresholds.least(creep=False), thresholds.least(creep=True)
+    best = [-jump, *[np.inf] * (len(boundaries) - 1)]
+    last: list[tuple[int, bool]] = [(0, False)] * len(boundaries)
+    for index, end in enumerate(boundaries):
+        able = np.flatnonzero((boundaries <= end - _MIN_LOGS) & np.isfinite(best))
+        if not len(able):
+            continue
+        flat, sloped = fits.costs(boundaries[able], int(end))
+        options = np.array(best)[able] + np.minimum(flat, sloped + creep) + jump
+        chosen = int(np.argmin(options))
+        best[index] = float(options[chosen])
+        last[index] = int(able[chosen]), bool(sloped[chosen] + creep < flat[chosen])
+    periods: list[Period] = []
+    index = len(boundaries) - 1
+    while index:
+        start, creeps = last[index]
+        periods.insert(0, Period(int(boundaries[start]), int(boundaries[index]), creeps))
+        index = start
+    return _place(fits, periods)
+
+
+def _place(fits: PeriodFits, periods: list[Period]) -> list[Period]:
+    """Return the periods with each boundary at its best place among the logs next to it."""
+    placed = list(periods)
+    reach = 2 * -(-fits.count // _MAX_BOUNDARIES)
+    for index in range(len(placed) - 1):
+        before, after = placed[index : index + 2]
+        first = max(before.start + _MIN_LOGS, after.start - reach)
+        options = range(first, min(after.end - _MIN_LOGS, after.start + reach) + 1)
+        costs = [_cost(fits, before, before.start, at) + _cost(fits, after, at, after.end) for at in options]
+        at = options[int(np.argmin(costs))]
+        placed[index : index + 2] = [Period(before.start, at, before.creeps), Period(at, after.end, after.creeps)]
+    return placed
+
+
+def _cost(fits: PeriodFits, period: Period, start: int, end: int) -> float:
+    flat, sloped = fits.costs(np.array([start]), end)
+    return float((sloped if period.creeps else flat)[0])
+
+
+def _sums(values: FloatArray) -> FloatArray:
+    return np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,9 +266,9 @@ def find_changes(poses: ScatteredPoses, false_alarm_rate: float) -> SeriesChange
     """
     fits = PeriodFits(poses)
     thresholds = Thresholds(false_alarm_rate, fits.count, poses.dof)
-    periods = partition(fits, thresholds)
+    periods = _partition(fits, thresholds)
     while (weakest := _weakest(poses, fits, periods, thresholds)) is not None:
-        periods = place(fits, _without(fits, periods, weakest, thresholds))
+        periods = _place(fits, _without(fits, periods, weakest, thresholds))
     changes = [
         change
         for _, change in _tested(poses, fits, periods, thresholds)

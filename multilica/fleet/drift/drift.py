@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from multilica.errors import UsageError
 from multilica.fleet.drift.changes import PoseChange, SeriesChanges, find_changes
 from multilica.fleet.drift.dispersion import calibrate_scatter
-from multilica.fleet.drift.findings import DriftEvent, MovedPart, vector
+from multilica.fleet.drift.findings import DriftEvent, MovedPart
 from multilica.fleet.lidar_series import LidarSeries
 from multilica.geometry import FloatArray, skew
 
@@ -115,21 +115,14 @@ def _event(change: PoseChange, lidars: tuple[str, ...], moved: MovedPart, offset
         last_before_time_ns=change.start_ns,
         last_key=series.keys[change.end],
         last_time_ns=change.end_ns,
-        translation_m=vector(offset[3:]),
-        rotation_rad=vector(offset[:3]),
+        translation_m=offset[3:].tolist(),
+        rotation_rad=offset[:3].tolist(),
         p_value=change.p_value,
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """A LiDAR's change in the frame of the target.
-
-    Args:
-        xyz_m: (3,) position before it.
-        offset: (6,) rotation (rad), translation (m) along the target's axes.
-        covariance: (6, 6) of the offset.
-    """
+class _Seen(NamedTuple):
+    """A LiDAR's position (3,), and its offset (6,) along the target's axes (rotation rad, translation m)."""
 
     xyz_m: FloatArray
     offset: FloatArray

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import BaseModel, Field, PlainSerializer, computed_field
 
 from multilica.fleet.times import day_of, moment
@@ -67,7 +66,8 @@ class DriftEvent(BaseModel, frozen=True):
         if self.kind == "jump":
             return None
         share = _RATE_DAYS * _NS_PER_DAY / (self.last_time_ns - self.last_before_time_ns)
-        return vector(np.multiply(self.translation_m, share)), vector(np.multiply(self.rotation_rad, share))
+        x, y, z, *rotation_rad = (share * value for value in (*self.translation_m, *self.rotation_rad))
+        return (x, y, z), (rotation_rad[0], rotation_rad[1], rotation_rad[2])
 
     @property
     def period_ns(self) -> tuple[int, int]:
@@ -197,12 +197,6 @@ def drift_document(
     found = {"moved": events, "offset": offsets, "lost": outages}
     document = {name: [each.model_dump(mode="json", by_alias=True) for each in own] for name, own in found.items()}
     return {"schema": "multilica/drift/1", **document}
-
-
-def vector(values: npt.ArrayLike) -> Vector:
-    """Return three numbers."""
-    x, y, z = np.asarray(values, dtype=np.float64).tolist()
-    return x, y, z
 
 
 def _lengths(translation_m: Vector, rotation_rad: Vector) -> tuple[float, float]:

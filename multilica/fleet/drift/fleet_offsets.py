@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import f as f_distribution
@@ -14,7 +14,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.fleet.drift.changes import find_changes
 from multilica.fleet.drift.dispersion import PRIOR_LOGS, SHARED_COVARIANCE, calibrate_scatter, power_of, robust_scatter
 from multilica.fleet.drift.drift import FALSE_ALARM_RATE
-from multilica.fleet.drift.findings import FleetOffset, OffsetScope, vector
+from multilica.fleet.drift.findings import FleetOffset, OffsetScope
 from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray, RigidTransform
 
@@ -29,8 +29,7 @@ _T_DOF = 4.0
 _ITERATIONS = 30
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Mounted:
+class _Mounted(NamedTuple):
     """The present pose of a LiDAR on its vehicle, as offset (6,) in metres from the reference."""
 
     vehicle: str
@@ -57,13 +56,15 @@ def find_offsets(
     Raises:
         InputError: a joint of the nominal rig between a LiDAR and its target moves.
     """
+    designed = frozenset[str]() if nominal is None else nominal.members
     fleets: dict[tuple[str, str], list[_Mounted]] = defaultdict(list)
     references: dict[tuple[str, str], RigidTransform] = {}
     for poses in calibrate_scatter(series):
         each = poses.series
         pair = each.lidar, each.target
         if pair not in references:
-            references[pair] = _nominal_pose(nominal, each) or each.T_target_lidar[-1]
+            known = nominal.between(each.target, each.lidar) if nominal and {*pair} <= designed else None
+            references[pair] = known or each.T_target_lidar[-1]
         changes = find_changes(poses, false_alarm_rate)
         newest, covariance = changes.fits.value(changes.periods[-1], float(changes.fits.time[-1]))
         own = each.T_target_lidar[len(each) // 2].offset_from(references[pair]) * TO_LENGTHS
@@ -71,7 +72,7 @@ def find_offsets(
     return [
         offset
         for (lidar, target), mounted in sorted(fleets.items())
-        for offset in _offsets(lidar, target, mounted, false_alarm_rate, has_nominal=_has(nominal, lidar, target))
+        for offset in _offsets(lidar, target, mounted, false_alarm_rate, has_nominal={lidar, target} <= designed)
     ]
 
 
@@ -88,8 +89,8 @@ def _offsets(
             scope=scope,
             vehicle=vehicle,
             vehicles=count,
-            translation_m=vector(parts[3:]),
-            rotation_rad=vector(parts[:3]),
+            translation_m=parts[3:].tolist(),
+            rotation_rad=parts[:3].tolist(),
             p_value=p_value,
         )
 
@@ -135,13 +136,3 @@ def _robust_mean(offsets_m: FloatArray, covariances: FloatArray, start_m: FloatA
 def _p_value(offset_m: FloatArray, covariance: FloatArray, dof: float, tests: int) -> float:
     squared = float(offset_m @ np.linalg.solve(covariance, offset_m))
     return min(1.0, tests * float(f_distribution.sf(squared / 6.0, 6, dof)))
-
-
-def _has(nominal: Extrinsics | None, lidar: str, target: str) -> bool:
-    return nominal is not None and {lidar, target} <= nominal.members
-
-
-def _nominal_pose(nominal: Extrinsics | None, series: LidarSeries) -> RigidTransform | None:
-    if nominal is None or not _has(nominal, series.lidar, series.target):
-        return None
-    return nominal.between(series.target, series.lidar)
