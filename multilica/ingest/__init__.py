@@ -2,8 +2,15 @@
 """Readers of recordings of every format as snapshots."""
 
 from multilica.ingest.metadata import frames_recorded
-from multilica.ingest.snapshot_reader import TakenSnapshot, read_snapshot, take_snapshot
-from multilica.ingest.split_sources import SnapshotSource, find_snapshots, require_calibratable, require_lidar
+from multilica.ingest.snapshot_reader import (
+    SnapshotSource,
+    TakenSnapshot,
+    find_snapshots,
+    read_snapshot,
+    require_calibratable,
+    require_lidar,
+    take_snapshot,
+)
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
 from multilica.ingest.transforms.prior import Prior, read_prior
 

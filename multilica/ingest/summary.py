@@ -16,10 +16,8 @@ from multilica.ingest.message_types import OUSTER_TURN, Cloud, is_cloud
 from multilica.ingest.metadata import config_for
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
-from multilica.ingest.selection.topics import choose_topics, unread_notes
-from multilica.ingest.selection.window import Window, collect_frames, require_frames
-from multilica.ingest.snapshot_reader import assemble_snapshot, with_recorded_notes
-from multilica.ingest.split_sources import require_calibratable
+from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
+from multilica.ingest.snapshot_reader import assemble_snapshot, require_calibratable, with_recorded_notes
 from multilica.ingest.transforms.prior import read_static_transforms
 from multilica.snapshot import Snapshot
 
