@@ -15,7 +15,7 @@ from multilica.errors import UnknownNameError, UsageError
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
     from multilica.geometry import RigidTransform
-    from multilica.ingest.transforms.urdf import Joint
+    from multilica.ingest.transforms import Joint
 
     Writer = Callable[[Extrinsics], str | bytes]
     """A function that returns the content of a file."""
@@ -76,7 +76,7 @@ _ALL = (
         "urdf",
         ".urdf",
         "multilica.sinks.text.extrinsics_text:urdf_text",
-        "multilica.ingest.transforms.urdf:read_urdf",
+        "multilica.ingest.transforms:read_urdf",
         also_read=".xacro .xml",
     ),
     ExchangeFormat(

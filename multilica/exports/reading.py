@@ -10,7 +10,7 @@ from multilica.exports.ros_launch import EXECUTABLE
 from multilica.exports.text_files import KALIBR_MATRIX, KITTI_LINE
 from multilica.exports.values import read_text, read_yaml
 from multilica.extrinsics import Extrinsics, read_extrinsics_table
-from multilica.ingest.transforms.urdf import parse_xml
+from multilica.ingest.transforms import parse_xml
 
 
 def read_extrinsics(

@@ -20,7 +20,7 @@ from multilica.errors import UsageError
 from multilica.exports.values import numbers, pose_of_quaternion, pose_of_rpy, read_text
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.ingest.transforms.urdf import parse_xml
+from multilica.ingest.transforms import parse_xml
 from multilica.sinks.text.extrinsics_text import child_poses, number_text
 
 EXECUTABLE = "static_transform_publisher"
@@ -192,7 +192,7 @@ def read_tf_static(path: Path) -> Sequence[RigidTransform]:
     """Read `/tf_static` of an MCAP file or ROS bag."""
     from multilica.ingest.locate import find_source
     from multilica.ingest.opening import open_source
-    from multilica.ingest.transforms.prior import read_static_transforms
+    from multilica.ingest.transforms import read_static_transforms
 
     with closing(open_source(find_source(path))) as recording:
         poses, notes = read_static_transforms(recording)

@@ -11,7 +11,7 @@ from multilica.errors import InputError, UnreadableSourceError
 from multilica.exports.values import extrinsics_of_tree
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.ingest.transforms.urdf import Joint, read_urdf
+from multilica.ingest.transforms import Joint, read_urdf
 from multilica.sinks.text.extrinsics_text import child_poses, number_list
 
 _TAG = rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>"""

@@ -14,7 +14,7 @@ from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_yaml, read_
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.ingest.transforms.urdf import MAX_ANGLE_RAD, Joint
+from multilica.ingest.transforms import MAX_ANGLE_RAD, Joint
 from multilica.sinks.text.extrinsics_text import number_list
 
 _MAX_LISTED = 3

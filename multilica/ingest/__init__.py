@@ -12,7 +12,7 @@ from multilica.ingest.snapshot_reader import (
     take_snapshot,
 )
 from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
-from multilica.ingest.transforms.prior import Prior, read_prior
+from multilica.ingest.transforms import Prior, read_prior
 
 __all__ = [
     "CloudTopicSummary",

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from multilica.geometry import FloatArray, RigidTransform, lengths
-from multilica.ingest.transforms.prior import poses_from
-from multilica.ingest.transforms.urdf import Joint
+from multilica.ingest.transforms import Joint, poses_from
 from multilica.snapshot import LidarScans
 
 _MAX_POINTS = 4000

@@ -21,7 +21,7 @@ from multilica.ingest.recording import MessageObserver, Recording, sanitize_text
 from multilica.ingest.remote.address import is_live, require_valid, without_secrets
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
-from multilica.ingest.transforms.prior import StaticTransforms, read_static_transforms
+from multilica.ingest.transforms import StaticTransforms, read_static_transforms
 from multilica.snapshot import LidarScans, Snapshot
 
 WHOLE_FILE_BYTES = 256 << 20

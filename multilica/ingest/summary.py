@@ -18,7 +18,7 @@ from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
 from multilica.ingest.snapshot_reader import assemble_snapshot, require_calibratable, with_recorded_notes
-from multilica.ingest.transforms.prior import read_static_transforms
+from multilica.ingest.transforms import read_static_transforms
 from multilica.snapshot import Snapshot
 
 _NS_PER_S = 1e9

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multilica.geometry import RigidTransform
-from multilica.ingest.transforms.prior import poses_from
-from multilica.ingest.transforms.urdf import Joint
+from multilica.ingest.transforms import Joint, poses_from
 
 _number = st.floats(-3.0, 3.0)
 _six = st.tuples(_number, _number, _number, _number, _number, _number)

@@ -18,7 +18,7 @@ from multilica.config import CalibrationConfig, load_config, with_overrides
 from multilica.documents import DocumentError, parse_json, parse_toml, parse_yaml
 from multilica.errors import MultilicaError, UnreadableSourceError, UsageError
 from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics_table
-from multilica.ingest.transforms.urdf import read_urdf
+from multilica.ingest.transforms import read_urdf
 from multilica.results.document import parse_result
 from multilica.runs.run_documents import read_run, read_run_document
 from tests.sinks.made_documents import made_document

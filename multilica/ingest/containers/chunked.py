@@ -1,33 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of chunks with an index."""
+"""Recordings of chunks with an index, and those without index, as a killed recorder leaves them."""
 
 from __future__ import annotations
 
 import heapq
-from collections import deque
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from bisect import bisect_left
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence, Sized
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from contextvars import copy_context
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import count
+from operator import itemgetter
+from typing import TypeAlias, cast
 
 from multilica.ingest.containers.exact_reader import ExactReader
 from multilica.ingest.decompression import UNCOMPRESSED, require_checksum, unpack
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.recording import DamagedRecordingError, Messages, RawMessage, Span, Topic, damage_named
+from multilica.ingest.recording import (
+    DamagedRecordingError,
+    Messages,
+    RawMessage,
+    Span,
+    Topic,
+    damage_named,
+    joint_span,
+    joint_topics,
+)
 
+Part = tuple[int, Iterator[RawMessage]]
+"""Position behind a record of the file, and the messages of the record, which may be a chunk."""
+
+_MAX_KEPT_BYTES = 128 << 20
+"""Messages up to this size are kept in memory, as finding out what a file holds takes as long as reading it."""
+_MARK_BYTES = 1 << 20
+"""Distance of the positions that are remembered to start at."""
 _AHEAD = 1
 """Compressed chunks that are unpacked ahead; see docs/decisions/0005-chunks-unpacked-ahead.md."""
 _MAX_RATIO = 0.9
 """Only chunks compressed below this share of their size are worth a thread; base64, for one, is only copied."""
 _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time wait for each other up to this size; above it, messages are no longer sorted."""
-_MESSAGE_BYTES = 512
-"""Memory of a waiting message besides its data."""
+_WAITING_MESSAGE_BYTES, _KEPT_MESSAGE_BYTES = 512, 256
+"""Memory of a message besides its data."""
 _END_OF_TIME = 2**64
-_NOTHING = memoryview(b"")
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +84,10 @@ class PackedChunk:
         if self.is_whole:
             require_checksum(data, self.crc32)
         return data
+
+
+_Unpacked: TypeAlias = tuple[ChunkPlace, memoryview, str]
+"""A chunk, its records, and why it has none."""
 
 
 class ChunkedRecording:
@@ -122,14 +144,14 @@ class ChunkedRecording:
         memory = memory_budget()
         with closing(self._unpacked(chunks)) as unpacked:
             for part, next_start_ns in zip(unpacked, starts, strict=False):
-                waiting_bytes += len(part.records)
+                waiting_bytes += len(part[1])
                 for message in self._messages_of(part, topics):
                     if message.log_time_ns >= start_ns:
-                        memory.take(_MESSAGE_BYTES)
+                        memory.take(_WAITING_MESSAGE_BYTES)
                         heapq.heappush(waiting, (message.log_time_ns, next(number), message))
                 crowded = waiting_bytes > _MAX_WAITING_BYTES
                 while waiting and (crowded or waiting[0][0] <= next_start_ns):
-                    memory.give(_MESSAGE_BYTES)
+                    memory.give(_WAITING_MESSAGE_BYTES)
                     yield heapq.heappop(waiting)[2]
                 waiting_bytes *= bool(waiting)
 
@@ -169,31 +191,149 @@ class ChunkedRecording:
 
     def _unpack(self, place: ChunkPlace, chunk: PackedChunk | str) -> _Unpacked:
         if isinstance(chunk, str):
-            return _Unpacked(place, _NOTHING, chunk)
+            return place, memoryview(b""), chunk
         try:
             with damage_named(self._where):
-                return _Unpacked(place, chunk.unpack())
+                return place, chunk.unpack(), ""
         except DamagedRecordingError as error:
-            return _Unpacked(place, _NOTHING, error.reason)
+            return place, memoryview(b""), error.reason
 
     def _messages_of(self, part: _Unpacked, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the readable messages, then one with a fault on each topic that may have lost some."""
-        fault = part.fault
+        chunk, records, fault = part
         try:
             with damage_named(self._where):
-                yield from self._split(part.records, topics)
+                yield from self._split(records, topics)
         except DamagedRecordingError as error:
             fault = error.reason
         for topic in self.topics if fault else ():
-            if topic.name in topics and (part.chunk.topics is None or topic.name in part.chunk.topics):
+            if topic.name in topics and (chunk.topics is None or topic.name in chunk.topics):
                 lost = f"lies where the file is damaged: {fault}"
-                yield topic.message(part.chunk.start_ns, b"", self._where, fault=lost)
+                yield topic.message(chunk.start_ns, b"", self._where, fault=lost)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Unpacked:
-    """The records of a chunk, or why there are none."""
+@dataclass(slots=True)
+class Survey:
+    """The contents of a recording.
 
-    chunk: ChunkPlace
-    records: memoryview
-    fault: str = ""
+    Args:
+        counts: messages by topic; the topics' own counts are zero.
+        spans: log times by name of the topic.
+        marks: positions in the file, each with the latest log time before it.
+    """
+
+    counts: Counter[Topic] = field(default_factory=Counter)
+    spans: dict[str, Span] = field(default_factory=dict)
+    unpacked_bytes: int = 0
+    damage: str = ""
+    latest_ns: int = 0
+    marks: list[tuple[int, int]] = field(default_factory=list)
+
+    def add(self, topic: Topic, count: int, span: Span, unpacked_bytes: int = 0) -> None:
+        """Add `count` messages of a topic."""
+        self.counts[topic] += count
+        first, last = self.spans.get(topic.name, span)
+        self.spans[topic.name] = min(first, span[0]), max(last, span[1])
+        self.unpacked_bytes += unpacked_bytes
+        self.latest_ns = max(self.latest_ns, span[1])
+
+    def add_message(self, message: RawMessage, unpacked_bytes: int = 0) -> None:
+        """Add one message."""
+        topic = Topic(message.topic, message.message_type, message.encoding, lidar=message.lidar)
+        self.add(topic, 1, (message.log_time_ns, message.log_time_ns), unpacked_bytes)
+
+    def mark(self, place: int) -> None:
+        """Remember a position; everything before it was added."""
+        if place - (self.marks[-1][0] if self.marks else 0) >= _MARK_BYTES:
+            self.marks.append((place, self.latest_ns))
+
+    def begin(self, start_ns: int, least: int) -> int:
+        """Return the last known position, at least `least`, with only messages before `start_ns` in front of it."""
+        index = bisect_left(self.marks, start_ns, key=itemgetter(1))
+        return max(least, self.marks[index - 1][0]) if index else least
+
+
+class UnindexedRecording:
+    """A recording that is read from the front up to the first damage.
+
+    Args:
+        scan: yields the parts of the file from a position on, in the order of writing; raises any error where it
+            cannot go on. It starts at 0 or where it has been before.
+        survey: finds out what the file holds without that; returns None if it cannot.
+
+    Raises:
+        DamagedRecordingError: not a single message can be read.
+    """
+
+    is_indexed = False
+
+    def __init__(
+        self,
+        title: str,
+        where: str,
+        scan: Callable[[int], Iterator[Part]],
+        survey: Callable[[], Survey | None] = lambda: None,
+    ) -> None:
+        self.format = title
+        self._where = where
+        self._scan = scan
+        self._kept: list[RawMessage] = []
+        self._kept_until: int | None = 0
+        self._error: DamagedRecordingError | None = None
+        found = survey()
+        self._survey = self._read() if found is None or found.unpacked_bytes <= _MAX_KEPT_BYTES else found
+        self.topics = joint_topics(self._survey.counts.items())
+        self.damage = self._survey.damage
+
+    def span_ns(self, topics: Collection[str]) -> Span | None:
+        """Return the span, which is known since the file was opened."""
+        return joint_span(span for name, span in self._survey.spans.items() if name in topics)
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        """Yield messages in the order of writing."""
+        for message in self._all_messages(start_ns):
+            if message.topic in topics and message.log_time_ns >= start_ns:
+                yield message
+
+    def close(self) -> None:
+        """Release the kept messages; no file stays open."""
+        self._kept = []
+
+    def _all_messages(self, start_ns: int) -> Iterator[RawMessage]:
+        yield from self._kept
+        if self._kept_until is not None:
+            with damage_named(self._where):
+                for _, messages in self._scan(self._survey.begin(start_ns, self._kept_until)):
+                    yield from messages
+        if self._error is not None:
+            raise self._error
+
+    def _read(self) -> Survey:
+        found, kept_bytes, whole_parts = Survey(), 0, 0
+        try:
+            with damage_named(self._where):
+                for behind, messages in self._scan(0):
+                    chunk: Sized | None = None
+                    for message in messages:
+                        found.add_message(message)
+                        # A message keeps all of its chunk in memory.
+                        before, chunk = chunk, _chunk_of(message)
+                        kept_bytes += _KEPT_MESSAGE_BYTES + (0 if chunk is before else len(chunk))
+                        if kept_bytes <= _MAX_KEPT_BYTES:
+                            self._kept.append(message)
+                    found.mark(behind)
+                    if kept_bytes <= _MAX_KEPT_BYTES:
+                        self._kept_until, whole_parts = behind, len(self._kept)
+        except DamagedRecordingError as error:
+            if not found.counts:
+                raise
+            found.damage, self._error = error.reason, error
+        if kept_bytes <= _MAX_KEPT_BYTES:
+            self._kept_until = None
+        else:
+            del self._kept[whole_parts:]
+        return found
+
+
+def _chunk_of(message: RawMessage) -> Sized:
+    return cast(Sized, message.data.obj) if isinstance(message.data, memoryview) else message.data

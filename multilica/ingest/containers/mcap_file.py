@@ -25,9 +25,15 @@ from mcap.reader import make_reader
 from mcap.records import Channel, ChunkIndex, Footer, Metadata, Schema
 from mcap.summary import Summary
 
-from multilica.ingest.containers.chunked import ChunkedRecording, ChunkPlace, PackedChunk
+from multilica.ingest.containers.chunked import (
+    ChunkedRecording,
+    ChunkPlace,
+    PackedChunk,
+    Part,
+    Survey,
+    UnindexedRecording,
+)
 from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader, unpack_head
-from multilica.ingest.containers.unindexed import Part, Survey, UnindexedRecording
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES, require_checksum
 from multilica.ingest.formats import FORMATS, named_format
 from multilica.ingest.recording import (

@@ -13,9 +13,8 @@ from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
-from multilica.ingest.containers.chunked import ChunkedRecording, ChunkPlace, PackedChunk
+from multilica.ingest.containers.chunked import ChunkedRecording, ChunkPlace, PackedChunk, Part, UnindexedRecording
 from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader, unpack_head
-from multilica.ingest.containers.unindexed import Part, UnindexedRecording
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.recording import (
     DamagedRecordingError,

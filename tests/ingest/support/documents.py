@@ -16,8 +16,7 @@ from multilica.config import CalibrationConfig, load_config, with_overrides
 from multilica.exports import FORMATS, read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics_table
 from multilica.ingest import frames_recorded, live, read_snapshot
-from multilica.ingest.transforms.prior import read_prior
-from multilica.ingest.transforms.urdf import read_urdf
+from multilica.ingest.transforms import read_prior, read_urdf
 from multilica.runs.run_documents import explain_run, read_run, read_run_document
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.mcap.result_mcap import ResultMcap

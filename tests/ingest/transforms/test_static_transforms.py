@@ -13,7 +13,7 @@ from mcap.writer import Writer
 from multilica.ingest import inspect_source
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
-from multilica.ingest.transforms.prior import read_static_transforms
+from multilica.ingest.transforms import read_static_transforms
 from tests.ingest.support.recording_writers import START_NS, TRANSFORMS, ros2_types, transform_message
 
 HALF = math.sqrt(0.5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
-from multilica.ingest.transforms.urdf import read_urdf
+from multilica.ingest.transforms import read_urdf
 
 JOINT = '<joint name="j" type="fixed"><parent link="base"/><child link="roof"/>{}</joint>'
 XACRO = '<robot name="car" xmlns:xacro="http://www.ros.org/wiki/xacro">{}</robot>'
