@@ -81,12 +81,12 @@ def test_a_recording_kept_in_part_is_read_like_one_kept_whole(
 
 
 @pytest.mark.parametrize("compression", list(CompressionType))
-@pytest.mark.parametrize("chunked", [True, False])
+@pytest.mark.parametrize("has_chunks", [True, False])
 def test_the_survey_does_not_unpack_a_large_recording(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: CompressionType, chunked: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: CompressionType, has_chunks: bool
 ) -> None:
     path = tmp_path / "a.mcap"
-    write_mcap(make_snapshot(frames=40, points=200), path, compression=compression, chunked=chunked, chunk_size=20_000)
+    write_mcap(make_snapshot(frames=40, points=200), path, compression=compression, chunked=has_chunks, chunk_size=20_000)
     content = path.read_bytes()
     unpacked, unpack = [], PackedChunk.unpack
     monkeypatch.setattr(PackedChunk, "unpack", lambda *args: unpacked.append(args) or unpack(*args))
