@@ -86,7 +86,8 @@ def test_the_survey_does_not_unpack_a_large_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, compression: CompressionType, has_chunks: bool
 ) -> None:
     path = tmp_path / "a.mcap"
-    write_mcap(make_snapshot(frames=40, points=200), path, compression=compression, chunked=has_chunks, chunk_size=20_000)
+    snapshot = make_snapshot(frames=40, points=200)
+    write_mcap(snapshot, path, compression=compression, chunked=has_chunks, chunk_size=20_000)
     content = path.read_bytes()
     unpacked, unpack = [], PackedChunk.unpack
     monkeypatch.setattr(PackedChunk, "unpack", lambda *args: unpacked.append(args) or unpack(*args))
