@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 from multilica.checks import RigTolerances
@@ -17,9 +17,8 @@ from multilica.config import CalibrationConfig
 from multilica.fleet.logs.listing import LogPattern, find_logs
 from multilica.fleet.logs.plan import Plan, QueuedLog
 from multilica.fleet.store.records import LogRow
-from multilica.fleet.store.store import Store, vehicle_name
-from multilica.fleet.tasks.executors import open_executor
-from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, run_guarded
+from multilica.fleet.store.store import Store
+from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, open_executor, run_guarded
 from multilica.fleet.tasks.log_task import Calibrate, LogTask
 from multilica.ingest.remote.address import scheme_of
 from multilica.scratch import scratch_folder
@@ -121,7 +120,7 @@ def run_fleet(
         closing(Plan(folder, store, digest, newest_first=options.newest_first)) as plan,
     ):
         plan.add(find_logs(logs, options.pattern))
-        plan.settle(lambda addresses: _identified(executor, addresses, options.limits))
+        plan.settle(lambda addresses: executor.map(partial(identify_guarded, limits=options.limits), addresses))
         outcome.found, to_do = plan.counts()
         outcome.skipped = outcome.found - to_do
         observe(LogsPlanned(outcome.found, to_do))
@@ -136,19 +135,6 @@ def _config_digest(config: CalibrationConfig, calibrate: str) -> str:
     """Return the hash of all settings that a result depends on."""
     values = config.model_dump(mode="json", exclude=_INDIFFERENT)
     return hashlib.sha256(json.dumps([values, calibrate], sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _identified(
-    executor: Executor, addresses: Sequence[str], limits: LogTaskLimits
-) -> Iterator[tuple[str, int | None]]:
-    waiting = deque(executor.submit(_identify, address, limits) for address in addresses)
-    while waiting:
-        yield waiting.popleft().result()
-
-
-def _identify(address: str, limits: LogTaskLimits) -> tuple[str, int | None]:
-    found = identify_guarded(address, limits)
-    return (vehicle_name(found.vehicle) if found.vehicle else ""), found.time_ns
 
 
 def _vehicle_tasks(

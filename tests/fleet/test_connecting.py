@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import pytest
 
-from multilica.fleet.tasks.executors import _connected
+from multilica.fleet.tasks.guard import _connected
 
 
 def _failing(*failures):

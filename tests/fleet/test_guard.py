@@ -18,7 +18,7 @@ LIMITS = LogTaskLimits(time_s=60.0, memory_mb=500.0, retries=2)
 def _failing_units(monkeypatch):
     monkeypatch.setattr(guard, "_SERVER", "tests.fleet.support.failing_tasks")
     monkeypatch.setattr(guard, "_PAUSES_S", (0.0,))
-    guard.allow_processes()
+    guard._STOPPED.clear()
     yield
     guard.end_processes()
 
@@ -96,5 +96,5 @@ def test_a_log_is_identified_again_after_what_may_pass(tmp_path, source):
 
 def test_a_log_that_is_nothing_has_no_identity(tmp_path, monkeypatch):
     monkeypatch.undo()
-    guard.allow_processes()
+    guard._STOPPED.clear()
     assert identify_guarded(str(tmp_path / "none.mcap"), LIMITS) == guard.LogIdentity("", None)

@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import BaseModel, Field, PlainSerializer, computed_field
 
-from multilica.fleet.times import day_of, moment
+from multilica.fleet.store.records import day_of, moment
 
 ChangeKind = Literal["jump", "creep"]
 MovedPart = Literal["lidar", "target", "lidar or target"]

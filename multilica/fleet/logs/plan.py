@@ -20,7 +20,8 @@ import pyarrow as pa
 import multilica
 from multilica.fleet.logs.listing import FleetLog
 from multilica.fleet.store.records import PASSING
-from multilica.fleet.store.store import Store
+from multilica.fleet.store.store import Store, vehicle_name
+from multilica.ingest.metadata import LogIdentity
 from multilica.optional_libraries import needed_for
 
 with needed_for("`multilica fleet`", "duckdb"):
@@ -110,12 +111,8 @@ class Plan:
             self._base.execute(f"INSERT INTO found SELECT {', '.join(_LOGS.names)} FROM batch")  # noqa: S608
             self._base.unregister("batch")
 
-    def settle(self, identify: Callable[[Sequence[str]], Iterable[tuple[str, int | None]]]) -> None:
-        """Find vehicle and time of the logs that lack one: from the store, else by reading them.
-
-        Args:
-            identify: returns vehicle, empty if unknown, and time for each of several addresses.
-        """
+    def settle(self, identify: Callable[[Sequence[str]], Iterable[LogIdentity]]) -> None:
+        """Find vehicle and time of the logs that lack one: from the store, else by reading them at their addresses."""
         self._base.execute(
             "DELETE FROM found WHERE rowid NOT IN (SELECT min(rowid) FROM found GROUP BY key);"
             "UPDATE found SET vehicle = done.vehicle, time_ns = done.time_ns FROM done WHERE found.key = done.key"
@@ -126,10 +123,10 @@ class Plan:
             cursor.execute(lacking)
             while rows := cursor.fetchmany(_BATCH):
                 found = identify([address for _, address, *_ in rows])
-                settled = [
-                    (vehicle or named or _folder(source), time_ns if begin_ns is None else begin_ns, key)
-                    for (key, _, source, vehicle, begin_ns), (named, time_ns) in zip(rows, found, strict=True)
-                ]
+                settled = []
+                for (key, _, source, vehicle, begin_ns), log in zip(rows, found, strict=True):
+                    named = vehicle_name(log.vehicle) if log.vehicle else _folder(source)
+                    settled.append((vehicle or named, log.time_ns if begin_ns is None else begin_ns, key))
                 self._base.executemany("UPDATE found SET vehicle = ?, time_ns = ? WHERE key = ?", settled)
 
     def counts(self) -> tuple[int, int]:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from multilica.fleet.drift.findings import Finding
 from multilica.fleet.lidar_series import LidarSeries
-from multilica.fleet.times import day_of
+from multilica.fleet.store.records import day_of
 from multilica.geometry import FloatArray
 
 WIDTH_PX, LEFT_PX, RIGHT_PX, STRIP_PX = 470.0, 82.0, 462.0, 62.0

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Literal, get_args, get_type_hints
 
 import pyarrow as pa
-
-from multilica.fleet.times import moment
 
 SCHEMA_VERSION = 1
 LogState = Literal["verified", "calibrated", "refused", "failed", "duplicate"]
@@ -131,3 +129,18 @@ def table_of(rows: Sequence[LidarRow] | Sequence[LogRow], schema: pa.Schema) -> 
     """Return rows as a table."""
     values = [asdict(row) | {"time": None if row.time_ns is None else moment(row.time_ns)} for row in rows]
     return pa.Table.from_pylist([{name: value[name] for name in schema.names} for value in values], schema=schema)
+
+
+def moment(time_ns: int) -> datetime:
+    """Return nanoseconds since the epoch as a time, to the microsecond."""
+    return datetime.fromtimestamp(time_ns // 10**9, UTC).replace(microsecond=time_ns % 10**9 // 1000)
+
+
+def day_of(time_ns: int) -> str:
+    """Return the day of a time, such as ``2026-03-01``."""
+    return f"{moment(time_ns):%Y-%m-%d}"
+
+
+def month_of(time_ns: int | None) -> str:
+    """Return the month of a time, such as ``2026-03``; ``unknown`` without a time."""
+    return "unknown" if time_ns is None else f"{moment(time_ns):%Y-%m}"

@@ -30,8 +30,15 @@ import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError, escape_controls
-from multilica.fleet.store.records import LIDARS_SCHEMA, LOGS_SCHEMA, SCHEMA_VERSION, LidarRow, LogRow, table_of
-from multilica.fleet.times import month_of
+from multilica.fleet.store.records import (
+    LIDARS_SCHEMA,
+    LOGS_SCHEMA,
+    SCHEMA_VERSION,
+    LidarRow,
+    LogRow,
+    month_of,
+    table_of,
+)
 from multilica.ingest.remote.address import scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 from multilica.optional_libraries import needed_for

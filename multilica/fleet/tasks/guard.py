@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Log tasks in a process of their own, with limits of time and memory.
+"""Executors of log tasks, each task in a process of its own, with limits of time and memory.
 
 Every executor runs `run_guarded`, in a thread of this process or of a Dask worker. Each such thread keeps one child
 process, so that libraries are loaded once, and one that crashes, hangs or takes too much memory ends only that.
@@ -13,18 +13,20 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from concurrent.futures import CancelledError
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from multiprocessing import Pipe
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from multilica.errors import SourceNotFoundError, UsageError
 from multilica.fleet.store.records import PASSING, LogRow
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks.log_task import LogTask, LogTaskFailure, failed_row
 from multilica.ingest.metadata import LogIdentity
+from multilica.optional_libraries import needed_for
 
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
@@ -50,6 +52,69 @@ class LogTaskLimits(BaseModel):
     time_s: float = 600.0
     memory_mb: float = 4000.0
     retries: int = 5
+
+
+@contextmanager
+def open_executor(workers: int, scheduler: str = "") -> Iterator[tuple[Executor, int]]:
+    """Open the executor of a run; yield it with the number of tasks that it runs at once.
+
+    Args:
+        workers: tasks at once on this machine.
+        scheduler: address of a Dask scheduler; empty for this machine. Certificates for ``tls://`` come from Dask's own
+            configuration.
+
+    Raises:
+        UsageError: not an address of a scheduler.
+        MissingDependencyError: `distributed` is not installed.
+        SourceNotFoundError: no scheduler answers there, or it has no workers.
+    """
+    if not scheduler:
+        _STOPPED.clear()
+        with ThreadPoolExecutor(workers, thread_name_prefix="log-task") as pool:
+            try:
+                yield pool, workers
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+            finally:
+                end_processes()
+        return
+    if not scheduler.startswith(("tcp://", "tls://", "ws://", "wss://")):
+        raise UsageError(f"Found --scheduler {scheduler}; expected tcp://HOST:PORT or tls://HOST:PORT.")
+    with _dask_client(scheduler) as client:
+        threads = sum(client.nthreads().values())
+        if threads == 0:
+            raise SourceNotFoundError(f"The Dask scheduler at {scheduler} has no workers; start `dask worker` first.")
+        executor = client.get_executor(pure=False, retries=2)
+        try:
+            yield executor, threads
+        finally:
+            executor.shutdown(wait=False)
+
+
+@contextmanager
+def _dask_client(scheduler: str) -> Iterator[Any]:
+    with needed_for(f"The Dask scheduler {scheduler}", "distributed"):
+        from distributed import Client
+        from distributed.security import Security
+    security = Security(require_encryption=True) if scheduler.startswith(("tls", "wss")) else None
+    try:
+        client = _connected(lambda: Client(scheduler, timeout=30, security=security, set_as_default=False))
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise SourceNotFoundError(
+            f"No Dask scheduler answers at {scheduler} ({type(error).__name__}); check the address, and the "
+            "certificates in the configuration of Dask."
+        ) from error
+    with client:
+        yield client
+
+
+def _connected(connect: Callable[[], Any]) -> Any:  # noqa: ANN401 - a type of Dask
+    """Connect, once more if Dask's own thread did not start within the 10 s that it waits, on a busy machine."""
+    try:
+        return connect()
+    except AssertionError:
+        return connect()
 
 
 def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
@@ -86,11 +151,6 @@ def _tried(ask: Callable[[int], Any], limits: LogTaskLimits) -> Any:  # noqa: AN
         if not (isinstance(answer, LogTaskFailure) and answer.reason in PASSING):
             break
     return answer
-
-
-def allow_processes() -> None:
-    """Let tasks run, after an earlier end."""
-    _STOPPED.clear()
 
 
 def end_processes() -> None:
