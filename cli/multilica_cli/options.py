@@ -30,15 +30,16 @@ def argument(metavar: str, meaning: str) -> Any:  # noqa: ANN401 - typer's own t
     return typer.Argument(metavar=metavar, help=meaning, show_default=False)
 
 
-def option(usage: str, meaning: str, **more: Any) -> Any:  # noqa: ANN401 - typer's own type is private
+def option(usage: str, meaning: str, default: str | bool = True, **more: Any) -> Any:  # noqa: ANN401 - typer's own type is private
     """Declare an option.
 
     Args:
         usage: its name, then its value as the help shows it, such as ``--out DIR``; a flag has no value.
+        default: text that the help shows in place of the default.
         more: as `typer.Option` takes it.
     """
     name, _, metavar = usage.partition(" ")
-    return typer.Option(name, metavar=metavar or None, help=meaning, **more)
+    return typer.Option(name, metavar=metavar or None, help=meaning, show_default=default, **more)
 
 
 def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:
@@ -86,8 +87,7 @@ Topics = Annotated[
     ),
 ]
 Frames = Annotated[
-    int | None,
-    option("--frames N", "Frames to accumulate per LiDAR.", show_default="10; all frames of a file made by record"),
+    int | None, option("--frames N", "Frames to accumulate per LiDAR.", "10; all frames of a file made by record")
 ]
 Start = Annotated[
     str | None,
@@ -108,20 +108,13 @@ Settings = Annotated[
     option("--set SECTION.KEY=VALUE", "Set one parameter, for example fine.max_iterations=30. Repeatable."),
 ]
 Workers = Annotated[
-    int | None,
-    option(
-        "--workers N",
-        "Worker processes; 1: none. Any number gives the same result.",
-        show_default="one per core",
-    ),
+    int | None, option("--workers N", "Worker processes; 1: none. Any number gives the same result.", "one per core")
 ]
 WithinM = Annotated[float, option("--within-m M", "Largest position error of a success.")]
 WithinDeg = Annotated[float, option("--within-deg DEG", "Largest rotation error of a success.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 Json = Annotated[bool, option("--json", "Print one JSON document on stdout, and nothing else.")]
-FleetStore = Annotated[
-    str, option("--store STORE", "Folder, or s3://BUCKET/PREFIX, of `fleet run`.", show_default=False)
-]
+FleetStore = Annotated[str, option("--store STORE", "Folder, or s3://BUCKET/PREFIX, of `fleet run`.")]
 NEW_RUN_DIRECTORY = "recordings/runs/<source>, or <source>-2, ... if that is taken"
 
 

@@ -46,15 +46,9 @@ def calibrate(
     *,
     target: Annotated[
         str | None,
-        option(
-            "--target NAME",
-            "LiDAR whose frame is the frame of the result.",
-            show_default="the one with the most overlap",
-        ),
+        option("--target NAME", "LiDAR whose frame is the frame of the result.", "the one with the most overlap"),
     ] = None,
-    out: Annotated[
-        Path | None, output("--out DIR", "Directory for the results.", show_default=NEW_RUN_DIRECTORY)
-    ] = None,
+    out: Annotated[Path | None, output("--out DIR", "Directory for the results.", NEW_RUN_DIRECTORY)] = None,
     prior: Annotated[
         str | None,
         option(
@@ -69,7 +63,7 @@ def calibrate(
         option(
             "--max-sigma MM,DEG",
             "Largest standard deviations of a placed LiDAR; above one of them it is uncertain.",
-            show_default="20,0.2",
+            "20,0.2",
         ),
     ] = None,
     until: Annotated[str | None, option("--until STAGE", "Stop after this stage.")] = None,
@@ -84,7 +78,7 @@ def calibrate(
         option(
             "--base FRAME",
             "Name of the base frame on the ground; implies --ground.",
-            show_default="the common frame of --rig, else base",
+            "the common frame of --rig, else base",
         ),
     ] = None,
     rig: Annotated[
@@ -95,7 +89,7 @@ def calibrate(
     ] = None,
     record: Annotated[
         Literal["full", "normal", "slim"] | None,
-        option("--record full|normal|slim", "Level of detail of recording.rrd.", show_default="normal"),
+        option("--record full|normal|slim", "Level of detail of recording.rrd.", "normal"),
     ] = None,
     mcap_encoding: Annotated[
         Literal["foxglove", "ros2"], option("--mcap-encoding foxglove|ros2", "Message encoding of result.mcap.")

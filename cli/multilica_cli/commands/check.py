@@ -81,13 +81,9 @@ def check(
         list[str], argument("RUN|SOURCE", "Run directories or their files, or recordings, which are calibrated first.")
     ],
     *,
-    against: Annotated[
-        Path, option("--against REFERENCE", "A calibration.toml, a run, or another file of poses.", show_default=False)
-    ],
+    against: Annotated[Path, option("--against REFERENCE", "A calibration.toml, a run, or another file of poses.")],
     gate: Gate,
-    out: Annotated[
-        Path | None, output("--out DIR", "Directory of the calibration.", show_default=options.NEW_RUN_DIRECTORY)
-    ] = None,
+    out: Annotated[Path | None, output("--out DIR", "Directory of the calibration.", options.NEW_RUN_DIRECTORY)] = None,
     recording: _Recording,
     workers: options.Workers = None,
     quiet: options.Quiet = False,
@@ -132,9 +128,7 @@ def check(
 def verify(
     sources: options.Sources,
     *,
-    calibration: Annotated[
-        Path, option("--calibration FILE", "A calibration.toml, a run, or another file of poses.", show_default=False)
-    ],
+    calibration: Annotated[Path, option("--calibration FILE", "A calibration.toml, a run, or another file of poses.")],
     gate: Gate,
     recording: _Recording,
     quiet: options.Quiet = False,
@@ -162,9 +156,7 @@ def verify(
 def accept(
     run: Annotated[Path, argument("RUN", "Run directory that was reviewed.")],
     *,
-    into: Annotated[
-        Path, output("--into FILE", "Reference that pipelines check against, kept in git.", show_default=False)
-    ],
+    into: Annotated[Path, output("--into FILE", "Reference that pipelines check against, kept in git.")],
     max_translation_m: _MaxTranslation = 0.03,
     max_rotation_deg: _MaxRotation = 0.3,
     quiet: options.Quiet = False,

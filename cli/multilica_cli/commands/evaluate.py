@@ -47,7 +47,6 @@ def evaluate(
             "--truth FILE",
             "Ground truth as `simulate` writes it, or in any format of export: one file for all runs, or "
             "repeated, one per run in order.",
-            show_default=False,
         ),
     ],
     within_m: WithinM = 0.02,
@@ -103,21 +102,16 @@ def datasets(
         ),
     ],
     *,
-    out: Annotated[
-        Path | None, output("--out DIR", "Directory for scenes and runs.", show_default="recordings/runs/<NAME>")
-    ] = None,
-    presets: Annotated[
-        list[str] | None, option("--preset NAME", "Preset to run. Repeatable.", show_default="all")
-    ] = None,
+    out: Annotated[Path | None, output("--out DIR", "Directory for scenes and runs.", "recordings/runs/<NAME>")] = None,
+    presets: Annotated[list[str] | None, option("--preset NAME", "Preset to run. Repeatable.", "all")] = None,
     scenes: Annotated[int, option("--scenes N", "Largest number of scenes.")] = 10,
     frames: Annotated[int, option("--frames N", "Frames per LiDAR and scene.")] = 5,
-    target: Annotated[str | None, option("--target NAME", "Target LiDAR.", show_default="from the data set")] = None,
+    target: Annotated[str | None, option("--target NAME", "Target LiDAR.", "from the data set")] = None,
     topics: Annotated[
         list[str] | None, option("--topic NAME=/topic", "edgar: the topic of a LiDAR of the truth. Repeatable.")
     ] = None,
     truth: Annotated[
-        Path | None,
-        option("--truth FILE", "True poses, as TOML or as the authors' config.yaml.", show_default="from the data set"),
+        Path | None, option("--truth FILE", "True poses, as TOML or as the authors' config.yaml.", "from the data set")
     ] = None,
     settings: Settings = None,
     within_m: WithinM = 0.02,

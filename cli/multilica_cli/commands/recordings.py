@@ -43,7 +43,7 @@ def record(
         list[str], argument("SOURCE", "As for calibrate, or ws://HOST:PORT of a vehicle that runs foxglove_bridge.")
     ],
     *,
-    out: Annotated[Path, option("--out FILE.mcap", "File to write.", show_default=False, callback=mcap_name)],
+    out: Annotated[Path, option("--out FILE.mcap", "File to write.", callback=mcap_name)],
     vehicle: Annotated[str, option("--vehicle NAME", "Name of the vehicle, stored in the file.")] = "",
     reading: Reading,
     timeout_s: Annotated[

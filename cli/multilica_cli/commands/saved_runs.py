@@ -170,7 +170,6 @@ def query(
             help="pairs: figures and pose of each pair. matches: descriptor matches in the LiDARs' own frames. "
             "surfaces: matches of the clouds at the final pose. merge: candidates of each merge step. "
             "timings: seconds of each stage.",
-            show_default=False,
         ),
     ],
     *,
@@ -230,7 +229,7 @@ def view(
 def report(
     run: Annotated[Path, argument("RUN", "Run directory or recording (.rrd), complete or not.")],
     *,
-    out: Annotated[Path | None, output("--out FILE", "File to write.", show_default="RUN/report.html")] = None,
+    out: Annotated[Path | None, output("--out FILE", "File to write.", "RUN/report.html")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Create report.html for a run that was killed before it wrote one."""
@@ -253,20 +252,11 @@ def _listed(names: Iterable[str]) -> str:
 def export(
     run: Annotated[Path, argument("RUN", "Run directory, its result.json or result.mcap, or a recording.")],
     *,
-    to: Annotated[
-        str,
-        option(
-            "--to FORMAT",
-            f"{_listed(FORMATS)}; for the stitched cloud {_listed(CLOUD_FORMATS)}.",
-            show_default=False,
-        ),
-    ],
+    to: Annotated[str, option("--to FORMAT", f"{_listed(FORMATS)}; for the stitched cloud {_listed(CLOUD_FORMATS)}.")],
     out: Annotated[
         str,
         option(
-            "--out FILE",
-            "File to write; in an existing URDF or Autoware file, only the poses of the LiDARs change.",
-            show_default=False,
+            "--out FILE", "File to write; in an existing URDF or Autoware file, only the poses of the LiDARs change."
         ),
     ],
     base: Annotated[
@@ -275,7 +265,7 @@ def export(
             "--base FRAME",
             "Frame of the poses: a LiDAR, a frame of --rig, or, without --rig, the run's base frame or another "
             "name of the target.",
-            show_default="the frame of calibrate --rig, else the target",
+            "the frame of calibrate --rig, else the target",
         ),
     ] = None,
     rig: Annotated[

@@ -38,10 +38,7 @@ def simulate(
         Path | None, _one("--out FILE.mcap", "Recording to write, with FILE.truth.toml. Required.", callback=mcap_name)
     ] = None,
     build_seed: Annotated[
-        int | None,
-        _one(
-            "--build-seed N", "Seed of the mounting only: the same vehicle in another scene.", show_default="as --seed"
-        ),
+        int | None, _one("--build-seed N", "Seed of the mounting only: the same vehicle in another scene.", "as --seed")
     ] = None,
     disturb: Annotated[
         list[str] | None,
@@ -60,22 +57,16 @@ def simulate(
             callback=local_path,
         ),
     ] = None,
-    vehicles: Annotated[int | None, _many("--vehicles N", "Vehicles.", show_default="20")] = None,
-    logs: Annotated[int | None, _many("--logs N", "Logs of all vehicles.", show_default="200")] = None,
+    vehicles: Annotated[int | None, _many("--vehicles N", "Vehicles.", "20")] = None,
+    logs: Annotated[int | None, _many("--logs N", "Logs of all vehicles.", "200")] = None,
     workers: Annotated[
         int | None,
-        _many(
-            "--workers N",
-            "Worker processes; 1: none. The files are the same with any number.",
-            show_default="one per core",
-        ),
+        _many("--workers N", "Worker processes; 1: none. The files are the same with any number.", "one per core"),
     ] = None,
     seed: Annotated[int, option("--seed", "Seed of scenes, mounting, noise and events.")] = 0,
-    frames: Annotated[
-        int | None, option("--frames", "Frames per LiDAR.", show_default=f"{_FRAMES}; 2 for a fleet")
-    ] = None,
+    frames: Annotated[int | None, option("--frames", "Frames per LiDAR.", f"{_FRAMES}; 2 for a fleet")] = None,
     keep_every: Annotated[
-        int | None, option("--keep-every N", "Keep only every Nth return.", min=1, show_default="1; 12 for a fleet")
+        int | None, option("--keep-every N", "Keep only every Nth return.", "1; 12 for a fleet", min=1)
     ] = None,
 ) -> None:
     """Simulate a recording, or with --fleet the logs of many vehicles, by ray casting, with exact ground truth."""
