@@ -43,11 +43,7 @@ def option(usage: str, meaning: str, default: str | bool = True, **more: Any) ->
 
 
 def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:
-    """Return the path of an option that names an output.
-
-    Raises:
-        UsageError: it is an address.
-    """
+    """Return the path of an option that names an output; refuse an address."""
     if path is None or ":" not in str(path):
         return path
     from multilica.ingest.remote.address import local_output
@@ -56,11 +52,7 @@ def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:
 
 
 def mcap_name(option: typer.CallbackParam, out: Path | None) -> Path | None:
-    """Return the path of an option that names an MCAP file to write.
-
-    Raises:
-        UsageError: it is an address, or does not end in .mcap.
-    """
+    """Return the path of an option that names an MCAP file to write; refuse an address or another suffix."""
     local_path(option, out)
     if out is not None and out.suffix != ".mcap":
         raise UsageError(f"Found --out {out}; expected a name that ends in .mcap.")
@@ -131,11 +123,7 @@ class Reading:
 
     @property
     def values(self) -> dict[str, object]:
-        """The options, as `resolve_config` takes them.
-
-        Raises:
-            UsageError: a text of `--topic` in another form, or a name twice.
-        """
+        """The options, as `resolve_config` takes them."""
         try:
             start_s = None if self.start is None else float(self.start)
         except ValueError:
@@ -211,11 +199,7 @@ def inline_toml(value: object) -> str:
 
 
 def sigma_limits(text: str | None) -> dict[str, object]:
-    """Return the limits of `--max-sigma MM,DEG`, as `resolve_config` takes them.
-
-    Raises:
-        UsageError: not two numbers above zero.
-    """
+    """Return the limits of `--max-sigma MM,DEG`, two numbers above zero, as `resolve_config` takes them."""
     if text is None:
         return {}
     try:
@@ -231,11 +215,7 @@ def sigma_limits(text: str | None) -> dict[str, object]:
 
 
 def topic_names(texts: Sequence[str]) -> dict[str, str] | None:
-    """Parse texts ``NAME=/topic`` into name -> topic; None if there are none.
-
-    Raises:
-        UsageError: a text in another form, or a name twice.
-    """
+    """Parse texts ``NAME=/topic``, each with another name, into name -> topic; None if there are none."""
     topics: dict[str, str] = {}
     for text in texts:
         name, _, topic = text.partition("=")

@@ -156,11 +156,6 @@ def size_cells(length_m: float | None, angle_deg: float | None) -> tuple[str, ..
     return number_cells((length_m,), 1000.0, 1) + number_cells((angle_deg,), 1.0, 3)
 
 
-def error_cells(lengths_m: Sequence[float | None], angles_deg: Sequence[float | None]) -> tuple[str, ...]:
-    """Format an error for `ERROR_COLUMNS`."""
-    return number_cells(lengths_m, 1e3, 1) + number_cells(angles_deg, 1.0, 3)
-
-
 def pose_cells(pose: RigidTransform | LidarEntry | None) -> tuple[str, ...]:
     """Format a pose for `POSE_COLUMNS`."""
     if pose is None or pose.xyz_m is None or pose.rpy_deg is None:

@@ -3,6 +3,7 @@
 
 import json
 import textwrap
+from functools import partial
 from typing import Any
 
 import typer
@@ -58,18 +59,14 @@ def _wrapped_line(line: str, width: int) -> str:
     return "\n".join(parts) if len(line) > width else line
 
 
-def stdout_console(*, quiet: bool = False) -> Console:
-    """Return a console for results."""
-    return _console(stderr=False, quiet=quiet)
-
-
-def stderr_console(*, quiet: bool = False) -> Console:
-    """Return a console for progress."""
-    return _console(stderr=True, quiet=quiet)
-
-
-def _console(*, stderr: bool, quiet: bool) -> Console:
+def _console(*, stderr: bool, quiet: bool = False) -> Console:
     console = _PlainConsole(stderr=stderr, quiet=quiet, highlight=False, markup=False, emoji=False, soft_wrap=True)
     if not console.is_terminal:
         console.width = _WIDTH_OF_FILES  # tables in logs must not depend on a terminal
     return console
+
+
+stdout_console = partial(_console, stderr=False)
+"""Create a console for results."""
+stderr_console = partial(_console, stderr=True)
+"""Create a console for progress."""

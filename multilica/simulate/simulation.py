@@ -187,10 +187,11 @@ def random_stream(*keys: object) -> np.random.Generator:
 
 def thinned(snapshot: Snapshot, keep_every: int) -> Snapshot:
     """Keep only every Nth return; the first one differs from frame to frame, so that together they cover all beams."""
-    return replace(snapshot, lidars=tuple(_thinned(lidar, keep_every) for lidar in snapshot.lidars))
-
-
-def _thinned(lidar: LidarScans, keep_every: int) -> LidarScans:
-    kept = [scan.points_m[index % keep_every :: keep_every] for index, scan in enumerate(lidar.scans)]
-    scans = (replace(scan, points_m=points_m) for scan, points_m in zip(lidar.scans, kept, strict=True))
-    return replace(lidar, scans=tuple(scans))
+    lidars = []
+    for lidar in snapshot.lidars:
+        kept = (
+            replace(scan, points_m=scan.points_m[index % keep_every :: keep_every])
+            for index, scan in enumerate(lidar.scans)
+        )
+        lidars.append(replace(lidar, scans=tuple(kept)))
+    return replace(snapshot, lidars=tuple(lidars))

@@ -13,13 +13,13 @@ import typer
 from rich.console import Console
 
 from multilica_cli.options import Json, Quiet, Settings, WithinDeg, WithinM, argument, option, output, topic_names
-from multilica_cli.tables import ERROR_COLUMNS, FoldingTable, error_cells, number_cells
+from multilica_cli.tables import ERROR_COLUMNS, FoldingTable, number_cells
 from multilica_cli.terminal import stdout_console
 
 if TYPE_CHECKING:
     from multilica.datasets import DatasetDocument
-    from multilica.runs.evaluation import Comparison, ErrorFigures, Evaluation, LeftOut, Summary
-    from multilica.runs.paper_table import AxisFigures, PaperRow, PaperSummary, PaperTable
+    from multilica.runs.evaluation import Evaluation, LeftOut, Summary
+    from multilica.runs.paper_table import PaperSummary, PaperTable
 
 _FIGURES = ("x_m", "y_m", "z_m", "distance_m", "roll_deg", "pitch_deg", "yaw_deg", "angle_deg")
 _WORDS = {
@@ -163,9 +163,10 @@ def print_left_out(left_out: Sequence[LeftOut], console: Console) -> None:
         console.print(f"left out: {what}: {each.reason}")
 
 
-def _figure_cells(figures: ErrorFigures | Comparison, prefix: str = "") -> tuple[str, ...]:
-    values = [getattr(figures, f"{prefix}{name}") for name in _FIGURES]
-    return error_cells(values[:4], values[4:])
+def _figure_cells(figures: object, names: Sequence[str] = _FIGURES) -> tuple[str, ...]:
+    """Format the figures of these names: lengths in mm, angles in degrees."""
+    scales = ((1e3, 1) if name.endswith("_m") else (1.0, 3) for name in names)
+    return tuple(number_cells((getattr(figures, name),), *scale)[0] for name, scale in zip(names, scales, strict=True))
 
 
 def _detail_table(evaluation: Evaluation) -> FoldingTable:
@@ -175,12 +176,12 @@ def _detail_table(evaluation: Evaluation) -> FoldingTable:
     if len(shown) < len(every):
         title += f"; {len(every) - len(shown)} LiDARs within tolerance are not listed"
     table = FoldingTable(title, ("run", "LiDAR", "outcome", *ERROR_COLUMNS, "total\nsigma"), numbers_from=3, keys=2)
-    labels = short_names(evaluation.runs.given)
+    labels, errors = short_names(evaluation.runs.given), [f"error_{name}" for name in _FIGURES]
     for run, comparisons in groupby(shown, key=lambda one: one.run):
         label = labels[run]
         for one in comparisons:
             sigma = "-" if one.error_sigma is None else f"{one.error_sigma:.1f}"
-            table.add_row(label, one.lidar, _WORDS.get(one.outcome, one.outcome), *_figure_cells(one, "error_"), sigma)
+            table.add_row(label, one.lidar, _WORDS.get(one.outcome, one.outcome), *_figure_cells(one, errors), sigma)
             label = ""
         table.add_section()
     return table
@@ -286,12 +287,6 @@ def _print_presets(tables: Mapping[str, PaperTable], console: Console) -> None:
         console.print(printed)
 
 
-def _axis_error_cells(error: AxisFigures) -> tuple[str, ...]:
-    """Format an error for `_AXIS_COLUMNS`."""
-    values = tuple(getattr(error, name) for name in _AXES)
-    return number_cells(values[:3], 1e3, 1) + number_cells(values[3:], 1.0, 3)
-
-
 def _summary_table(title: str, keys: tuple[str, ...], limits: PaperTable) -> FoldingTable:
     """Create a table whose rows are keys, then `_summary_cells`."""
     success = f"success\n{1e3 * limits.within_m:g} mm, {limits.within_deg:g} deg"
@@ -303,7 +298,7 @@ def _summary_table(title: str, keys: tuple[str, ...], limits: PaperTable) -> Fol
 def _summary_cells(summary: PaperSummary) -> tuple[str, ...]:
     """Format the figures of a row of `_summary_table`."""
     counts = (f"{summary.placed} ({summary.placed_rate:.0%})", f"{summary.successes} ({summary.success_rate:.0%})")
-    return str(summary.poses), *counts, *_axis_error_cells(summary.rmse)
+    return str(summary.poses), *counts, *_figure_cells(summary.rmse, _AXES)
 
 
 def _scene_table(table: PaperTable) -> FoldingTable:
@@ -315,11 +310,6 @@ def _scene_table(table: PaperTable) -> FoldingTable:
     printed = FoldingTable(title, ("run", "LiDAR", "target", "outcome", *_AXIS_COLUMNS), numbers_from=4, keys=2)
     labels = short_names(tuple({one.run for one in every} | {one.run for one in table.left_out}))
     for one in shown:
-        printed.add_row(labels[one.run], one.source, one.target, _outcome(one), *_axis_error_cells(one))
+        outcome = "NOT PLACED" if one.error is None else "success" if one.success else "FAILURE"
+        printed.add_row(labels[one.run], one.source, one.target, outcome, *_figure_cells(one, _AXES))
     return printed
-
-
-def _outcome(one: PaperRow) -> str:
-    if one.error is None:
-        return "NOT PLACED"
-    return "success" if one.success else "FAILURE"

@@ -17,11 +17,11 @@ from multilica.exports import CLOUD_FORMATS, FORMATS
 from multilica_cli.commands.calibrate import print_placements
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Json, Quiet, argument, local_path, option, output
-from multilica_cli.tables import ERROR_COLUMNS, FoldingTable, answer_lines, error_cells
+from multilica_cli.tables import ERROR_COLUMNS, FoldingTable, answer_lines, number_cells
 from multilica_cli.terminal import print_json, stderr_console, stdout_console
 
 if TYPE_CHECKING:
-    from multilica.runs.difference import Change, Move, RunDifference
+    from multilica.runs.difference import Change, RunDifference
 
 _MOST_CHANGES = 8
 _MOST_CHARACTERS = 60
@@ -115,17 +115,15 @@ def _print_placed_by_neither(difference: RunDifference, console: Console) -> Non
         console.print(f"{', '.join(lidars)}: placed neither in A nor in B. {why}")
 
 
-def _move_cells(move: Move) -> tuple[str, ...]:
-    return error_cells((*move.translation_m, move.distance_m), (*move.rotation_deg, move.angle_deg))
-
-
 def _moves_table(difference: RunDifference) -> FoldingTable:
     title = f"Change (B - A) in the axes of {difference.target}"
     table = FoldingTable(title, ("LiDAR", "", *ERROR_COLUMNS, "sigma"), numbers_from=2, keys=2)
     for lidar, move in difference.moves.items():
         sigma = "-" if move.sigmas is None else f"{move.sigmas:.1f}"
         name = f"{lidar} (uncertain)" if move.uncertain else lidar
-        table.add_row(name, "MOVED" if move.moved else "same", *_move_cells(move), sigma)
+        lengths = number_cells((*move.translation_m, move.distance_m), 1e3, 1)
+        angles = number_cells((*move.rotation_deg, move.angle_deg), 1.0, 3)
+        table.add_row(name, "MOVED" if move.moved else "same", *lengths, *angles, sigma)
     return table
 
 
