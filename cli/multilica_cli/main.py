@@ -30,26 +30,8 @@ app = App(
     "5 runs differ (diff), or a LiDAR is outside its tolerance (check, verify) or has moved (fleet drift); "
     "130 Ctrl-C; 143 SIGTERM; 129 SIGHUP.",
 )
-for command in (
-    calibrate,
-    check,
-    verify,
-    accept,
-    inspect,
-    record,
-    explain,
-    query,
-    diff,
-    view,
-    report,
-    config,
-    simulate,
-    evaluate,
-    export,
-    datasets,
-    demo,
-    doctor,
-):
+_commands = (calibrate, check, verify, accept, inspect, record, explain, query, diff, view, report, config)
+for command in (*_commands, simulate, evaluate, export, datasets, demo, doctor):
     app.command()(command)
 app.add_typer(fleet)
 

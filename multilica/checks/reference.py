@@ -10,7 +10,7 @@ from multilica.errors import SourceNotFoundError, UnfitRunError, UnreadableSourc
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, read_extrinsics_table
 from multilica.geometry import RigidTransform
-from multilica.runs.run_documents import SavedRun, is_run, read_run, read_run_document
+from multilica.runs.run_documents import is_run, read_run, read_run_document
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.result_files import CALIBRATION_TOML
 
@@ -84,7 +84,12 @@ def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigChe
     file = (directory if directory.is_dir() else directory.parent) / CALIBRATION_TOML
     if not file.exists():
         raise SourceNotFoundError(f"{directory} has no {CALIBRATION_TOML}; give the directory that a run left.")
-    _require_whole(run, directory)
+    without = [each.lidar for each in run.placements if each.T_target_source is None or each.uncertain]
+    if without:
+        raise UnfitRunError(
+            f"{directory} does not place {', '.join(without)}; accept a run that places every LiDAR "
+            f"(`multilica explain {directory}` says what would help)."
+        )
     new = read_extrinsics_table(file)
     before = None
     if into.exists():
@@ -101,12 +106,3 @@ def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigChe
         before = check_rig(run, old, tolerances) if len(old.members) > 1 else None
     write_text_atomically(into, read_limited(file, MAX_TOML_BYTES).decode("utf-8"))
     return before
-
-
-def _require_whole(run: SavedRun, directory: Path) -> None:
-    without = [each.lidar for each in run.placements if each.T_target_source is None or each.uncertain]
-    if without:
-        raise UnfitRunError(
-            f"{directory} does not place {', '.join(without)}; accept a run that places every LiDAR "
-            f"(`multilica explain {directory}` says what would help)."
-        )

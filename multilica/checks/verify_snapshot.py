@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check of known extrinsics against a snapshot."""
 
-from collections.abc import Iterable
-
 from multilica.checks.comparison import LidarCheck, RigCheck, RigTolerances, check_rig
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
@@ -36,7 +34,9 @@ def check_found(rig: CalibrationResult, snapshot: Snapshot, known: Extrinsics, t
     """
     found = check_rig(SavedRun(snapshot.source or "snapshot", rig.target, rig.placements), known, tolerances)
     far = {each.lidar for each in rig.placements if each.contradicts_prior}
-    return _with_lidars(found, (_far(each) if each.lidar in far else each for each in found.lidars))
+    return found.model_copy(
+        update={"lidars": tuple(_far(each) if each.lidar in far else each for each in found.lidars)}
+    )
 
 
 def decide_unplaced(
@@ -62,11 +62,7 @@ def decide_unplaced(
         name: decided[name].model_copy(update={"reason": f"{decided[name].reason}; {how}"})
         for name in unplaced & decided.keys()
     }
-    return _with_lidars(check, (told.get(each.lidar, each) for each in check.lidars))
-
-
-def _with_lidars(check: RigCheck, lidars: Iterable[LidarCheck]) -> RigCheck:
-    return check.model_copy(update={"lidars": tuple(lidars)})
+    return check.model_copy(update={"lidars": tuple(told.get(each.lidar, each) for each in check.lidars)})
 
 
 def _far(check: LidarCheck) -> LidarCheck:

@@ -7,10 +7,9 @@ from typing import Any
 
 from multilica.config import STAGES
 from multilica.diagnosis.explanation import (
-    ADVICE,
+    CAUSES,
     PRIOR_ADVICE,
     REASON_WORDS,
-    WORDS,
     DecisivePair,
     Explanation,
     Missing,
@@ -100,7 +99,9 @@ def explain(document: ResultDocument) -> Explanation:
     """Explain a run: which LiDARs are placed, which are uncertain or not placed, why, and what would help."""
     if document.refusal is not None:
         cause = "moving_vehicle" if document.refusal.code == "moving_vehicle" else "unfit_input"
-        return _without_places(document, f"Nothing was calibrated: {WORDS[cause]}.", cause, (document.refusal.text,))
+        return _without_places(
+            document, f"Nothing was calibrated: {CAUSES[cause][0]}.", cause, (document.refusal.text,)
+        )
     if document.status == "unfinished":
         return _without_places(document, _progress(document), "unfinished", _known_so_far(document))
     until, target = document.config.until, document.target
@@ -129,7 +130,7 @@ def _without_places(document: ResultDocument, headline: str, cause: str, known: 
         input=_input(document),
         cause=cause,
         known=tuple(known),
-        advice=ADVICE[cause],
+        advice=CAUSES[cause][1:],
         warnings=tuple(_warnings(document)),
     )
 
@@ -184,7 +185,7 @@ def _headline(document: ResultDocument, missing: Sequence[Missing], uncertain: S
         verb = "is" if len(found) == 1 else "are"
         sentences += [f"{len(found)} of {count} LiDARs {verb} {status}."] if found else []
         sentences += [
-            f"{_listed(one.lidar for one in found if one.cause == cause)}: {WORDS[cause]}." for cause in causes
+            f"{_listed(one.lidar for one in found if one.cause == cause)}: {CAUSES[cause][0]}." for cause in causes
         ]
     return " ".join(sentences)
 
@@ -228,7 +229,7 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
         sigma_deg,
         limits.max_sigma_m,
         limits.max_sigma_deg,
-        ADVICE["uncertain"],
+        CAUSES["uncertain"][1:],
     )
 
 
@@ -253,8 +254,8 @@ def _missing_by(
     document: ResultDocument, name: str, cause: str, decisive: DecisivePair | None, next_best: str
 ) -> Missing:
     had_prior = document.lidars[name].prior is not None
-    advice = tuple(one for one in ADVICE[cause] if not (had_prior and one == PRIOR_ADVICE))
-    headline = f"{name} is not placed: {WORDS[cause]}."
+    advice = tuple(one for one in CAUSES[cause][1:] if not (had_prior and one == PRIOR_ADVICE))
+    headline = f"{name} is not placed: {CAUSES[cause][0]}."
     step = step_of(cause, None if decisive is None else decisive.codes)
     return Missing(name, cause, headline, step, decisive, next_best=next_best, advice=advice)
 

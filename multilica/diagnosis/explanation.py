@@ -87,8 +87,6 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
     "unknown": ("no registration with another LiDAR was accepted", _MORE_OVERLAP, _MORE_FRAMES),
 }
 """Description of each cause, then what would help, the most promising first."""
-WORDS = {cause: texts[0] for cause, texts in CAUSES.items()}
-ADVICE = {cause: texts[1:] for cause, texts in CAUSES.items()}
 
 _REASONS: Mapping[str, tuple[str, str]] = {
     "against_prior": ("against_prior", "contradicts the prior"),

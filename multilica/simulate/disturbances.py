@@ -8,10 +8,9 @@ import numpy as np
 
 from multilica.errors import UnknownNameError, UsageError
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.raycast import Hits, Surroundings
 from multilica.simulate.rigs import BASE, Mount, Rig
 from multilica.simulate.scenes import Scene
-from multilica.simulate.sensors import SensorModel, unit_directions
+from multilica.simulate.sensors import Hits, SensorModel, Surroundings, unit_directions
 from multilica.simulate.shapes.mesh import Mesh, merged
 from multilica.simulate.shapes.objects import pedestrian, truck
 

@@ -19,9 +19,9 @@ from multilica.simulate.disturbances import (
     require_known,
     truck_beside,
 )
-from multilica.simulate.raycast import Surroundings, measure, nearer, returned_points
 from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, chain_rig, with_drawing_error
 from multilica.simulate.scenes import SCENES
+from multilica.simulate.sensors import Surroundings, measure, nearer, returned_points
 from multilica.simulate.shapes.mesh import merged
 from multilica.snapshot import LidarScans, Scan, Snapshot
 

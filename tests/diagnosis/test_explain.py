@@ -11,7 +11,7 @@ import pytest
 from multilica.config import STAGES
 from multilica.diagnosis import CAUSES
 from multilica.diagnosis import explain as explain_document
-from multilica.diagnosis.explanation import ADVICE, PRIOR_ADVICE, WORDS, cause_of_codes
+from multilica.diagnosis.explanation import PRIOR_ADVICE, cause_of_codes
 from multilica.events import PairRegistered, StageFinished
 from multilica.orchestration.pairs import PAIR_STAGES
 from tests.sinks.made_documents import made_document, parsed
@@ -84,9 +84,9 @@ def test_the_verdict_of_the_decisive_pair_gives_the_cause(partial, outcome, code
     set_reasons(partial, outcome, *codes)
     missing = missing_of(partial)
     assert missing.cause == cause
-    assert missing.headline == f"{UNPLACED} is not placed: {WORDS[cause]}."
-    assert WORDS[cause] in explain(partial).headline
-    assert missing.advice == ADVICE[cause]
+    assert missing.headline == f"{UNPLACED} is not placed: {CAUSES[cause][0]}."
+    assert CAUSES[cause][0] in explain(partial).headline
+    assert missing.advice == CAUSES[cause][1:]
     assert missing.decisive.codes == codes
     assert f"figure of {codes[0]}, expected 2" in missing.decisive.sentence
 
@@ -201,7 +201,7 @@ def test_a_refused_snapshot(code, cause):
     document = {**made_document("failed"), "refusal": {"code": code, "text": "The vehicle moves: top by 1 m."}}
     told = explain(document)
     assert told.cause == cause
-    assert WORDS[cause] in told.headline
+    assert CAUSES[cause][0] in told.headline
     assert told.known == ("The vehicle moves: top by 1 m.",)
     assert told.missing == ()
 
@@ -284,8 +284,8 @@ def test_every_code_of_the_decision_has_a_cause():
 def test_every_cause_has_words_advice_and_documentation():
     page = (ROOT / "docs" / "cookbook.md").read_text(encoding="utf-8")
     for cause in CAUSES:
-        assert WORDS[cause]
-        assert ADVICE[cause]
+        assert CAUSES[cause][0]
+        assert CAUSES[cause][1:]
         assert f"`{cause}`" in page
 
 
@@ -293,9 +293,9 @@ def test_a_prior_is_no_advice_to_who_gave_one(partial):
     set_reasons(partial, "reject", "too_little_evidence")
     assert PRIOR_ADVICE in missing_of(partial).advice
     partial["lidars"][UNPLACED]["prior"] = prior_of(partial["lidars"]["top"])
-    assert missing_of(partial).advice == tuple(one for one in ADVICE["no_overlap"] if one != PRIOR_ADVICE)
+    assert missing_of(partial).advice == tuple(one for one in CAUSES["no_overlap"][1:] if one != PRIOR_ADVICE)
 
 
 @pytest.mark.parametrize("cause", ["ambiguous", "two_places", "not_in_rig"])
 def test_a_prior_is_no_advice_where_the_scene_does_not_decide(cause):
-    assert PRIOR_ADVICE not in ADVICE[cause]
+    assert PRIOR_ADVICE not in CAUSES[cause][1:]

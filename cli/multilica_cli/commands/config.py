@@ -20,7 +20,7 @@ from multilica_cli.terminal import print_json, stdout_console
 if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
-_UNITS = {"m": "m", "rad": "rad", "deg": "deg", "s": "s", "ns": "ns", "hz": "Hz", "voxels": "voxels"}
+_UNITS = {"_m": "m", "_rad": "rad", "_deg": "deg", "_s": "s", "_ns": "ns", "_hz": "Hz", "_voxels": "voxels"}
 _PAGE_HEAD = (
     "<!-- Made by `make docs` from the models in multilica/config: change those. -->",
     "",
@@ -114,17 +114,14 @@ def list_parameters(config: CalibrationConfig) -> tuple[Parameter, ...]:
     schema = config.model_json_schema()
     found: list[Parameter] = []
     for name, field in schema["properties"].items():
-        if "$ref" not in field:
-            found.append(_parameter("", name, field, values[name]))
-            continue
-        keys = schema["$defs"][field["$ref"].rpartition("/")[2]]["properties"]
-        found += [_parameter(name, key, entry, values[name][key]) for key, entry in keys.items()]
+        if "$ref" in field:
+            section, held, keys = name, values[name], schema["$defs"][field["$ref"].rpartition("/")[2]]["properties"]
+        else:
+            section, held, keys = "", values, {name: field}
+        for key, each in keys.items():
+            unit = _UNITS.get(key[key.rfind("_") :], "")
+            found.append(Parameter(section, key, held[key], unit, _allowed(each), each.get("description", "")))
     return tuple(found)
-
-
-def _parameter(section: str, name: str, field: dict[str, Any], value: object) -> Parameter:
-    unit = _UNITS.get(name.rpartition("_")[2], "") if "_" in name else ""
-    return Parameter(section, name, value, unit, _allowed(field), field.get("description", ""))
 
 
 def _allowed(field: dict[str, Any]) -> str:

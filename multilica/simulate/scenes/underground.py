@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scenes below ground."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from multilica.simulate.scenes.scene import FLAT, Scene
@@ -12,26 +10,16 @@ from multilica.simulate.shapes.objects import random_car
 _TUNNEL_HALF_LENGTH_M = 250.0
 
 
-@dataclass(frozen=True, slots=True)
 class _GarageFrame:
-    """The load-bearing frame, symmetric under half a turn about the origin; the middle row of bays is the aisle."""
+    """A random frame of columns, symmetric under half a turn about the origin; the middle row of bays is the aisle."""
 
-    bays_x: int
-    bays_y: int
-    bay_x_m: float
-    bay_y_m: float
-    height_m: float
-    column_m: float
-    round: bool
-    beam_m: float
-
-    @property
-    def half_x_m(self) -> float:
-        return self.bays_x * self.bay_x_m / 2.0
-
-    @property
-    def half_y_m(self) -> float:
-        return self.bays_y * self.bay_y_m / 2.0
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.beam_m = rng.uniform(0.2, 0.45)
+        self.bays_x, self.bays_y = int(rng.integers(5, 9)), int(rng.choice([3, 5]))
+        self.bay_x_m, self.bay_y_m = rng.uniform(5.0, 8.2), rng.uniform(6.2, 8.0)
+        self.half_x_m, self.half_y_m = self.bays_x * self.bay_x_m / 2.0, self.bays_y * self.bay_y_m / 2.0
+        self.height_m = 2.7 + self.beam_m + rng.uniform(0.0, 0.4)
+        self.column_m, self.round = rng.uniform(0.35, 0.7), bool(rng.random() < 0.3)
 
     @property
     def slots(self) -> list[tuple[float, float, float]]:
@@ -39,20 +27,6 @@ class _GarageFrame:
         columns_x = np.arange(-self.half_x_m + 1.6, self.half_x_m - 1.0, 2.6)
         rows_y = [-self.bay_y_m * (0.5 + row) - 2.7 for row in range(self.bays_y // 2)]
         return [(float(x), float(y), np.pi / 2.0) for y in rows_y for x in columns_x]
-
-
-def _random_frame(rng: np.random.Generator) -> _GarageFrame:
-    beam_m = rng.uniform(0.2, 0.45)
-    return _GarageFrame(
-        bays_x=int(rng.integers(5, 9)),
-        bays_y=int(rng.choice([3, 5])),
-        bay_x_m=rng.uniform(5.0, 8.2),
-        bay_y_m=rng.uniform(6.2, 8.0),
-        height_m=2.7 + beam_m + rng.uniform(0.0, 0.4),
-        column_m=rng.uniform(0.35, 0.7),
-        round=bool(rng.random() < 0.3),
-        beam_m=beam_m,
-    )
 
 
 def _structure(frame: _GarageFrame) -> list[Mesh]:
@@ -82,7 +56,7 @@ def _half_cars(rng: np.random.Generator, frame: _GarageFrame, occupancy: float) 
 
 def garage(rng: np.random.Generator) -> Scene:
     """Build a garage whose ends differ only in cars, pipes, walls and the ramp."""
-    frame = _random_frame(rng)
+    frame = _GarageFrame(rng)
     occupancy = rng.uniform(0.25, 0.7)
     cars = _half_cars(rng, frame, occupancy)
     cars += [mesh.moved(yaw_rad=np.pi) for mesh in _half_cars(rng, frame, occupancy)]
@@ -142,7 +116,7 @@ def _ramp(rng: np.random.Generator, frame: _GarageFrame) -> Mesh:
 
 def symmetric_garage(rng: np.random.Generator) -> Scene:
     """Build a garage that is exactly the same after half a turn about the vehicle."""
-    frame = _random_frame(rng)
+    frame = _GarageFrame(rng)
     half = _half_cars(rng, frame, rng.uniform(0.25, 0.7))
     x_m, z_m = frame.half_x_m, frame.height_m - 0.2
     half += [tube((-x_m, y, z_m), (x_m, y, z_m), 0.08) for y in rng.uniform(0.1, 0.9, 2) * frame.half_y_m]

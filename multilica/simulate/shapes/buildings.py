@@ -1,38 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Buildings with facades that have relief."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from multilica.geometry import FloatArray
 from multilica.simulate.shapes.mesh import Mesh, box, merged, quads, tube
 
 
-@dataclass(frozen=True, slots=True)
-class FacadeStyle:
-    """Sizes of a facade; storeys are measured from floor to floor, windows by width and height."""
+class _FacadeStyle:
+    """Random sizes of the facade of a European town house; storeys from floor to floor, windows width by height."""
 
-    bay_m: float
-    storey_m: float
-    ground_storey_m: float
-    window_m: tuple[float, float]
-    recess_m: float
-    balcony_share: float
-    cornice_m: float
-
-
-def _random_style(rng: np.random.Generator) -> FacadeStyle:
-    """Draw the style of a European town house."""
-    return FacadeStyle(
-        bay_m=rng.uniform(2.0, 4.2),
-        storey_m=rng.uniform(2.7, 3.6),
-        ground_storey_m=rng.uniform(3.0, 4.5),
-        window_m=(rng.uniform(0.9, 1.8), rng.uniform(1.2, 2.0)),
-        recess_m=rng.uniform(0.08, 0.35),
-        balcony_share=float(rng.choice([0.0, 0.0, 0.15, 0.4])),
-        cornice_m=float(rng.choice([0.0, 0.08, 0.2])),
-    )
+    def __init__(self, rng: np.random.Generator) -> None:
+        self.bay_m = rng.uniform(2.0, 4.2)
+        self.storey_m = rng.uniform(2.7, 3.6)
+        self.ground_storey_m = rng.uniform(3.0, 4.5)
+        self.window_m = (rng.uniform(0.9, 1.8), rng.uniform(1.2, 2.0))
+        self.recess_m = rng.uniform(0.08, 0.35)
+        self.balcony_share = float(rng.choice([0.0, 0.0, 0.15, 0.4]))
+        self.cornice_m = float(rng.choice([0.0, 0.08, 0.2]))
 
 
 def _wall(x_cuts_m: FloatArray, z_cuts_m: FloatArray, recess_m: FloatArray) -> Mesh:
@@ -58,7 +43,7 @@ def _stack(*corners: tuple[FloatArray, FloatArray, FloatArray]) -> FloatArray:
     return np.stack([np.stack(corner, axis=-1) for corner in corners], axis=-2).reshape(-1, 4, 3)
 
 
-def _facade(rng: np.random.Generator, style: FacadeStyle, width_m: float, storeys: int) -> Mesh:
+def _facade(rng: np.random.Generator, style: _FacadeStyle, width_m: float, storeys: int) -> Mesh:
     """Build a street front in the plane y = 0 from x = 0 to the width, looking towards -y."""
     bays = max(1, int(width_m / style.bay_m))
     pitch_m = width_m / bays
@@ -107,7 +92,7 @@ def _pitched_roof(width_m: float, depth_m: float, eaves_m: float, rise_m: float,
 
 def building(rng: np.random.Generator, width_m: float, depth_m: float) -> Mesh:
     """Build a house with its front in the plane y = 0, looking towards -y, from x = 0 to the width."""
-    style, storeys = _random_style(rng), int(rng.integers(2, 7))
+    style, storeys = _FacadeStyle(rng), int(rng.integers(2, 7))
     height_m = style.ground_storey_m + style.storey_m * (storeys - 1)
     front = _facade(rng, style, width_m, storeys)
     back = _facade(rng, style, width_m, storeys).moved(width_m, depth_m, 0.0, np.pi)

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from multilica.errors import UnknownNameError, UsageError
 from multilica.simulate import RIGS, simulate_snapshot
 from multilica.simulate.disturbances import blocked_beams, random_walkers, require_known, truck_beside
-from multilica.simulate.raycast import Surroundings
 from multilica.simulate.rigs import as_built
 from multilica.simulate.scenes import SCENES
+from multilica.simulate.sensors import Surroundings
 from multilica.simulate.shapes.mesh import merged
 
 
