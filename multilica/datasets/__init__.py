@@ -3,7 +3,8 @@
 
 from collections.abc import Mapping
 
-from multilica.datasets import edgar, helipr, opencalib
+from multilica.datasets import helipr
+from multilica.datasets.folders import read_edgar, read_opencalib
 from multilica.datasets.presets import DatasetDocument, run_presets
 from multilica.datasets.published import published
 from multilica.datasets.scene import DatasetScene, Reader, SceneRequest
@@ -19,8 +20,8 @@ __all__ = [
 ]
 
 READERS: Mapping[str, Reader] = {
-    "edgar": edgar.read_scenes,
+    "edgar": read_edgar,
     "helipr": helipr.read_scenes,
-    "opencalib": opencalib.read_scenes,
+    "opencalib": read_opencalib,
 }
 """Data set -> its reader."""

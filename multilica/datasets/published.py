@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Statements of the paper and its published code on each data set."""
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from multilica.acceptance.placement import place, place_target
 from multilica.config import AcceptanceConfig
-from multilica.datasets.opencalib import AGREED
-from multilica.datasets.truth_files import MAIN_LIDAR, extrinsics_of
+from multilica.datasets.folders import AGREED
+from multilica.datasets.scene import MAIN_LIDAR, extrinsics_of
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results.values import Entry
@@ -45,7 +47,7 @@ _EDGAR_FOUND = extrinsics_of(
     },
 )
 """The example in ``evaluation/config.yaml`` of the published code: the truth, and one result."""
-_OPENCALIB_FOUND = {
+_OPENCALIB_ROWS = {
     "left": (
         (-0.022213, -0.995132, -0.096015, -0.000238),
         (0.704855, -0.083697, 0.704396, 0.601886),
@@ -58,45 +60,45 @@ _OPENCALIB_FOUND = {
     ),
 }
 """Rows of ``T_top_<lidar>`` that the published code finds on its demo, with its own parameters."""
+_OPENCALIB_FOUND = Extrinsics(
+    AGREED.target,
+    {
+        name: RigidTransform.from_rotation_translation(AGREED.target, name, np.array(rows)[:, :3], np.array(rows)[:, 3])
+        for name, rows in _OPENCALIB_ROWS.items()
+    },
+)
+
+
+_STATEMENTS: Mapping[str, tuple[str, ...]] = {
+    "helipr": (
+        "The paper shows its errors on ten samples of HeLiPR as box plots, without numbers.",
+        "On one core of 3 GHz its method takes 3 s per sample on average, CROON 9 s.",
+        "CROON did not place the Velodyne on two of the samples.",
+        "The paper doubts the data set's truth of the Aeva, and reads these errors only relative to CROON's.",
+    ),
+    "edgar": (
+        "The paper shows its errors on ten scenes of EDGAR as box plots, without numbers.",
+        "On one core of 3 GHz its method takes 3 s per scene on average; CROON took 1300 s for the first.",
+        "CROON fails for many scenes, the rear LiDAR above all.",
+    ),
+    "opencalib": (
+        "The paper evaluates nothing on these scenes; the first one is the demo of its code.",
+        "Four methods agree on the truth within 20 mm and 0.4 degrees; smaller errors are not significant.",
+    ),
+}
+_TABLES = {
+    "edgar": ("published code, its example scene", _EDGAR_FOUND, _EDGAR_TRUTH),
+    "opencalib": ("published code, scene 0001", _OPENCALIB_FOUND, AGREED),
+}
+"""Data set -> label, poses found, and the truth."""
 
 
 def published(dataset: str, tolerances: Tolerances | None = None) -> Published:
     """Return what is published on a data set: ``helipr``, ``edgar`` or ``opencalib``."""
-    if dataset == "helipr":
-        return Published(
-            statements=(
-                "The paper shows its errors on ten samples of HeLiPR as box plots, without numbers.",
-                "On one core of 3 GHz its method takes 3 s per sample on average, CROON 9 s.",
-                "CROON did not place the Velodyne on two of the samples.",
-                "The paper doubts the data set's truth of the Aeva, and reads these errors only relative to CROON's.",
-            )
-        )
-    if dataset == "edgar":
-        return Published(
-            statements=(
-                "The paper shows its errors on ten scenes of EDGAR as box plots, without numbers.",
-                "On one core of 3 GHz its method takes 3 s per scene on average; CROON took 1300 s for the first.",
-                "CROON fails for many scenes, the rear LiDAR above all.",
-            ),
-            label="published code, its example scene",
-            table=_table(_EDGAR_FOUND, _EDGAR_TRUTH, tolerances),
-        )
-    rows = {
-        name: RigidTransform.from_rotation_translation(AGREED.target, name, np.array(rows)[:, :3], np.array(rows)[:, 3])
-        for name, rows in _OPENCALIB_FOUND.items()
-    }
-    return Published(
-        statements=(
-            "The paper evaluates nothing on these scenes; the first one is the demo of its code.",
-            "Four methods agree on the truth within 20 mm and 0.4 degrees; smaller errors are not significant.",
-        ),
-        label="published code, scene 0001",
-        table=_table(Extrinsics(AGREED.target, rows), AGREED, tolerances),
-    )
-
-
-def _table(found: Extrinsics, truth: Extrinsics, tolerances: Tolerances | None) -> PaperTable:
+    if dataset not in _TABLES:
+        return Published(statements=_STATEMENTS[dataset])
+    label, found, truth = _TABLES[dataset]
     placements = tuple(place(pose, None, AcceptanceConfig(), "published") for pose in found.T_target_source.values())
-    target = place_target(found.target)
-    run = SavedRun("published", found.target, (target, *placements))
-    return paper_table([run], [Truth("published truth", truth)], tolerances)
+    run = SavedRun("published", found.target, (place_target(found.target), *placements))
+    table = paper_table([run], [Truth("published truth", truth)], tolerances)
+    return Published(statements=_STATEMENTS[dataset], label=label, table=table)

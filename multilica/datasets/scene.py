@@ -1,14 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A moment of a data set."""
+"""A moment of a data set with its truth."""
 
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeAlias
 
-from multilica.errors import UsageError
+import numpy as np
+
+from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics
+from multilica.geometry import RigidTransform
 from multilica.snapshot import Snapshot
+
+MAIN_LIDAR = "main_lidar"
+"""The reference LiDAR in the evaluation files that the paper's authors publish."""
+_NAMES = ("truth.toml", "truth.yaml", "config.yaml")
+_SECTION = re.compile(r"^ground_truth:[^\n]*\n((?:[ \t#][^\n]*\n|\n)*)", re.MULTILINE)
+_POSE = re.compile(r"^[ \t]+([\w./-]+):\s*\[([^\]]*)\]", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,3 +69,60 @@ Raises:
     SourceNotFoundError: the path does not exist.
     InputError: it does not hold that data set, a file of it is damaged, or it has no moment of standstill.
 """
+
+
+def extrinsics_of(target: str, poses: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Extrinsics:
+    """Make a table of poses from positions in metres and extrinsic xyz angles in degrees by LiDAR."""
+    made = {
+        name: RigidTransform.from_xyz_rpy(target, name, xyz_m, np.deg2rad(rpy_deg).tolist())
+        for name, (xyz_m, rpy_deg) in poses.items()
+    }
+    return Extrinsics(target, made)
+
+
+def find_truth(*folders: Path) -> Path | None:
+    """Return the first file ``truth.toml``, ``truth.yaml`` or ``config.yaml`` in the folders; None if there is none."""
+    found = (folder / name for folder in folders for name in _NAMES if (folder / name).is_file())
+    return next(found, None)
+
+
+def read_truth(path: Path) -> Extrinsics:
+    """Read a TOML table as `simulate` writes it, or a YAML file as the paper's authors publish it.
+
+    Such a YAML file has a section ``ground_truth`` with an entry per LiDAR: ``[x, y, z, roll, pitch, yaw]`` in metres
+    and degrees (extrinsic xyz), or ``[x, y, z, qx, qy, qz, qw]``, all in one frame.
+
+    Raises:
+        SourceNotFoundError: no such file.
+        UnreadableSourceError: not such a file.
+    """
+    if path.suffix == ".toml":
+        return read_extrinsics(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise SourceNotFoundError(f"No truth at {path}.") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnreadableSourceError(f"{path} is not a text file that can be read: {error}.") from error
+    section = _SECTION.search(f"{text}\n")
+    entries = _POSE.findall(section[1]) if section else []
+    if not entries:
+        raise UnreadableSourceError(
+            f"{path} has no poses below 'ground_truth:'; expected lines 'LIDAR: [x, y, z, roll, pitch, yaw]'."
+        )
+    return Extrinsics("truth", {name: _pose(path, name, numbers) for name, numbers in entries})
+
+
+def _pose(path: Path, name: str, numbers: str) -> RigidTransform:
+    try:
+        values = [float(number) for number in numbers.split(",") if number.strip()]
+        if len(values) == 6:
+            return RigidTransform.from_xyz_rpy("truth", name, values[:3], np.deg2rad(values[3:]).tolist())
+        if len(values) == 7:
+            return RigidTransform.from_xyz_quaternion("truth", name, values[:3], values[3:])
+    except ValueError as error:
+        raise UnreadableSourceError(f"{path} has no pose of '{name}' that can be read: {error}.") from error
+    raise UnreadableSourceError(
+        f"{path} has {len(values)} numbers for '{name}'; expected 6 (x, y, z, roll, pitch, yaw) or 7 (x, y, z, "
+        "quaternion)."
+    )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from multilica.datasets import SceneRequest
-from multilica.datasets.edgar import read_scenes
+from multilica.datasets.folders import read_edgar
 from multilica.errors import InputError, SourceNotFoundError, UnreadableSourceError
 from multilica.simulate import Simulation, simulate_snapshot
 from tests.cli.support import write_pcd
@@ -32,7 +32,7 @@ def test_bags_with_the_truth_of_the_authors(simulation: Simulation, tmp_path: Pa
     for scene in ("scene_01", "scene_02"):
         write_ros2_bag(simulation.snapshot, tmp_path / scene)
     write_truth(tmp_path, simulation)
-    scenes = list(read_scenes(tmp_path, SceneRequest(frames=2, topics=TOPICS)))
+    scenes = list(read_edgar(tmp_path, SceneRequest(frames=2, topics=TOPICS)))
     assert [scene.name for scene in scenes] == ["scene_01", "scene_02"]
     for scene in scenes:
         assert (scene.target, set(scene.snapshot.names)) == ("main_lidar", set(NAMES.values()))
@@ -45,13 +45,13 @@ def test_bags_with_the_truth_of_the_authors(simulation: Simulation, tmp_path: Pa
 @pytest.mark.slow
 def test_one_bag_alone(simulation: Simulation, tmp_path: Path) -> None:
     write_ros2_bag(simulation.snapshot, tmp_path / "bag")
-    (scene,) = read_scenes(tmp_path / "bag", SceneRequest(frames=3))
+    (scene,) = read_edgar(tmp_path / "bag", SceneRequest(frames=3))
     assert (scene.name, scene.target, scene.truth) == ("bag", "", None)
     for lidar in scene.snapshot.lidars:
         np.testing.assert_array_equal(lidar.scans[0].points_m, simulation.snapshot[lidar.name].scans[0].points_m)
     assert [note for note in scene.snapshot.notes if note.startswith("The vehicle stands still")]
     (file,) = (tmp_path / "bag").glob("*.db3")
-    assert [each.name for each in read_scenes(file, SceneRequest())] == [file.stem]
+    assert [each.name for each in read_edgar(file, SceneRequest())] == [file.stem]
 
 
 @pytest.mark.slow
@@ -61,12 +61,12 @@ def test_folders_of_point_files(simulation: Simulation, tmp_path: Path) -> None:
             write_pcd(tmp_path / scene / f"{name}.pcd", simulation.snapshot[lidar].scans[0].points_m[::50])
     write_truth(tmp_path, simulation)
     write_truth(tmp_path / "a", simulation, {"left": "main_lidar", "rear": "lidar_3"})
-    a, b = read_scenes(tmp_path, SceneRequest())
+    a, b = read_edgar(tmp_path, SceneRequest())
     assert (a.name, b.name, b.snapshot.names) == ("a", "b", tuple(sorted(NAMES.values())))
     assert a.truth is not None
     assert b.truth is not None
     assert (len(a.truth.members), len(b.truth.members)) == (3, 5)
-    assert len(list(read_scenes(tmp_path, SceneRequest(scenes=1)))) == 1
+    assert len(list(read_edgar(tmp_path, SceneRequest(scenes=1)))) == 1
 
 
 @pytest.mark.slow
@@ -76,16 +76,16 @@ def test_a_given_truth_wins(simulation: Simulation, tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()
     write_truth(other, simulation, {"left": "main_lidar", "rear": "back"})
-    (scene,) = read_scenes(tmp_path / "scene", SceneRequest(truth=other / "config.yaml"))
+    (scene,) = read_edgar(tmp_path / "scene", SceneRequest(truth=other / "config.yaml"))
     assert scene.truth is not None
     assert scene.truth.members == {"truth", "main_lidar", "back"}
 
 
 def test_what_is_no_scene_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SourceNotFoundError, match="Nothing exists at"):
-        list(read_scenes(tmp_path / "none", SceneRequest()))
+        list(read_edgar(tmp_path / "none", SceneRequest()))
     with pytest.raises(InputError, match="holds no scene; expected ROS 2 bags"):
-        list(read_scenes(tmp_path, SceneRequest()))
+        list(read_edgar(tmp_path, SceneRequest()))
     (tmp_path / "drive.db3").write_bytes(b"SQLite format 3\0 and no more")
     with pytest.raises(UnreadableSourceError, match=r"drive\.db3"):
-        list(read_scenes(tmp_path, SceneRequest()))
+        list(read_edgar(tmp_path, SceneRequest()))

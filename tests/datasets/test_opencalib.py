@@ -7,7 +7,7 @@ import pytest
 import tomli_w
 
 from multilica.datasets import SceneRequest
-from multilica.datasets.opencalib import AGREED, read_scenes
+from multilica.datasets.folders import AGREED, read_opencalib
 from multilica.errors import InputError, SourceNotFoundError, UnreadableSourceError
 from multilica.extrinsics import extrinsics_table
 from tests import opencalib as real
@@ -21,21 +21,21 @@ POINT = [[1.0, 2.0, 3.0]]
 def test_scenes_are_folders_and_names_end_at_the_hyphen(tmp_path: Path) -> None:
     for name in ("0002", "0001"):
         write_opencalib(tmp_path / name, keep_every=50)
-    scenes = list(read_scenes(tmp_path, SceneRequest()))
+    scenes = list(read_opencalib(tmp_path, SceneRequest()))
     assert [scene.name for scene in scenes] == ["0001", "0002"]
     for scene in scenes:
         assert (scene.target, scene.snapshot.names) == ("top", ("left", "right", "top"))
         assert scene.truth is AGREED
         assert scene.snapshot["top"].points_count > 0
         assert scene.snapshot.source_sha256
-    assert len(list(read_scenes(tmp_path, SceneRequest(scenes=1)))) == 1
-    assert [scene.name for scene in read_scenes(tmp_path / "0002", SceneRequest())] == ["0002"]
+    assert len(list(read_opencalib(tmp_path, SceneRequest(scenes=1)))) == 1
+    assert [scene.name for scene in read_opencalib(tmp_path / "0002", SceneRequest())] == ["0002"]
 
 
 def test_a_given_truth_wins(tmp_path: Path) -> None:
     true = write_opencalib(tmp_path / "0001", keep_every=50)
     (tmp_path / "t.toml").write_text(tomli_w.dumps(extrinsics_table(true)))
-    (scene,) = read_scenes(tmp_path / "0001", SceneRequest(truth=tmp_path / "t.toml"))
+    (scene,) = read_opencalib(tmp_path / "0001", SceneRequest(truth=tmp_path / "t.toml"))
     assert scene.truth is not None
     assert scene.truth.target == "base"
 
@@ -43,14 +43,14 @@ def test_a_given_truth_wins(tmp_path: Path) -> None:
 def test_other_lidars_have_no_truth(tmp_path: Path) -> None:
     for name in ("p64", "qt"):
         write_pcd(tmp_path / f"{name}.pcd", POINT)
-    (scene,) = read_scenes(tmp_path, SceneRequest())
+    (scene,) = read_opencalib(tmp_path, SceneRequest())
     assert (scene.target, scene.truth, scene.snapshot.names) == ("", None, ("p64", "qt"))
 
 
 def test_only_listed_files_are_read(tmp_path: Path) -> None:
     write_opencalib(tmp_path / "0001", keep_every=50)
     write_pcd(tmp_path / "0001" / "rear.pcd", POINT)
-    (scene,) = read_scenes(tmp_path, SceneRequest())
+    (scene,) = read_opencalib(tmp_path, SceneRequest())
     assert "rear" not in scene.snapshot.names
 
 
@@ -65,26 +65,26 @@ def test_a_wrong_list_is_one_sentence(text: str, words: str, tmp_path: Path) -> 
     write_pcd(tmp_path / "left.pcd", POINT)
     (tmp_path / "lidar_cloud_path.txt").write_text(text)
     with pytest.raises(UnreadableSourceError, match=words):
-        list(read_scenes(tmp_path, SceneRequest()))
+        list(read_opencalib(tmp_path, SceneRequest()))
 
 
 def test_what_is_no_scene_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SourceNotFoundError, match="No folder at"):
-        list(read_scenes(tmp_path / "none", SceneRequest()))
+        list(read_opencalib(tmp_path / "none", SceneRequest()))
     with pytest.raises(InputError, match="holds no scene"):
-        list(read_scenes(tmp_path, SceneRequest()))
+        list(read_opencalib(tmp_path, SceneRequest()))
     (tmp_path / "top.pcd").write_bytes(b"no points")
     with pytest.raises(UnreadableSourceError, match=r"top\.pcd"):
-        list(read_scenes(tmp_path, SceneRequest()))
+        list(read_opencalib(tmp_path, SceneRequest()))
     for name in ("top-1", "top-2"):
         write_pcd(tmp_path / "twice" / f"{name}.pcd", POINT)
     with pytest.raises(InputError, match=r"several files of one LiDAR \(top-1.pcd, top-2.pcd\)"):
-        list(read_scenes(tmp_path / "twice", SceneRequest()))
+        list(read_opencalib(tmp_path / "twice", SceneRequest()))
 
 
 @pytest.mark.skipif(not real.DATA.exists(), reason=real.MISSING)
 def test_the_real_scans_are_a_scene() -> None:
-    (scene,) = read_scenes(real.DATA, SceneRequest())
+    (scene,) = read_opencalib(real.DATA, SceneRequest())
     assert {lidar.name: lidar.points_count for lidar in scene.snapshot.lidars} == {
         "left": 8572,
         "right": 9248,

@@ -10,8 +10,8 @@ import pytest
 
 from multilica import events
 from multilica.datasets import DatasetDocument, DatasetScene, SceneRequest, published, run_presets
-from multilica.datasets.opencalib import read_scenes
-from multilica.datasets.truth_files import read_truth
+from multilica.datasets.folders import read_opencalib
+from multilica.datasets.scene import read_truth
 from multilica.errors import UnknownNameError, UsageError
 from multilica.runs import Tolerances
 from multilica.snapshot import LidarScans, Scan, Snapshot
@@ -25,7 +25,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[DatasetDocument, Pa
     """Both presets on a scene with truth, without truth, and one that is refused."""
     folder = tmp_path_factory.mktemp("presets")
     truth = write_opencalib(folder / "data" / "0001")
-    (known,) = read_scenes(folder / "data", SceneRequest())
+    (known,) = read_opencalib(folder / "data", SceneRequest())
     cloud = LidarScans("top", (Scan(np.ones((10, 3), np.float32)),))
     scenes = [
         DatasetScene("known", known.snapshot, truth, "top"),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multilica.datasets.standstill import Trajectory, stops_by_poses, stops_by_scans
+from multilica.datasets.helipr import Trajectory, stops_by_poses, stops_by_scans
 from multilica.simulate import simulate_snapshot
 
 SECOND_NS = 1_000_000_000

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import tomli_w
 
-from multilica.datasets.truth_files import find_truth, read_truth
+from multilica.datasets.scene import find_truth, read_truth
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.extrinsics import extrinsics_table
 from tests.datasets.dataset_writers import truth_yaml

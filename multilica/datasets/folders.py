@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Data sets with a recording or a folder of point files per scene: EDGAR's and OpenCalib's."""
+
+import re
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from multilica.config import IngestConfig
+from multilica.datasets.scene import MAIN_LIDAR, DatasetScene, SceneRequest, extrinsics_of, find_truth, read_truth
+from multilica.errors import InputError, SourceNotFoundError, UnreadableSourceError
+from multilica.ingest import read_snapshot
+from multilica.ingest.formats import Content, named_format
+from multilica.ingest.locate import find_source
+from multilica.snapshot import LidarScans, Snapshot
+
+_PATHS_FILE = "lidar_cloud_path.txt"
+_TARGET = "top"
+_ENTRY = re.compile(r"device_id:[ \t]*(\d+)[ \t]*\r?\n[ \t]*path:[ \t]*(\S+)")
+AGREED = extrinsics_of(
+    _TARGET, {"left": ((0.01, 0.57, -0.40), (-4.2, 45.1, 91.8)), "right": ((-0.03, -0.56, -0.43), (-0.5, 45.8, -86.1))}
+)
+"""Poses on that vehicle on which four methods agree within 0.02 m and 0.3 to 0.4 degrees; there is no survey."""
+
+
+def read_edgar(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
+    """Yield the scenes of EDGAR, the vehicle of the paper: one per recording or folder of point files, in name order.
+
+    The recordings are not public. Users who have some keep them as the paper's code reads them: a ROS 2 bag per scene,
+    or a folder per scene with PCD files per LiDAR, and the truth in the form of the authors' evaluation files.
+
+    The longest standstill of a recording is used. The truth of a scene is in its folder, else in `path`.
+
+    Raises:
+        SourceNotFoundError: the path does not exist.
+        InputError: it holds no scene, or one of them cannot be read.
+    """
+    for source in _sources(path)[: request.scenes]:
+        file = request.truth or find_truth(source, path if path.is_dir() else path.parent)
+        truth = None if file is None else read_truth(file)
+        target = MAIN_LIDAR if truth is not None and MAIN_LIDAR in truth.members else ""
+        config = IngestConfig(
+            frames=request.frames,
+            topics=dict(request.topics),
+            window="auto" if find_source(source).recordings else "start",
+        )
+        yield DatasetScene(
+            source.stem if source.is_file() else source.name, read_snapshot(source, config=config), truth, target
+        )
+
+
+def _sources(path: Path) -> list[Path]:
+    if not path.exists():
+        raise SourceNotFoundError(f"Nothing exists at {path}; give a ROS 2 bag, or a folder with one entry per scene.")
+    if path.is_file() or _is_scene(path):
+        return [path]
+    found = [entry for entry in sorted(path.iterdir()) if (_is_scene(entry) if entry.is_dir() else _is_read(entry))]
+    if not found:
+        raise InputError(f"{path} holds no scene; expected ROS 2 bags, or folders with a PCD file per LiDAR.")
+    return found
+
+
+def _is_scene(folder: Path) -> bool:
+    """Return whether a folder is a bag, or has point files of LiDARs: a file, or a folder of frames, for each."""
+    if (folder / "metadata.yaml").is_file():
+        return True
+    entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
+    return any(_is_read(entry, Content.CLOUD) for entry in entries if entry.is_file())
+
+
+def _is_read(file: Path, content: Content = Content.RECORDING) -> bool:
+    named = named_format(file)
+    return named is not None and named.content is content
+
+
+def read_opencalib(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
+    """Yield the scenes of OpenCalib's example ``lidar2lidar/auto_calib/data``, or of a folder with PCD files, by name.
+
+    It is also the demo of the paper's code. A LiDAR is named after its file, up to the first hyphen. The rough poses of
+    ``initial_extrinsic.txt`` are not used: they are a start, no truth, and the paper's method needs none.
+
+    Raises:
+        SourceNotFoundError: the path does not exist.
+        InputError: it holds no scene, or one of them cannot be read.
+    """
+    if not path.is_dir():
+        raise SourceNotFoundError(
+            f"No folder at {path}; give a folder with OpenCalib's PCD files, or one of such folders."
+        )
+    folders = [folder for folder in (path, *sorted(path.iterdir())) if folder.is_dir() and any(folder.glob("*.pcd"))]
+    if not folders:
+        raise InputError(f"{path} holds no scene; expected a PCD file per LiDAR, such as top.pcd, or folders of them.")
+    given = None if request.truth is None else read_truth(request.truth)
+    for folder in folders[: request.scenes]:
+        files = _files(folder)
+        read = read_snapshot(list(files.values()))
+        by_stem = {lidar.name: lidar for lidar in read.lidars}
+        lidars = [LidarScans(name, by_stem[file.stem].scans) for name, file in files.items()]
+        snapshot = Snapshot(tuple(lidars), str(folder), read.source_sha256, notes=read.notes)
+        truth = given or (AGREED if AGREED.members <= {*snapshot.names} else None)
+        yield DatasetScene(folder.name, snapshot, truth, _TARGET if _TARGET in snapshot.names else "")
+
+
+def _files(folder: Path) -> Mapping[str, Path]:
+    """Return the file of each LiDAR: those that ``lidar_cloud_path.txt`` lists, else all."""
+    index = folder / _PATHS_FILE
+    if index.is_file():
+        paths = [folder / Path(listed).name for _, listed in _ENTRY.findall(index.read_text(encoding="latin1"))]
+        missing = [file.name for file in paths if not file.is_file()]
+        if missing or not paths:
+            what = f"names {', '.join(missing)}, which is not there" if missing else "lists no file"
+            raise UnreadableSourceError(f"{index} {what}; expected 'device_id: N' and 'path: FILE' per LiDAR.")
+    else:
+        paths = sorted(folder.glob("*.pcd"))
+    files = {file.stem.partition("-")[0]: file for file in paths}
+    if len(files) < len(paths):
+        raise InputError(f"{folder} has several files of one LiDAR ({', '.join(file.name for file in paths)}).")
+    return files
