@@ -230,8 +230,9 @@ class _JointRig:
         return SnapshotReport(
             name=run.name,
             source=run.source,
-            source_sha256=run.source_sha256,
+            sha256=run.source_sha256,
+            outliers=tuple(lidar for lidar in sorted(deviations) if deviations[lidar].outlier),
             deviations=tuple(deviations[lidar] for lidar in sorted(deviations)),
             disputed=tuple(each.lidars[0] for each in self.inconsistent.get(run.name, ()) if not each.outvoted),
-            refusal=run.refusal,
+            refusal=run.refusal or None,
         )

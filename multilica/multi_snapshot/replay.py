@@ -102,5 +102,5 @@ def _of_all(snapshot: Snapshot, result: CalibrationResult) -> Snapshot:
 
 
 def _sha256_of_all(reports: Sequence[SnapshotReport]) -> str:
-    digests = [report.source_sha256 for report in reports]
+    digests = [report.sha256 for report in reports]
     return hashlib.sha256("".join(sorted(digests)).encode()).hexdigest() if all(digests) else ""

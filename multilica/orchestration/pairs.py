@@ -130,22 +130,28 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
     target, source = (lidars[name] for name in request.pair)
     config = target.config
     stages = PAIR_STAGES[: PAIR_STAGES.index(request.until) + 1]
-    clock = _Clock()
+    start_s = time.perf_counter()
+
+    def finish(stage: Stage) -> None:
+        found.elapsed_s[stage] = time.perf_counter() - start_s - sum(found.elapsed_s.values())
+
     of_target, of_source = (each.features_at(request.voxel_size_m) for each in (target, source))
     found = PairSearch(match_features(of_target, of_source, config.correspond))
-    clock.stop("correspond", found)
+    finish("correspond")
     if "coarse" in stages:
         limits = config.coarse, config.acceptance.max_baseline_m
         found.coarse = find_hypotheses(found.matches, *limits, request.prior)
-        clock.stop("coarse", found)
+        finish("coarse")
     if "verify" in stages and found.coarse is not None and config.verify.enabled:
         found.verified = verify_hypotheses(target.verification_cloud, source.verification_cloud, found.coarse, config)
-        clock.stop("verify", found)
+        finish("verify")
     if "fine" in stages and found.coarse is not None:
-        hypotheses = found.coarse.hypotheses if found.verified is None else _as_hypotheses(found.verified)
+        hypotheses = found.coarse.hypotheses
+        if found.verified is not None:
+            hypotheses = tuple(each.as_hypothesis() for each in found.verified)
         if hypotheses:
             found.registration = register_sides(target.side, source.side, hypotheses, config)
-        clock.stop("fine", found)
+        finish("fine")
     return found
 
 
@@ -175,28 +181,3 @@ def register_sides(
     if found.registrations:
         return replace(found, verdict=accept(found.registrations, config.acceptance))
     return replace(found, verdict=accept_by_fitness(found, config.merge))
-
-
-def _as_hypotheses(registrations: Sequence[Registration]) -> list[Hypothesis]:
-    return [
-        Hypothesis(
-            each.T_target_source,
-            origin=each.origin,
-            index=each.hypothesis,
-            evidence=each.evidence,
-            derivation=each.derivation,
-        )
-        for each in registrations
-    ]
-
-
-class _Clock:
-    """Time since the last stop."""
-
-    def __init__(self) -> None:
-        self._since_s = time.perf_counter()
-
-    def stop(self, stage: Stage, found: PairSearch) -> None:
-        """Note the time as that of the stage."""
-        now_s = time.perf_counter()
-        found.elapsed_s[stage], self._since_s = now_s - self._since_s, now_s

@@ -49,25 +49,20 @@ class SnapshotDeviation:
 
 @dataclass(frozen=True, slots=True)
 class SnapshotReport:
-    """Contribution of one snapshot to a joint result.
+    """The contribution of one snapshot to a joint result."""
 
-    Args:
-        deviations: of the LiDARs that it places, in name order.
-        disputed: LiDARs on which it contradicts other snapshots without a majority.
-        refusal: why the whole snapshot was left out; empty if it was not.
-    """
-
-    name: str
-    source: str
-    source_sha256: str
-    deviations: tuple[SnapshotDeviation, ...] = ()
-    disputed: tuple[str, ...] = ()
-    refusal: str = ""
-
-    @property
-    def outliers(self) -> tuple[SnapshotDeviation, ...]:
-        """The LiDARs on which the other snapshots outvoted this one."""
-        return tuple(deviation for deviation in self.deviations if deviation.outlier)
+    name: Annotated[str, Field(description="Name of the snapshot.")]
+    source: Annotated[str, Field(description="File or address.")]
+    sha256: Annotated[str, Field(description="Hash of the file; empty if it is not known.")]
+    refusal: Annotated[str | None, Field(description="Reason why the snapshot was left out; null if it was used.")] = (
+        None
+    )
+    outliers: Annotated[tuple[str, ...], Field(description="LiDARs on which other snapshots outvoted this one.")] = ()
+    disputed: Annotated[
+        tuple[str, ...],
+        Field(description="LiDARs on which it contradicts other snapshots without a majority."),
+    ] = ()
+    deviations: Annotated[tuple[SnapshotDeviation, ...], Field(description="Per LiDAR that it places.")] = ()
 
     @property
     def text(self) -> str:
@@ -75,7 +70,9 @@ class SnapshotReport:
         if self.refusal:
             return f"left out: {self.refusal}"
         parts = [
-            f"OUTLIER: {each.lidar} is off by {each.text} where the other snapshots agree" for each in self.outliers
+            f"OUTLIER: {each.lidar} is off by {each.text} where the other snapshots agree"
+            for each in self.deviations
+            if each.outlier
         ]
         parts += [f"contradicts other snapshots on {lidar}, without a majority" for lidar in self.disputed]
         if parts:

@@ -3,29 +3,28 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+from pydantic import Field
 
 from multilica.geometry import Float32Array, FloatArray, RigidTransform
 from multilica.results.registrations import Reason
+from multilica.results.values import Figure, not_in_document
 
 _ENOUGH_RETURNS = 20_000
 
 
 @dataclass(frozen=True, slots=True)
 class SensorHealth:
-    """Condition of a LiDAR, derived from its returns.
+    """Findings about the sensor itself."""
 
-    Args:
-        returns: finite returns over all frames.
-        near_share: share of them that is too near to use: the vehicle's body, or dirt.
-        blockage_ratio: share of the field of view that ends on the window.
-        reasons: `dead` or `dirty`; none for a healthy LiDAR.
-    """
-
-    lidar: str
-    returns: int
-    near_share: float
-    blockage_ratio: float
-    reasons: tuple[Reason, ...] = ()
+    lidar: Annotated[str, *not_in_document("")]
+    returns: Annotated[int, Field(description="Number of returns.")]
+    near_share: Annotated[Figure, Field(description="Share of the returns that are nearer than the minimum range.")]
+    blockage_ratio: Annotated[Figure, Field(description="Share of the field of view behind a dirty or covered window.")]
+    reasons: Annotated[
+        tuple[Reason, ...], Field(description="Reasons why the sensor is not trusted; empty if it is.")
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,7 +10,7 @@ from pydantic import Field
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.hypotheses import PairKey
 from multilica.results.registrations import Registration
-from multilica.results.values import NotInDocument, Vector3
+from multilica.results.values import Vector3, not_in_document
 
 PlacementStatus = Literal["placed", "uncertain", "not_placed"]
 """Uncertain: one pose stands alone and uncontradicted, but its standard deviation is above the limit."""
@@ -121,7 +121,7 @@ class ContestedPlace:
     distance_m: Annotated[float, Field(description="Distance between the two places.")]
     angle_deg: Annotated[float, Field(description="Angle between the two orientations.")]
     # The pose of `pair` that follows from `other`, scored but not registered; None without verification.
-    competing: Annotated[Registration | None, *NotInDocument] = None
+    competing: Annotated[Registration | None, *not_in_document()] = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

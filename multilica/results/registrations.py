@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results.hypotheses import hypothesis_label, pose_name
-from multilica.results.values import Figure, NotInDocument, Number
+from multilica.results.hypotheses import Hypothesis, hypothesis_label, pose_name
+from multilica.results.values import Figure, Number, not_in_document
 from multilica.results.visibility_score import VisibilityScore
 
 
@@ -72,6 +72,11 @@ class Registration:
         """Log-odds that the pose is the true one; see `VisibilityScore.evidence`."""
         return self.visibility.evidence(float(np.linalg.norm(self.T_target_source.xyz_m)))
 
+    def as_hypothesis(self) -> Hypothesis:
+        """Return the pose as a hypothesis of the same origin."""
+        pose, index = self.T_target_source, self.hypothesis
+        return Hypothesis(pose, origin=self.origin, index=index, evidence=self.evidence, derivation=self.derivation)
+
     @property
     def figures(self) -> dict[str, float | None]:
         """The figures of the pose, under the names that every output gives them."""
@@ -93,7 +98,7 @@ class Reason:
     limit: Annotated[Figure, Field(description="The limit that the figure exceeds or misses.")]
     text: Annotated[str, Field(description="The reason for people.")]
     # The pose that casts the doubt, if one does.
-    competing: Annotated[Registration | None, *NotInDocument] = None
+    competing: Annotated[Registration | None, *not_in_document()] = None
 
 
 @dataclass(frozen=True, slots=True)

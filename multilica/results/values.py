@@ -19,7 +19,7 @@ from pydantic import (
     field_validator,
 )
 from pydantic_core import PydanticOmit
-from pydantic_core.core_schema import none_schema
+from pydantic_core.core_schema import literal_schema, with_default_schema
 from typing_extensions import TypeAliasType
 
 from multilica.documents import require_length
@@ -42,6 +42,12 @@ def _rigid(rows: _Rows4) -> _Rows4:
     for value_m in RigidTransform("", "", np.asarray(rows)).matrix[:3, 3]:
         require_length(value_m)
     return rows
+
+
+def not_in_document(default: object = None) -> tuple[object, ...]:
+    """Return the annotations of a field that documents leave out; it has the default in a value that is read."""
+    schema = with_default_schema(literal_schema([default]), default=default)
+    return GetPydanticSchema(lambda *_: schema, _omit), Field(exclude=True)
 
 
 def _omit(*_: object) -> NoReturn:
@@ -67,9 +73,6 @@ Figure = Annotated[
     WithJsonSchema({"anyOf": [{"type": "number"}, {"type": "null"}]}),
 ]
 """A number that is NaN where it is not known, in a document null."""
-
-NotInDocument: tuple[Any, ...] = (GetPydanticSchema(lambda *_: none_schema(), _omit), Field(exclude=True))
-"""Annotations of a field that documents leave out; its default is None."""
 
 
 class Entry(BaseModel):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-from multilica.diagnosis import Explanation, explain
 from multilica.documents import MAX_JSON_BYTES, DocumentError, read_limited
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.results import LidarPlacement
@@ -109,16 +108,6 @@ def _read_result_json(file: Path) -> ResultDocument:
     except (OSError, DocumentError) as error:
         raise UnreadableSourceError(f"{file} is not a JSON file that can be read: {error}.") from error
     return parse_result(file, text)
-
-
-def explain_run(path: Path) -> Explanation:
-    """Explain a run directory, its `result.json`, a recording, also a cut-off one, or its `result.mcap`.
-
-    Raises:
-        SourceNotFoundError: nothing there, or a directory without a run.
-        UnreadableSourceError: damaged, or not of a run.
-    """
-    return explain(read_run_document(path).document)
 
 
 def read_run(path: Path) -> SavedRun:

@@ -78,7 +78,7 @@ def _errors_m(result):
 
 
 def _outliers(result):
-    return {report.name: [each.lidar for each in report.outliers] for report in result.snapshots}
+    return {report.name: [*report.outliers] for report in result.snapshots}
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_one_of_three_that_contradicts_is_named_and_left_out():
     assert result.status == "complete"
     assert max(_errors_m(result)) < 6e-3
     assert _outliers(result) == {"a": [], "b": ["A"], "c": []}
-    outlier = result.snapshots[1].outliers[0]
+    (outlier,) = (each for each in result.snapshots[1].deviations if each.outlier)
     assert outlier.angle_deg == pytest.approx(3.0, abs=0.05)
     assert [result[name].spread.snapshots for name in "ABC"] == [2, 3, 3]
     assert [pair.snapshot for pair in result.refinement.pairs].count("b") == 3

@@ -73,9 +73,9 @@ def test_turned_lidar_is_outvoted_by_two_refused_by_one():
     joint = join([_run("garage"), bad, _run("parking")], _CONFIG)
     assert joint.status == "complete"
     assert _error_m(joint) < 0.01
-    named = {report.name: [each.lidar for each in report.outliers] for report in joint.snapshots}
+    named = {report.name: [*report.outliers] for report in joint.snapshots}
     assert named == {"garage": [], "parking tampered": ["left"], "parking": []}
-    assert joint.snapshots[1].outliers[0].angle_deg == pytest.approx(3.0, abs=0.1)
+    assert next(each.angle_deg for each in joint.snapshots[1].deviations if each.outlier) == pytest.approx(3.0, abs=0.1)
     refused = join([_run("garage"), bad], _CONFIG)
     assert refused.status == "failed"
     assert "garage and parking tampered place it" in refused["left"].reason

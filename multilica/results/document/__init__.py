@@ -3,6 +3,6 @@
 
 from multilica.results.document.lidars import LidarEntry
 from multilica.results.document.pairs import PairEntry
-from multilica.results.document.result import ResultDocument, SnapshotEntry, parse_result
+from multilica.results.document.result import ResultDocument, parse_result
 
-__all__ = ["LidarEntry", "PairEntry", "ResultDocument", "SnapshotEntry", "parse_result"]
+__all__ = ["LidarEntry", "PairEntry", "ResultDocument", "parse_result"]

@@ -19,7 +19,6 @@ from multilica.results import (
     PairRegistration,
     Refinement,
     SensorHealth,
-    SnapshotReport,
 )
 from multilica.results.document.lidars import LidarEntry, PriorEntry
 from multilica.results.document.pairs import CycleErrorEntry, PairEntry, RefinementEntry, RegistrationEntry
@@ -29,7 +28,6 @@ from multilica.results.document.result import (
     InputEntry,
     InputLidarEntry,
     ResultDocument,
-    SnapshotEntry,
 )
 from multilica.results.prior_comparison import exchanged_names, surprise
 from multilica.snapshot import Snapshot
@@ -81,7 +79,6 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
             each.lidar: _lidar(each, health.get(each.lidar), result.target, exchanged) for each in result.placements
         },
         pairs=tuple(map(pair_entry, result.pairs)),
-        snapshots=tuple(map(_snapshot, result.snapshots)),
         refinement=None if result.refinement is None else _refinement(result.refinement),
         ground=None if result.ground is None else _ground(result.ground),
         config=config,
@@ -113,12 +110,6 @@ def _prior(
     off_deg = math.degrees(off_rad)
     text = surprise(placement, target, exchanged)
     return PriorEntry(**_pose(prior), deviation_m=off_m, deviation_deg=off_deg, surprise=text)
-
-
-def _snapshot(snapshot: SnapshotReport) -> SnapshotEntry:
-    outliers = [deviation.lidar for deviation in snapshot.outliers]
-    refusal = snapshot.refusal or None
-    return SnapshotEntry.of(snapshot, sha256=snapshot.source_sha256, refusal=refusal, outliers=outliers)
 
 
 def _refinement(refinement: Refinement) -> RefinementEntry:

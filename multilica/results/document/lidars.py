@@ -7,8 +7,8 @@ import numpy as np
 from pydantic import Field
 
 from multilica.geometry import FloatArray, largest_index
+from multilica.results.clouds import SensorHealth
 from multilica.results.placements import ContestedPlace, PlacementStatus, SigmaOrigin, Spread
-from multilica.results.registrations import Reason
 from multilica.results.values import Entry, Matrix4, Matrix6, Number, PoseEntry, Quaternion, Vector3
 
 
@@ -18,15 +18,6 @@ class PriorEntry(PoseEntry):
     deviation_m: Number = Field(description="Distance of the result from the prior; null without a pose.")
     deviation_deg: Number = Field(description="Angle of the result from the prior; null without a pose.")
     surprise: str | None = Field(description="Warning about a result that is far from the prior; null if it is near.")
-
-
-class HealthEntry(Entry):
-    """Findings about the sensor itself."""
-
-    returns: int = Field(description="Number of returns.")
-    near_share: Number = Field(description="Share of the returns that are nearer than the minimum range.")
-    blockage_ratio: Number = Field(description="Share of the field of view behind a dirty or covered window.")
-    reasons: tuple[Reason, ...] = Field(description="Reasons why the sensor is not trusted; empty if it is.")
 
 
 class LidarEntry(Entry):
@@ -54,7 +45,7 @@ class LidarEntry(Entry):
     reason: str = Field(
         description="The pair or step that placed the LiDAR, or the reason why it is uncertain or not placed."
     )
-    health: HealthEntry | None = Field(description="Findings about the sensor; null if it was not examined.")
+    health: SensorHealth | None = Field(description="Findings about the sensor; null if it was not examined.")
 
     def weakest_directions(self) -> tuple[tuple[float, str], tuple[float, str]]:
         """Return the largest standard deviations of position (m) and rotation (deg), each with its main axis.

@@ -14,7 +14,7 @@ from multilica.config import CalibrationConfig, Stage
 from multilica.documents import DocumentError, first_problem, parse_json, shown
 from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform, read_only
-from multilica.results.calibration import Refusal, SnapshotDeviation, TimeLimit
+from multilica.results.calibration import Refusal, SnapshotReport, TimeLimit
 from multilica.results.document.lidars import LidarEntry
 from multilica.results.document.pairs import PairEntry, RefinementEntry
 from multilica.results.document.stages import StageFigures
@@ -48,18 +48,6 @@ class ProgressEntry(Entry):
 
     finished: tuple[Stage, ...] = Field(description="Finished stages, in order.")
     running: Stage | None = Field(description="The stage that was running when the document was written.")
-
-
-class SnapshotEntry(Entry):
-    """The contribution of one snapshot to a joint result."""
-
-    name: str = Field(description="Name of the snapshot.")
-    source: str = Field(description="File or address.")
-    sha256: str = Field(description="Hash of the file; empty if it is not known.")
-    refusal: str | None = Field(description="Reason why the snapshot was left out; null if it was used.")
-    outliers: tuple[str, ...] = Field(description="LiDARs on which other snapshots outvoted this one.")
-    disputed: tuple[str, ...] = Field(description="LiDARs on which it contradicts other snapshots without a majority.")
-    deviations: tuple[SnapshotDeviation, ...] = Field(description="Per LiDAR that it places.")
 
 
 class GroundEntry(Entry):
@@ -106,7 +94,7 @@ class ResultDocument(Entry):
     lidars: Mapping[str, LidarEntry] = Field(description="Per LiDAR in name order, the target with the identity.")
     pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")
     decisions: tuple[MergeDecision, ...] = Field(description="Merge steps, in order.")
-    snapshots: tuple[SnapshotEntry, ...] = Field(description="Snapshots of a joint result, else empty.")
+    snapshots: tuple[SnapshotReport, ...] = Field(description="Snapshots of a joint result, else empty.")
     refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     ground_refusal: str = Field("", description="Reason why a requested ground plane is missing; else empty.")

@@ -16,8 +16,8 @@ from multilica import events
 from multilica.diagnosis import Missing
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import LEVEL_FRAME, PairKey
-from multilica.results.document import PairEntry, ResultDocument, SnapshotEntry
+from multilica.results import LEVEL_FRAME, PairKey, SnapshotReport
+from multilica.results.document import PairEntry, ResultDocument
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
 from multilica.sinks.drawing.shapes import EDGE_LABEL_SHARE
 from multilica.sinks.files.atomic import write_text_atomically
@@ -253,7 +253,7 @@ def _times(enlarged: int) -> str:
     return "true to size" if enlarged == 1 else f"{enlarged:,} times enlarged"
 
 
-def _snapshot_verdict(snapshot: SnapshotEntry) -> str:
+def _snapshot_verdict(snapshot: SnapshotReport) -> str:
     verdicts = [f"Left out: {snapshot.refusal}"] if snapshot.refusal else []
     verdicts += [f"Outvoted on {lidar}" for lidar in snapshot.outliers]
     verdicts += [f"Contradicts others on {lidar} (undecided)" for lidar in snapshot.disputed]

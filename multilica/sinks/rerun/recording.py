@@ -193,4 +193,4 @@ _HANDLERS: Mapping[type[events.Event], tuple[Callable[[RerunScene, Any], None], 
     events.StageFinished: (_finish_stage,),
     events.CalibrationFinished: (_finish,),
 }
-"""What is logged of an event: what people see, then what programs read."""
+"""Log calls of an event: first those for people, then those for programs."""

@@ -13,7 +13,6 @@ from multilica.results import (
     PairKey,
     PairRegistration,
     Registration,
-    SnapshotReport,
 )
 from multilica.results.document import LidarEntry, ResultDocument
 from multilica.sinks.drawing.shapes import SIGMAS, ellipsoid_scale
@@ -224,7 +223,7 @@ def summary_markdown(state: RunState, ended_by: str = "") -> str:
     parts = [
         *_explanation_parts(explain(document)),
         f"The run ended early: **{escaped(ended_by)}**" if ended_by else "",
-        *_result_parts(document, () if state.result is None else state.result.snapshots),
+        *_result_parts(document),
         _input_part(document),
         ", ".join(f"{package} {version}" for package, version in document.versions.items()),
     ]
@@ -260,7 +259,7 @@ def _advice_lines(advice: Sequence[str]) -> Iterator[str]:
     return (f"  - What helps: {each}." for each in advice)
 
 
-def _result_parts(document: ResultDocument, snapshots: Sequence[SnapshotReport]) -> Iterator[str]:
+def _result_parts(document: ResultDocument) -> Iterator[str]:
     if document.status == "unfinished" or document.refusal is not None:
         return
     if {*document.poses} - {document.target}:
@@ -269,8 +268,8 @@ def _result_parts(document: ResultDocument, snapshots: Sequence[SnapshotReport])
     if any(entry.covariance is not None for entry in document.lidars.values()):
         scale = ellipsoid_scale(document)
         yield f"Ellipsoids of the rig: {SIGMAS:g} sigma of the position, {scale:g} times enlarged."
-    if snapshots:
-        yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in snapshots)
+    if document.snapshots:
+        yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in document.snapshots)
     if document.ground is not None:
         yield f"Ground, frame {escaped(document.ground.frame)}: {escaped(document.ground.text)}."
 

@@ -18,9 +18,10 @@ from pathlib import Path
 from mcap.reader import make_reader
 
 from multilica.config import STAGES
+from multilica.diagnosis import explain
 from multilica.errors import MultilicaError
 from multilica.ingest import read_snapshot
-from multilica.runs.run_documents import explain_run, read_run_document
+from multilica.runs.run_documents import read_run_document
 from tests.bench.support.claims import Claim, print_claims, print_table
 from tests.ingest.support.processes import served
 
@@ -215,7 +216,7 @@ def _remains(out: Path, told: str, *, killed: bool) -> Remains:
         return Remains(told, "", "", "nothing was written", "a finished stage is lost" if told else "")
     faults = [f"{path.name} is half written" for path in out.iterdir() if path.suffix == _UNFINISHED and not killed]
     try:
-        headline = explain_run(out).headline
+        headline = explain(read_run_document(out).document).headline
     except MultilicaError as error:
         return Remains(told, "", "", str(error), "; ".join([*faults, *(["cannot be explained"] if told else [])]))
     # Later stages take milliseconds; the unfinished MCAP file is not written for them.
@@ -234,7 +235,7 @@ def _last_stage(out: Path, names: Sequence[str], told: str, faults: list[str]) -
         faults += [f"{names[0]} is missing"] if told else []
         return ""
     try:
-        explain_run(file)
+        explain(read_run_document(file).document)
         finished = read_run_document(file).document.progress.finished
     except MultilicaError as error:
         faults += [str(error)] if told else []

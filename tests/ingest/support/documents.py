@@ -13,11 +13,12 @@ import tomli_w
 from mcap.writer import Writer
 
 from multilica.config import CalibrationConfig, load_config, with_overrides
+from multilica.diagnosis import Explanation, explain
 from multilica.exports import FORMATS, read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table, read_extrinsics_table
 from multilica.ingest import frames_recorded, live, read_snapshot
 from multilica.ingest.transforms import read_prior, read_urdf
-from multilica.runs.run_documents import explain_run, read_run, read_run_document
+from multilica.runs.run_documents import read_run, read_run_document
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
@@ -55,8 +56,8 @@ def documents() -> dict[str, Document]:
         },
         "result.json": Document(result, _saved),
         "attached.json": Document(result, _attached),
-        "result.mcap": Document(_recorded("result.mcap"), explain_run),
-        "result.rrd": Document(_recorded("result.rrd"), explain_run),
+        "result.mcap": Document(_recorded("result.mcap"), _explained),
+        "result.rrd": Document(_recorded("result.rrd"), _explained),
         "metadata.json": Document(b'["a note", "another note"]', _metadata),
         "bridge.json": Document(json.dumps({"op": "advertise", "channels": channels}).encode(), _advertised),
     }
@@ -91,7 +92,7 @@ def _set(path: Path) -> object:
 
 def _saved(path: Path) -> object:
     read_run(path)
-    return explain_run(path)
+    return _explained(path)
 
 
 def _attached(path: Path) -> object:
@@ -123,3 +124,7 @@ def _recorded(name: str) -> bytes:
 
 def _advertised(path: Path) -> object:
     return live._text(path.read_bytes().decode("utf-8", "replace"))
+
+
+def _explained(path: Path) -> Explanation:
+    return explain(read_run_document(path).document)

@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from multilica.runs.run_documents import explain_run
+from multilica.diagnosis import explain
+from multilica.runs.run_documents import read_run_document
 from tests.sinks.recording_reader import Recording, blueprint_names
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -42,12 +43,12 @@ def test_finished_stages_of_a_killed_run_can_be_read(tmp_path, signal_number, re
     assert "/lidars/top/raw" in recording.entity_paths
     assert any("Preprocess" in names for names in blueprint_names(tmp_path / "recording.partial.rrd"))
     assert "cut off after stage features" in recording.last("/summary", "TextDocument:text")[0]
-    told = explain_run(tmp_path)
+    told = explain(read_run_document(tmp_path).document)
     assert told.cause == "unfinished"
     assert "cut off after stage features" in told.headline
     of_pairs = signal_number == signal.SIGINT
     assert told.known[0].startswith("rear <- front left/1: accept" if of_pairs else "front left/1: ")
-    assert explain_run(tmp_path / "result.partial.mcap") == told
+    assert explain(read_run_document(tmp_path / "result.partial.mcap").document) == told
     held = messages_of(tmp_path / "result.partial.mcap")
     assert {"/lidar/top/points", "/log"} <= set(held)
     assert b"stage features finished" in b"".join(held["/log"])

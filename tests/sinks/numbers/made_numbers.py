@@ -166,4 +166,4 @@ def _candidate(one: MergeCandidate) -> MergeCandidate:
 
 def _snapshot(name: str) -> SnapshotReport:
     deviations = (SnapshotDeviation(lidar, mm / 1000.0, deg) for lidar, (mm, deg) in DEVIATIONS[name].items())
-    return SnapshotReport(name, f"{name}.mcap", "", tuple(deviations))
+    return SnapshotReport(name, f"{name}.mcap", "", deviations=tuple(deviations))

@@ -59,8 +59,9 @@ def test_damaged_recordings_are_read_or_refused(recordings, tmp_path):
 @pytest.mark.slow
 def test_a_recording_is_read_under_a_limit_of_memory(recordings):
     """As of `ulimit -v`, which only a privileged process could raise."""
-    code = "import sys; from pathlib import Path; from multilica.runs.run_documents import explain_run\n"
-    code += "print(explain_run(Path(sys.argv[1])).headline)"
+    code = "import sys; from pathlib import Path; from multilica.diagnosis import explain\n"
+    code += "from multilica.runs.run_documents import read_run_document\n"
+    code += "print(explain(read_run_document(Path(sys.argv[1])).document).headline)"
     ended = subprocess.run(
         [sys.executable, "-c", code, str(recordings["partial"])],
         preexec_fn=_limit_memory_for_good,
