@@ -81,17 +81,6 @@ Topics = Annotated[
 Frames = Annotated[
     int | None, option("--frames N", "Frames to accumulate per LiDAR.", "10; all frames of a file made by record")
 ]
-Start = Annotated[
-    str | None,
-    option(
-        "--start S|TIME",
-        "Start S seconds after the first frame, or at a time (ISO 8601, or seconds or nanoseconds since 1970).",
-    ),
-]
-Window = Annotated[
-    Literal["start", "auto"] | None, option("--window start|auto", "auto: use the longest standstill of the vehicle.")
-]
-Preset = Annotated[str | None, option("--preset NAME", "Set of parameters: default, paper or paper-algorithm1.")]
 ConfigFile = Annotated[
     Path | None, option("--config FILE", "TOML file with parameters; `multilica config --toml` prints one.")
 ]
@@ -116,8 +105,17 @@ class Reading:
 
     topics: Topics = None
     frames: Frames = None
-    start: Start = None
-    window: Window = None
+    start: Annotated[
+        str | None,
+        option(
+            "--start S|TIME",
+            "Start S seconds after the first frame, or at a time (ISO 8601, or seconds or nanoseconds since 1970).",
+        ),
+    ] = None
+    window: Annotated[
+        Literal["start", "auto"] | None,
+        option("--window start|auto", "auto: use the longest standstill of the vehicle."),
+    ] = None
     window_s: Annotated[float | None, option("--duration S", "Spread the frames over this many seconds.")] = None
     strict: Annotated[bool, option("--strict", "Fail if any part of the recording is unreadable.")] = False
 
@@ -146,7 +144,9 @@ class Reading:
 class Parameters:
     """The group of options that set parameters."""
 
-    preset: Preset = None
+    preset: Annotated[str | None, option("--preset NAME", "Set of parameters: default, paper or paper-algorithm1.")] = (
+        None
+    )
     config_file: ConfigFile = None
     settings: Settings = None
 

@@ -236,18 +236,26 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
 def _missing(document: ResultDocument, name: str) -> Missing:
     pairs = crossing_pairs(document, name)
     decisive = decisive_pair(pairs[0]) if pairs else None
-    if document.snapshots:
-        return _missing_jointly(document, name, pairs, decisive)
-    if any(name in pair for pair in (document.time_limit.not_reached if document.time_limit is not None else ())):
-        return _missing_by(document, name, "out_of_time", None, next_best_sentence(pairs))
-    if decisive is not None and not decisive.codes:
-        return _missing_from_rig(document, name, pairs, decisive)
-    if decisive is not None and name not in (decisive.target, decisive.source):
-        other = decisive.source if decisive.source in group_of(document, name) else decisive.target
-        sentence = f"{name} fits {other}, which is not placed. {decisive.sentence}"
-        cause = _sensor_fault(document, name) or "not_joined"
-        return _missing_by(document, name, cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
-    return _missing_by(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
+    codes = () if decisive is None else decisive.codes
+    fault, next_best = _sensor_fault(document, name), next_best_sentence(pairs)
+    if document.snapshots and not codes:
+        # The pairs are those of one snapshot, so an accepted one decides nothing.
+        disputed = any(snapshot.disputed for snapshot in document.snapshots)
+        unplaced = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
+        by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
+        return replace(_missing_by(document, name, fault or unplaced, None, ""), by_snapshot=by_snapshot)
+    if not document.snapshots:
+        if document.time_limit is not None and any(name in pair for pair in document.time_limit.not_reached):
+            return _missing_by(document, name, "out_of_time", None, next_best)
+        if decisive is not None and not codes:
+            return _missing_from_rig(document, name, decisive, fault, next_best)
+        if decisive is not None and name not in (decisive.target, decisive.source):
+            other = decisive.source if decisive.source in group_of(document, name) else decisive.target
+            told = replace(decisive, sentence=f"{name} fits {other}, which is not placed. {decisive.sentence}")
+            return _missing_by(document, name, fault or "not_joined", told, next_best)
+    # The faults of pairs may follow from that of the sensor.
+    cause = fault or ("no_overlap" if decisive is None else cause_of_codes(codes))
+    return _missing_by(document, name, cause, decisive, next_best)
 
 
 def _missing_by(
@@ -261,35 +269,15 @@ def _missing_by(
 
 
 def _missing_from_rig(
-    document: ResultDocument, name: str, pairs: Sequence[PairEntry], decisive: DecisivePair
+    document: ResultDocument, name: str, decisive: DecisivePair, fault: str | None, next_best: str
 ) -> Missing:
     """Explain a LiDAR with an accepted pair, which the merge refused."""
-    refusal = merge_refusal(document, name)
-    fault, places = _sensor_fault(document, name), contested_places(document, name)
+    refusal, places = merge_refusal(document, name), contested_places(document, name)
     if places is not None:
-        missing = _missing_by(document, name, fault or "two_places", places[0], refusal)
-        return replace(missing, elsewhere=places[1])
+        return replace(_missing_by(document, name, fault or "two_places", places[0], refusal), elsewhere=places[1])
     cause = "not_joined" if len(group_of(document, name)) > 1 else "not_in_rig" if refusal else "unknown"
-    sentence = f"{decisive.sentence} {refusal}".rstrip()
-    return _missing_by(document, name, fault or cause, replace(decisive, sentence=sentence), next_best_sentence(pairs))
-
-
-def _missing_jointly(
-    document: ResultDocument, name: str, pairs: Sequence[PairEntry], decisive: DecisivePair | None
-) -> Missing:
-    """Explain a LiDAR of several snapshots; the pairs are those of one, so an accepted one decides nothing."""
-    if decisive is not None and decisive.codes:
-        return _missing_by(document, name, _cause(document, name, decisive), decisive, next_best_sentence(pairs))
-    disputed = any(snapshot.disputed for snapshot in document.snapshots)
-    unplaced = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
-    cause = _sensor_fault(document, name) or unplaced
-    by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
-    return replace(_missing_by(document, name, cause, None, ""), by_snapshot=by_snapshot)
-
-
-def _cause(document: ResultDocument, name: str, decisive: DecisivePair | None) -> str:
-    """Return the fault of the sensor, from which that of its pairs may follow, else the fault of the pair."""
-    return _sensor_fault(document, name) or ("no_overlap" if decisive is None else cause_of_codes(decisive.codes))
+    told = replace(decisive, sentence=f"{decisive.sentence} {refusal}".rstrip())
+    return _missing_by(document, name, fault or cause, told, next_best)
 
 
 def _sensor_fault(document: ResultDocument, name: str) -> str | None:

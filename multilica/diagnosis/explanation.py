@@ -229,27 +229,20 @@ class Explanation:
     @property
     def lines(self) -> tuple[str, ...]:
         """The facts beside the table of placed LiDARs as plain text, a sentence per line, details indented."""
-        return (self.headline, self.input, *self.known, *self._findings())
+        return (self.headline, self.input, *self.known, *self.findings[1:])
 
     @property
     def findings(self) -> tuple[str, ...]:
         """The same for a run whose input is known: headline, missing and uncertain LiDARs, warnings."""
-        return (self.headline, *self._findings())
-
-    def _findings(self) -> Iterator[str]:
-        for missing in self.missing:
-            yield from _missing_lines(missing)
-        for uncertain in self.uncertain:
-            yield uncertain.headline
-            yield from _advice_lines(uncertain.advice)
-        for advice in self.advice:
-            yield f"What helps: {advice}."
-        for warning in self.warnings:
-            yield f"Warning: {warning}"
+        lines, unclear = [self.headline], list[Missing | Uncertain]((*self.missing, *self.uncertain))
+        for each in unclear:
+            lines += [each.headline, *(_details(each) if isinstance(each, Missing) else ())]
+            lines += [f"  What helps: {advice}." for advice in each.advice]
+        lines += [f"What helps: {advice}." for advice in self.advice]
+        return (*lines, *(f"Warning: {warning}" for warning in self.warnings))
 
 
-def _missing_lines(missing: Missing) -> Iterator[str]:
-    yield missing.headline
+def _details(missing: Missing) -> Iterator[str]:
     yield f"  At stage {missing.step}."
     if missing.decisive is not None:
         yield f"  Decisive: {missing.decisive.sentence}"
@@ -257,9 +250,3 @@ def _missing_lines(missing: Missing) -> Iterator[str]:
         yield f"  Next best: {missing.next_best}"
     if missing.by_snapshot:
         yield f"  By snapshot: {missing.by_snapshot}"
-    yield from _advice_lines(missing.advice)
-
-
-def _advice_lines(advice: Iterable[str]) -> Iterator[str]:
-    for each in advice:
-        yield f"  What helps: {each}."

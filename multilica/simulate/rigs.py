@@ -8,7 +8,8 @@ import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.simulate.sensors import RasterPattern, RosettePattern, SensorModel, SpinningPattern
-from multilica.simulate.shapes.mesh import Mesh, box, merged, tapered_box, tube
+from multilica.simulate.shapes.mesh import Mesh, box, merged, tapered_box
+from multilica.simulate.shapes.objects import wheels
 
 BASE = "base"
 _BUILD_SIGMA_M, _BUILD_SIGMA_RAD = 0.02, float(np.deg2rad(1.0))
@@ -108,9 +109,16 @@ def articulated_truck() -> Mesh:
     trailer = box((-6.3, -1.22, 0.9), (2.7, 1.22, 2.15))
     chassis = box((-6.0, -0.5, 0.5), (6.0, 0.5, 0.9))
     arms = box((5.46, -1.36, 1.9), (5.54, 1.36, 1.96))
-    axles_x_m = (-5.2, -3.9, 3.0, 5.2)
-    wheels = [tube((x, s * 0.85, 0.5), (x, s * 1.15, 0.5), 0.5, sides=14) for x in axles_x_m for s in (-1.0, 1.0)]
-    return merged([cab, trailer, chassis, arms, *wheels])
+    return merged([cab, trailer, chassis, arms, *wheels((-5.2, -3.9, 3.0, 5.2), 0.85, 1.15, 0.5)])
+
+
+def _outwards(
+    name: str, sensor: SensorModel, edge_m: tuple[float, float, float], pitch_deg: float, yaw_deg: float
+) -> Mount:
+    """Mount a LiDAR that looks outwards from an ellipse with two half axes and a height."""
+    yaw_rad = np.deg2rad(yaw_deg)
+    xyz_m = (edge_m[0] * float(np.cos(yaw_rad)), edge_m[1] * float(np.sin(yaw_rad)), edge_m[2])
+    return Mount(name, sensor, xyz_m, (0.0, pitch_deg, yaw_deg))
 
 
 def chain_rig(overlap_deg: float) -> Rig:
@@ -119,9 +127,7 @@ def chain_rig(overlap_deg: float) -> Rig:
     mounts = []
     for index, name in enumerate(("right", "front_right", "front_left", "left")):
         yaw_deg = step_deg * (index - 1.5)
-        yaw_rad = np.deg2rad(yaw_deg)
-        xyz_m = (0.3 * float(np.cos(yaw_rad)), 0.3 * float(np.sin(yaw_rad)), 1.95)
-        mounts.append(Mount(name, NARROW, xyz_m, (0.0, 4.0 + 2.0 * (index % 2), yaw_deg)))
+        mounts.append(_outwards(name, NARROW, (0.3, 0.3, 1.95), 4.0 + 2.0 * (index % 2), yaw_deg))
     return Rig("chain", tuple(mounts), car(1.7, 1.2, 1.1))
 
 
@@ -170,14 +176,12 @@ BLIND = Rig(
 
 
 def _sectors(name: str, count: int, roof_edge_m: tuple[float, float, float], body: Mesh) -> Rig:
-    """Build a rig of LiDARs that look outwards, at even angles, from an ellipse with two half axes and a height."""
-    half_x_m, half_y_m, height_m = roof_edge_m
-    mounts = []
-    for index in range(count):
-        yaw_deg = 360.0 * index / count
-        yaw_rad = np.deg2rad(yaw_deg)
-        xyz_m = (half_x_m * float(np.cos(yaw_rad)), half_y_m * float(np.sin(yaw_rad)), height_m)
-        mounts.append(Mount(f"at_{round(yaw_deg):03d}", FALCON, xyz_m, (0.0, 5.0 + index % 3, yaw_deg)))
+    """Build a rig of LiDARs that look outwards, at even angles, from the roof's edge."""
+    yaws_deg = [360.0 * index / count for index in range(count)]
+    mounts = [
+        _outwards(f"at_{round(yaw_deg):03d}", FALCON, roof_edge_m, 5.0 + index % 3, yaw_deg)
+        for index, yaw_deg in enumerate(yaws_deg)
+    ]
     return Rig(name, tuple(mounts), body)
 
 

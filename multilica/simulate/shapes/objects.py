@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Vehicles, people, furniture and plants outdoors."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,26 +35,26 @@ CAR_SHAPES = {
 def car(shape: CarShape) -> Mesh:
     """Build a car on its wheels, heading along x, its middle over the origin."""
     half_x, half_y = shape.length_m / 2.0, shape.width_m / 2.0
-    waist_m = 0.55
+    waist_m, axle_m = 0.55, shape.length_m * 0.29
     waist = _rectangle(-half_x, half_x, half_y)
     sill = tapered_box(_rectangle(-half_x + 0.10, half_x - 0.15, half_y - 0.08), waist, 0.22, waist_m)
     belt = _rectangle(-half_x + 0.08, half_x - 0.45, half_y - 0.06)
     bonnet = tapered_box(waist, belt, waist_m, shape.belt_m)
     foot, roof = _rectangle(*shape.cabin_m, half_y - 0.07), _rectangle(*shape.roof_m, half_y - 0.24)
     cabin = tapered_box(foot, roof, shape.belt_m, shape.height_m)
-    return merged([sill, bonnet, cabin, *_wheels(shape.length_m * 0.29, half_y), *_mirrors(shape, half_y)])
+    return merged(
+        [sill, bonnet, cabin, *wheels((-axle_m, axle_m), half_y - 0.22, half_y, 0.32), *_mirrors(shape, half_y)]
+    )
 
 
 def _rectangle(rear_m: float, front_m: float, half_y_m: float) -> tuple[float, float, float, float]:
     return rear_m, front_m, -half_y_m, half_y_m
 
 
-def _wheels(axle_m: float, half_y_m: float) -> list[Mesh]:
-    return [
-        tube((x, side * (half_y_m - 0.22), 0.32), (x, side * half_y_m, 0.32), 0.32, sides=14)
-        for x in (-axle_m, axle_m)
-        for side in (-1.0, 1.0)
-    ]
+def wheels(axles_x_m: Sequence[float], inner_y_m: float, outer_y_m: float, radius_m: float) -> list[Mesh]:
+    """Build a wheel at both ends of each axle, standing on the ground."""
+    ends = [(x, side) for x in axles_x_m for side in (-1.0, 1.0)]
+    return [tube((x, s * inner_y_m, radius_m), (x, s * outer_y_m, radius_m), radius_m, sides=14) for x, s in ends]
 
 
 def _mirrors(shape: CarShape, half_y_m: float) -> list[Mesh]:
@@ -77,9 +78,8 @@ def truck(length_m: float, height_m: float) -> Mesh:
     foot, roof = _rectangle(half_x - 2.3, half_x, half_y), _rectangle(half_x - 2.2, half_x - 0.25, half_y - 0.1)
     cab = tapered_box(foot, roof, 0.5, min(height_m, 3.1))
     chassis = box((-half_x + 0.3, -0.5, 0.55), (half_x - 0.4, 0.5, 1.0))
-    axles = [-half_x + 1.5, -half_x + 2.8, half_x - 1.4]
-    wheels = [tube((x, s * 0.85, 0.5), (x, s * 1.2, 0.5), 0.5, sides=14) for x in axles for s in (-1.0, 1.0)]
-    return merged([body, cab, chassis, *wheels])
+    axles_x_m = (-half_x + 1.5, -half_x + 2.8, half_x - 1.4)
+    return merged([body, cab, chassis, *wheels(axles_x_m, 0.85, 1.2, 0.5)])
 
 
 def pedestrian(height_m: float, stride_rad: float) -> Mesh:
