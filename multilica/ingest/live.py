@@ -20,13 +20,7 @@ from multilica.ingest.remote.address import without_secrets
 from multilica.optional_libraries import needed_for
 
 with needed_for("Listening to a running vehicle", "websockets"):
-    from websockets.exceptions import (
-        ConnectionClosed,
-        InvalidHandshake,
-        InvalidStatus,
-        InvalidURI,
-        WebSocketException,
-    )
+    from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI, WebSocketException
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
 
@@ -292,7 +286,10 @@ class LiveRecording:
         self._wanted |= added
         self._subscribe([number for number, topic in self._channels.items() if topic.name in added])
         yield from (message for message in self._static if message.topic in topics)
-        limit_s = self._limit_s(topics)
+        limit_s = self._end_s
+        if all(topic.endswith(_STATIC_SUFFIX) for topic in topics):
+            # Static transforms arrive at once or not at all.
+            limit_s = 0.0 if self._static else time.monotonic() + _STATIC_S
         while (left_s := limit_s - time.monotonic()) > 0.0:
             message = self._next(left_s)
             if message is not None and message.topic in topics:
@@ -303,12 +300,6 @@ class LiveRecording:
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
-
-    def _limit_s(self, topics: Collection[str]) -> float:
-        """Return when to stop waiting: static transforms arrive at once or not at all."""
-        if not all(topic.endswith(_STATIC_SUFFIX) for topic in topics):
-            return self._end_s
-        return 0.0 if self._static else time.monotonic() + _STATIC_S
 
     def _left_s(self) -> float:
         return self._end_s - time.monotonic()

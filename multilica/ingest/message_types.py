@@ -4,11 +4,9 @@
 To add a message type, write its decoder in `messages/` and add one entry to `MESSAGE_TYPES`.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib import import_module
-from typing import cast
 
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.formats import FORMATS, Content
@@ -159,7 +157,8 @@ def decode_cloud(message: RawMessage) -> Cloud:
         raise UnreadableSourceError(f"{message.origin} {message.fault}.")
     try:
         require_decodable(len(message.data))
-        cloud = _decoder(MESSAGE_TYPES[message.message_type].decoder)(message)
+        decoder = import_module(f"multilica.ingest.{MESSAGE_TYPES[message.message_type].decoder}")
+        cloud: Cloud = decoder.decode_cloud(message)
     except ValueError as error:
         raise UnreadableSourceError(f"{message.origin} {error}.") from error
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as error:
@@ -167,8 +166,3 @@ def decode_cloud(message: RawMessage) -> Cloud:
     if abs(cloud.scan.stamp_ns) >= _MAX_STAMP_NS:
         return replace(cloud, scan=replace(cloud.scan, stamp_ns=message.log_time_ns))
     return cloud
-
-
-@cache
-def _decoder(module: str) -> Callable[[RawMessage], Cloud]:
-    return cast(Callable[[RawMessage], Cloud], import_module(f"multilica.ingest.{module}").decode_cloud)

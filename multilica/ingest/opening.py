@@ -279,16 +279,12 @@ def _message(topic: Topic, path: SourceFile) -> RawMessage:
                 f"{path} has {size} bytes; expected one scan of at most {_MAX_FILE_BYTES} bytes."
             )
         encoding = _encoding(path)
-        data = memory_budget().keep(_content(path, encoding, size))
+        with path.open("rb") as file:
+            head = file.read(MAX_HEADER_BYTES)
+            # A file with more bytes than its header claims is only read up to these.
+            claimed = claimed_bytes(encoding, head)
+            length = size if claimed is None else min(size, max(claimed, len(head)))
+            memory_budget().require(length)
+            file.seek(0)
+            data = memory_budget().keep(file.read(length))
         return RawMessage(topic.name, encoding.upper(), encoding, 0, data, str(path))
-
-
-def _content(path: SourceFile, encoding: str, size: int) -> bytes:
-    """Return the content of a file; of one with more bytes than its header claims, only the claimed ones."""
-    with path.open("rb") as file:
-        head = file.read(MAX_HEADER_BYTES)
-        claimed = claimed_bytes(encoding, head)
-        length = size if claimed is None else min(size, max(claimed, len(head)))
-        memory_budget().require(length)
-        file.seek(0)
-        return file.read(length)

@@ -47,12 +47,7 @@ def plausibility_notes(lidars: Sequence[LidarScans], static_transforms: Sequence
     clouds_m = {name: cloud_m for name, cloud_m in clouds_m.items() if len(cloud_m) >= _MIN_POINTS}
     odd = {name: note for name, cloud_m in clouds_m.items() if (note := _extent_note(cloud_m))}
     fine_m = {name: cloud_m for name, cloud_m in clouds_m.items() if name not in odd}
-    return [
-        *_copies(lidars),
-        *_grouped(odd),
-        *_feet(fine_m),
-        *_mirrored(lidars, fine_m, static_transforms),
-    ]
+    return [*_copies(lidars), *_grouped(odd), *_feet(fine_m), *_mirrored(lidars, fine_m, static_transforms)]
 
 
 def _sample(lidar: LidarScans) -> FloatArray:

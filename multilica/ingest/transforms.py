@@ -110,7 +110,7 @@ def read_prior(source: str | Extrinsics, snapshot: Snapshot) -> Prior:
                 f"{where} joins the LiDAR frames '{pose.T_target_source.target}' and '{pose.T_target_source.source}' "
                 f"through '{pose.moving.name}', a {pose.moving.kind} joint; a prior needs fixed joints between LiDARs."
             )
-    root = next(iter(poses))
+    root, *_ = poses
     transforms = {name: RigidTransform(root, name, pose.T_target_source.matrix) for name, pose in poses.items()}
     return Prior(Extrinsics(root, transforms), tuple(_notes(where, snapshot, frames, poses)))
 
@@ -311,20 +311,15 @@ def _joint(element: Element) -> Joint:
     kind = element.get("type")
     if kind is None:
         raise ValueError(f"joint '{name}' has no type")
-    parent, child = (_link(element, end, name) for end in ("parent", "child"))
-    if parent == child:
-        raise ValueError(f"joint '{name}' joins '{parent}' to itself")
+    ends = {end: element.find(end) for end in ("parent", "child")}
+    links = {end: "" if entry is None else entry.get("link", "") for end, entry in ends.items()}
+    if lacking := [end for end, link in links.items() if not link]:
+        raise ValueError(f"joint '{name}' has no {lacking[0]} link")
+    if links["parent"] == links["child"]:
+        raise ValueError(f"joint '{name}' joins '{links['parent']}' to itself")
     origin = element.find("origin")
     xyz_m, rpy_rad = (_three(origin, key, name) for key in ("xyz", "rpy"))
-    return Joint(RigidTransform.from_xyz_rpy(parent, child, xyz_m, rpy_rad), name, kind)
-
-
-def _link(joint: Element, end: str, name: str) -> str:
-    entry = joint.find(end)
-    link = "" if entry is None else entry.get("link", "")
-    if not link:
-        raise ValueError(f"joint '{name}' has no {end} link")
-    return link
+    return Joint(RigidTransform.from_xyz_rpy(links["parent"], links["child"], xyz_m, rpy_rad), name, kind)
 
 
 def _three(origin: Element | None, key: str, name: str) -> list[float]:

@@ -11,9 +11,7 @@ from typing import Any, cast
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.remote.remote_file import SourceFile
 
-_FIRST_BLOCK_BYTES = 4 << 10
-_BLOCK_BYTES = 4 << 20
-_ZEROS = bytes(_BLOCK_BYTES)
+_ZEROS = bytes(4 << 20)
 _MAX_SKIPPED = 1000
 """Regions of zeros; a power loss leaves a few."""
 
@@ -57,19 +55,15 @@ class ExactReader(BufferedReader):
         if self._skipped > _MAX_SKIPPED:
             raise ValueError("its records make no sense")
         self.seek(start)
-        self._pass_zeros()
-        if not self.remaining:
-            raise ValueError("the file ends in zeros, as after a power loss")
-
-    def _pass_zeros(self) -> None:
-        size = _FIRST_BLOCK_BYTES
+        size = 4 << 10
         while self.remaining:
             block = super().read(min(size, self.remaining))
             if block != _ZEROS[: len(block)]:
                 self.seek(self.tell() - len(block.lstrip(b"\0")))
                 return
-            size = _BLOCK_BYTES
+            size = len(_ZEROS)
             self._skip_hole()
+        raise ValueError("the file ends in zeros, as after a power loss")
 
     def _skip_hole(self) -> None:
         place = self.tell()

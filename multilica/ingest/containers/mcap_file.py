@@ -50,16 +50,10 @@ from multilica.ingest.recording import (
 from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
 from multilica.pointcloud2 import LIDAR_NAME_KEY
 
-_FOOTER_BYTES = 20
-_CRC_BYTES = 4
-
+_FOOTER_BYTES, _CRC_BYTES = 20, 4
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
-_BLOCK_BYTES = 1 << 20
 _BOUNDED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX)
 _MAX_CHECKED_BYTES = 256 << 20
-_CHUNK_HEAD_BYTES = 64
-_INDEX_HEAD_BYTES = 6
-
 _MAX_METADATA_BYTES = 1 << 20
 """Limit of a record; those of a vehicle or a snapshot take a few hundred bytes."""
 _MAX_METADATA_RECORDS = 100
@@ -95,33 +89,25 @@ def open_file(path: SourceFile, where: str) -> Recording:
 
 
 def _summary(stream: ExactReader) -> Summary | None:
+    """Return the index; None without one, or if its checksum shows a flipped bit, which would hide chunks."""
     with suppress(DamagedRecordingError), damage_named("the index"):
         summary = make_reader(stream).get_summary()
         if summary is not None:
-            _require_checksum(stream)
+            end = stream.seek(0, SEEK_END)
+            stream.seek(end - len(_MAGIC) - _FOOTER_BYTES)
+            footer = Footer.read(ReadDataStream(stream))
+            stream.seek(footer.summary_start)
+            covered = stream.read(end - len(_MAGIC) - _CRC_BYTES - footer.summary_start)
+            require_checksum(covered, footer.summary_crc)
         return summary
     return None
 
 
-def _require_checksum(stream: ExactReader) -> None:
-    """Check the index against the checksum in the footer: a flipped bit would hide chunks."""
-    end = stream.seek(0, 2)
-    stream.seek(end - len(_MAGIC) - _FOOTER_BYTES)
-    footer = Footer.read(ReadDataStream(stream))
-    stream.seek(footer.summary_start)
-    covered = stream.read(end - len(_MAGIC) - _CRC_BYTES - footer.summary_start)
-    require_checksum(covered, footer.summary_crc)
-
-
 def _place(index: ChunkIndex, topics: Mapping[int, Topic]) -> ChunkPlace:
-    known = frozenset(topics[number].name for number in index.message_index_offsets if number in topics)
+    offsets = index.message_index_offsets
     # Without message indexes, only the chunk itself tells its topics.
-    return ChunkPlace(
-        index.chunk_start_offset,
-        index.message_start_time,
-        index.message_end_time,
-        known if index.message_index_offsets else None,
-    )
+    known = frozenset(topics[number].name for number in offsets if number in topics) if offsets else None
+    return ChunkPlace(index.chunk_start_offset, index.message_start_time, index.message_end_time, known)
 
 
 def _read_chunk(stream: ExactReader, place: ChunkPlace) -> PackedChunk:
@@ -184,8 +170,8 @@ def _records(stream: ExactReader, place: int) -> Iterator[tuple[int, memoryview]
             stream.seek(stream.tell() + length)
             continue
         if opcode not in _READ:
-            for offset in range(0, length, _BLOCK_BYTES):
-                crc32 = crc32_of(stream.read(min(_BLOCK_BYTES, length - offset)), crc32)
+            for offset in range(0, length, 1 << 20):
+                crc32 = crc32_of(stream.read(min(1 << 20, length - offset)), crc32)
             continue
         _record_length(head)  # fails if it is too large
         if opcode == Opcode.CHUNK and length > stream.remaining:
@@ -249,9 +235,7 @@ def _next_head(stream: ExactReader) -> tuple[int, int]:
 
 def _add_chunk(stream: ExactReader, end: int, found: Survey, known: _KnownChannels) -> None:
     start, read_end = stream.tell(), min(end, stream.tell() + stream.remaining)
-    first_ns, last_ns, unpacked_bytes, _, _ = unpack_head(
-        _CHUNK_HEAD, stream.read(min(_CHUNK_HEAD_BYTES, read_end - start))
-    )
+    first_ns, last_ns, unpacked_bytes, _, _ = unpack_head(_CHUNK_HEAD, stream.read(min(64, read_end - start)))
     found.latest_ns = max(found.latest_ns, last_ns)
     stream.seek(read_end)
     indexed = _message_indexes(stream, (first_ns, last_ns))
@@ -286,7 +270,7 @@ def _message_indexes(stream: ExactReader, span: Span) -> dict[int, tuple[int, Sp
         if opcode != Opcode.MESSAGE_INDEX:
             stream.seek(place)
             break
-        times = np.frombuffer(record, "<u8", offset=_INDEX_HEAD_BYTES)[::2]
+        times = np.frombuffer(record, "<u8", offset=6)[::2]
         if len(times):
             first, last = int(times.min()), int(times.max())
             if not span[0] <= first <= last <= span[1]:

@@ -20,7 +20,6 @@ _FRAME_ID = "os_lidar"
 """Default frame of the driver's clouds, which is also in /tf_static."""
 _LENGTH = struct.Struct("<I")
 _MAX_COLUMNS, _MAX_ROWS = 8192, 512
-_MM_PER_M = 1000.0
 
 core.init_logger("off")
 
@@ -79,7 +78,9 @@ def decode_cloud(message: RawMessage) -> Cloud:
     seen = frame.field(core.ChanField.RANGE) > 0
     in_sensor_m, T_sensor_lidar = _directions(metadata)
     x, y, z = ((in_sensor_m(frame) - T_sensor_lidar[:3, 3]) @ T_sensor_lidar[:3, :3])[seen].T
-    points_m, intensity = finite_points(x, y, z, _intensity(frame)[seen])
+    signals = (core.ChanField.SIGNAL, core.ChanField.REFLECTIVITY, core.ChanField.RANGE)
+    signal = frame.field(next(name for name in signals if frame.has_field(name)))
+    points_m, intensity = finite_points(x, y, z, signal[seen])
     stamps_ns = frame.timestamp[frame.timestamp > 0]
     stamp_ns = int(stamps_ns[0]) if len(stamps_ns) else message.log_time_ns
     return Cloud(Scan(points_m, stamp_ns, intensity), _FRAME_ID)
@@ -101,11 +102,5 @@ def _frame(sensor: Sensor, packets: memoryview) -> Any:  # noqa: ANN401 - the cl
 def _directions(metadata: str) -> tuple[Any, FloatArray]:
     info = sensor_of(metadata).info
     T_sensor_lidar = np.array(info.lidar_to_sensor_transform, np.float64)
-    T_sensor_lidar[:3, 3] /= _MM_PER_M
+    T_sensor_lidar[:3, 3] /= 1000.0  # from millimetres
     return core.XYZLut(info), T_sensor_lidar
-
-
-def _intensity(frame: Any) -> Any:  # noqa: ANN401 - see _frame
-    names = (core.ChanField.SIGNAL, core.ChanField.REFLECTIVITY)
-    found = next((name for name in names if frame.has_field(name)), core.ChanField.RANGE)
-    return frame.field(found)

@@ -136,42 +136,30 @@ class RemoteFile:
     @cached_property
     def _cache(self) -> FileCache:
         with remote_failures_named(str(self), self._scheme):
-            from multilica.ingest.remote.file_cache import BLOCK_BYTES
+            from multilica.ingest.remote.file_cache import BLOCK_BYTES, FileCache
 
             system, path = open_file_system(self._url)
-            handle = system.open(
-                path, "rb", block_size=BLOCK_BYTES, cache_type="none", **self._known_size(system, path)
-            )
-            is_folder = handle.details.get("type") == "directory"
-        if is_folder:
-            raise UnreadableSourceError(f"{self} is a folder; expected the address of a file.")
-        stack = ExitStack()
-        folder = stack.enter_context(scratch_folder())
-        weakref.finalize(self, stack.close)
-        on_disk = folder / (self.name or "download")
-        with remote_failures_named(str(self), self._scheme):
-            return self._cached(system, path, handle, on_disk)
-
-    def _known_size(self, system: Any, path: str) -> dict[str, int]:  # noqa: ANN401 - see _serves_ranges
-        """Ask a web server for the size, within a time limit, as an option for opening the file."""
-        if not self._is_web:
-            return {}
-        found = system.info(path, timeout=_READ_S)
-        return {"size": found["size"]} if found.get("size") and found.get("partial", True) else {}
+            options = {}
+            if self._is_web:
+                # Opening asks for the size as well, but without a time limit.
+                found = system.info(path, timeout=_READ_S)
+                options = {"size": found["size"]} if found.get("size") and found.get("partial", True) else {}
+            handle = system.open(path, "rb", block_size=BLOCK_BYTES, cache_type="none", **options)
+            if handle.details.get("type") == "directory":
+                raise UnreadableSourceError(f"{self} is a folder; expected the address of a file.")
+            stack = ExitStack()
+            on_disk = stack.enter_context(scratch_folder()) / (self.name or "download")
+            weakref.finalize(self, stack.close)
+            if handle.size is None or not handle.seekable() or not self._serves_ranges(handle):
+                handle.close()
+                size = self._download(system, path, handle.size, on_disk)
+                return FileCache(self._fetch, size, on_disk, range(size // BLOCK_BYTES + 1))
+            self._handle = handle
+            return FileCache(self._fetch, int(handle.size), on_disk)
 
     @property
     def _is_web(self) -> bool:
         return self._scheme in ("https", "http")
-
-    def _cached(self, system: Any, path: str, handle: Any, on_disk: Path) -> FileCache:  # noqa: ANN401 - see above
-        from multilica.ingest.remote.file_cache import BLOCK_BYTES, FileCache
-
-        if handle.size is None or not handle.seekable() or not self._serves_ranges(handle):
-            handle.close()
-            size = self._download(system, path, handle.size, on_disk)
-            return FileCache(self._fetch, size, on_disk, range(size // BLOCK_BYTES + 1))
-        self._handle = handle
-        return FileCache(self._fetch, int(handle.size), on_disk)
 
     def _serves_ranges(self, handle: Any) -> bool:  # noqa: ANN401 - fsspec has no types
         """Return whether the last byte can be read alone; a web server need not announce it."""

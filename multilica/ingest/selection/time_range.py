@@ -196,7 +196,9 @@ def _by_imu(recording: Recording, span: Span) -> _Evidence:
     if samples is None:
         return None
     topic, times_ns, bursts = samples
-    shakes_mps2, turns_rad_s = np.array([_shake_and_turn(np.array(rows)) for rows in bursts]).T
+    imu = [np.array(rows) for rows in bursts]
+    shakes_mps2 = np.array([np.linalg.norm(rows[:, 25:28].std(axis=0)) for rows in imu])
+    turns_rad_s = np.array([np.abs(rows[:, 13:16].mean(axis=0)).max() for rows in imu])
     calm_mps2 = _SHAKE_RATIO * float(np.nanpercentile(shakes_mps2, 10))
     still = (shakes_mps2 < min(_MAX_SHAKE_MPS2, max(_MIN_SHAKE_MPS2, calm_mps2))) & (turns_rad_s < 2 * _MAX_TURN_RAD_S)
     return f"the IMU on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
@@ -292,12 +294,6 @@ def _numbers(message: RawMessage) -> FloatArray:
         return np.array(reader.float64s(37))
     reader.text()  # child_frame_id
     return np.array(reader.float64s(85))
-
-
-def _shake_and_turn(imu: FloatArray) -> tuple[float, float]:
-    """Return the spread of accelerations and the largest turning rate of messages (N, 37)."""
-    accelerations, rates = imu[:, 25:28], imu[:, 13:16]
-    return float(np.linalg.norm(accelerations.std(axis=0))), float(np.abs(rates.mean(axis=0)).max())
 
 
 def _richest_topics(recording: Recording, span: Span) -> list[str]:
