@@ -64,9 +64,9 @@ MESSAGE_TYPES = {
     for entry in (
         MessageType(("sensor_msgs/msg/PointCloud2",), _ROS, "messages.ros"),
         MessageType(("foxglove.PointCloud",), ("protobuf", "json"), "messages.foxglove"),
-        MessageType(("livox_ros_driver/msg/CustomMsg",), ("ros1",), "messages.livox"),
-        MessageType(("livox_ros_driver2/msg/CustomMsg",), _ROS, "messages.livox"),
-        MessageType(("livox_interfaces/msg/CustomMsg",), ("cdr",), "messages.livox"),
+        MessageType(("livox_ros_driver/msg/CustomMsg",), ("ros1",), "messages.ros"),
+        MessageType(("livox_ros_driver2/msg/CustomMsg",), _ROS, "messages.ros"),
+        MessageType(("livox_interfaces/msg/CustomMsg",), ("cdr",), "messages.ros"),
         MessageType(
             ("velodyne_msgs/msg/VelodyneScan",),
             _ROS,

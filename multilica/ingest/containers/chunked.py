@@ -6,7 +6,7 @@ from __future__ import annotations
 import heapq
 from bisect import bisect_left
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence, Sized
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence, Sized
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from contextvars import copy_context
@@ -90,6 +90,7 @@ _Unpacked: TypeAlias = tuple[ChunkPlace, memoryview, str]
 """A chunk, its records, and why it has none."""
 
 
+@dataclass(slots=True, eq=False)
 class ChunkedRecording:
     """A recording of which only the needed chunks are read.
 
@@ -99,26 +100,18 @@ class ChunkedRecording:
         split: yields the messages on the given topics from the records of a chunk.
     """
 
-    damage = ""
-    is_indexed = True
+    format: str
+    where: str
+    stream: ExactReader
+    topics: tuple[Topic, ...]
+    chunks: Sequence[ChunkPlace]
+    read_chunk: Callable[[ExactReader, ChunkPlace], PackedChunk]
+    split: Callable[[memoryview, Collection[str]], Iterator[RawMessage]]
+    damage: str = ""
+    is_indexed: bool = True
 
-    def __init__(
-        self,
-        title: str,
-        where: str,
-        stream: ExactReader,
-        topics: tuple[Topic, ...],
-        chunks: Iterable[ChunkPlace],
-        read_chunk: Callable[[ExactReader, ChunkPlace], PackedChunk],
-        split: Callable[[memoryview, Collection[str]], Iterator[RawMessage]],
-    ) -> None:
-        self.format = title
-        self.topics = topics
-        self._where = where
-        self._stream = stream
-        self._chunks = sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
-        self._read_chunk = read_chunk
-        self._split = split
+    def __post_init__(self) -> None:
+        self.chunks = sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
 
     def span_ns(self, topics: Collection[str]) -> Span | None:
         """Return the span, read from the first and the last chunks with one of the topics."""
@@ -157,13 +150,13 @@ class ChunkedRecording:
 
     def close(self) -> None:
         """Close the file."""
-        self._stream.close()
+        self.stream.close()
 
     def _chunks_with(self, topics: Collection[str], start_ns: int) -> list[ChunkPlace]:
         wanted = frozenset(topics)
         return [
             chunk
-            for chunk in self._chunks
+            for chunk in self.chunks
             if chunk.end_ns >= start_ns and (chunk.topics is None or chunk.topics & wanted)
         ]
 
@@ -184,8 +177,8 @@ class ChunkedRecording:
     def _read(self, place: ChunkPlace) -> PackedChunk | str:
         """Return a chunk, or why it cannot be read."""
         try:
-            with damage_named(self._where):
-                return self._read_chunk(self._stream, place)
+            with damage_named(self.where):
+                return self.read_chunk(self.stream, place)
         except DamagedRecordingError as error:
             return error.reason
 
@@ -193,7 +186,7 @@ class ChunkedRecording:
         if isinstance(chunk, str):
             return place, memoryview(b""), chunk
         try:
-            with damage_named(self._where):
+            with damage_named(self.where):
                 return place, chunk.unpack(), ""
         except DamagedRecordingError as error:
             return place, memoryview(b""), error.reason
@@ -202,14 +195,14 @@ class ChunkedRecording:
         """Yield the readable messages, then one with a fault on each topic that may have lost some."""
         chunk, records, fault = part
         try:
-            with damage_named(self._where):
-                yield from self._split(records, topics)
+            with damage_named(self.where):
+                yield from self.split(records, topics)
         except DamagedRecordingError as error:
             fault = error.reason
         for topic in self.topics if fault else ():
             if topic.name in topics and (chunk.topics is None or topic.name in chunk.topics):
                 lost = f"lies where the file is damaged: {fault}"
-                yield topic.message(chunk.start_ns, b"", self._where, fault=lost)
+                yield topic.message(chunk.start_ns, b"", self.where, fault=lost)
 
 
 @dataclass(slots=True)
@@ -291,9 +284,8 @@ class UnindexedRecording:
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield messages in the order of writing."""
-        for message in self._all_messages(start_ns):
-            if message.topic in topics and message.log_time_ns >= start_ns:
-                yield message
+        wanted = self._all_messages(start_ns)
+        yield from (message for message in wanted if message.topic in topics and message.log_time_ns >= start_ns)
 
     def close(self) -> None:
         """Release the kept messages; no file stays open."""

@@ -7,14 +7,20 @@ import struct
 from dataclasses import dataclass
 from functools import cache
 
+import numpy as np
+
+from multilica.geometry import Float32Array
 from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
 from multilica.ingest.memory import require_decodable
 from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
-from multilica.pointcloud2 import PointCloud2, PointField, decode_points
+from multilica.pointcloud2 import PointCloud2, PointField, decode_points, finite_records, point_dtype
 from multilica.snapshot import Scan
 
 _MAX_FIELDS = 1024
+_LIVOX_FIELDS = (PointField("x", 4, 7), PointField("y", 8, 7), PointField("z", 12, 7), PointField("intensity", 16, 2))
+_LIVOX_BYTES = 19
+"""offset_time, x, y, z, reflectivity, tag, line."""
 _layout = cache(struct.Struct)
 _CUT_OFF = "cannot be unpacked: it ends too early"
 _ENCAPSULATION_BYTES = 4
@@ -22,9 +28,14 @@ _SEQUENCE_BYTES = 4
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode a ``sensor_msgs/PointCloud2``; the stamp is that of the header, or the log time if that is zero."""
+    """Decode a ``sensor_msgs/PointCloud2`` or a ``CustomMsg`` of Livox; a stamp of zero becomes the log time."""
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
+    if message.message_type.endswith("/CustomMsg"):
+        timebase_ns, points_m, intensity = _livox_points(reader)
+        return Cloud(
+            Scan(points_m, stamp_ns if stamp_ns > 0 else timebase_ns or message.log_time_ns, intensity), frame_id
+        )
     reader.align(4)
     height, width = reader.numbers("II")
     count = reader.uint32()
@@ -37,6 +48,22 @@ def decode_cloud(message: RawMessage) -> Cloud:
     layout = PointCloud2(fields, width, height, point_step, row_step, reader.octets(), big_endian=bool(is_big_endian))
     points_m, intensity = decode_points(layout)
     return Cloud(Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity), frame_id)
+
+
+def _livox_points(reader: WireReader) -> tuple[int, Float32Array, Float32Array | None]:
+    """Read the time base in nanoseconds, then the points with their intensities."""
+    reader.align(8)
+    (timebase_ns,) = reader.numbers("Q")
+    reader.place += 8  # point_num, lidar_id, three reserved bytes
+    count = reader.uint32()
+    # CDR aligns each point to four bytes, without padding after the last one.
+    step = -(-_LIVOX_BYTES // reader.alignment) * reader.alignment
+    needed = (count - 1) * step + _LIVOX_BYTES if count else 0
+    if needed > reader.remaining:
+        raise ValueError(f"claims {count} points, which need {needed} bytes, but holds {reader.remaining}")
+    dtype = point_dtype(_LIVOX_FIELDS, _LIVOX_BYTES, big_endian=reader.order == ">")
+    points = np.ndarray((count,), dtype, reader.data, reader.place, (step,)) if count else np.empty(0, dtype)
+    return timebase_ns, *finite_records(points)
 
 
 def _field(reader: WireReader) -> PointField:
@@ -91,7 +118,7 @@ class WireReader:
         """Read stamp in nanoseconds and frame id of a ``std_msgs/Header``."""
         is_ros1 = self.alignment == 1
         if is_ros1:
-            self.skip(_SEQUENCE_BYTES)
+            self.place += _SEQUENCE_BYTES
         seconds, nanoseconds = self.numbers("II" if is_ros1 else "iI")
         return seconds * 10**9 + nanoseconds, self.text().strip("/")
 
@@ -124,10 +151,6 @@ class WireReader:
         """Skip the padding before a number of `size` bytes."""
         if self.alignment > 1:
             self.place += (_ENCAPSULATION_BYTES - self.place) % size
-
-    def skip(self, size: int) -> None:
-        """Skip `size` bytes."""
-        self.place += size
 
 
 def message_bytes(message: RawMessage) -> memoryview:

@@ -98,7 +98,7 @@ def transforms(poses: Sequence[RigidTransform], stamp_ns: int) -> Any:  # noqa: 
                 transform=made(
                     "geometry_msgs/msg/Transform",
                     translation=xyz_of("geometry_msgs/msg/Vector3", pose.xyz_m.tolist()),
-                    rotation=_quaternion(pose.quaternion_xyzw.tolist()),
+                    rotation=xyz_of("geometry_msgs/msg/Quaternion", pose.quaternion_xyzw.tolist()),
                 ),
             )
             for pose in poses
@@ -134,15 +134,11 @@ def header(frame_id: str, stamp_ns: int) -> Any:  # noqa: ANN401 - see made
 
 
 def xyz_of(message_type: str, xyz: Sequence[float]) -> Any:  # noqa: ANN401 - see made
-    """Make a message of x, y and z."""
-    return made(message_type, **dict(zip("xyz", xyz, strict=True)))
+    """Make a message of x, y, z and, if given, w."""
+    return made(message_type, **dict(zip("xyzw", xyz, strict=False)))
 
 
 def pose_of(xyz_m: Sequence[float], xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0)) -> Any:  # noqa: ANN401 - see made
     """Make a ``geometry_msgs/msg/Pose``."""
-    position = xyz_of("geometry_msgs/msg/Point", xyz_m)
-    return made("geometry_msgs/msg/Pose", position=position, orientation=_quaternion(xyzw))
-
-
-def _quaternion(xyzw: Sequence[float]) -> Any:  # noqa: ANN401 - see made
-    return made("geometry_msgs/msg/Quaternion", **dict(zip("xyzw", xyzw, strict=True)))
+    position, orientation = xyz_of("geometry_msgs/msg/Point", xyz_m), xyz_of("geometry_msgs/msg/Quaternion", xyzw)
+    return made("geometry_msgs/msg/Pose", position=position, orientation=orientation)
