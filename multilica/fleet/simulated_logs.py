@@ -3,8 +3,7 @@
 
 import json
 import shutil
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,32 +13,24 @@ import numpy as np
 from multilica.documents import LFS_POINTER
 from multilica.errors import UsageError
 from multilica.fleet.store.records import POSE_COLUMNS
-from multilica.geometry import RigidTransform
 from multilica.optional_libraries import require_library
 from multilica.simulate import FleetPlan, PlannedLog, simulate_snapshot, thinned
 from multilica.simulate.fleet import PlannedEvent
 from multilica.sinks.bags import write_ros1_bag, write_ros2_bag, write_ros2_mcap
 from multilica.sinks.files.atomic import atomic_file, write_text_atomically
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
-from multilica.snapshot import Snapshot
 from multilica.workers import Shared, open_workers
 
 FLEET_TRUTH_SCHEMA = "multilica/fleet-truth/1"
 TRUTH_NAME = "fleet.truth.json"
 
 _MODULES = ("multilica.fleet.simulated_logs", "multilica.registration.lazy_open3d")
-_ZEROS = 200_000
-_LARGEST_CUT = 1 << 16
-"""Within the first block of zstd, which has 128 KiB unpacked: the reader takes what whole blocks hold."""
-_TEXT = b"The logger was restarted before the upload; see the ticket.\n"
-_LFS = LFS_POINTER + b"v1\noid sha256:" + b"0" * 64 + b"\nsize 734003\n"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LogTask:
-    plan: FleetPlan
-    log: PlannedLog
-    out: Path
+_CONTENTS: Mapping[str, bytes] = {
+    "zeros": bytes(200_000),
+    "empty": b"",
+    "text": b"The logger was restarted before the upload; see the ticket.\n",
+    "lfs_pointer": LFS_POINTER + b"v1\noid sha256:" + b"0" * 64 + b"\nsize 734003\n",
+}
 
 
 def write_fleet(
@@ -68,7 +59,7 @@ def write_fleet(
         (out / vehicle).mkdir(parents=True, exist_ok=True)
     originals = [log for log in plan.logs if not log.duplicate_of]
     with open_workers(workers, _MODULES) as pool:
-        done = pool.map(_write_log, [_LogTask(plan, log, out) for log in originals])
+        done = pool.map(_write_log, [(plan, log, out) for log in originals])
         for log, _ in zip(originals, done, strict=True):
             observe(log)
     for log in plan.logs:
@@ -81,17 +72,19 @@ def write_fleet(
     return truth
 
 
-def _write_log(_: Shared, task: _LogTask) -> None:
-    plan, log, path = task.plan, task.log, task.out / task.log.path
+def _write_log(_: Shared, task: tuple[FleetPlan, PlannedLog, Path]) -> None:
+    plan, log, out = task
+    path = out / log.path
     if log.fault in ("", "truncated"):
-        _write_recording(_snapshot(plan, log), plan, log, path)
+        _write_recording(plan, log, path)
     if log.fault:
-        data = _broken(path, log)
+        # A cut log ends within the first block of zstd (128 KiB unpacked): the reader takes what whole blocks hold.
+        data = _CONTENTS[log.fault] if log.fault in _CONTENTS else path.read_bytes()
         with atomic_file(path) as file:
-            file.write(data)
+            file.write(data if log.fault in _CONTENTS else data[: min(len(data) // 2, 1 << 16)])
 
 
-def _snapshot(plan: FleetPlan, log: PlannedLog) -> Snapshot:
+def _write_recording(plan: FleetPlan, log: PlannedLog, path: Path) -> None:
     simulation = simulate_snapshot(
         plan.rig,
         log.scene,
@@ -102,11 +95,7 @@ def _snapshot(plan: FleetPlan, log: PlannedLog) -> Snapshot:
         moved=log.moved,
         start_ns=log.time_ns,
     )
-    return thinned(simulation.snapshot, plan.keep_every)
-
-
-def _write_recording(snapshot: Snapshot, plan: FleetPlan, log: PlannedLog, path: Path) -> None:
-    vehicle = {"vehicle": log.vehicle}
+    snapshot, vehicle = thinned(simulation.snapshot, plan.keep_every), {"vehicle": log.vehicle}
     match log.format:
         case "snapshot":
             write_snapshot_mcap(snapshot, path, metadata={"frames": str(plan.frames), **vehicle})
@@ -116,21 +105,6 @@ def _write_recording(snapshot: Snapshot, plan: FleetPlan, log: PlannedLog, path:
             write_ros2_bag(snapshot, path, custom_data=vehicle)
         case "ros1_bag":
             write_ros1_bag(snapshot, path)
-
-
-def _broken(path: Path, log: PlannedLog) -> bytes:
-    match log.fault:
-        case "truncated":
-            whole = path.read_bytes()
-            return whole[: min(len(whole) // 2, _LARGEST_CUT)]
-        case "zeros":
-            return bytes(_ZEROS)
-        case "text":
-            return _TEXT
-        case "lfs_pointer":
-            return _LFS
-        case _:
-            return b""
 
 
 def fleet_truth(plan: FleetPlan) -> dict[str, Any]:
@@ -149,12 +123,11 @@ def fleet_truth_text(plan: FleetPlan) -> str:
     """Return the truth as JSON, an entry per line: hundreds of logs stay easy to read and compare."""
     truth = fleet_truth(plan)
     heads = [f"  {json.dumps(key)}: {json.dumps(truth[key])}" for key in ("schema", "rig", "target", "vehicles")]
-    lists = [f'  "{key}": [\n{_lines(truth[key])}\n  ]' for key in ("logs", "events")]
+    lists = []
+    for key in ("logs", "events"):
+        entries = ",\n".join(f"    {json.dumps(entry, allow_nan=False)}" for entry in truth[key])
+        lists.append(f'  "{key}": [\n{entries}\n  ]')
     return "{\n" + ",\n".join(heads + lists) + "\n}\n"
-
-
-def _lines(entries: list[dict[str, Any]]) -> str:
-    return ",\n".join(f"    {json.dumps(entry, allow_nan=False)}" for entry in entries)
 
 
 def _log(plan: FleetPlan, log: PlannedLog) -> dict[str, Any]:
@@ -167,7 +140,10 @@ def _log(plan: FleetPlan, log: PlannedLog) -> dict[str, Any]:
         "broken": log.fault or None,
         "duplicate_of": log.duplicate_of or None,
         "dead": list(log.dead),
-        "T_target_lidar": {name: _pose(pose) for name, pose in plan.true_poses(log).items()},
+        "T_target_lidar": {
+            name: dict(zip(POSE_COLUMNS, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True))
+            for name, pose in plan.true_poses(log).items()
+        },
     }
 
 
@@ -184,11 +160,6 @@ def _event(plan: FleetPlan, event: PlannedEvent) -> dict[str, Any]:
         "shift_m": None if is_dead else float(np.linalg.norm(event.shift_m)),
         "turn_deg": None if is_dead else float(np.rad2deg(np.linalg.norm(event.turn_rad))),
     }
-
-
-def _pose(pose: RigidTransform) -> dict[str, float]:
-    """Return a pose under the names of the columns of tables."""
-    return dict(zip(POSE_COLUMNS, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True))
 
 
 def _iso(time_ns: int) -> str:

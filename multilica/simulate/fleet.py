@@ -35,17 +35,15 @@ _SCENES = ("street", "parking", "garage")
 _START_NS = 1_759_276_800_000_000_000
 """2025-10-01 in UTC."""
 _DAY_NS, _DAYS = 86_400 * 10**9, 365
-_BROKEN_SHARE = 0.05
-_LOGS_PER_DUPLICATE, _LEAST_FOR_DUPLICATES = 100, 10
-_USUAL_VEHICLES = 20
 _USUAL_EVENTS: Mapping[EventKind, int] = {"jump": 3, "creep": 2, "dead": 1}
+"""Of 20 vehicles."""
 
 _SIDE = 3
 """Logs on each side of a jump: fewer do not tell a motion from an outlier."""
 _LEAST_LOGS: dict[EventKind, int] = {"jump": 2 * _SIDE, "creep": 2, "dead": 2}
 """Logs that a vehicle needs for an event."""
-_JUMP_M, _JUMP_DEG = (0.03, 0.08), (0.3, 1.0)
-_CREEP_M, _CREEP_DEG = (0.002, 0.004), (0.01, 0.03)
+_SIZES = {"jump": ((0.03, 0.08), (0.3, 1.0)), "creep": ((0.002, 0.004), (0.01, 0.03))}
+"""Least and largest shift (m) and turn (deg) of an event."""
 _CREEP_PERIOD_NS = 30 * 86_400 * 10**9
 
 
@@ -111,13 +109,9 @@ class PlannedLog:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FleetPlan:
-    """The logs of a fleet.
+    """The logs of a fleet, by vehicle, then time, its duplicates last; events, one per vehicle; seeds of the mountings.
 
-    Args:
-        target: a LiDAR that is never moved.
-        build_seeds: of the mounting, by vehicle.
-        logs: by vehicle, then time; the duplicates of a vehicle at its end.
-        events: by vehicle, one at most.
+    The target is never moved.
     """
 
     rig: str
@@ -166,9 +160,9 @@ def plan_fleet(
     Raises:
         UsageError: a negative number, or too few vehicles or logs for what is asked for.
     """
-    usual = -(-logs // _LOGS_PER_DUPLICATE) if logs >= max(_LEAST_FOR_DUPLICATES, 2 * vehicles) else 0
+    usual = -(-logs // 100) if logs >= max(10, 2 * vehicles) else 0
     copies = usual if duplicates is None else duplicates
-    faults = round(_BROKEN_SHARE * logs) if broken is None else broken
+    faults = round(0.05 * logs) if broken is None else broken
     kept = logs - copies
     asked: dict[EventKind, int | None] = {"jump": jumps, "creep": creeps, "dead": dead}
     numbers = (faults, copies, seed, *(number or 0 for number in asked.values()))
@@ -183,7 +177,7 @@ def plan_fleet(
     times_ns = {name: _times_ns(count, random_stream("fleet times", seed, name)) for name, count in counts.items()}
     events = _events(asked, times_ns, seed)
     own = {name: _logs(name, times_ns[name], events.get(name), seed) for name in names}
-    planned = [log for name in names for log in own[name]]
+    planned = [log for logs_of in own.values() for log in logs_of]
     decisive = {own[name][index].path for name, event in events.items() for index in event.decisive(counts[name])}
     if broken is None:
         faults = min(faults, len(planned) - len(decisive))
@@ -213,7 +207,7 @@ def _events(
     events: dict[str, PlannedEvent] = {}
     for kind, number in asked.items():
         fit = [name for name in free if len(times_ns[name]) >= _LEAST_LOGS[kind]]
-        usual = -(-_USUAL_EVENTS[kind] * len(times_ns) // _USUAL_VEHICLES)
+        usual = -(-_USUAL_EVENTS[kind] * len(times_ns) // 20)
         chosen = fit[: usual if number is None else number]
         if number is not None and len(chosen) < number:
             raise UsageError(
@@ -221,36 +215,34 @@ def _events(
                 f"each, with {_LEAST_LOGS[kind]} logs or more."
             )
         for name in chosen:
-            events[name] = _draw_event(kind, name, _MOVABLE, times_ns[name], random_stream("fleet event", seed, name))
+            events[name] = _draw_event(kind, name, times_ns[name], random_stream("fleet event", seed, name))
         free = [name for name in free if name not in chosen]
     return events
 
 
-def _draw_event(
-    kind: EventKind, vehicle: str, lidars: Sequence[str], times_ns: Sequence[int], rng: np.random.Generator
-) -> PlannedEvent:
+def _draw_event(kind: EventKind, vehicle: str, times_ns: Sequence[int], rng: np.random.Generator) -> PlannedEvent:
     """Draw an event of a vehicle with logs at these times, at least `_LEAST_LOGS` of them.
 
     A jump of 3 to 8 cm and 0.3 to 1 degree lies between two logs; a creep of 2 to 4 mm and 0.01 to 0.03 degrees within
     30 days begins with the first log; a dead LiDAR returns nothing from some log on.
     """
-    lidar = lidars[int(rng.integers(len(lidars)))]
-    if kind == "creep":
-        shift_m, turn_rad = _of_length(rng, *_CREEP_M), _of_length(rng, *np.deg2rad(_CREEP_DEG))
-        return PlannedEvent(vehicle, lidar, kind, 0, times_ns[0], tuple(shift_m), tuple(turn_rad))
-    side = min(_SIDE, len(times_ns) // 2)
-    first = int(rng.integers(side, len(times_ns) - side + 1))
-    time_ns = (times_ns[first - 1] + times_ns[first]) // 2
+    lidar = _MOVABLE[int(rng.integers(len(_MOVABLE)))]
+    first, time_ns = 0, times_ns[0]
+    if kind != "creep":
+        side = min(_SIDE, len(times_ns) // 2)
+        first = int(rng.integers(side, len(times_ns) - side + 1))
+        time_ns = (times_ns[first - 1] + times_ns[first]) // 2
     if kind == "dead":
         return PlannedEvent(vehicle, lidar, kind, first, time_ns)
-    shift_m, turn_rad = _of_length(rng, *_JUMP_M), _of_length(rng, *np.deg2rad(_JUMP_DEG))
-    return PlannedEvent(vehicle, lidar, kind, first, time_ns, tuple(shift_m), tuple(turn_rad))
+    limits_m, limits_deg = _SIZES[kind]
+    shift_m, turn_rad = _of_length(rng, *limits_m), _of_length(rng, *np.deg2rad(limits_deg))
+    return PlannedEvent(vehicle, lidar, kind, first, time_ns, shift_m, turn_rad)
 
 
-def _of_length(rng: np.random.Generator, least: float, most: float) -> list[float]:
+def _of_length(rng: np.random.Generator, least: float, most: float) -> tuple[float, ...]:
     """Return a vector (3,) of random direction with a length between two limits."""
     direction: FloatArray = rng.normal(size=3)
-    return list((rng.uniform(least, most) * direction / np.linalg.norm(direction)).tolist())
+    return tuple((rng.uniform(least, most) * direction / np.linalg.norm(direction)).tolist())
 
 
 def _logs(vehicle: str, times_ns: Sequence[int], event: PlannedEvent | None, seed: int) -> list[PlannedLog]:

@@ -7,6 +7,7 @@ import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, time
 from glob import has_magic
@@ -23,24 +24,19 @@ from multilica.ingest.remote.address import require_readable, scheme_of, without
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 
 _MANIFESTS = (".csv", ".parquet")
-_BUCKETS = ("s3", "gs")
-_NEEDED, _OPTIONAL = "source", ("vehicle", "time")
 _FIELD = re.compile(r"\{(vehicle|time)(?::([^{}]+))?\}")
 _DIRECTIVES = {"Y": 4, "m": 2, "d": 2, "H": 2, "M": 2, "S": 2, "y": 2, "j": 3}
-_BATCH = 4096
 _END_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class FleetLog:
-    """A log of a vehicle.
+    """A log of a vehicle, with the latter's name and the time of its beginning if manifest or pattern gives them.
 
     Args:
         address: path or address that it is read from.
         source: the same for tables: the path below what was given, or the address without secrets.
         fingerprint: of its content, without reading all of it.
-        vehicle: its name; empty if neither manifest nor pattern gives it.
-        time_ns: of its beginning; None if neither gives it.
     """
 
     address: str
@@ -81,15 +77,12 @@ class LogPattern:
         found = self._pattern.search(source)
         if found is None:
             return "", None
-        groups = found.groupdict()
-        time_ns = None
-        if groups.get("time"):
-            try:
-                begin = datetime.strptime(groups["time"], self._time_format).replace(tzinfo=UTC)
-            except ValueError:
-                return groups.get("vehicle") or "", None
-            time_ns = round(begin.timestamp()) * 10**9
-        return groups.get("vehicle") or "", time_ns
+        vehicle, time_ns = found.groupdict().get("vehicle") or "", None
+        with suppress(ValueError):  # digits that are no date
+            if text := found.groupdict().get("time"):
+                begin = datetime.strptime(text, self._time_format).replace(tzinfo=UTC)
+                time_ns = round(begin.timestamp()) * 10**9
+        return vehicle, time_ns
 
     def _time(self, given: str | None, text: str) -> str:
         self._time_format = given or "%Y-%m-%d"
@@ -118,19 +111,11 @@ def find_logs(given: Sequence[str], pattern: LogPattern | None = None) -> Iterat
     """
     if not given:
         raise UsageError("No logs were given; expected folders, files, globs, s3:// prefixes or a manifest.")
-    for each in given:
-        for log in _found(each):
-            yield _described(log, pattern)
-
-
-def _described(log: FleetLog, pattern: LogPattern | None) -> FleetLog:
-    vehicle, time_ns = pattern.of(log.source) if pattern else ("", None)
-    vehicle = log.vehicle or vehicle
-    return replace(
-        log,
-        vehicle=vehicle_name(vehicle) if vehicle else "",
-        time_ns=time_ns if log.time_ns is None else log.time_ns,
-    )
+    for log in (log for each in given for log in _found(each)):
+        vehicle, time_ns = pattern.of(log.source) if pattern else ("", None)
+        name = log.vehicle or vehicle
+        time_ns = time_ns if log.time_ns is None else log.time_ns
+        yield replace(log, vehicle=vehicle_name(name) if name else "", time_ns=time_ns)
 
 
 def _found(given: str) -> Iterator[FleetLog]:
@@ -139,7 +124,7 @@ def _found(given: str) -> Iterator[FleetLog]:
         require_readable(given)
         if Path(urlsplit(given).path).suffix in _MANIFESTS:
             raise UsageError(f"The manifest {without_secrets(given)} is an address; expected a file on this machine.")
-        yield from _in_bucket(given) if scheme in _BUCKETS else _behind([given])
+        yield from _in_bucket(given) if scheme in ("s3", "gs") else [_behind(given)]
         return
     path = Path(given).expanduser()
     if path.suffix in _MANIFESTS and path.is_file():
@@ -151,21 +136,16 @@ def _found(given: str) -> Iterator[FleetLog]:
     elif path.exists():
         raise UnreadableSourceError(f"{given} is neither a file nor a folder.")
     elif has_magic(given):
-        yield from _globbed(path, given)
+        fixed = next(index for index, part in enumerate(path.parts) if has_magic(part))
+        base, glob = Path(*path.parts[:fixed]), str(Path(*path.parts[fixed:]))
+        found = sorted(each for each in base.glob(glob) if not each.name.startswith("."))
+        if not found:
+            raise SourceNotFoundError(f"No file matches {given}.")
+        for each in found:
+            logs = _logs_below(each) if each.is_dir() else [each] if each.is_file() else []
+            yield from (_local(log, base) for log in logs)
     else:
         raise SourceNotFoundError(f"Nothing exists at {given}.")
-
-
-def _globbed(path: Path, given: str) -> Iterator[FleetLog]:
-    parts = path.parts
-    fixed = next(index for index, part in enumerate(parts) if has_magic(part))
-    base = Path(*parts[:fixed])
-    found = sorted(each for each in base.glob(str(Path(*parts[fixed:]))) if not each.name.startswith("."))
-    if not found:
-        raise SourceNotFoundError(f"No file matches {given}.")
-    for each in found:
-        found_here = _logs_below(each) if each.is_dir() else [each] if each.is_file() else []
-        yield from (_local(log, base) for log in found_here)
 
 
 def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[Path]:
@@ -174,7 +154,9 @@ def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[
     if real in above:
         return
     entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
-    if _is_one_log(folder, entries):
+    if (folder / "metadata.yaml").is_file() or any(
+        named_content(each) is Content.CLOUD for each in entries if each.is_file()
+    ):
         yield folder
         return
     for each in entries:
@@ -182,12 +164,6 @@ def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[
             yield from _logs_below(each, above | {real})
         elif (each.is_file() or not each.exists()) and named_content(each) is Content.RECORDING:
             yield each
-
-
-def _is_one_log(folder: Path, entries: Sequence[Path]) -> bool:
-    return (folder / "metadata.yaml").is_file() or any(
-        named_content(each) is Content.CLOUD for each in entries if each.is_file()
-    )
 
 
 def _local(path: Path, base: Path) -> FleetLog:
@@ -215,37 +191,29 @@ def _in_bucket(given: str) -> Iterator[FleetLog]:
         raise SourceNotFoundError(f"There is no recording at {without_secrets(given)}.")
     for each in logs:
         address = f"{scheme}://{each}"
-        yield FleetLog(address, address, int(found[each]["size"]), _etag(found[each]))
+        details = found[each]
+        etag = details.get("ETag") or details.get("etag") or details.get("md5Hash") or ""
+        yield FleetLog(address, address, int(details["size"]), str(etag).strip('"'))
 
 
-def _etag(details: Mapping[str, Any]) -> str:
-    return str(details.get("ETag") or details.get("etag") or details.get("md5Hash") or "").strip('"')
-
-
-def _behind(addresses: Sequence[str]) -> Iterator[FleetLog]:
-    """Yield files at addresses; what tells a change of them is known only when they are read."""
-    for each in addresses:
-        source = without_secrets(each)
-        yield FleetLog(each, source, 0, hashlib.sha256(source.encode()).hexdigest()[:32])
+def _behind(address: str) -> FleetLog:
+    """Return a file at an address; what tells a change of it is known only when it is read."""
+    source = without_secrets(address)
+    return FleetLog(address, source, 0, hashlib.sha256(source.encode()).hexdigest()[:32])
 
 
 def _in_manifest(path: Path) -> Iterator[FleetLog]:
     for row in _rows(path):
-        source = str(row.get(_NEEDED) or "")
+        source = str(row.get("source") or "")
         if not source:
             raise UnreadableSourceError(f"A row of the manifest {path} has no source.")
-        log = next(_behind([source])) if scheme_of(source) else _listed(Path(source), path.parent)
-        time = row.get("time") or None
-        yield replace(
-            log, vehicle=str(row.get("vehicle") or ""), time_ns=None if time is None else _time_ns(time, path)
-        )
-
-
-def _listed(source: Path, folder: Path) -> FleetLog:
-    """Return a log of a manifest; a missing file fails later, as one of many."""
-    if source.is_absolute() or ".." in source.parts:
-        return _with_source(folder / source, Path(*source.parts[-2:]))
-    return _with_source(folder / source, source)
+        listed = Path(source)
+        named = Path(*listed.parts[-2:]) if listed.is_absolute() or ".." in listed.parts else listed
+        # A missing file fails later, as one of many.
+        log = _behind(source) if scheme_of(source) else _with_source(path.parent / listed, named)
+        begin = row.get("time") or None
+        time_ns = None if begin is None else _time_ns(begin, path)
+        yield replace(log, vehicle=str(row.get("vehicle") or ""), time_ns=time_ns)
 
 
 def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
@@ -254,13 +222,13 @@ def _rows(path: Path) -> Iterator[Mapping[str, Any]]:
 
     try:
         table = pads.dataset(path, format=path.suffix[1:])
-        if _NEEDED not in table.schema.names:
+        if "source" not in table.schema.names:
             raise UnreadableSourceError(
                 f"The manifest {path} has the columns {', '.join(table.schema.names)[:200]}; expected source, and "
                 "vehicle and time if they are known."
             )
-        columns = [_NEEDED, *(name for name in _OPTIONAL if name in table.schema.names)]
-        for batch in table.to_batches(columns=columns, batch_size=_BATCH):
+        columns = [name for name in ("source", "vehicle", "time") if name in table.schema.names]
+        for batch in table.to_batches(columns=columns, batch_size=4096):
             yield from batch.to_pylist()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise UnreadableSourceError(f"The manifest {path} cannot be read as {path.suffix[1:].upper()}.") from error

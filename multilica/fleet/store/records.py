@@ -25,9 +25,7 @@ class LidarRow:
     """The pose of one LiDAR in one log.
 
     Args:
-        key: of the log's row.
         how: ``verified`` from the vehicle's last accepted poses, or ``calibrated`` without them.
-        status: as in `result.json`.
         reason: stable name of why it is uncertain or not placed; empty if it is placed.
         x_m, y_m, z_m, qx, qy, qz, qw: ``T_target_lidar``; None if it is not placed.
         covariance: rows of (6, 6), order rotation (rad), translation (m), along the target's axes; None if not known.
@@ -63,13 +61,11 @@ class LogRow:
 
     Args:
         key: of source, configuration and version; the name of its files in the store.
-        source: path below what was given, or address without secrets.
-        fingerprint: of the source, from size and content or the server's etag.
+        source, fingerprint: as of `FleetLog`.
         reason: stable name of why the log is refused, failed or a duplicate; empty else.
         reference: path in the store of the poses that it was verified against; empty if there were none.
         calibration: path in the store of the poses that hold after it; empty if there are none.
         recording, report, mcap: paths in the store; empty if not written.
-        placed: LiDARs with a pose.
     """
 
     key: str

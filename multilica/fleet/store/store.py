@@ -47,8 +47,6 @@ from multilica.sinks.files.atomic import atomic_file
 _LAYOUT = "fleet.json"
 _BUCKETS = {"s3": "s3fs", "gs": "gcsfs"}
 """Scheme of a bucket -> library that reads and writes it."""
-_LONGEST_NAME = 200
-"""Bytes; file systems take 255."""
 TABLES = {"lidars": LIDARS_SCHEMA, "logs": LOGS_SCHEMA}
 
 
@@ -60,20 +58,14 @@ def folder_name(name: str) -> str:
 def vehicle_name(text: str) -> str:
     """Return a text from a log as the name of a vehicle: printable, of bounded length, never empty."""
     name = " ".join(escape_controls(text).split())
-    while len(folder_name(name)) > _LONGEST_NAME:
+    while len(folder_name(name)) > 200:  # bytes; file systems take 255
         name = name[:-1]
     return name or "unknown"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Store:
-    """A store on a disk or in a bucket.
-
-    Args:
-        address: as it was given.
-        system: the file system; None on a disk.
-        root: path of the store in the file system.
-    """
+    """A store on a disk or in a bucket: address as given, file system (None on a disk), and path in the latter."""
 
     address: str
     system: Any
@@ -129,13 +121,12 @@ class Store:
 
     def put(self, local: Path, path: str) -> int:
         """Copy a file into the store; return its size in bytes."""
-        size = local.stat().st_size
         if self.system is None:
             self.write(path, local.read_bytes())
         else:
             with self._named(path):
                 self.system.put_file(os.fspath(local), f"{self.root}/{path}")
-        return size
+        return local.stat().st_size
 
     def remove(self, path: str) -> None:
         """Remove a file; one that is not there is no error."""
@@ -159,7 +150,8 @@ class Store:
             return
         with self._named(folder):
             self.system.invalidate_cache()
-            found = self.system.find(f"{self.root}/{folder}", detail=True) if self._has(folder) else {}
+            there = self.system.exists(f"{self.root}/{folder}")
+            found = self.system.find(f"{self.root}/{folder}", detail=True) if there else {}
         for path, details in sorted(found.items()):
             yield path[len(self.root) + 1 :], int(details["size"])
 
@@ -170,22 +162,14 @@ class Store:
     def dataset(self, table: str, parts: Sequence[str] | None = None) -> pads.Dataset:
         """Return a table, or some parts of it, as a dataset of Arrow, with `vehicle` and `month` as texts."""
         texts = pa.schema([("vehicle", pa.string()), ("month", pa.string())])
-        folders = pads.HivePartitioning(texts, segment_encoding="uri")
-        found = list(self.parts(table)) if parts is None else list(parts)
+        system = LocalFileSystem() if self.system is None else PyFileSystem(FSSpecHandler(self.system))
         return pads.dataset(
-            found,
+            list(self.parts(table) if parts is None else parts),
             schema=pa.schema([*TABLES[table], *texts]),
             format="parquet",
-            filesystem=self._arrow_system(),
-            partitioning=folders,
+            filesystem=SubTreeFileSystem(self.root, system),
+            partitioning=pads.HivePartitioning(texts, segment_encoding="uri"),
         )
-
-    def _arrow_system(self) -> SubTreeFileSystem:
-        system = LocalFileSystem() if self.system is None else PyFileSystem(FSSpecHandler(self.system))
-        return SubTreeFileSystem(self.root, system)
-
-    def _has(self, folder: str) -> bool:
-        return bool(self.system.exists(f"{self.root}/{folder}"))
 
     def write_part(self, path: str, rows: pa.Table) -> None:
         """Write a part of a table, whole or not at all."""
@@ -217,7 +201,16 @@ def open_store(address: str | Path, *, create: bool) -> Store:
         SourceNotFoundError: there is no store, and it is not to be created.
         UnreadableSourceError: the store is of a newer version, or the bucket does not answer.
     """
-    store = _located(str(address))
+    address = str(address)
+    if not (scheme := scheme_of(address)):
+        store = Store(address, None, os.fspath(Path(address).expanduser().absolute()))
+    elif scheme in _BUCKETS:
+        with needed_for(f"The store {without_secrets(address)}", _BUCKETS[scheme]):
+            system, path = open_file_system(address)
+        store = Store(address, system, path.rstrip("/"))
+    else:
+        shown = without_secrets(address)
+        raise UsageError(f"A store is a folder, or lies at s3://BUCKET/PREFIX or gs://BUCKET/PREFIX; found {shown}.")
     try:
         found = json.loads(store.read(_LAYOUT))
         version = found["schema_version"]
@@ -236,20 +229,6 @@ def open_store(address: str | Path, *, create: bool) -> Store:
             f"{SCHEMA_VERSION}; use the version that wrote it, or another store."
         )
     return store
-
-
-def _located(address: str) -> Store:
-    scheme = scheme_of(address)
-    if not scheme:
-        return Store(address, None, os.fspath(Path(address).expanduser().absolute()))
-    if scheme not in _BUCKETS:
-        raise UsageError(
-            "A store is a folder, or lies at s3://BUCKET/PREFIX or gs://BUCKET/PREFIX; found "
-            f"{without_secrets(address)}."
-        )
-    with needed_for(f"The store {without_secrets(address)}", _BUCKETS[scheme]):
-        system, path = open_file_system(address)
-    return Store(address, system, path.rstrip("/"))
 
 
 def _lay_out(store: Store) -> None:

@@ -107,8 +107,11 @@ def compact_store(store: Store) -> tuple[int, int]:
             before, after = before + len(parts), after + 1
             if len(parts) > 1:
                 digest = hashlib.sha256("\n".join(sorted(parts)).encode()).hexdigest()[:32]
-                tables = [_part(store, path).cast(schema) for path in parts]
-                _replace(store, parts, f"{folder}/joined-{digest}.parquet", pa.concat_tables(tables))
+                joined = f"{folder}/joined-{digest}.parquet"
+                rows = pa.concat_tables([_part(store, path).cast(schema) for path in parts])
+                store.write_part(joined, _distinct(rows))
+                for path in sorted({*parts} - {joined}):
+                    store.remove(path)
     return before, after
 
 
@@ -117,13 +120,6 @@ def _part(store: Store, path: str) -> pa.Table:
         return pq.read_table(BytesIO(store.read(path)))
     except pa.ArrowException as error:
         raise damaged_part(store, path) from error
-
-
-def _replace(store: Store, parts: list[str], joined: str, rows: pa.Table) -> None:
-    store.write_part(joined, _distinct(rows))
-    for path in parts:
-        if path != joined:
-            store.remove(path)
 
 
 def _distinct(rows: pa.Table) -> pa.Table:

@@ -16,7 +16,6 @@ import tomli_w
 
 import multilica
 from multilica.checks import check_found, relative_covariance
-from multilica.config import CalibrationConfig
 from multilica.diagnosis import explain
 from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
@@ -39,6 +38,12 @@ from multilica.verification import register_from_known
 _REFERENCE = "reference.toml"
 _COLUMNS = {"recording.rrd": "recording", "report.html": "report", "result.mcap": "mcap"}
 _ALSO = ("result.json", "calibration.toml")
+_REASONS = {
+    SourceNotFoundError: "not_found",
+    MemoryLimitError: "memory",
+    InputError: "unreadable",
+    MultilicaError: "unusable",
+}
 
 
 def run_log_task(request: LogTask) -> LogRow:
@@ -55,7 +60,8 @@ def run_log_task(request: LogTask) -> LogRow:
     except UnfitSnapshotError as refusal:
         row, lidars = failed_row(request, refusal.code, str(refusal), state="refused"), []
     except MultilicaError as failure:
-        row, lidars = failed_row(request, _code(failure), str(failure)), []
+        reason = next(name for kind, name in _REASONS.items() if isinstance(failure, kind))
+        row, lidars = failed_row(request, reason, str(failure)), []
     usage = resource.getrusage(resource.RUSAGE_SELF)
     row = replace(
         row,
@@ -68,14 +74,6 @@ def run_log_task(request: LogTask) -> LogRow:
     return row
 
 
-def _code(failure: MultilicaError) -> str:
-    if isinstance(failure, SourceNotFoundError):
-        return "not_found"
-    if isinstance(failure, MemoryLimitError):
-        return "memory"
-    return "unreadable" if isinstance(failure, InputError) else "unusable"
-
-
 def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]]:
     config, row = request.config, request.row()
     snapshot = read_snapshot(request.address, config=config.ingest)
@@ -84,7 +82,12 @@ def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]
     if first != request.source:
         return replace(row, state="duplicate", reason="duplicate", reason_text=f"the same bytes as {first}"), []
     require_calibratable(snapshot)
-    known = _reference(request, store)
+    known = None
+    if request.reference:
+        with scratch_folder() as folder:
+            path = folder / _REFERENCE
+            path.write_bytes(store.read(request.reference))
+            known = read_extrinsics(path)
     if known is not None and request.calibrate == "when-needed" and {*snapshot.names} <= known.members:
         rows = _verified_rows(request, snapshot, known)
         if rows:
@@ -102,15 +105,6 @@ def _first_with(sha256: str, request: LogTask, store: Store) -> str:
         return request.source
 
 
-def _reference(request: LogTask, store: Store) -> Extrinsics | None:
-    if not request.reference:
-        return None
-    with scratch_folder() as folder:
-        path = folder / _REFERENCE
-        path.write_bytes(store.read(request.reference))
-        return read_extrinsics(path)
-
-
 def _calibrated(
     request: LogTask, store: Store, row: LogRow, known: Extrinsics | None, snapshot: Snapshot
 ) -> tuple[LogRow, Sequence[LidarRow]]:
@@ -120,17 +114,14 @@ def _calibrated(
     prior = known if request.calibrate == "when-needed" else None
     with scratch_folder() as folder:
         out = folder / "run"
-        run_calibration(request.address, out, _recorded(config, "slim"), prior=prior)
-        # A recording in full says why LiDARs are not placed.
-        if read_run_document(out).document.status != "complete":
-            run_calibration(request.address, out, _recorded(config, "full"), prior=prior)
-        document = read_run_document(out).document
+        for detail in ("slim", "full"):  # a recording in full says why LiDARs are not placed
+            record = config.record.model_copy(update={"detail": detail})
+            run_calibration(request.address, out, config.model_copy(update={"record": record}), prior=prior)
+            document = read_run_document(out).document
+            if document.status == "complete":
+                break
         row = _stored(request, store, replace(row, state="calibrated"), out, document, known)
     return row, _calibrated_rows(request, document)
-
-
-def _recorded(config: CalibrationConfig, detail: str) -> CalibrationConfig:
-    return config.model_copy(update={"record": config.record.model_copy(update={"detail": detail})})
 
 
 def _stored(
@@ -140,21 +131,16 @@ def _stored(
     place, target = store.run_folder(request.vehicle, request.time_ns, request.key), document.target
     poses = {name: pose for name, pose in document.poses.items() if name in document.placed}
     if len(poses) > 1:
-        reference = _joined(Extrinsics(target, poses), known)
+        kept = {}  # the last poses of LiDARs that were not placed now
+        if known is not None and target in known.members:
+            kept = {name: known.between(target, name) for name in known.members if name != target}
+        reference = Extrinsics(target, {**kept, **Extrinsics(target, poses).T_target_source})
         store.write(f"{place}/{_REFERENCE}", tomli_w.dumps(extrinsics_table(reference)).encode())
         row = replace(row, calibration=f"{place}/{_REFERENCE}")
     names = [name for name in (*_COLUMNS, *_ALSO) if (out / name).exists()]
     size = sum(store.put(out / name, f"{place}/{name}") for name in names)
     written: dict[str, Any] = {column: f"{place}/{name}" for name, column in _COLUMNS.items() if name in names}
     return replace(row, placed=len(poses), artifacts_mb=size / 1e6, **written)
-
-
-def _joined(found: Extrinsics, known: Extrinsics | None) -> Extrinsics:
-    """Keep the last poses of LiDARs that were not placed now."""
-    if known is None or found.target not in known.members:
-        return found
-    kept = {name: known.between(found.target, name) for name in known.members if name != found.target}
-    return Extrinsics(found.target, {**kept, **found.T_target_source})
 
 
 def _cpu_s() -> float:
