@@ -162,7 +162,7 @@ def _rig(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> Refine
     residuals = tuple(
         replace(residual, snapshot=name) for name, residual in zip(used, rig.refinement.pairs, strict=False)
     )
-    return replace(rig, refinement=Refinement(residuals))
+    return replace(rig, refinement=Refinement.of(residuals))
 
 
 def _estimates(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> dict[str, Mapping[str, Estimate]]:

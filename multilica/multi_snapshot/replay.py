@@ -63,7 +63,7 @@ def replay(
         with _stage("refine", observe):
             observe(events.TargetChosen(result.target, result.target_reason))
             poses = tuple(pose for _, pose in sorted(result.poses.items()))
-            observe(events.RigRefined(result.refinement or Refinement(), poses))
+            observe(events.RigRefined(result.refinement or Refinement.of(), poses))
         if config.ground.enabled and config.until == STAGES[-1]:
             with _stage("ground", observe):
                 points_m = {cloud.lidar: cloud.points_m for cloud in clouds}

@@ -93,21 +93,14 @@ class TimeLimit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationResult:
-    """The outcome.
+    """The outcome; fields that `ResultDocument` has as well are described there.
 
     Args:
-        target: root of all poses.
-        target_reason: why that LiDAR is the target.
         placements: per LiDAR in name order, the target with the identity.
         pairs: registrations of all pairs that were tried, in name order.
-        refinement: result of the joint adjustment; None if it did not run.
         health: of each LiDAR that was examined, in name order.
-        refusal: reason why the snapshot was not calibrated; None if it was.
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
-        snapshots: contribution of each snapshot; empty if there is only one.
         level: pose of the target in a frame with z up, for pictures; None without a ground plane.
-        time_limit: None if the search was not cut short.
-        ground_refusal: reason why a requested ground plane is missing; else empty.
     """
 
     target: str

@@ -104,19 +104,24 @@ class PairResidual:
 
 
 @dataclass(frozen=True, slots=True)
+class CycleError:
+    """Largest disagreement of the poses with a registered pair."""
+
+    m: Annotated[Figure, Field(description="Distance.")]
+    deg: Annotated[Figure, Field(description="Angle.")]
+
+
+@dataclass(frozen=True, slots=True)
 class Refinement:
-    """Residuals of the joint refinement; without loops there is nothing to adjust."""
+    """The joint refinement over all accepted pairs."""
 
-    pairs: tuple[PairResidual, ...] = ()
+    cycle_error_before: Annotated[CycleError, Field(description="Largest disagreement before.")]
+    cycle_error_after: Annotated[CycleError, Field(description="Largest disagreement after.")]
+    pairs: Annotated[tuple[PairResidual, ...], Field(description="Disagreement per pair.")]
 
-    @property
-    def cycle_error_m(self) -> tuple[float, float]:
-        """Largest disagreement in metres before and after."""
-        before_m, after_m = [pair.before_m for pair in self.pairs], [pair.after_m for pair in self.pairs]
-        return max(before_m, default=0.0), max(after_m, default=0.0)
-
-    @property
-    def cycle_error_deg(self) -> tuple[float, float]:
-        """Largest disagreement in degrees before and after."""
-        before_deg, after_deg = [pair.before_deg for pair in self.pairs], [pair.after_deg for pair in self.pairs]
-        return max(before_deg, default=0.0), max(after_deg, default=0.0)
+    @classmethod
+    def of(cls, pairs: tuple[PairResidual, ...] = ()) -> "Refinement":
+        """Create from the residuals of the pairs; without loops there are none, and nothing to adjust."""
+        figures = [(pair.before_m, pair.before_deg, pair.after_m, pair.after_deg) for pair in pairs]
+        before_m, before_deg, after_m, after_deg = map(max, zip((0.0,) * 4, *figures, strict=True))
+        return cls(CycleError(before_m, before_deg), CycleError(after_m, after_deg), pairs)

@@ -21,7 +21,7 @@ SigmaOrigin = Literal["residuals", "snapshots"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPlane:
-    """The ground seen from the target LiDAR.
+    """The ground seen from the target LiDAR; `GroundEntry` describes further fields.
 
     Args:
         normal: (3,) unit, upwards, in the target frame.
@@ -29,11 +29,8 @@ class GroundPlane:
         T_base_target: the target LiDAR in an ISO 8855 base frame on the ground: roll, pitch and z from the plane; x, y
             and yaw from a rig file, else zero.
         inlier_share: share of the merged cloud near the vehicle, by the area that it covers, that is ground.
-        area_m2: of the ground that is seen.
-        residual_m: RMS distance of its points from a smooth surface.
-        sigma_z_m, sigma_roll_pitch_deg: standard deviation of z, and (2,) of the rotation about the base's x and y.
-        doubt: why the plane is uncertain; empty if it is not.
-        T_base_target_rig: the pose of the target as the rig file has it; None without one.
+        sigma_roll_pitch_deg: (2,) of the rotation about the base's x and y.
+        T_base_target_rig: the pose of the target as the rig file has it.
     """
 
     normal: FloatArray
@@ -132,9 +129,6 @@ class LidarPlacement:
         status: both `placed` and `uncertain` LiDARs have a pose.
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
         T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
-        sigma_from: what the covariance rests on.
-        spread: over the snapshots of a joint result; None where there is only one snapshot.
-        contested: why accepted pairs did not place it; None where no two contradict each other.
         contradicts_prior: whether the beams of a LiDAR without a pose contradict the prior, so that it moved far.
     """
 

@@ -117,7 +117,14 @@ def read_run(path: Path) -> SavedRun:
         SourceNotFoundError: nothing there, or a directory without a result.
         UnreadableSourceError: not JSON, of another schema, or damaged.
     """
-    file = _result_file(path)
+    if not path.exists():
+        raise SourceNotFoundError(f"No run at {path}; give a run directory or its {RESULT_JSON}.")
+    file = path / RESULT_JSON if path.is_dir() else path
+    if not file.exists():
+        raise SourceNotFoundError(
+            f"{path} is not the directory of a finished run: it has no {RESULT_JSON}, "
+            "which `multilica calibrate --out` leaves when it ends."
+        )
     return saved_run(RunDocument(file, _read_result_json(file), None), str(file.parent))
 
 
@@ -145,17 +152,3 @@ def is_run(path: Path) -> bool:
         with suppress(OSError, DocumentError):
             return _OF_OPENCALIB not in read_limited(path, MAX_JSON_BYTES)
     return path.suffix in (".json", ".rrd") or path.name in _MCAPS
-
-
-def _result_file(path: Path) -> Path:
-    if not path.exists():
-        raise SourceNotFoundError(f"No run at {path}; give a run directory or its {RESULT_JSON}.")
-    if not path.is_dir():
-        return path
-    file = path / RESULT_JSON
-    if not file.exists():
-        raise SourceNotFoundError(
-            f"{path} is not the directory of a finished run: it has no {RESULT_JSON}, "
-            "which `multilica calibrate --out` leaves when it ends."
-        )
-    return file

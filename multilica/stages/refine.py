@@ -59,7 +59,7 @@ def refine(
     free = sorted((set(poses) & connected(root, used_pairs)) - {root})
     current = dict(poses)
     if not free:
-        return RefinedRig(current, {}, Refinement())
+        return RefinedRig(current, {}, Refinement.of())
     before = [_residual(pair, current) for pair in used_pairs]
     for _ in range(_ITERATIONS):
         normal_matrix, gradient = _normal_equations(used_pairs, current, free, config)
@@ -81,7 +81,7 @@ def refine(
         PairResidual(pair.target, pair.source, *_sizes(start), *_sizes(end), _weight(pair, end, config))
         for pair, start, end in zip(used_pairs, before, after, strict=True)
     )
-    return RefinedRig(current, covariances, Refinement(residuals))
+    return RefinedRig(current, covariances, Refinement.of(residuals))
 
 
 def trusted_pairs(

@@ -257,7 +257,9 @@ class _MadeRun:
 
     def refine(self):
         placed = tuple(pose for name, pose in TRUTH.items() if name not in self.refused)
-        yield events.RigRefined(Refinement((PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9),)), placed)
+        yield events.RigRefined(
+            Refinement.of((PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9),)), placed
+        )
         yield from made_surfaces(self.points, self.registrations, sorted({*LIDARS} - self.refused))
 
     def ground(self):

@@ -17,11 +17,10 @@ from multilica.results import (
     GroundPlane,
     LidarPlacement,
     PairRegistration,
-    Refinement,
     SensorHealth,
 )
 from multilica.results.document.lidars import LidarEntry, PriorEntry
-from multilica.results.document.pairs import CycleErrorEntry, PairEntry, RefinementEntry, RegistrationEntry
+from multilica.results.document.pairs import PairEntry, RegistrationEntry
 from multilica.results.document.result import (
     RESULT_SCHEMA,
     GroundEntry,
@@ -79,7 +78,6 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
             each.lidar: _lidar(each, health.get(each.lidar), result.target, exchanged) for each in result.placements
         },
         pairs=tuple(map(pair_entry, result.pairs)),
-        refinement=None if result.refinement is None else _refinement(result.refinement),
         ground=None if result.ground is None else _ground(result.ground),
         config=config,
     )
@@ -110,14 +108,6 @@ def _prior(
     off_deg = math.degrees(off_rad)
     text = surprise(placement, target, exchanged)
     return PriorEntry(**_pose(prior), deviation_m=off_m, deviation_deg=off_deg, surprise=text)
-
-
-def _refinement(refinement: Refinement) -> RefinementEntry:
-    before, after = (
-        CycleErrorEntry(m=m, deg=deg)
-        for m, deg in zip(refinement.cycle_error_m, refinement.cycle_error_deg, strict=True)
-    )
-    return RefinementEntry(cycle_error_before=before, cycle_error_after=after, pairs=refinement.pairs)
 
 
 def pair_entry(pair: PairRegistration) -> PairEntry:

@@ -5,7 +5,6 @@ import numpy as np
 from pydantic import Field
 
 from multilica.geometry import RigidTransform
-from multilica.results.merging import PairResidual
 from multilica.results.registrations import Stability, Verdict
 from multilica.results.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry
 
@@ -57,18 +56,3 @@ class PairEntry(PoseEntry, PairNames):
     def evidence(self) -> float:
         """Evidence of the chosen registration; the fitness without verification."""
         return (self.registrations[0].evidence if self.registrations else self.fitness) or 0.0
-
-
-class CycleErrorEntry(Entry):
-    """Largest disagreement of the poses with a registered pair."""
-
-    m: Number = Field(description="Distance.")
-    deg: Number = Field(description="Angle.")
-
-
-class RefinementEntry(Entry):
-    """The joint refinement over all accepted pairs."""
-
-    cycle_error_before: CycleErrorEntry = Field(description="Largest disagreement before.")
-    cycle_error_after: CycleErrorEntry = Field(description="Largest disagreement after.")
-    pairs: tuple[PairResidual, ...] = Field(description="Disagreement per pair.")

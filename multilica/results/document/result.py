@@ -16,9 +16,9 @@ from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform, read_only
 from multilica.results.calibration import Refusal, SnapshotReport, TimeLimit
 from multilica.results.document.lidars import LidarEntry
-from multilica.results.document.pairs import PairEntry, RefinementEntry
+from multilica.results.document.pairs import PairEntry
 from multilica.results.document.stages import StageFigures
-from multilica.results.merging import MergeDecision
+from multilica.results.merging import MergeDecision, Refinement
 from multilica.results.placements import LidarPlacement
 from multilica.results.values import Entry, Matrix4, Number, Vector3
 
@@ -95,7 +95,7 @@ class ResultDocument(Entry):
     pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")
     decisions: tuple[MergeDecision, ...] = Field(description="Merge steps, in order.")
     snapshots: tuple[SnapshotReport, ...] = Field(description="Snapshots of a joint result, else empty.")
-    refinement: RefinementEntry | None = Field(description="The joint refinement; null if it did not run.")
+    refinement: Refinement | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     ground_refusal: str = Field("", description="Reason why a requested ground plane is missing; else empty.")
     time_limit: TimeLimit | None = Field(None, description="Set if the time limit ended the search.")

@@ -172,12 +172,12 @@ def _merge_step(decision: MergeDecision) -> tuple[LogLine, ...]:
 def _refined(refinement: Refinement) -> tuple[LogLine, ...]:
     if not refinement.pairs:
         return _line("nothing to refine: no accepted pair with a known uncertainty connects to the target")
-    (before_m, after_m), (before_deg, after_deg) = refinement.cycle_error_m, refinement.cycle_error_deg
+    before, after = refinement.cycle_error_before, refinement.cycle_error_after
     outliers = [pair for pair in refinement.pairs if pair.weight < _OUTLIER_WEIGHT]
     return (
         *_line(
-            f"refined over {len(refinement.pairs)} pairs: largest disagreement {before_m * 1e3:.1f} mm, "
-            f"{before_deg:.3f} deg before, {after_m * 1e3:.1f} mm, {after_deg:.3f} deg after"
+            f"refined over {len(refinement.pairs)} pairs: largest disagreement {before.m * 1e3:.1f} mm, "
+            f"{before.deg:.3f} deg before, {after.m * 1e3:.1f} mm, {after.deg:.3f} deg after"
         ),
         *(
             LogLine("WARN", f"{pair_label(pair.target, pair.source)} does not fit the others: {pair.after_m:.3f} m off")

@@ -95,7 +95,7 @@ def covariance_of(lidar: str) -> np.ndarray:
 
 
 def refinement() -> Refinement:
-    return Refinement(
+    return Refinement.of(
         tuple(
             PairResidual(*pair, before_mm / 1000.0, before_deg, after_mm / 1000.0, after_deg, weight)
             for pair, (before_mm, before_deg, after_mm, after_deg, weight) in RESIDUALS.items()
