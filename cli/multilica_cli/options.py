@@ -31,13 +31,7 @@ def argument(metavar: str, meaning: str) -> Any:  # noqa: ANN401 - typer's own t
 
 
 def option(usage: str, meaning: str, default: str | bool = True, **more: Any) -> Any:  # noqa: ANN401 - typer's own type is private
-    """Declare an option.
-
-    Args:
-        usage: its name, then its value as the help shows it, such as ``--out DIR``; a flag has no value.
-        default: text that the help shows in place of the default.
-        more: as `typer.Option` takes it.
-    """
+    """Declare an option by its usage, such as ``--out DIR``; the help may show a text in place of its default."""
     name, _, metavar = usage.partition(" ")
     return typer.Option(name, metavar=metavar or None, help=meaning, show_default=default, **more)
 
@@ -169,10 +163,6 @@ def resolve_config(
     Args:
         options: key of the configuration -> value of its own option; None where it was not given.
         recorded_frames: frames of a file made by `multilica record`; used unless file or options give a number.
-
-    Raises:
-        UsageError: a preset and a file, an unknown key or a value out of range.
-        SourceNotFoundError: no such file.
     """
     from multilica.config import load_config, preset, read_config_table, with_overrides
 

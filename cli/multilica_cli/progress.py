@@ -16,6 +16,8 @@ from multilica_cli.terminal import printable, stderr_console
 if TYPE_CHECKING:
     from multilica.ingest.recording import MessageObserver
 
+_COLUMNS = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+
 
 @contextmanager
 def show_progress(*, quiet: bool) -> Iterator[events.RunObserver]:
@@ -82,9 +84,7 @@ class _StageBars:
 
     def _started(self) -> Progress:
         if self._progress is None:
-            spinner, name = SpinnerColumn(finished_text=" "), TextColumn("{task.description}")
-            columns = (spinner, name, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-            self._progress = Progress(*columns, console=self._console)
+            self._progress = Progress(SpinnerColumn(finished_text=" "), *_COLUMNS, console=self._console)
             self._progress.start()
         return self._progress
 
@@ -103,8 +103,7 @@ def show_listening(wanted: int, *, quiet: bool) -> Iterator[MessageObserver]:
         yield lambda topic, count: console.print(f"{topic}: {count} of {wanted} scans") if count == wanted else None
         return
     tasks: dict[str, TaskID] = {}
-    name = TextColumn("{task.description}", markup=False)
-    with Progress(name, BarColumn(), MofNCompleteColumn(), console=console) as progress:
+    with Progress(*_COLUMNS[:3], console=console) as progress:
 
         def observe(topic: str, count: int) -> None:
             if topic not in tasks:
@@ -119,8 +118,7 @@ def show_count(name: str, total: int) -> Iterator[Callable[[], None]]:
     """Show on stderr how many of a known number are done: as a bar on a terminal, else as a line per tenth."""
     console = stderr_console()
     if console.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        with Progress(*columns, console=console) as progress:
+        with Progress(*_COLUMNS, console=console) as progress:
             task = progress.add_task(name, total=total)
             yield lambda: progress.advance(task)
         return

@@ -41,7 +41,7 @@ def write_reports(
     """Write the reports that are asked for, each whole or not at all, and return their paths.
 
     Args:
-        timestamp: as `junit_xml` takes it.
+        timestamp: of the check, ISO 8601 without a time zone.
         summary: gets a picture beside it, with `.png` added to its name.
         step_summary: file of GitHub Actions that the summary is added to.
     """
@@ -65,11 +65,7 @@ def write_reports(
 
 
 def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
-    """Return a JUnit report: a suite per rig and a test case per LiDAR; what is undecided is an error.
-
-    Args:
-        timestamp: of the check, ISO 8601 without a time zone.
-    """
+    """Return a JUnit report: a suite per rig and a test case per LiDAR; what is undecided is an error."""
     root = Element("testsuites")
     for number, rig in enumerate(map(_printable, rigs)):
         count = {verdict: sum(each.verdict == verdict for each in rig.lidars) for verdict in _WORDS}
@@ -99,11 +95,7 @@ def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
 
 
 def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = "") -> str:
-    """Return a summary in Markdown.
-
-    Args:
-        picture: address of a picture; empty leaves it out.
-    """
+    """Return a summary in Markdown, with the picture at an address unless that is empty."""
     verdict = joint_verdict([rig.verdict for rig in rigs])
     lines = [f"## LiDAR extrinsics: {_WORDS[verdict]}", "", f"Reference: `{reference}`", ""]
     if picture:

@@ -53,10 +53,7 @@ class RigTolerances(BaseModel):
 
 
 def read_tolerances(path: Path, default: Tolerance) -> RigTolerances:
-    """Read a TOML file with ``[default]`` and ``[lidars.NAME]``, each with `translation_m` and `rotation_deg`.
-
-    Args:
-        default: holds where the file has no value.
+    """Read a TOML file with ``[default]`` and ``[lidars.NAME]``; the default holds where the file has no value.
 
     Raises:
         SourceNotFoundError: there is no such file.
@@ -110,14 +107,7 @@ class LidarCheck(Entry):
 
 
 class RigCheck(Entry):
-    """A rig against its reference.
-
-    Args:
-        name: of the run or recording.
-        root: the LiDAR that the others are compared to; it agrees with the reference by definition.
-        lidars: in name order, without the root.
-        notes: open questions.
-    """
+    """A run or recording against its reference: LiDARs, by name, compared to the root, which agrees by definition."""
 
     name: str
     root: str

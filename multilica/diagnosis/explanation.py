@@ -132,12 +132,7 @@ def by_weight(codes: Iterable[str]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class DecisivePair:
-    """The registered pair that decided whether a LiDAR is placed.
-
-    Args:
-        codes: of the reasons against it, see `multilica.results.Reason`; none for an accepted pair.
-        sentence: the most important reason with its figures.
-    """
+    """The registered pair that decided whether a LiDAR is placed, with the codes of the reasons against it, if any."""
 
     target: str
     source: str

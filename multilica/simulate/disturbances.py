@@ -35,12 +35,7 @@ _NEAREST_WALKER_M = 3.5
 
 
 def require_known(disturbances: Collection[str], rig: str, lidars: Collection[str]) -> None:
-    """Check that a rig with these LiDARs can have these disturbances.
-
-    Raises:
-        UnknownNameError: no such disturbance, or no such LiDAR.
-        UsageError: the rig cannot have this disturbance.
-    """
+    """Raise UnknownNameError or UsageError if a rig with these LiDARs cannot have these disturbances."""
     for text in disturbances:
         kind, _, lidar = text.partition(":")
         if kind in ("dead", "dirty"):

@@ -107,12 +107,7 @@ class SensorModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:
-    """First surfaces that beams hit.
-
-    Args:
-        ranges_m: (N,) to the first surface, inf where there is none.
-        cosines: (N,) of the incidence angle, 1 for a surface at a right angle.
-    """
+    """Ranges (N,) to the first surfaces, inf where there is none, and cosines (N,) of the incidence angles."""
 
     ranges_m: FloatArray
     cosines: FloatArray

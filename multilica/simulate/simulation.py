@@ -34,11 +34,9 @@ _UNMOVED: Mapping[str, RigidTransform] = MappingProxyType({})
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Simulation:
-    """A simulated snapshot.
+    """A snapshot, with static transforms off by about 5 cm and 2 degrees, and the exact ``T_base_<lidar>``.
 
-    Args:
-        snapshot: its static transforms are off by about 5 cm and 2 degrees; `source` is the request in one line.
-        truth: ``T_base_<lidar>``, exact; base is ISO 8855, on the ground below the vehicle's middle.
+    The base frame is that of ISO 8855, on the ground below the vehicle's middle.
     """
 
     snapshot: Snapshot

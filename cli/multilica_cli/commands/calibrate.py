@@ -178,11 +178,7 @@ class Sample:
 
 
 def find_sample() -> Sample:
-    """Find the embedded sample in the installed package or in the checkout.
-
-    Raises:
-        FileNotFoundError: it is in neither.
-    """
+    """Find the embedded sample in the installed package or in the checkout; FileNotFoundError if it is in neither."""
     package = Path(__file__).parents[1]
     folders = (package / "samples", package.parents[1] / "recordings" / "samples")
     for folder in folders:

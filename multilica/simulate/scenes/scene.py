@@ -17,11 +17,7 @@ Wave = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class Terrain:
-    """A plane through the origin with waves on it.
-
-    Args:
-        slope_x, slope_y: rise per metre.
-    """
+    """A plane through the origin, with slopes in metres per metre and waves on it."""
 
     slope_x: float = 0.0
     slope_y: float = 0.0
