@@ -15,7 +15,15 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, Vali
 from multilica.documents import DocumentError, first_problem, parse_json
 from multilica.errors import UnreadableSourceError
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.recording import MessageObserver, Messages, RawMessage, Topic, normal_type, sanitize_text
+from multilica.ingest.recording import (
+    MessageObserver,
+    Messages,
+    RawMessage,
+    Recording,
+    Topic,
+    normal_type,
+    sanitize_text,
+)
 from multilica.ingest.remote.address import without_secrets
 from multilica.optional_libraries import needed_for
 
@@ -36,7 +44,6 @@ _MAX_WAITING = 4
 _TOO_BIG = 1009
 
 _FIRST_PAUSE_S = 0.1
-_LONGEST_PAUSE_S = 5.0
 _STATIC_S = 1.0
 """A bridge sends latched messages to a new subscriber at once."""
 _STATIC_SUFFIX = "tf_static"
@@ -44,7 +51,6 @@ _MAX_STATIC = 256
 """Messages with static transforms to keep; a vehicle sends a handful."""
 _MAX_CHANNELS = 10_000
 _MAX_ODDITIES = 100
-_MAX_TEXT = 200
 _QUICK_S = 1.0
 """A server that ends connections sooner than this is not asked again at once."""
 
@@ -225,7 +231,7 @@ def _binary(frame: bytes) -> Received | str | None:
     return Received(subscription, log_time_ns, memory_budget().keep(frame)[_MESSAGE_HEAD.size :])
 
 
-class LiveRecording:
+class LiveRecording(Recording):
     """The messages of a Foxglove WebSocket server up to a time limit, with reconnects.
 
     Args:
@@ -240,25 +246,18 @@ class LiveRecording:
     is_indexed = False
 
     def __init__(self, url: str, expected: int, timeout_s: float, observe: MessageObserver) -> None:
-        self.damage = ""
         self._url = url
         self._expected = expected
         self._timeout_s = timeout_s
         self._end_s = time.monotonic() + timeout_s
         self._observe = observe
-        self._channels: dict[int, Topic] = {}
+        self._offer({})
         self._wanted: frozenset[str] = frozenset()
         self._static: list[RawMessage] = []
         self._counts: Counter[str] = Counter()
         self._oddities: Counter[str] = Counter()
         self._connected_s = 0.0
         self._socket = self._connect()
-
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """The topics offered now, each with the expected number of messages."""
-        offered = (replace(topic, count=self._expected) for topic in self._channels.values())
-        return tuple(sorted(offered, key=lambda topic: topic.name))
 
     @property
     def notes(self) -> list[str]:
@@ -268,15 +267,12 @@ class LiveRecording:
         (first, _), *_ = self._oddities.items()
         count = self._oddities.total()
         messages = "1 message that was" if count == 1 else f"{count} messages that were"
-        return [f"{without_secrets(self._url)} sent {messages} ignored; the first one {first[:_MAX_TEXT]}."]
+        return [f"{without_secrets(self._url)} sent {messages} ignored; the first one {first[:200]}."]
 
     def wait_for(self, is_offered: Callable[[], bool]) -> None:
         """Listen until the server offers what is needed, or time is up."""
         while not is_offered() and self._left_s() > 0.0:
             self._next(self._left_s())
-
-    def span_ns(self, topics: Collection[str]) -> None:
-        """Return None: the end is not known."""
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield messages as they arrive up to the time limit, and earlier static transforms; ignore `start_ns`."""
@@ -300,6 +296,12 @@ class LiveRecording:
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
+
+    def _offer(self, channels: Mapping[int, Topic]) -> None:
+        """Set the topics that are offered now, each with the expected number of messages."""
+        self._channels = dict(channels)
+        offered = (replace(topic, count=self._expected) for topic in channels.values())
+        self.topics = tuple(sorted(offered, key=lambda topic: topic.name))
 
     def _left_s(self) -> float:
         return self._end_s - time.monotonic()
@@ -326,10 +328,10 @@ class LiveRecording:
                 if len(self._channels) + len(channels) > _MAX_CHANNELS:
                     self._count_oddity(f"offers more than {_MAX_CHANNELS} channels")
                     return None
-                self._channels |= channels
+                self._offer({**self._channels, **channels})
                 self._subscribe([number for number, topic in channels.items() if topic.name in self._wanted])
             case UnadvertiseMessage(channelIds=numbers):
-                self._channels = {key: topic for key, topic in self._channels.items() if key not in numbers}
+                self._offer({key: topic for key, topic in self._channels.items() if key not in numbers})
             case str(oddity):
                 self._count_oddity(oddity)
             case Received(subscription) if subscription in self._channels:
@@ -355,7 +357,7 @@ class LiveRecording:
         if time.monotonic() - self._connected_s < _QUICK_S:
             time.sleep(max(0.0, min(_QUICK_S, self._left_s())))
         # A restarted server numbers its channels anew, and advertises them to new clients.
-        self._channels = {}
+        self._offer({})
         try:
             self._socket = self._connect()
         except UnreadableSourceError:
@@ -375,4 +377,4 @@ class LiveRecording:
                         "check the address (port 8765 in most vehicles), and that foxglove_bridge runs."
                     ) from error
             time.sleep(pause_s)
-            pause_s = min(2.0 * pause_s, _LONGEST_PAUSE_S)
+            pause_s = min(2.0 * pause_s, 5.0)

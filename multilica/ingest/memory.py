@@ -18,7 +18,6 @@ import numpy as np
 from multilica.config import IngestConfig
 from multilica.errors import InputError
 
-_BYTES_PER_MB = 1_000_000
 _DECODED_PER_BYTE = 8
 """Text with a few digits per number, or one byte per coordinate; most points shrink when they are decoded."""
 
@@ -28,7 +27,7 @@ class MemoryLimitError(InputError):
 
 
 class MemoryBudget:
-    """Bytes that are in use, and their limit.
+    """Bytes that are in use (`taken_bytes`), and their limit.
 
     Args:
         where: the source, for the error message.
@@ -37,32 +36,28 @@ class MemoryBudget:
     def __init__(self, limit_mb: float, where: str = "") -> None:
         self._limit_mb = limit_mb
         self._where = where or "The source"
-        self._taken = 0
+        self.taken_bytes = 0
         self._lock = Lock()
-
-    @property
-    def taken_bytes(self) -> int:
-        """Bytes in use."""
-        return self._taken
 
     def require(self, size: int) -> None:
         """Raise MemoryLimitError if there are not `size` more bytes."""
-        if self._taken + size > self._limit_mb * _BYTES_PER_MB:
+        taken = self.taken_bytes
+        if taken + size > self._limit_mb * 1_000_000:
             raise MemoryLimitError(
-                f"Reading {self._where} takes more than {self._limit_mb:g} MB of memory ({self._taken} bytes in use, "
-                f"{size} more needed); expected less from LiDARs: take fewer frames, or raise ingest.max_memory_mb."
+                f"Reading {self._where} takes more than {self._limit_mb:g} MB of memory ({taken} bytes in use, {size} "
+                "more needed); expected less from LiDARs: take fewer frames, or raise ingest.max_memory_mb."
             )
 
     def take(self, size: int) -> None:
         """Count `size` more bytes; errors as of `require`."""
         with self._lock:
             self.require(size)
-            self._taken += size
+            self.taken_bytes += size
 
     def give(self, size: int) -> None:
         """Count `size` fewer bytes."""
         with self._lock:
-            self._taken -= size
+            self.taken_bytes -= size
 
     def empty(self, size: int) -> memoryview:
         """Return memory that is not cleared, counted until it is released; errors as of `require`."""

@@ -23,7 +23,6 @@ OUSTER = "ouster.sdk.core:LidarFrame"
 
 _ROS = ("cdr", "ros1")
 
-_MAX_NAME = 32
 _MAX_STAMP_NS = 1 << 64
 """Stamps beyond are no times, and overflow."""
 
@@ -148,7 +147,7 @@ def obstacle(topic: Topic) -> str:
     if known.packets:
         return known.incomplete if known.requires and is_installed(known.requires) else known.packets
     expected = " or ".join(known.encodings)
-    return f"{topic.message_type} in the encoding {topic.encoding[:_MAX_NAME]!r}; expected {expected}"
+    return f"{topic.message_type} in the encoding {topic.encoding[:32]!r}; expected {expected}"
 
 
 def decode_cloud(message: RawMessage) -> Cloud:

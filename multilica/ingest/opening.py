@@ -35,7 +35,6 @@ from multilica.ingest.recording import (
 from multilica.ingest.remote.remote_file import SourceFile, path_on_disk
 from multilica.scratch import scratch_folder
 
-_BLOCK_BYTES = 1 << 20
 _MAX_RATIO = 200
 _ALWAYS_BYTES = 64 << 20
 """Scans shrink to a half or a fifth; a file that grows to more than 200 times its size and this is malicious."""
@@ -131,7 +130,7 @@ def _unpack(path: Path, target: Path, where: str) -> None:
     """Unpack a file; if it ends too early, unpack what it holds."""
     allowed = min(max(_ALWAYS_BYTES, _MAX_RATIO * path.stat().st_size), shutil.disk_usage(target.parent).free // 2)
     with path.open("rb") as file, target.open("wb") as unpacked:
-        blocks = zstandard.ZstdDecompressor().read_to_iter(file, write_size=_BLOCK_BYTES)
+        blocks = zstandard.ZstdDecompressor().read_to_iter(file, write_size=1 << 20)
         try:
             for block in blocks:
                 if unpacked.tell() + len(block) > allowed:
@@ -144,7 +143,7 @@ def _unpack(path: Path, target: Path, where: str) -> None:
                 raise DamagedRecordingError(where, "compressed data cannot be unpacked") from error
 
 
-class _CombinedRecording:
+class _CombinedRecording(Recording):
     """Several open recordings as one.
 
     Args:
@@ -166,7 +165,7 @@ class _CombinedRecording:
         self.topics = topics
         self.damage = damage or next((part.damage for part in parts if part.damage), "")
         self.is_indexed = all(part.is_indexed for part in parts)
-        self.close = opened.close
+        self._opened = opened
         self._are_beside = names is not None
         self._parts = list(
             zip(parts, names or [{topic.name: topic.name for topic in topics}] * len(parts), strict=True)
@@ -188,6 +187,10 @@ class _CombinedRecording:
                 yield from _renamed(part, names, topics, start_ns, damage)
         if damage:
             raise damage[0]
+
+    def close(self) -> None:
+        """Close all recordings."""
+        self._opened.close()
 
 
 def _own(names: Mapping[str, str], topics: Collection[str]) -> list[str]:
@@ -234,7 +237,7 @@ def _identity(recording: Recording, topic: Topic) -> tuple[str, str]:
     return topic.name, ""
 
 
-class _CloudFiles:
+class _CloudFiles(Recording):
     """Point files as a recording whose topics are files or folders.
 
     Raises:
@@ -242,17 +245,12 @@ class _CloudFiles:
     """
 
     format = "point files"
-    damage = ""
-    is_indexed = True
 
     def __init__(self, lidars: Sequence[FrameFiles]) -> None:
         self._files = {lidar.topic: lidar.files for lidar in lidars}
         named = ((lidar, _encoding(lidar.files[0])) for lidar in lidars)
         topics = (Topic(each.topic, name.upper(), name, len(each.files), each.lidar) for each, name in named)
         self.topics = tuple(sorted(topics, key=lambda topic: topic.name))
-
-    def span_ns(self, topics: Collection[str]) -> None:
-        """Return None: point files have no time."""
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield the first frame of each topic, then the second of each; `start_ns` is ignored."""
@@ -262,9 +260,6 @@ class _CloudFiles:
             for topic, path in zip(chosen, row, strict=True):
                 if path is not None:
                     yield _message(topic, path)
-
-    def close(self) -> None:
-        """Do nothing: no file stays open."""
 
 
 def _encoding(path: SourceFile) -> str:

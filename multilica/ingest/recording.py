@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from multilica.errors import MultilicaError, UnreadableSourceError, escape_controls
 
@@ -78,28 +79,26 @@ Messages: TypeAlias = Generator[RawMessage, None, None]
 """Messages; closing the generator releases the file."""
 
 
-class Recording(Protocol):
-    """An open recording."""
+class Recording(ABC):
+    """An open recording.
 
-    @property
-    def format(self) -> str:
-        """The format's name for the user, for instance ``MCAP``."""
+    Args:
+        format: the format's name for the user, for instance ``MCAP``.
+        topics: every topic, by name.
+        damage: why part of the recording is missing ("the file ends too early"); empty if nothing is known to be.
+        is_indexed: messages from some time on can be read without earlier ones.
+    """
 
-    @property
-    def topics(self) -> tuple[Topic, ...]:
-        """Every topic, by name."""
+    format: str
+    topics: tuple[Topic, ...]
+    damage: str = ""
+    is_indexed: bool = True
 
-    @property
-    def damage(self) -> str:
-        """Reason why part of the recording is missing ("the file ends too early"); empty if none is known."""
-
-    @property
-    def is_indexed(self) -> bool:
-        """True if messages from some time on can be read without earlier ones."""
-
-    def span_ns(self, topics: Collection[str]) -> Span | None:
+    def span_ns(self, topics: Collection[str]) -> Span | None:  # noqa: ARG002 - for the formats that have times
         """Return when these topics begin and end; None without messages or without time."""
+        return None
 
+    @abstractmethod
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield the messages on these topics that were logged at `start_ns` or later, oldest first.
 
@@ -107,7 +106,7 @@ class Recording(Protocol):
             DamagedRecordingError: nothing more can be read; what came before is valid.
         """
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - not every format keeps a file open
         """Close the files."""
 
 

@@ -27,8 +27,6 @@ from multilica.snapshot import LidarScans, Snapshot
 WHOLE_FILE_BYTES = 256 << 20
 """Larger files are hashed by size, beginning and end only."""
 _EDGE_BYTES = 64 << 20
-_NAMELESS = "lidar"
-_REMOTE_EDGE_BYTES = 1 << 20
 _BLOCK_BYTES = 1 << 20
 
 
@@ -186,7 +184,7 @@ def assemble_snapshot(
     shared = {frame_id: topics for frame_id, topics in sorted(topics_of.items()) if frame_id and len(topics) > 1}
     names = _unique_names(
         {
-            topic: given[topic] or ("" if frame_id in shared else frame_id) or topic.strip("/") or topic or _NAMELESS
+            topic: given[topic] or ("" if frame_id in shared else frame_id) or topic.strip("/") or topic or "lidar"
             for topic, frame_id in sorted(frame_ids.items(), key=lambda item: (not given[item[0]], item[0]))
         }
     )
@@ -249,7 +247,7 @@ def _sha256_of_file(path: SourceFile) -> str:
     size = path.stat().st_size
     parts = [(0, size)]
     is_remote = isinstance(path, RemoteFile)
-    edge_bytes = _REMOTE_EDGE_BYTES if is_remote else _EDGE_BYTES
+    edge_bytes = 1 << 20 if is_remote else _EDGE_BYTES
     if size > (2 * edge_bytes if is_remote else WHOLE_FILE_BYTES):
         digest.update(str(size).encode())
         parts = [(0, edge_bytes), (size - edge_bytes, edge_bytes)]

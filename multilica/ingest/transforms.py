@@ -22,7 +22,6 @@ from multilica.ingest.recording import DamagedRecordingError, RawMessage, Record
 from multilica.snapshot import Snapshot
 
 STATIC_TRANSFORMS = "tf"
-_URDF_SUFFIXES = (".urdf", ".xml", ".xacro")
 _MAX_FRAMES = 12
 _EXPECTED = "expected 'tf', a .toml file of extrinsics or a .urdf file"
 
@@ -30,8 +29,6 @@ StaticTransforms = tuple[tuple[RigidTransform, ...], tuple[str, ...]]
 """Transforms sorted by parent and child, notes on those that were left out."""
 
 _TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-_ENCODINGS = ("cdr", "ros1")
-_MAX_MESSAGES = 256
 _MAX_REPEATS = 10
 _QUIET_NS = 2 * 10**9
 """After that many repetitions over that time, stop reading: each one costs a chunk of the recording."""
@@ -121,7 +118,7 @@ def _read_joints(source: str | Extrinsics, snapshot: Snapshot) -> tuple[Joint, .
     if source == STATIC_TRANSFORMS:
         return tuple(Joint(pose) for pose in snapshot.static_transforms)
     path = Path(source)
-    if path.suffix in _URDF_SUFFIXES:
+    if path.suffix in (".urdf", ".xml", ".xacro"):
         return read_urdf(path)
     if path.suffix == ".toml":
         return _fixed(read_extrinsics_table(path, with_uncertain=True))
@@ -191,7 +188,7 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
     topics = [
         topic.name
         for topic in recording.topics
-        if topic.message_type in _TYPES and topic.encoding in _ENCODINGS and topic.name.endswith("tf_static")
+        if topic.message_type in _TYPES and topic.encoding in ("cdr", "ros1") and topic.name.endswith("tf_static")
     ]
     if not topics:
         return (), ()
@@ -202,7 +199,7 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
         with closing(recording.messages(topics)) as messages:
             # Another type may be recorded under the same name.
             transforms = (message for message in messages if message.message_type in _TYPES)
-            for message in islice(transforms, _MAX_MESSAGES):
+            for message in islice(transforms, 256):
                 if _add(message, found, notes):
                     repeats, news_ns = 0, message.log_time_ns
                 repeats += 1

@@ -23,6 +23,7 @@ from multilica.ingest.recording import (
     DamagedRecordingError,
     Messages,
     RawMessage,
+    Recording,
     Span,
     Topic,
     damage_named,
@@ -90,8 +91,8 @@ _Unpacked: TypeAlias = tuple[ChunkPlace, memoryview, str]
 """A chunk, its records, and why it has none."""
 
 
-@dataclass(slots=True, eq=False)
-class ChunkedRecording:
+@dataclass(eq=False)
+class ChunkedRecording(Recording):
     """A recording of which only the needed chunks are read.
 
     Args:
@@ -107,8 +108,6 @@ class ChunkedRecording:
     chunks: Sequence[ChunkPlace]
     read_chunk: Callable[[ExactReader, ChunkPlace], PackedChunk]
     split: Callable[[memoryview, Collection[str]], Iterator[RawMessage]]
-    damage: str = ""
-    is_indexed: bool = True
 
     def __post_init__(self) -> None:
         self.chunks = sorted(self.chunks, key=lambda chunk: (chunk.start_ns, chunk.offset))
@@ -246,7 +245,7 @@ class Survey:
         return max(least, self.marks[index - 1][0]) if index else least
 
 
-class UnindexedRecording:
+class UnindexedRecording(Recording):
     """A recording that is read from the front up to the first damage.
 
     Args:
@@ -286,10 +285,6 @@ class UnindexedRecording:
         """Yield messages in the order of writing."""
         wanted = self._all_messages(start_ns)
         yield from (message for message in wanted if message.topic in topics and message.log_time_ns >= start_ns)
-
-    def close(self) -> None:
-        """Release the kept messages; no file stays open."""
-        self._kept = []
 
     def _all_messages(self, start_ns: int) -> Iterator[RawMessage]:
         yield from self._kept

@@ -56,7 +56,6 @@ _BOUNDED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.
 _MAX_CHECKED_BYTES = 256 << 20
 _MAX_METADATA_BYTES = 1 << 20
 """Limit of a record; those of a vehicle or a snapshot take a few hundred bytes."""
-_MAX_METADATA_RECORDS = 100
 
 (_MAGIC,) = FORMATS["mcap"].magic
 _RECORD_HEAD = struct.Struct("<BQ")
@@ -65,7 +64,6 @@ _MESSAGE_HEAD = struct.Struct("<HIQQ")
 """Channel, sequence, log time, publish time; the message's data follow."""
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _LENGTH = struct.Struct("<Q")
-_MAX_RECORD_BYTES = MAX_UNPACKED_BYTES + (1 << 10)
 
 
 def open_file(path: SourceFile, where: str) -> Recording:
@@ -304,7 +302,7 @@ def _require_opcode(opcode: int, length: int) -> None:
 def _record_length(head: bytes) -> tuple[int, int]:
     """Return opcode and length in bytes of a record that is to be read into memory."""
     opcode, length = _RECORD_HEAD.unpack(head)
-    if length > _MAX_RECORD_BYTES:
+    if length > MAX_UNPACKED_BYTES + (1 << 10):
         raise ValueError("a record claims an impossible size")
     return opcode, length
 
@@ -363,7 +361,7 @@ def mcap_metadata(path: SourceFile) -> Iterator[Metadata]:
             return
         with closing(ExactReader(path)) as stream:
             summary = make_reader(stream).get_summary()
-            for index in (summary.metadata_indexes if summary else [])[:_MAX_METADATA_RECORDS]:
+            for index in (summary.metadata_indexes if summary else [])[:100]:
                 if index.length <= _MAX_METADATA_BYTES:
                     stream.seek(index.offset + _RECORD_HEAD.size)
                     record = stream.read(index.length - _RECORD_HEAD.size)

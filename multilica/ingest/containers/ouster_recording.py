@@ -16,7 +16,6 @@ from multilica.ingest.recording import DamagedRecordingError, Messages, RawMessa
 if TYPE_CHECKING:
     from multilica.ingest.messages.ouster_packets import Sensor
 
-_METADATA_TYPE = "std_msgs/msg/String"
 _MAX_TRIES = 4
 """Messages of a topic to try; all have the same size, yet one may be broken."""
 
@@ -31,14 +30,13 @@ def with_turns(recording: Recording) -> Recording:
     return OusterRecording(recording, metadata) if metadata else recording
 
 
-class OusterRecording:
+class OusterRecording(Recording):
     """A recording with the packets of each turn joined; `metadata` is the driver's JSON by topic of packets."""
 
     def __init__(self, recording: Recording, metadata: dict[str, str]) -> None:
         self.format = recording.format
         self.damage = recording.damage
         self.is_indexed = recording.is_indexed
-        self.close = recording.close
         self._recording = recording
         self._metadata = metadata
         self.topics = tuple(self._topic(topic) for topic in recording.topics)
@@ -47,6 +45,10 @@ class OusterRecording:
     def span_ns(self, topics: Collection[str]) -> Span | None:
         """Return when these topics begin and end."""
         return self._recording.span_ns(topics)
+
+    def close(self) -> None:
+        """Close the recording of packets."""
+        self._recording.close()
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield messages by log time; the log time of a turn is that of its last packet."""
@@ -129,7 +131,7 @@ def _metadata_beside(recording: Recording, packets: Topic) -> str:
     beside = [
         topic.name
         for topic in recording.topics
-        if topic.message_type == _METADATA_TYPE
+        if topic.message_type == "std_msgs/msg/String"
         and topic.name.rpartition("/")[0] == namespace
         and "metadata" in topic.name.rpartition("/")[2]
     ]

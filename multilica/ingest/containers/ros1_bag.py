@@ -27,7 +27,6 @@ from multilica.ingest.recording import (
 )
 
 _OFFSET = struct.Struct("<Q")
-_COUNT = struct.Struct("<4sI")
 
 _MAGIC_BYTES = len(b"#ROSBAG V2.0\n")
 _CHUNK, _CHUNK_INFO, _CONNECTION = 5, 6, 7
@@ -70,7 +69,7 @@ def _open_indexed(stream: ExactReader, where: str) -> ChunkedRecording:
         if header[b"op"][0] == _CONNECTION:
             topics[header[b"conn"]] = _connection_topic(header, memoryview(data))
         elif header[b"op"][0] == _CHUNK_INFO:
-            in_chunk = dict(_COUNT.iter_unpack(data))
+            in_chunk = dict(struct.Struct("<4sI").iter_unpack(data))
             counts.update(in_chunk)
             chunks.append(
                 ChunkPlace(

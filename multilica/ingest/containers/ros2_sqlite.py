@@ -53,8 +53,6 @@ _EVERY_MESSAGE = f"""
     SELECT topic_id, {_TIME}, CAST(data AS BLOB) FROM messages WHERE typeof(topic_id) = 'integer' ORDER BY id
 """  # noqa: S608
 _TABLES = ("topics", "messages")
-_OBJECTS = "SELECT type, name, tbl_name, rootpage FROM sqlite_master"
-_PLAIN = ("table", "index")
 _EXPRESSION = -2
 """Number of a column of an index that is none of the table's."""
 _STEPS_PER_BYTE = 20
@@ -63,7 +61,6 @@ _FREE_STEPS = 5_000_000
 would take them without end."""
 _STEPS_PER_CALL = 1_000_000
 _MAX_SQL_BYTES = 1 << 20
-_MAX_COLUMNS = 200
 
 
 def open_file(path: Path, where: str) -> Recording:
@@ -74,11 +71,10 @@ def open_file(path: Path, where: str) -> Recording:
         return _open_beginning(path, where)
 
 
-class Ros2Sqlite:
+class Ros2Sqlite(Recording):
     """One open storage file of a ROS 2 bag, with `topics` by their ids in the database."""
 
     format = "ROS 2 bag (sqlite3)"
-    is_indexed = True
 
     def __init__(
         self, where: str, database: apsw.Connection, topics: Mapping[int, Topic], tallies: Tallies, damage: str = ""
@@ -148,9 +144,11 @@ def _open_beginning(path: Path, where: str) -> Ros2Sqlite:
 def _require_plain(database: apsw.Connection) -> set[str]:
     """Return the names of the tables; raise ValueError if the schema has anything that SQLite would execute."""
     tables: set[str] = set()
-    for kind, name, table, root_page in database.execute(_OBJECTS).fetchall():
+    for kind, name, table, root_page in database.execute(
+        "SELECT type, name, tbl_name, rootpage FROM sqlite_master"
+    ).fetchall():
         is_virtual = kind == "table" and not root_page
-        if kind not in _PLAIN or is_virtual:
+        if kind not in ("table", "index") or is_virtual:
             what = "virtual table" if is_virtual else str(kind)
             raise ValueError(f"it defines the {what} '{name}', which a ROS 2 bag does not have")
         if kind == "table":
@@ -173,7 +171,7 @@ def _limit(database: apsw.Connection, file_bytes: int) -> None:
     database.execute("PRAGMA cell_size_check=ON")
     database.limit(apsw.SQLITE_LIMIT_LENGTH, min(MAX_UNPACKED_BYTES, file_bytes + _MAX_SQL_BYTES))
     database.limit(apsw.SQLITE_LIMIT_SQL_LENGTH, _MAX_SQL_BYTES)
-    database.limit(apsw.SQLITE_LIMIT_COLUMN, _MAX_COLUMNS)
+    database.limit(apsw.SQLITE_LIMIT_COLUMN, 200)
     database.limit(apsw.SQLITE_LIMIT_ATTACHED, 0)
     calls_left = 1 + (_FREE_STEPS + _STEPS_PER_BYTE * file_bytes) // _STEPS_PER_CALL
 

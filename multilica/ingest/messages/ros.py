@@ -24,7 +24,6 @@ _LIVOX_BYTES = 19
 _layout = cache(struct.Struct)
 _CUT_OFF = "cannot be unpacked: it ends too early"
 _ENCAPSULATION_BYTES = 4
-_SEQUENCE_BYTES = 4
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
@@ -118,7 +117,7 @@ class WireReader:
         """Read stamp in nanoseconds and frame id of a ``std_msgs/Header``."""
         is_ros1 = self.alignment == 1
         if is_ros1:
-            self.place += _SEQUENCE_BYTES
+            self.place += 4
         seconds, nanoseconds = self.numbers("II" if is_ros1 else "iI")
         return seconds * 10**9 + nanoseconds, self.text().strip("/")
 

@@ -13,8 +13,6 @@ from multilica.ingest.recording import RawMessage, reason_of
 from multilica.pointcloud2 import finite_points
 from multilica.snapshot import Scan
 
-_PACKET_BYTES = 1206
-
 
 def decode_cloud(message: RawMessage) -> Cloud:
     """Decode one turn of a Velodyne, whose model is in the packets."""
@@ -29,7 +27,7 @@ def _packet(reader: WireReader) -> Any:  # noqa: ANN401 - the class is the libra
     """Read a ``VelodynePacket``: stamp and data."""
     reader.align(4)
     seconds, nanoseconds = reader.numbers("II" if reader.alignment == 1 else "iI")
-    return velodyne_decoder.VelodynePacket(seconds + nanoseconds * 1e-9, bytes(reader.raw(_PACKET_BYTES)))
+    return velodyne_decoder.VelodynePacket(seconds + nanoseconds * 1e-9, bytes(reader.raw(1206)))
 
 
 def _decoded(packets: list[Any]) -> Float32Array:

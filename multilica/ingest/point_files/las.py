@@ -31,7 +31,6 @@ _POINTS_AT = 96
 _RECORD_BYTES = 54
 _ENGINE_BYTES = 512 << 20
 """Memory of the process that unpacks, besides the points."""
-_ENGINE_S = 60.0
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
@@ -76,7 +75,7 @@ def _decompressed(header: Any, data: memoryview) -> memoryview:  # noqa: ANN401 
     arguments = [header.offset_to_point_data, size, memory_bytes, records[0].record_data.hex()]
     command = [sys.executable, "-I", str(Path(__file__).with_name("laz_process.py")), *map(str, arguments)]
     try:
-        ended = subprocess.run(command, input=data, capture_output=True, timeout=_ENGINE_S, check=False)  # noqa: S603
+        ended = subprocess.run(command, input=data, capture_output=True, timeout=60.0, check=False)  # noqa: S603
     except subprocess.TimeoutExpired as error:
         raise ValueError("has compressed points that cannot be unpacked") from error
     if ended.returncode or len(ended.stdout) != size:

@@ -31,7 +31,6 @@ Points = tuple[Float32Array, Float32Array | None]
 
 MAX_HEADER_BYTES = 1 << 16
 _MAX_LINE_BYTES = 1 << 16
-_MAX_REASON = 200
 _MAX_FIELDS = 1024
 _MAX_COUNT = 1 << 16
 _LISTED = 8
@@ -115,7 +114,7 @@ class PointTable:
                 warnings.filterwarnings("ignore", message="loadtxt: input contained no data")
                 table = np.loadtxt(lines, np.float64, comments=None, usecols=chosen, ndmin=2, encoding="latin1")
         except ValueError as error:
-            reason = str(error).partition(";")[0].rstrip(".")[:_MAX_REASON]
+            reason = str(error).partition(";")[0].rstrip(".")[:200]
             raise ValueError(f"has text that is not a table of points: {reason}") from error
         if len(table) < self.rows:
             raise ValueError(f"ends after {len(table)} of its {self.rows} points")

@@ -31,19 +31,16 @@ MAX_WHOLE_BYTES = 2 << 30
 """Limit of files that are downloaded as a whole."""
 
 _PIECE_BYTES = 8 << 20
-_BLOCK_BYTES = 1 << 20
 _RETRY_AFTER_S = (0.5, 2.0)
 _CONNECT_S = 10
 _READ_S = 30
 _SLOWEST_BYTES_PER_S = 50_000
 """A read ends after `_READ_S` and the time that its bytes take at this speed, however steadily a server drips them."""
-_LONGEST_S = 600
 
 _CREDENTIALS = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY or AWS_PROFILE, or FSSPEC_S3_ANON=true for a public bucket",
     "gs": "run `gcloud auth application-default login`, or set FSSPEC_GS_TOKEN=anon for a public bucket",
 }
-_LIBRARIES = {"s3": "s3fs", "gs": "gcsfs"}
 _NO_CREDENTIALS = {
     "CredentialRetrievalError",
     "DefaultCredentialsError",
@@ -231,7 +228,7 @@ async def _fetch_range(handle: Any, start: int, end: int) -> bytes:  # noqa: ANN
         given = response.headers.get("Content-Range", "").replace("=", " ").split("-")[0]
         if start > 0 and response.status != HTTPStatus.PARTIAL_CONTENT and given != f"bytes {start}":
             raise ValueError("no range requests")
-        async for block in response.content.iter_chunked(_BLOCK_BYTES):
+        async for block in response.content.iter_chunked(1 << 20):
             data += block
             if len(data) > end - start:
                 break
@@ -270,7 +267,7 @@ def _options(url: str) -> dict[str, Any]:
         return {"config_kwargs": {"connect_timeout": _CONNECT_S, "read_timeout": _READ_S}}
     from aiohttp import ClientTimeout
 
-    timeout = ClientTimeout(total=_LONGEST_S, sock_connect=_CONNECT_S, sock_read=_READ_S)
+    timeout = ClientTimeout(total=600, sock_connect=_CONNECT_S, sock_read=_READ_S)
     if scheme == "gs":
         return {"requests_timeout": timeout}
     # Ranges of a response that is compressed are not ranges of the file.
@@ -295,7 +292,7 @@ def remote_failures_named(where: str, scheme: str) -> Iterator[None]:
     except MultilicaError:
         raise
     except ImportError as error:
-        raise_missing(f"Reading {where}", _LIBRARIES.get(scheme, "fsspec"), error)
+        raise_missing(f"Reading {where}", {"s3": "s3fs", "gs": "gcsfs"}.get(scheme, "fsspec"), error)
     except Exception as error:
         raise _explained(error, where, scheme) from error
 

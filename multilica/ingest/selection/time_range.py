@@ -38,10 +38,6 @@ _Evidence: TypeAlias = tuple[str, _Samples] | None
 """Name and samples; None if the recording has no such topic."""
 
 _ODOMETRY, _IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
-_MAX_SAMPLES = 240
-_MAX_CLOUD_SAMPLES = 90
-_MIN_STEP_S = 0.25
-_MIN_CLOUD_STEP_S = 1.0
 _MAX_LIDARS = 4
 """LiDARs to try until one shows enough throughout."""
 
@@ -49,7 +45,6 @@ _MAX_SPEED_MPS = 0.05
 _MAX_TURN_RAD_S = 0.01
 _MAX_STEP_M = 0.05
 """Limits of odometry at standstill; the step is between the positions of two samples."""
-_BURST = 20
 _MAX_SHAKE_MPS2 = 0.3
 _MIN_SHAKE_MPS2 = 0.05
 _SHAKE_RATIO = 2.5
@@ -192,7 +187,7 @@ def _by_odometry(recording: Recording, span: Span) -> _Evidence:
 
 def _by_imu(recording: Recording, span: Span) -> _Evidence:
     """Sample the spread of accelerations and the turning rate within bursts of IMU messages."""
-    samples = _ros_samples(recording, _IMU, span, _BURST)
+    samples = _ros_samples(recording, _IMU, span, 20)
     if samples is None:
         return None
     topic, times_ns, bursts = samples
@@ -223,7 +218,7 @@ def _by_clouds(recording: Recording, span: Span) -> _Evidence:
 def _cloud_samples(recording: Recording, topic: str, span: Span) -> _Samples:
     from multilica.stages.stillness import detect_motion
 
-    times_ns = _times_ns(span, _MAX_CLOUD_SAMPLES, _MIN_CLOUD_STEP_S)
+    times_ns = _times_ns(span, 90, 1.0)
     scans: dict[int, list[Scan]] = defaultdict(list)
     logged_ns: dict[int, int] = {}
     still: list[tuple[int, bool | None]] = []
@@ -265,7 +260,7 @@ def _ros_samples(
     name = max(topics, key=lambda topic: (topic.count, topic.name)).name
     bursts: dict[int, list[FloatArray]] = defaultdict(list)
     logged_ns: dict[int, int] = {}
-    for index, message in sampled(recording, [name], _times_ns(span, _MAX_SAMPLES, _MIN_STEP_S), span[1] + 1, most):
+    for index, message in sampled(recording, [name], _times_ns(span, 240, 0.25), span[1] + 1, most):
         if message.message_type != message_type:
             continue
         try:

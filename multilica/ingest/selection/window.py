@@ -23,7 +23,6 @@ from multilica.snapshot import Scan
 _MAX_CLOCK_OFFSET_S = 0.5
 """A scan takes a tenth of a second and logging a little more; a larger difference means that clocks are not set."""
 _MAX_BROKEN = 1000
-_NS_PER_S = 1e9
 
 
 def choose_topics(
@@ -267,7 +266,7 @@ class TopicFrames:
             ):
                 self.repeated += 1
                 return
-            self.offsets_s.append((message.log_time_ns - scan.stamp_ns) / _NS_PER_S)
+            self.offsets_s.append((message.log_time_ns - scan.stamp_ns) / 1e9)
         self.backward += bool(self.clouds) and scan.stamp_ns < self.clouds[-1].scan.stamp_ns
         if len(scan.points_m) and not scan.points_m.any():
             # Zeros mean that no beam returned.
