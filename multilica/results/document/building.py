@@ -19,13 +19,15 @@ from multilica.results import (
     PairRegistration,
     SensorHealth,
 )
-from multilica.results.document.lidars import LidarEntry, PriorEntry
-from multilica.results.document.pairs import PairEntry, RegistrationEntry
 from multilica.results.document.result import (
     RESULT_SCHEMA,
     GroundEntry,
     InputEntry,
     InputLidarEntry,
+    LidarEntry,
+    PairEntry,
+    PriorEntry,
+    RegistrationEntry,
     ResultDocument,
 )
 from multilica.results.prior_comparison import exchanged_names, surprise

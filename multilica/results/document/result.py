@@ -13,14 +13,14 @@ from pydantic.json_schema import GenerateJsonSchema
 from multilica.config import CalibrationConfig, Stage
 from multilica.documents import DocumentError, first_problem, parse_json, shown
 from multilica.errors import UnreadableSourceError
-from multilica.geometry import RigidTransform, read_only
+from multilica.geometry import FloatArray, RigidTransform, largest_index, read_only
 from multilica.results.calibration import Refusal, SnapshotReport, TimeLimit
-from multilica.results.document.lidars import LidarEntry
-from multilica.results.document.pairs import PairEntry
+from multilica.results.clouds import SensorHealth
 from multilica.results.document.stages import StageFigures
 from multilica.results.merging import MergeDecision, Refinement
-from multilica.results.placements import LidarPlacement
-from multilica.results.values import Entry, Matrix4, Number, Vector3
+from multilica.results.placements import ContestedPlace, LidarPlacement, PlacementStatus, SigmaOrigin, Spread
+from multilica.results.registrations import Stability, Verdict
+from multilica.results.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry, Quaternion, Vector3
 
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
 
@@ -71,6 +71,103 @@ class GroundEntry(Entry):
     doubt: str = Field(description="Reason why the plane is uncertain; empty if it is not.")
     T_base_target_rig: Matrix4 | None = Field(description="The target in the base frame by the rig file; null without.")
     text: str = Field(description="The same for people.")
+
+
+class PriorEntry(PoseEntry):
+    """The pose that the prior gives, in the target frame."""
+
+    deviation_m: Number = Field(description="Distance of the result from the prior; null without a pose.")
+    deviation_deg: Number = Field(description="Angle of the result from the prior; null without a pose.")
+    surprise: str | None = Field(description="Warning about a result that is far from the prior; null if it is near.")
+
+
+class LidarEntry(Entry):
+    """One LiDAR of the rig."""
+
+    placed: bool = Field(description="True if the LiDAR has a pose that can be used without further checks.")
+    status: PlacementStatus = Field(
+        description="`uncertain`: one pose fits, uncontradicted, but its standard deviation is above the limit."
+    )
+    T_target_source: Matrix4 | None = Field(
+        description="Rows of the matrix: p_target = T_target_source @ p_source; null if not placed nor uncertain."
+    )
+    xyz_m: Vector3 | None = Field(description="Position in the target frame.")
+    rpy_deg: Vector3 | None = Field(description="Roll, pitch, yaw, extrinsic xyz, about the fixed axes of the target.")
+    quaternion_xyzw: Quaternion | None = Field(description="Rotation as a unit quaternion, w last.")
+    fitness: Number = Field(description="Share of the points that lie near a surface of the target cloud.")
+    rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
+    sigma_xyz_m: Vector3 | None = Field(description="Standard deviation along the axes of the target.")
+    sigma_rotation_deg: Vector3 | None = Field(description="Standard deviation about the axes of the target.")
+    sigma_from: SigmaOrigin = Field(description="Source of the covariance: residuals, or their widening to the spread.")
+    covariance: Matrix6 | None = Field(description="Order: rotation (rad), translation (m), along the target's axes.")
+    prior: PriorEntry | None = Field(description="The pose that the prior gives; null without a prior.")
+    spread: Spread | None = Field(description="Scatter over snapshots; null for a single snapshot.")
+    contested: ContestedPlace | None = Field(description="Accepted pairs that contradict each other on it, or null.")
+    reason: str = Field(
+        description="The pair or step that placed the LiDAR, or the reason why it is uncertain or not placed."
+    )
+    health: SensorHealth | None = Field(description="Findings about the sensor; null if it was not examined.")
+
+    def weakest_directions(self) -> tuple[tuple[float, str], tuple[float, str]]:
+        """Return the largest standard deviations of position (m) and rotation (deg), each with its main axis.
+
+        Raises:
+            ValueError: the LiDAR has no covariance.
+        """
+        if self.covariance is None:
+            raise ValueError("there is no covariance")
+        covariance = np.asarray(self.covariance)
+        sigma_rad, about = _weakest_direction(covariance[:3, :3])
+        return _weakest_direction(covariance[3:, 3:]), (math.degrees(sigma_rad), about)
+
+
+class RegistrationEntry(Entry):
+    """One hypothesis after GICP, with its visibility score."""
+
+    hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
+    origin: str = Field(description="Solver of that hypothesis, or `prior`; empty if the pose came from other pairs.")
+    derivation: str = Field(
+        "",
+        description="Relation of the pose to its hypothesis, or the LiDARs that imply it; else empty.",
+    )
+    T_target_source: Matrix4 = Field(description="Rows of the homogeneous matrix, lengths.")
+    agree: int = Field(description="Points on a surface that the other LiDAR measured.")
+    violate: int = Field(description="Points in space that beams of the other LiDAR passed through.")
+    occluded: int = Field(description="Points behind a measured surface.")
+    unseen: int = Field(description="Points outside the field of view of the other LiDAR.")
+    evidence: Number = Field(description="Log-odds that the pose is the true one; the rank.")
+    fitness: Number = Field(description="Share of the points that lie near a surface of the target cloud.")
+    rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
+    weakest_curvature: Number = Field(
+        description="Smallest eigenvalue of the GICP Hessian per inlier; rotation at 10 m."
+    )
+    min_information_eigenvalue: Number = Field(description="Number of points that constrain the weakest direction.")
+    stability: Stability | None = Field(description="Result of the stability test; null if it was not run.")
+
+
+class PairEntry(PoseEntry, PairNames):
+    """A registered pair of LiDARs."""
+
+    fitness: Number = Field(description="Share of the source points that lie near a surface of the target cloud.")
+    rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
+    inliers: int = Field(description="Number of those points.")
+    converged: bool | None = Field(description="True if GICP converged; null if the engine does not report it.")
+    iterations: int | None = Field(description="Number of GICP iterations; null where the engine does not report it.")
+    engine: str = Field(description="GICP implementation.")
+    hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
+    hessian: Matrix6 | None = Field(description="GICP Hessian, order rotation, translation, about the source frame.")
+    verdict: Verdict = Field(description="The decision on this pair.")
+    registrations: tuple[RegistrationEntry, ...] = Field(description="Chosen first; empty without verification.")
+
+    @property
+    def pose(self) -> RigidTransform:
+        """``T_target_source`` of the pair."""
+        return RigidTransform(self.target, self.source, np.asarray(self.T_target_source))
+
+    @property
+    def evidence(self) -> float:
+        """Evidence of the chosen registration; the fitness without verification."""
+        return (self.registrations[0].evidence if self.registrations else self.fitness) or 0.0
 
 
 class ResultDocument(Entry):
@@ -160,6 +257,11 @@ class ResultDocument(Entry):
             )
             for name, entry in sorted(self.lidars.items())
         )
+
+
+def _weakest_direction(covariance: FloatArray) -> tuple[float, str]:
+    variances, directions = np.linalg.eigh(covariance)
+    return math.sqrt(max(float(variances[-1]), 0.0)), "xyz"[largest_index(directions[:, -1])]
 
 
 def parse_result(source: object, text: str | bytes) -> ResultDocument:
