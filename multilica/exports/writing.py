@@ -28,14 +28,7 @@ _UPDATES: Mapping[str, Callable[[Path, Extrinsics], bytes]] = {"urdf": updated_u
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunExport:
-    """An export of a run.
-
-    Args:
-        base: the common frame.
-        lidars: the LiDARs that it holds.
-        missing: the others of the run, with their status.
-        uncertain: LiDARs that it holds although they are uncertain.
-    """
+    """An export of a run: its common frame and LiDARs, some perhaps uncertain, and the missing ones by status."""
 
     path: Path
     base: str
@@ -156,7 +149,7 @@ def rig_of_run(
     wanted = {name: pose for name, pose in document.poses.items() if with_uncertain or document.lidars[name].placed}
     if not {*wanted} - {document.target}:
         raise InputError("The run has no placed LiDAR besides the target, so there is nothing to export.")
-    named = _frames(document, wanted, frames)
+    named = {name: name for name in wanted} if frames == "names" else _frames_by_id(document, wanted)
     target = named[document.target]
     poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}
     found = Extrinsics(target, {frame: pose for frame, pose in poses.items() if frame != target})
@@ -167,13 +160,12 @@ def rig_of_run(
     else:
         found = _in_base(found, base, rig, (document.target, _frame_ids(document).get(document.target, "")))
     for frame in found.members:
-        _require_name(frame)
+        if not frame or not frame.isprintable() or frame != frame.strip():
+            raise UsageError(f"The frame '{frame}' has no name that files can hold; rename the LiDAR with --topic.")
     return found, named
 
 
-def _frames(document: ResultDocument, lidars: Mapping[str, object], frames: FrameNames) -> dict[str, str]:
-    if frames == "names":
-        return {name: name for name in lidars}
+def _frames_by_id(document: ResultDocument, lidars: Mapping[str, object]) -> dict[str, str]:
     ids = _frame_ids(document)
     found = {name: ids.get(name, "") for name in lidars}
     without = sorted(name for name, frame in found.items() if not frame)
@@ -194,7 +186,12 @@ def _in_base(found: Extrinsics, base: str | None, rig: Path | None, names: tuple
     """Return the same poses in another frame, where the target gets a pose of its own; `rig` has one of its names."""
     if rig is not None:
         known = read_extrinsics(rig)
-        pose = _base_pose(known, base or known.target, names, rig)
+        base, target = base or known.target, next((name for name in names if name in known.members), names[0])
+        for frame in (target, base):
+            if frame not in known.members:
+                raise UnknownNameError("frame", frame, known.members, str(rig))
+        pose = known.between(base, target)
+        require_metres(pose, str(rig))
         T_base_target = RigidTransform(pose.target, found.target, pose.matrix)
     elif base in (None, found.target):
         return found
@@ -219,19 +216,3 @@ def _own_base(document: ResultDocument, base: str | None, *, with_uncertain: boo
             f"another frame as --base."
         )
     return ground
-
-
-def _base_pose(known: Extrinsics, base: str, names: tuple[str, str], rig: Path) -> RigidTransform:
-    target = next((name for name in names if name in known.members), None)
-    if target is None:
-        raise UnknownNameError("frame", names[0], known.members, str(rig))
-    if base not in known.members:
-        raise UnknownNameError("frame", base, known.members, str(rig))
-    pose = known.between(base, target)
-    require_metres(pose, str(rig))
-    return pose
-
-
-def _require_name(frame: str) -> None:
-    if not frame or not frame.isprintable() or frame != frame.strip():
-        raise UsageError(f"The frame '{frame}' has no name that files can hold; rename the LiDAR with --topic.")

@@ -33,12 +33,7 @@ RunLogTask = Callable[[LogTask, LogTaskLimits], LogRow]
 
 @dataclass(frozen=True, slots=True)
 class LogsPlanned:
-    """All logs are found.
-
-    Args:
-        found: number of logs.
-        to_do: those that the store does not have yet.
-    """
+    """All logs are found: how many, and how many of them the store does not have yet."""
 
     found: int
     to_do: int
@@ -62,10 +57,7 @@ class FleetOptions:
         config: of reading and calibration; each task uses one thread.
         tolerances: within which a log verifies the vehicle's last accepted poses.
         calibrate: ``when-needed``: only where verification fails or there are no poses yet.
-        pattern: vehicle and time in the paths of logs.
-        newest_first: whether the newest logs of each vehicle come first.
-        workers: tasks at once on this machine.
-        scheduler: address of a Dask scheduler instead.
+        workers: tasks at once on this machine, or at the `scheduler`, the address of one of Dask.
     """
 
     config: CalibrationConfig = field(default_factory=CalibrationConfig)

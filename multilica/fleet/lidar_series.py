@@ -63,9 +63,8 @@ class LidarSeries:
     undated: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time_ns", read_only(self.time_ns, np.int64))
-        object.__setattr__(self, "missing_ns", read_only(self.missing_ns, np.int64))
-        object.__setattr__(self, "covariances", read_only(self.covariances, np.float64))
+        for name, kind in (("time_ns", np.int64), ("missing_ns", np.int64), ("covariances", np.float64)):
+            object.__setattr__(self, name, read_only(getattr(self, name), kind))
         count = len(self.keys)
         shapes = self.time_ns.shape, (len(self.T_target_lidar),), self.covariances.shape
         if shapes != ((count,), (count,), (count, 6, 6)):

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
 from multilica_cli import options
 from multilica_cli.exit_codes import ExitCode
+from multilica_cli.options import argument, option, output
 from multilica_cli.terminal import print_json, stdout_console
 
 if TYPE_CHECKING:
@@ -24,85 +23,62 @@ fleet = options.App(
     short_help="Turn many logs into one table of extrinsics over time.",
 )
 
-_Store = options.FleetStore
-_Format = Annotated[
-    Literal["table", "csv", "json"], typer.Option("--format", metavar="table|csv|json", help="Form of the answer.")
-]
+_Format = Annotated[Literal["table", "csv", "json"], option("--format table|csv|json", "Form of the answer.")]
 
 
 @fleet.command()
 def run(
     logs: Annotated[
         list[str],
-        typer.Argument(
-            metavar="LOGS",
-            help="Folders, files, globs, s3:// or gs:// prefixes, or a manifest: CSV or Parquet with the columns "
-            "source, vehicle and time.",
-            show_default=False,
+        argument(
+            "LOGS",
+            "Folders, files, globs, s3:// or gs:// prefixes, or a manifest: CSV or Parquet with the columns source, "
+            "vehicle and time.",
         ),
     ],
     *,
-    out: Annotated[
-        str,
-        typer.Option(
-            "--out", metavar="STORE", help="Folder, or s3://BUCKET/PREFIX, for tables and files.", show_default=False
-        ),
-    ],
+    out: Annotated[str, option("--out STORE", "Folder, or s3://BUCKET/PREFIX, for tables and files.", default=False)],
     pattern: Annotated[
         str | None,
-        typer.Option(
-            metavar="PATTERN",
-            help="Vehicle and time in the paths of logs, such as {vehicle}/{time:%Y-%m-%d}.",
-            show_default="from the log's metadata, else its folder's name",
+        option(
+            "--pattern PATTERN",
+            "Vehicle and time in the paths of logs, such as {vehicle}/{time:%Y-%m-%d}.",
+            "from the log's metadata, else its folder's name",
         ),
     ] = None,
     calibrate: Annotated[
         Literal["when-needed", "always"],
-        typer.Option(
-            metavar="WHEN",
-            help="always, or when-needed: only where the vehicle's last accepted poses no longer hold.",
+        option(
+            "--calibrate WHEN", "always, or when-needed: only where the vehicle's last accepted poses no longer hold."
         ),
     ] = "when-needed",
-    target: Annotated[
-        str | None, typer.Option(metavar="NAME", help="LiDAR that all poses are relative to.", show_default="chosen")
-    ] = None,
+    target: Annotated[str | None, option("--target NAME", "LiDAR that all poses are relative to.", "chosen")] = None,
     max_translation_m: Annotated[
-        float,
-        typer.Option(
-            "--max-translation", metavar="M", min=1e-6, help="Largest distance that does not count as motion."
-        ),
+        float, option("--max-translation M", "Largest distance that does not count as motion.", min=1e-6)
     ] = 0.03,
     max_rotation_deg: Annotated[
-        float,
-        typer.Option("--max-rotation", metavar="DEG", min=1e-6, help="Largest rotation that does not count as motion."),
+        float, option("--max-rotation DEG", "Largest rotation that does not count as motion.", min=1e-6)
     ] = 0.3,
     workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", min=1, help="Logs at once, each with one thread of a process.", show_default="one per core"
-        ),
+        int | None, option("--workers N", "Logs at once, each with one thread of a process.", "one per core", min=1)
     ] = None,
     scheduler: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Dask scheduler to run on instead: tcp://HOST:PORT or tls://HOST:PORT.",
-            show_default=False,
+        option(
+            "--scheduler ADDRESS",
+            "Dask scheduler to run on instead: tcp://HOST:PORT or tls://HOST:PORT.",
+            default=False,
         ),
     ] = "",
-    max_log_time_s: Annotated[
-        float, typer.Option("--max-log-time", metavar="S", min=1.0, help="Time limit of a log, in seconds.")
-    ] = 600.0,
-    max_log_memory_mb: Annotated[
-        float, typer.Option("--max-log-memory", metavar="MB", min=100.0, help="Memory limit of a log.")
-    ] = 4000.0,
-    retries: Annotated[int, typer.Option(metavar="N", min=0, help="Tries after a lost connection or a kill.")] = 5,
-    newest_first: Annotated[bool, typer.Option("--newest-first", help="Begin with the newest logs.")] = False,
+    max_log_time_s: Annotated[float, option("--max-log-time S", "Time limit of a log, in seconds.", min=1.0)] = 600.0,
+    max_log_memory_mb: Annotated[float, option("--max-log-memory MB", "Memory limit of a log.", min=100.0)] = 4000.0,
+    retries: Annotated[int, option("--retries N", "Tries after a lost connection or a kill.", min=0)] = 5,
+    newest_first: Annotated[bool, option("--newest-first", "Begin with the newest logs.")] = False,
     topics: options.Topics = None,
     frames: options.Frames = None,
     window: Annotated[
         Literal["start", "auto"],
-        typer.Option(metavar="start|auto", help="auto: use the longest standstill of a log; start: its first frames."),
+        option("--window start|auto", "auto: use the longest standstill of a log; start: its first frames."),
     ] = "auto",
     config_file: options.ConfigFile = None,
     settings: options.Settings = None,
@@ -150,10 +126,10 @@ def run(
 def query(
     sql: Annotated[
         str,
-        typer.Argument(metavar="SQL", help="Question in the SQL of DuckDB; tables: lidars, logs.", show_default=False),
+        argument("SQL", "Question in the SQL of DuckDB; tables: lidars, logs."),
     ],
     *,
-    store: _Store,
+    store: options.FleetStore,
     form: _Format = "table",
 ) -> None:
     """Query the tables `lidars` (a row per LiDAR and log) and `logs` in SQL."""
@@ -161,7 +137,7 @@ def query(
 
 
 @fleet.command()
-def status(*, store: _Store, form: _Format = "table") -> None:
+def status(*, store: options.FleetStore, form: _Format = "table") -> None:
     """List the vehicles: logs by outcome, and LiDARs without a certain pose in the last one."""
     from multilica.fleet.store.query import STATUS
 
@@ -169,7 +145,7 @@ def status(*, store: _Store, form: _Format = "table") -> None:
 
 
 @fleet.command()
-def failures(*, store: _Store, form: _Format = "table") -> None:
+def failures(*, store: options.FleetStore, form: _Format = "table") -> None:
     """List the logs without a result and the LiDARs without a certain pose, by cause, with their recordings."""
     from multilica.fleet.store.query import FAILURES
 
@@ -178,9 +154,9 @@ def failures(*, store: _Store, form: _Format = "table") -> None:
 
 @fleet.command()
 def show(
-    vehicle: Annotated[str, typer.Argument(metavar="VEHICLE", help="Name of the vehicle.", show_default=False)],
+    vehicle: Annotated[str, argument("VEHICLE", "Name of the vehicle.")],
     *,
-    store: _Store,
+    store: options.FleetStore,
     form: _Format = "table",
 ) -> None:
     """List the poses of each LiDAR of a vehicle, log by log."""
@@ -194,17 +170,17 @@ def show(
 @fleet.command()
 def drift(
     *,
-    store: _Store,
+    store: options.FleetStore,
     nominal: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Poses as designed, to find wrong ones: TOML, URDF or another file of poses.",
-            show_default=False,
+        option(
+            "--nominal FILE",
+            "Poses as designed, to find wrong ones: TOML, URDF or another file of poses.",
+            default=False,
         ),
     ] = None,
     false_alarm_rate: Annotated[
-        float, typer.Option(metavar="SHARE", help="Share of unmoved LiDARs that are reported nevertheless.")
+        float, option("--false-alarm-rate SHARE", "Share of unmoved LiDARs that are reported nevertheless.")
     ] = 0.001,
     as_json: options.Json = False,
 ) -> int:
@@ -227,23 +203,18 @@ def drift(
     if as_json:
         print_json(drift_document(events, offsets, outages))
     else:
+        vehicles = {each.vehicle for each in series if len(each)}
         sentences = [each.sentence for found in (events, offsets, outages) for each in found]
-        for sentence in sentences:
+        for sentence in sentences or [f"No LiDAR of {len(vehicles)} vehicles has moved."]:
             stdout_console().print(sentence)
-        if not sentences:
-            stdout_console().print(
-                f"No LiDAR of {len({each.vehicle for each in series if len(each)})} vehicles has moved."
-            )
     return ExitCode.DIFFERENT if events or offsets or outages else ExitCode.DONE
 
 
 @fleet.command()
 def report(
     *,
-    store: _Store,
-    out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="File to write.", callback=options.local_path)
-    ] = Path("fleet-report.html"),
+    store: options.FleetStore,
+    out: Annotated[Path, output("--out FILE", "File to write.")] = Path("fleet-report.html"),
     quiet: options.Quiet = False,
 ) -> None:
     """Write one HTML page: LiDARs that moved, vehicles, failures by cause, and the pose of each LiDAR over time."""
@@ -255,7 +226,7 @@ def report(
 
 
 @fleet.command()
-def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
+def compact(*, store: options.FleetStore, quiet: options.Quiet = False) -> None:
     """Join the small parts of each vehicle and month into one; do not use it while a run writes into the store."""
     from multilica.fleet.store.upkeep import compact_store
 
@@ -266,13 +237,11 @@ def compact(*, store: _Store, quiet: options.Quiet = False) -> None:
 @fleet.command()
 def prune(
     *,
-    store: _Store,
+    store: options.FleetStore,
     success_days: Annotated[
-        float, typer.Option("--successes", metavar="DAYS", min=0.0, help="Keep those of runs that placed every LiDAR.")
+        float, option("--successes DAYS", "Keep those of runs that placed every LiDAR.", min=0.0)
     ] = 30.0,
-    failure_days: Annotated[
-        float, typer.Option("--failures", metavar="DAYS", min=0.0, help="Keep those of all other runs.")
-    ] = 365.0,
+    failure_days: Annotated[float, option("--failures DAYS", "Keep those of all other runs.", min=0.0)] = 365.0,
     quiet: options.Quiet = False,
 ) -> None:
     """Remove old recordings, reports and MCAP files; tables and poses are kept."""
@@ -285,10 +254,10 @@ def prune(
 @fleet.command()
 def browse(
     *,
-    store: _Store,
-    vehicle: Annotated[str | None, typer.Option(metavar="NAME", help="Only this one.", show_default="all")] = None,
-    host: Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen on.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option(metavar="N", help="Port to listen on.")] = 51234,
+    store: options.FleetStore,
+    vehicle: Annotated[str | None, option("--vehicle NAME", "Only this one.", "all")] = None,
+    host: Annotated[str, option("--host ADDRESS", "Address to listen on.")] = "127.0.0.1",
+    port: Annotated[int, option("--port N", "Port to listen on.")] = 51234,
 ) -> None:
     """Serve the recordings as a catalog of Rerun's viewer, a dataset per vehicle, until Ctrl-C."""
     from multilica.fleet.store.upkeep import lay_out_catalog

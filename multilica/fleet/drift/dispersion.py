@@ -75,7 +75,7 @@ def calibrate_scatter(series: Sequence[LidarSeries]) -> list[ScatteredPoses]:
         pools[each.lidar, each.target].append(index)
     found: dict[int, ScatteredPoses] = {}
     for members in pools.values():
-        offsets = [_offsets(series[i]) for i in members]
+        offsets = [series[i].offsets(series[i].T_target_lidar[len(series[i]) // 2]) for i in members]
         reported = [series[i].scaled_covariances() + _LOG_FLOOR for i in members]
         steps = [_Steps.of(series[i].time_ns, *values) for i, *values in zip(members, offsets, reported, strict=True)]
         for i, offset, step, covariance in zip(members, offsets, steps, _pooled(steps, reported), strict=True):
@@ -137,10 +137,6 @@ def power_of(matrices: FloatArray, exponent: float) -> FloatArray:
     return np.asarray((vectors * np.maximum(values, 1e-18)[..., None, :] ** exponent) @ np.swapaxes(vectors, -1, -2))
 
 
-def _offsets(series: LidarSeries) -> FloatArray:
-    return series.offsets(series.T_target_lidar[len(series) // 2])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Steps:
     """Combinations of neighbouring logs that are zero but for noise: `factors` (M, 3) of the logs in `rows` (M, 3)."""
@@ -155,22 +151,23 @@ class _Steps:
 
         A creep is taken for one if it makes the former far larger than the latter, which chance hardly does.
         """
+
+        def combined(logs: IndexArray, third: int, factors: FloatArray) -> _Steps:
+            rows = np.stack([logs, logs + 1, logs + third], 1)
+            return cls(rows, factors, np.einsum("mk,mki->mi", factors, offsets_m[rows]))
+
         count = len(offsets_m)
         logs = np.arange(max(0, count - 1))
-        plain = cls._combined(np.stack([logs, logs + 1, logs], 1), np.tile([-1.0, 1.0, 0.0], (len(logs), 1)), offsets_m)
+        plain = combined(logs, 0, np.tile([-1.0, 1.0, 0.0], (len(logs), 1)))
         if count < _MIN_CREEP_LOGS:
             return plain
         logs = np.arange(count - 2)
         whole = (time_ns[2:] - time_ns[:-2]).astype(np.float64)
         share = np.divide(time_ns[2:] - time_ns[1:-1], whole, out=np.full(count - 2, 0.5), where=whole > 0.0)
         factors = np.stack([-share, np.ones(count - 2), share - 1.0], 1)
-        bent = cls._combined(np.stack([logs, logs + 1, logs + 2], 1), factors, offsets_m)
+        bent = combined(logs, 2, factors)
         sizes = [float(np.median(_squared(each.whitened(covariances)))) for each in (plain, bent)]
         return bent if sizes[1] < _CREEP_RATIO * sizes[0] else plain
-
-    @classmethod
-    def _combined(cls, rows: np.ndarray, factors: FloatArray, offsets_m: FloatArray) -> _Steps:
-        return cls(rows, factors, np.einsum("mk,mki->mi", factors, offsets_m[rows]))
 
     def spread(self, covariances: FloatArray) -> FloatArray:
         """Return the covariances (M, 6, 6) of the vectors for those (N, 6, 6) of the logs."""

@@ -41,10 +41,9 @@ _LOGS = pa.schema(
 
 @dataclass(frozen=True, slots=True)
 class QueuedLog(FleetLog):
-    """A log in the order of its vehicle.
+    """A log in the order of its vehicle, with the key of its row.
 
     Args:
-        key: of its row.
         finished: whether the store has that row.
         accepted: path in the store of poses that it gave; empty if it gave none.
     """
@@ -58,7 +57,6 @@ class Plan:
     """The logs of a run.
 
     Args:
-        folder: for the database.
         config_sha256: only rows of this configuration and version count as finished.
         newest_first: whether each vehicle's logs go from the newest to the oldest.
     """
