@@ -6,7 +6,7 @@ from math import isclose
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, Field
+from pydantic import Field
 
 from multilica.config import STAGES
 from multilica.diagnosis import explain
@@ -252,24 +252,20 @@ def _notes(before: RunDocument, after: RunDocument) -> tuple[str, ...]:
 
 def stage_differences(before: ResultDocument, after: ResultDocument) -> dict[str, tuple[Change, ...]]:
     """Return every step at which two runs differ, in order; stages are compared if both have figures of them."""
-    return {step: changes for step, changes in _steps(before, after) if changes}
-
-
-def _steps(before: ResultDocument, after: ResultDocument) -> Iterator[tuple[str, tuple[Change, ...]]]:
     # The same bytes under another name are the same input.
     unread = {"source"} if before.input.sha256 and before.input.sha256 == after.input.sha256 else set()
-    yield "input", _changes(before.input, after.input, unread)
-    yield "config", _changes(before.config, after.config)
-    yield "versions", tuple(changes_between(before.versions, after.versions))
-    figures = [each.stages.model_dump(mode="json") if each.stages else {} for each in (before, after)]
-    for stage in STAGES:
-        if all(stage in each for each in figures):
-            yield stage, tuple(changes_between(figures[0][stage], figures[1][stage]))
-
-
-def _changes(before: BaseModel, after: BaseModel, exclude: Collection[str] = ()) -> tuple[Change, ...]:
-    first, second = (each.model_dump(mode="json", exclude={*exclude}) for each in (before, after))
-    return tuple(changes_between(first, second))
+    first, second = (
+        {
+            "input": each.input.model_dump(mode="json", exclude=unread),
+            "config": each.config.model_dump(mode="json"),
+            "versions": each.versions,
+            **(each.stages.model_dump(mode="json") if each.stages else {}),
+        }
+        for each in (before, after)
+    )
+    steps = [step for step in ("input", "config", "versions", *STAGES) if step in first and step in second]
+    found = {step: tuple(changes_between(first[step], second[step])) for step in steps}
+    return {step: changes for step, changes in found.items() if changes}
 
 
 def changes_between(before: object, after: object, what: str = "") -> Iterator[Change]:
