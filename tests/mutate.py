@@ -54,7 +54,7 @@ TARGETS = {
     "multilica/stages/pair_choice.py": (f"{STAGES}/test_search_order.py", f"{STAGES}/test_loops.py"),
     "multilica/stages/*.py": (f"{STAGES}/test_{{name}}.py",),
     "multilica/sinks/files/atomic.py": (f"{SINKS}/files/test_atomic.py",),
-    "multilica/sinks/files/run_files.py": (f"{SINKS}/files/test_run_directory.py",),
+    "multilica/sinks/run_directory.py": (f"{SINKS}/files/test_run_directory.py",),
     "multilica/sinks/files/*.py": (AGREE, FILES, f"{SINKS}/test_contested_place.py"),
     "multilica/sinks/mcap/snapshot_mcap.py": (
         "tests/ingest/test_snapshot_mcap.py",

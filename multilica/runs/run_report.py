@@ -15,7 +15,7 @@ from multilica.results import LEVEL_FRAME
 from multilica.results.document import PairEntry, ResultDocument
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.files.atomic import atomic_file
-from multilica.sinks.report.contents import ReportContents, ScoredPoints
+from multilica.sinks.report.contents import SAME_POSE, ReportContents, ScoredPoints, finalists
 from multilica.sinks.report.page import report_html
 from multilica.sinks.rerun.reading import (
     RecordedScores,
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _SIDE_PX = (64, 8192)
-_SAME_POSE = 1e-4
-"""Metres and radians: a recording holds poses in single precision."""
 
 
 def report_of_run(path: Path) -> str:
@@ -70,29 +68,20 @@ def _level(document: ResultDocument, clouds: Mapping[str, FloatArray]) -> RigidT
 
 def _scored(found: RecordedScores, pair: PairEntry) -> tuple[ScoredPoints, ...]:
     """Return the chosen pose, then the competing one, each with its points if the recording has its score."""
-    finalists = [RigidTransform(*pair.key, np.asarray(one.T_target_source)) for one in pair.registrations]
-    poses = (finalists[0] if finalists else pair.pose, found.competing_pose)
-    return tuple(_points_at(pose, finalists, found, pair) for pose in poses if pose is not None)
+    poses = (*(finalists(pair)[:1] or [pair.pose]), found.competing_pose)
+    return tuple(_points_at(pose, found, pair) for pose in poses if pose is not None)
 
 
-def _points_at(
-    pose: RigidTransform, finalists: list[RigidTransform], found: RecordedScores, pair: PairEntry
-) -> ScoredPoints:
-    rank = next((rank for rank, one in enumerate(finalists) if max(one.distance_to(pose)) < _SAME_POSE), None)
+def _points_at(pose: RigidTransform, found: RecordedScores, pair: PairEntry) -> ScoredPoints:
+    rank = next((rank for rank, one in enumerate(finalists(pair)) if max(one.distance_to(pose)) < SAME_POSE), None)
     if rank is None or rank >= min(len(found.labels), len(found.target_labels)):
         return ScoredPoints(pose)
-    score = pair.registrations[rank]
-    return ScoredPoints(
-        pose,
-        found.points_m.astype(np.float64),
-        found.labels[rank],
-        found.target_points_m.astype(np.float64),
-        found.target_labels[rank],
-        score.agree,
-        score.violate,
-        score.occluded,
-        score.evidence or 0.0,
-    )
+    score, labels, target_labels = pair.registrations[rank], found.labels[rank], found.target_labels[rank]
+    points_m, target_points_m = (each_m.astype(np.float64) for each_m in (found.points_m, found.target_points_m))
+    if (len(labels), len(target_labels)) != (len(points_m), len(target_points_m)):
+        return ScoredPoints(pose)  # none of its points is scored
+    counts = (score.agree, score.violate, score.occluded, score.evidence or 0.0)
+    return ScoredPoints(pose, points_m, labels, target_points_m, target_labels, *counts)
 
 
 def recording_of_run(path: Path) -> Path:
@@ -110,11 +99,7 @@ def recording_of_run(path: Path) -> Path:
 
 
 def picture_of_run(path: Path, size_px: tuple[int, int]) -> bytes:
-    """Draw the first view of a run as PNG, without a screen.
-
-    Args:
-        path: a run directory or a recording.
-        size_px: width and height.
+    """Draw the first view of a run directory or a recording as PNG of that width and height, without a screen.
 
     Raises:
         SourceNotFoundError: nothing there, or no recording.

@@ -1,32 +1,148 @@
 # SPDX-License-Identifier: Apache-2.0
 """Output directory of a run."""
 
+import fcntl
+import json
+import os
+import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from multilica import events
 from multilica.config import CalibrationConfig
+from multilica.documents import MAX_JSON_BYTES, DocumentError, parse_json, read_limited
+from multilica.errors import UsageError
 from multilica.events import Observer
-from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.result_files import ResultFiles, config_toml
-from multilica.sinks.files.run_files import (
-    ATTACHED,
-    CONFIG_HEADER,
-    CONFIG_TOML,
+from multilica.sinks.files.atomic import begun_files, partial_path, write_text_atomically
+from multilica.sinks.files.result_files import (
+    CALIBRATION_TOML,
     MCAP,
-    RECORDING,
-    locked,
-    outputs,
-    place_for_run,
-    prepare,
-    publish,
-    remove_outputs,
+    REPORT_HTML,
+    RESULT_JSON,
+    ResultFiles,
+    config_toml,
 )
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.report.page import ReportFile
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState
+
+CONFIG_TOML = "config.toml"
+RECORDING = "recording.rrd"
+UNFINISHED = "unfinished"
+ATTACHED = (CALIBRATION_TOML, RESULT_JSON, REPORT_HTML)
+CONFIG_HEADER = "# The resolved configuration of a multilica run; give it to --config to run the same again.\n"
+
+# Lists the entries of a whole run that are about to take the place of the earlier one.
+_WHOLE = ".whole.json"
+
+
+def outputs(directory: Path) -> tuple[Path, ...]:
+    """Return the paths of all files that a run can leave, the extrinsics first."""
+    texts = tuple(directory / name for name in ATTACHED)
+    recording, mcap = directory / RECORDING, directory / MCAP
+    return (*texts, recording, partial_path(recording), mcap, partial_path(mcap), directory / CONFIG_TOML)
+
+
+def prepare(directory: Path) -> None:
+    """Create a run directory.
+
+    Raises:
+        UsageError: it cannot be written to, or holds files of the user's own in the way of a run's.
+    """
+    why = ""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        unfinished = directory / UNFINISHED
+        if not os.access(directory, os.W_OK | os.X_OK):
+            why = "permission denied"
+        elif _is_foreign(directory / CONFIG_TOML):
+            why = f"its {CONFIG_TOML} is not of a multilica run and would be overwritten"
+        elif unfinished.exists() and not _is_unfinished_run(unfinished):
+            why = f"its '{UNFINISHED}' is not of a multilica run and would be overwritten"
+    except OSError as error:
+        why = error.strerror or str(error)
+    if why:
+        raise UsageError(
+            f"Cannot write to {directory}: {why}; give --out a directory that can be created or written to."
+        )
+
+
+@contextmanager
+def locked(directory: Path) -> Iterator[None]:
+    """Keep other runs out of a directory; the lock ends with the process.
+
+    Raises:
+        UsageError: another run holds it.
+    """
+    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with suppress(OSError):  # a file system without locks
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UsageError(
+                    f"Another multilica run is writing to {directory}; wait for its end, or give --out another one."
+                ) from None
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def place_for_run(directory: Path) -> Path:
+    """Return where a run into a locked directory writes, and finish what a killed run was doing there."""
+    if (directory / UNFINISHED / _WHOLE).exists():
+        with suppress(DocumentError):  # not a list that a run wrote
+            publish(directory)
+    if (directory / UNFINISHED).exists():
+        shutil.rmtree(directory / UNFINISHED)
+    return directory / UNFINISHED if _holds_result(directory) else directory
+
+
+def publish(directory: Path) -> None:
+    """Replace the earlier run by the one in `unfinished`, which is whole.
+
+    Renames take no time and no space. A list of the entries is written before, so that the next run can finish what
+    a kill interrupts.
+    """
+    unfinished = directory / UNFINISHED
+    listed = unfinished / _WHOLE
+    if not listed.exists():
+        write_text_atomically(listed, json.dumps(sorted(path.name for path in unfinished.iterdir())))
+    whole = parse_json(listed.read_bytes())
+    # A list that came with the directory may hold anything; only entries of `unfinished` are moved.
+    present = {path.name for path in unfinished.iterdir()}
+    names = [name for name in whole if isinstance(name, str)] if isinstance(whole, list) else []
+    for path in outputs(directory):
+        if path.name not in names:
+            path.unlink(missing_ok=True)
+    for name in sorted(present.intersection(names)):
+        if (unfinished / name).is_dir() and (directory / name).is_dir():
+            shutil.rmtree(directory / name)
+        (unfinished / name).replace(directory / name)
+    shutil.rmtree(unfinished)
+
+
+def _is_foreign(config: Path) -> bool:
+    return config.exists() and not config.read_bytes().startswith(CONFIG_HEADER.encode())
+
+
+def _is_unfinished_run(unfinished: Path) -> bool:
+    if not unfinished.is_dir():
+        return False
+    whole, config = unfinished / _WHOLE, unfinished / CONFIG_TOML
+    begun = not any(unfinished.iterdir()) or bool(begun_files(config))
+    return begun or whole.exists() or (config.exists() and not _is_foreign(config))
+
+
+def _holds_result(directory: Path) -> bool:
+    """Return whether an earlier run left a result that is not a refusal."""
+    try:
+        document = parse_json(read_limited(directory / RESULT_JSON, MAX_JSON_BYTES))
+    except (OSError, DocumentError):
+        return False
+    return isinstance(document, dict) and document.get("refusal") is None
 
 
 class RunDirectory:
@@ -62,7 +178,9 @@ class RunDirectory:
 
     def start(self) -> None:
         """Remove what an unfinished run left, and write the configuration."""
-        remove_outputs(self.place)
+        for path in outputs(self.place):
+            for left in (path, *begun_files(path)):
+                left.unlink(missing_ok=True)
         self.place.mkdir(exist_ok=True)
         write_text_atomically(self.place / CONFIG_TOML, CONFIG_HEADER + config_toml(self._config))
         self.started = True

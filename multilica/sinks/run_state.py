@@ -4,21 +4,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from multilica import events
+from multilica import events, results
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import (
-    CalibrationResult,
-    CoarseResult,
-    Correspondences,
-    FeatureCloud,
-    LidarPlacement,
-    MergeDecision,
-    PairKey,
-    PairRegistration,
-    PreprocessedCloud,
-    Registration,
-)
 from multilica.results.document import ResultDocument
 from multilica.results.document.building import Provenance, provenance_of, result_document
 from multilica.results.document.result import ProgressEntry
@@ -39,7 +27,6 @@ class RunState:
         rig: poses in the target's frame after the joint refinement.
         residuals: LiDARs with a residual of the merged cloud.
         figures: cache of `stage_figures`.
-        extents: centre and radius of clouds, cache of `rerun_camera`.
         outlines: cache of `field_of_view`.
     """
 
@@ -48,23 +35,22 @@ class RunState:
     provenance: Provenance | None = None
     stage: Stage | None = None
     stages: list[Stage] = field(default_factory=list)
-    clouds: dict[str, PreprocessedCloud] = field(default_factory=dict)
-    features: dict[str, FeatureCloud] = field(default_factory=dict)
-    matches: dict[PairKey, Correspondences] = field(default_factory=dict)
-    coarse: dict[PairKey, CoarseResult] = field(default_factory=dict)
-    verified: dict[PairKey, tuple[Registration, ...]] = field(default_factory=dict)
-    registrations: dict[PairKey, PairRegistration] = field(default_factory=dict)
-    group_registrations: list[PairRegistration] = field(default_factory=list)
+    clouds: dict[str, results.PreprocessedCloud] = field(default_factory=dict)
+    features: dict[str, results.FeatureCloud] = field(default_factory=dict)
+    matches: dict[results.PairKey, results.Correspondences] = field(default_factory=dict)
+    coarse: dict[results.PairKey, results.CoarseResult] = field(default_factory=dict)
+    verified: dict[results.PairKey, tuple[results.Registration, ...]] = field(default_factory=dict)
+    registrations: dict[results.PairKey, results.PairRegistration] = field(default_factory=dict)
+    group_registrations: list[results.PairRegistration] = field(default_factory=list)
     target: str = ""
     target_reason: str = ""
-    decisions: list[MergeDecision] = field(default_factory=list)
+    decisions: list[results.MergeDecision] = field(default_factory=list)
     rig: tuple[RigidTransform, ...] = ()
     residuals: set[str] = field(default_factory=set)
     ground: events.GroundEstimated | None = None
     figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
-    extents: dict[str, tuple[FloatArray, float]] = field(default_factory=dict)
     outlines: dict[str, tuple[FloatArray, ...]] = field(default_factory=dict)
-    result: CalibrationResult | None = None
+    result: results.CalibrationResult | None = None
     _latest: events.Event | None = None
     _document: ResultDocument | None = None
 
@@ -88,15 +74,15 @@ class RunState:
             self._document = document.model_copy(update=known)
         return self._document
 
-    def _result_so_far(self) -> CalibrationResult:
+    def _result_so_far(self) -> results.CalibrationResult:
         """Return the result, or what is known of it; before the end no LiDAR counts as placed."""
         if self.result is not None:
             return self.result
         ended = "the run ended before it was placed"
-        return CalibrationResult(
+        return results.CalibrationResult(
             target=self.target or (self.config.target if self.config is not None else ""),
             target_reason=self.target_reason or "not chosen yet",
-            placements=tuple(LidarPlacement(name, reason=ended) for name in self.lidars),
+            placements=tuple(results.LidarPlacement(name, reason=ended) for name in self.lidars),
             pairs=tuple(self.registrations.values()),
             decisions=tuple(self.decisions),
             health=tuple(cloud.health for cloud in self.clouds.values() if cloud.health is not None),
@@ -108,25 +94,25 @@ class RunState:
         return self.snapshot.names if self.snapshot is not None else ()
 
     @property
-    def pairs(self) -> tuple[PairKey, ...]:
+    def pairs(self) -> tuple[results.PairKey, ...]:
         """All pairs that were matched or registered, in name order."""
         return tuple(sorted({*self.matches, *self.coarse, *self.registrations}))
 
-    def pair_of(self, registration: PairRegistration) -> PairKey:
+    def pair_of(self, registration: results.PairRegistration) -> results.PairKey:
         """Return the pair in the order in which it was matched."""
         target, source = registration.target, registration.source
         return (source, target) if (source, target) in self.matches else (target, source)
 
-    def key_of(self, target: str, source: str) -> PairKey:
+    def key_of(self, target: str, source: str) -> results.PairKey:
         """Return the order in which two LiDARs are in `pairs`; the given one if they are not."""
         return (source, target) if {(source, target)} & {*self.matches, *self.registrations} else (target, source)
 
-    def progress_of(self, pair: PairKey) -> tuple[bool, float, int]:
+    def progress_of(self, pair: results.PairKey) -> tuple[bool, float, int]:
         """Return an order of pairs by how close they came to being merged."""
         found = self.registrations.get(pair)
         return (found is not None, found.evidence if found is not None else 0.0, len(self.matches.get(pair, ())))
 
-    def competing(self, pair: PairKey) -> Registration | None:
+    def competing(self, pair: results.PairKey) -> results.Registration | None:
         """Return the pose that makes the pair's registration, or the LiDAR that it would place, doubtful."""
         found = self.registrations[pair]
         if found.competing is not None or self.result is None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """LiDARs that were not placed."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from multilica.config import Stage
 from multilica.diagnosis import DecisivePair, Missing, explain
@@ -9,8 +9,7 @@ from multilica.results import PairKey
 from multilica.sinks.run_state import RunState
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
+class Failure(NamedTuple):
     """A LiDAR that was not placed.
 
     Args:

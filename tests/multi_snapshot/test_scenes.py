@@ -16,8 +16,8 @@ from multilica.pipeline import calibrate
 from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.report.contents import contents_of
-from multilica.sinks.rerun.entity_paths import pair_path
 from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.rerun.scene import pair_path
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.sinks.recording_reader import Recording, blueprint_names

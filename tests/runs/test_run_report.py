@@ -46,7 +46,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.mark.slow
 def test_the_clouds_and_poses_come_back(runs):
     contents = contents_of_run(runs["partial"])
-    assert set(contents.poses) == {"front left/1", "top"}
+    assert set(contents.document.poses) == {"front left/1", "top"}
     for name, cloud in contents.clouds.items():
         assert cloud.shape == (600, 3)
         assert np.linalg.norm(TRUTH[name].apply(cloud), axis=1).min() < 8.0

@@ -15,8 +15,8 @@ from multilica.results import Verdict
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.figures import pair_figures
 from multilica.sinks.report.page import opponents
-from multilica.sinks.rerun.entity_paths import pair_path
 from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.rerun.scene import pair_path
 from multilica.sinks.run_state import RunState
 from multilica.sinks.unplaced import failures
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
@@ -119,7 +119,7 @@ def test_the_report_names_both_others_and_draws_both_places(state):
         contents,
         (failure.decisive.target, failure.decisive.source),
         level,
-        dict.fromkeys(contents.names, (200, 100, 50)),
+        dict.fromkeys(contents.document.lidars, (200, 100, 50)),
     )
     assert [
         "at the pose of this pair" in figures[0].caption,

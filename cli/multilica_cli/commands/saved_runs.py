@@ -233,7 +233,7 @@ def report(
     """Create report.html for a run that was killed before it wrote one."""
     from multilica.runs.run_report import report_of_run
     from multilica.sinks.files.atomic import write_text_atomically
-    from multilica.sinks.files.run_files import REPORT_HTML
+    from multilica.sinks.files.result_files import REPORT_HTML
 
     file = out or (run if run.is_dir() else run.parent) / REPORT_HTML
     if out is None and file.exists():

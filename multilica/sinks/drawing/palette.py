@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Colours that are distinct for any colour vision on a dark background."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 import numpy.typing as npt
@@ -28,17 +28,12 @@ UNSEEN: Rgb = (45, 47, 52)
 UNDECIDED: Rgb = (240, 180, 60)
 UNCERTAIN: Rgb = (110, 170, 255)
 MUTED: Rgb = (110, 110, 120)
-VERDICT_COLOURS: dict[str, Rgb] = {
-    "accept": AGREE,
-    "uncertain": UNCERTAIN,
-    "undecided": UNDECIDED,
-    "reject": VIOLATE,
-}
+VERDICT_COLOURS: dict[str, Rgb] = {"accept": AGREE, "uncertain": UNCERTAIN, "undecided": UNDECIDED, "reject": VIOLATE}
 
 _HEAT_STOPS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 
 
-def distinct_colours(names: Sequence[str]) -> dict[str, Rgb]:
+def distinct_colours(names: Iterable[str]) -> dict[str, Rgb]:
     """Return a colour per name by its position."""
     return {name: _DISTINCT[index % len(_DISTINCT)] for index, name in enumerate(names)}
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Samples and shapes of clouds, matches, fields of view and uncertainties."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -66,16 +66,14 @@ def shown_radius_m(points_m: npt.NDArray[np.floating]) -> float:
     return float(np.clip(np.percentile(np.linalg.norm(finite[:, :2], axis=1), 75.0), 5.0, 40.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Lines:
+class Lines(NamedTuple):
     """Segments (K, 2, 3) in metres."""
 
     segments_m: FloatArray
     colour: Rgb
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ellipsoid:
+class Ellipsoid(NamedTuple):
     """Half axes (3,) in metres along the axes of a pose."""
 
     pose: RigidTransform
@@ -83,8 +81,7 @@ class Ellipsoid:
     colour: Rgb
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Label:
+class Label(NamedTuple):
     """Text that faces the camera."""
 
     xyz_m: FloatArray
@@ -92,8 +89,7 @@ class Label:
     colour: Rgb
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Drawing:
+class Drawing(NamedTuple):
     """Primitives in one frame; `name` is unique in a topic."""
 
     name: str

@@ -28,6 +28,8 @@ _HEADER = """\
 """
 RESULT_JSON = "result.json"
 CALIBRATION_TOML = "calibration.toml"
+REPORT_HTML = "report.html"
+MCAP = "result.mcap"
 
 
 def calibration_toml(document: ResultDocument) -> str:
@@ -76,16 +78,11 @@ def _ground(ground: GroundEntry) -> dict[str, Any]:
 
 
 class ResultFiles:
-    """A sink that writes `result.json` and `calibration.toml` once the calibration has finished.
-
-    Args:
-        directory: an existing directory; files of these names in it are replaced.
-        state: shared with other sinks of the run; its own if there are none.
-    """
+    """A sink that writes `result.json` and `calibration.toml` into a directory once the calibration has finished."""
 
     def __init__(self, directory: Path, state: RunState | None = None) -> None:
         self.directory = directory
-        self._state = state if state is not None else RunState()
+        self._state = state or RunState()
 
     def __call__(self, event: events.Event) -> None:
         """Take in an event; write at the last one."""

@@ -70,8 +70,17 @@ class FoxgloveEncoding:
 
     def transforms(self, poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.FrameTransforms`` on `/tf`."""
-        transforms = FrameTransforms(transforms=[_transform(pose, stamp_ns) for pose in poses])
-        return McapMessage("/tf", _schema(FrameTransforms), transforms.SerializeToString())
+        transforms = [
+            FrameTransform(
+                timestamp=_timestamp(stamp_ns),
+                parent_frame_id=pose.target,
+                child_frame_id=pose.source,
+                translation=_vector(pose.xyz_m.tolist()),
+                rotation=_quaternion(pose.quaternion_xyzw.tolist()),
+            )
+            for pose in poses
+        ]
+        return McapMessage("/tf", _schema(FrameTransforms), FrameTransforms(transforms=transforms).SerializeToString())
 
     def cloud(self, lidar: str, frame_id: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.PointCloud`` of little-endian float32."""
@@ -127,16 +136,6 @@ def _schema(kind: type[FrameTransforms | PointCloud | SceneUpdate | Log]) -> Mes
 def _timestamp(stamp_ns: int) -> Timestamp:
     seconds, nanos = divmod(stamp_ns, 10**9)
     return Timestamp(seconds=seconds, nanos=nanos)
-
-
-def _transform(pose: RigidTransform, stamp_ns: int) -> FrameTransform:
-    return FrameTransform(
-        timestamp=_timestamp(stamp_ns),
-        parent_frame_id=pose.target,
-        child_frame_id=pose.source,
-        translation=_vector(pose.xyz_m.tolist()),
-        rotation=_quaternion(pose.quaternion_xyzw.tolist()),
-    )
 
 
 def _lines(lines: Lines) -> LinePrimitive:

@@ -4,21 +4,16 @@
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, BinaryIO
+from types import MappingProxyType
+from typing import Any, BinaryIO, NamedTuple
 
 from mcap.writer import Writer
 
 import multilica
 
 
-@dataclass(frozen=True, slots=True)
-class MessageSchema:
-    """Schema of a message.
-
-    Args:
-        encoding: of the schema itself, for instance ``"protobuf"``.
-        message_encoding: of the messages, for instance ``"cdr"``.
-    """
+class MessageSchema(NamedTuple):
+    """Schema of a message; `encoding` is of the schema itself (``"protobuf"``), the other of messages (``"cdr"``)."""
 
     name: str
     encoding: str
@@ -26,14 +21,13 @@ class MessageSchema:
     message_encoding: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class McapMessage:
+class McapMessage(NamedTuple):
     """One message for one topic; `metadata` belongs to the topic's channel."""
 
     topic: str
     schema: MessageSchema
     data: bytes
-    metadata: Mapping[str, str] = field(default_factory=dict)
+    metadata: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(slots=True, eq=False)

@@ -3,31 +3,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from mcap.writer import CompressionType
 
 from multilica import events
 from multilica.errors import UnknownNameError
-from multilica.geometry import Float32Array, RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing.shapes import sample_points
+from multilica.sinks.drawing import palette, shapes
 from multilica.sinks.files.atomic import atomic_file, partial_path
 from multilica.sinks.files.result_files import config_toml
-from multilica.sinks.mcap.messages import McapMessage, MessageWriter, mcap_messages
-from multilica.sinks.mcap.result_drawings import cloud_frames, foxglove_layout, result_drawings
+from multilica.sinks.mcap.messages import MessageWriter, mcap_messages
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.log_lines import LogLine, log_end, log_lines
-from multilica.snapshot import LidarScans, Snapshot
+from multilica.sinks.text.log_lines import LogLine, log_end, log_lines, pair_label
+from multilica.snapshot import Snapshot
 
 if TYPE_CHECKING:
     from multilica.sinks.mcap.foxglove_messages import FoxgloveEncoding
     from multilica.sinks.mcap.ros2_messages import Ros2Encoding
 
+DRAWING_TOPICS = ("/matches", "/merge_graph", "/fields_of_view", "/uncertainty")
+
+_MAX_MATCHES = 500
+_WAITING_HEIGHT_M = 1.5
+_NODE_RADIUS_M = 0.06
+_SCENE, _LOG, _METRICS = "3D!multilica", "RosOut!multilica", "RawMessages!multilica"
+_GRID = "#ffffff20"
+_AT_FIRST = {"/matches": False}
+"""Hidden at first: hundreds of lines."""
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000
 _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html": "text/html"}
@@ -36,19 +46,137 @@ _STAMP_WITHOUT_CLOCK_NS = 10**9
 _FAR_FUTURE_NS = 2**31 * 10**9 - 3600 * 10**9
 # They take milliseconds, and the whole file follows.
 _LAST_STAGES = ("merge", "refine", "ground")
-_CHANGES_DRAWINGS = (
-    events.CloudPreprocessed,
-    events.CorrespondencesMatched,
-    events.HypothesesFound,
-    events.PairRegistered,
-    events.VerdictChanged,
-    events.LoopRegistered,
-    events.TargetChosen,
-    events.CalibrationFinished,
-)
 
 
-class ResultMcap:
+def result_drawings(state: RunState, document: ResultDocument) -> Mapping[str, tuple[shapes.Drawing, ...]]:
+    """Return the drawings of each topic of `DRAWING_TOPICS`."""
+    frames = cloud_frames(document)
+    views, sigmas = _fields_of_view(state, frames), _uncertainty(state, document)
+    drawings = (_matches(state, frames), _merge_graph(state, document), views, sigmas)
+    return {topic: tuple(found) for topic, found in zip(DRAWING_TOPICS, drawings, strict=True)}
+
+
+def cloud_frames(document: ResultDocument) -> dict[str, str]:
+    """Return the frame of each LiDAR's cloud: its name, which no transform has for an uncertain LiDAR."""
+    return {
+        name: f"uncertain/{name}" if entry.status == "uncertain" else name for name, entry in document.lidars.items()
+    }
+
+
+def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[shapes.Drawing]:
+    """Draw a sample of each pair's matches at its best pose: kept ones are short, rejected ones long."""
+    for pair, matches in sorted(state.matches.items()):
+        coarse, found = state.coarse.get(pair), state.registrations.get(pair)
+        if coarse is None or not coarse.hypotheses:
+            continue
+        index = max(found.hypothesis, 0) if found is not None else 0
+        hypothesis = coarse.hypotheses[index]
+        pose = found.T_target_source.with_target(pair[0]) if found is not None else hypothesis.T_target_source
+        kept = shapes.kept_matches(state, matches, hypothesis)
+        lines = (
+            shapes.Lines(shapes.match_lines(matches, kept, pose, _MAX_MATCHES), palette.KEPT),
+            shapes.Lines(shapes.match_lines(matches, ~kept, pose, _MAX_MATCHES), palette.REJECTED),
+        )
+        yield shapes.Drawing(pair_label(*pair), frames[matches.target], lines)
+
+
+def _merge_graph(state: RunState, document: ResultDocument) -> Iterator[shapes.Drawing]:
+    """Draw a node per LiDAR and an edge per registered pair with its fitness and verdict."""
+    places_m, colours, poses = _places_m(document), palette.distinct_colours(state.lidars), document.poses
+    for name, entry in document.lidars.items():
+        text = name if entry.placed else f"{name}: {entry.status.replace('_', ' ')}"
+        colour = colours[name] if name in poses else palette.VIOLATE
+        label = shapes.Label(places_m[name] + np.array([0.0, 0.0, 2.0 * _NODE_RADIUS_M]), text, colour)
+        yield shapes.Drawing(name, document.target, labels=(label,), lines=(_cross(places_m[name], colour),))
+    for pair, found in sorted(state.registrations.items()):
+        start_m, end_m = places_m[pair[0]], places_m[pair[1]]
+        colour = palette.VERDICT_COLOURS[found.verdict.outcome]
+        text = f"{found.fitness:.2f} {found.verdict.outcome}"
+        label = shapes.Label(start_m + shapes.EDGE_LABEL_SHARE * (end_m - start_m), text, colour)
+        edge = shapes.Lines(np.stack([start_m, end_m])[None], colour)
+        yield shapes.Drawing(pair_label(*pair), document.target, (edge,), labels=(label,))
+
+
+def _places_m(document: ResultDocument) -> dict[str, FloatArray]:
+    """Return positions of the LiDARs in the target's frame; unplaced ones are above it."""
+    places_m = {name: pose.xyz_m for name, pose in document.poses.items()}
+    waiting = [name for name in document.lidars if name not in places_m]
+    above_m = {name: np.array([0.0, 0.0, _WAITING_HEIGHT_M * (1 + row)]) for row, name in enumerate(waiting)}
+    return {**places_m, **above_m}
+
+
+def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> shapes.Lines:
+    arms_m = _NODE_RADIUS_M * np.eye(3)
+    return shapes.Lines(np.stack([centre_m - arms_m, centre_m + arms_m], axis=1), colour)
+
+
+def _fields_of_view(state: RunState, frames: Mapping[str, str]) -> Iterator[shapes.Drawing]:
+    colours = palette.distinct_colours(state.lidars)
+    for lidar in sorted(state.clouds):
+        strips = shapes.shown_field_of_view(state, lidar)
+        if strips:
+            segments_m = np.concatenate([shapes.segments_along(strip) for strip in strips])
+            yield shapes.Drawing(lidar, frames[lidar], (shapes.Lines(segments_m, colours[lidar]),))
+
+
+def _uncertainty(state: RunState, document: ResultDocument) -> Iterator[shapes.Drawing]:
+    colours, scale = palette.distinct_colours(state.lidars), shapes.ellipsoid_scale(document)
+    for lidar in document.lidars:
+        found = shapes.uncertainty_ellipsoid(document, lidar)
+        if found is not None:
+            half_sizes_m, axes = found
+            shown = shapes.Ellipsoid(axes, scale * half_sizes_m, colours[lidar])
+            text = shapes.ellipsoid_label(document, lidar, scale)
+            labels = (shapes.Label(axes.xyz_m, text, palette.UNCERTAIN),) if text else ()
+            yield shapes.Drawing(lidar, document.target, ellipsoids=(shown,), labels=labels)
+
+
+def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
+    """Return JSON for "Import from file": clouds and drawings in a scene that follows the target, log and metrics."""
+    layout = {
+        "configById": {
+            _SCENE: _scene(target, cloud_topics),
+            _LOG: {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"},
+            _METRICS: {"topicPath": "/metrics", "diffEnabled": False},
+        },
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": {
+            "direction": "row",
+            "first": _SCENE,
+            "second": {"direction": "column", "first": _METRICS, "second": _LOG, "splitPercentage": 50},
+            "splitPercentage": 70,
+        },
+    }
+    return json.dumps(layout, indent=2, ensure_ascii=False) + "\n"
+
+
+def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
+    colours = palette.distinct_colours(tuple(cloud_topics))
+    clouds = {
+        topic: {
+            "visible": True,
+            "colorMode": "flat",
+            # If none is named, the panel picks one and colours by it.
+            "colorField": "z",
+            "flatColor": palette.hex_colour(colours[name]),
+            "pointSize": 2,
+        }
+        for name, topic in cloud_topics.items()
+    }
+    drawings = {topic: {"visible": _AT_FIRST.get(topic, True)} for topic in DRAWING_TOPICS}
+    return {
+        "followMode": "follow-pose",
+        "followTf": target,
+        "scene": {"transforms": {"showLabel": True, "axisScale": 0.5}},
+        "cameraState": {"perspective": True, "distance": 30, "phi": 55, "thetaOffset": 45, "targetOffset": [0, 0, 0]},
+        "topics": {**clouds, **drawings},
+        "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 40, "divisions": 40, "color": _GRID}},
+    }
+
+
+class ResultMcap(AbstractContextManager["ResultMcap"]):
     """A sink that writes the calibrated clouds, transforms, drawings, log and metrics of a calibration.
 
     Use it as an observer within its `with` block. The file is written at the end of the block and can attach files of
@@ -66,29 +194,19 @@ class ResultMcap:
     """
 
     def __init__(
-        self,
-        path: Path,
-        encoding: str = "foxglove",
-        attached: Sequence[Path] = (),
-        state: RunState | None = None,
+        self, path: Path, encoding: str = "foxglove", attached: Sequence[Path] = (), state: RunState | None = None
     ) -> None:
         self.path = path
         self._encoding = _encoding(encoding)
         self._attached = tuple(attached)
-        self._state = state if state is not None else RunState()
+        self._state = state or RunState()
         self._lines: list[LogLine] = []
         self._cloud_topics: dict[str, str] = {}
-        self._drawings: list[McapMessage] = []
         self._finished = False
-
-    def __enter__(self) -> Self:
-        return self
 
     def __call__(self, event: events.Event) -> None:
         """Update the state; write the partial file when a stage ends, or the last one of stages that ran together."""
         self._state(event)
-        if isinstance(event, _CHANGES_DRAWINGS):
-            self._drawings.clear()
         self._lines += log_lines(event)
         self._finished |= isinstance(event, events.CalibrationFinished)
         ended = isinstance(event, events.StageFinished) and event.stage == self._state.stage
@@ -132,15 +250,15 @@ class ResultMcap:
         frames = cloud_frames(document)
         messages.write(self._encoding.transforms(_static_poses(document, frames), stamp_ns), stamp_ns)
         for lidar in snapshot.lidars:
-            points_m = _shown_points(self._state, lidar)
+            preprocessed = self._state.clouds.get(lidar.name)
+            points_m = shapes.sample_points(
+                lidar.points_m if preprocessed is None else preprocessed.points_m, _MAX_CLOUD_POINTS
+            )
             cloud = self._encoding.cloud(lidar.name, frames[lidar.name], points_m, stamp_ns)
             self._cloud_topics[lidar.name] = cloud.topic
             messages.write(cloud, stamp_ns)
-        if not self._drawings:
-            drawn = result_drawings(self._state, document).items()
-            self._drawings = [self._encoding.drawings(topic, drawings, stamp_ns) for topic, drawings in drawn]
-        for drawing in self._drawings:
-            messages.write(drawing, stamp_ns)
+        for topic, drawings in result_drawings(self._state, document).items():
+            messages.write(self._encoding.drawings(topic, drawings, stamp_ns), stamp_ns)
 
     def _attachments(self, document: ResultDocument, target: str) -> dict[str, bytes]:
         return {
@@ -174,12 +292,6 @@ def _static_poses(document: ResultDocument, frames: Mapping[str, str]) -> list[R
     base = [] if ground is None else [RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))]
     poses = (pose for name, pose in document.poses.items() if name != target)
     return [*base, *(RigidTransform(target, frames[pose.source], pose.matrix) for pose in poses)]
-
-
-def _shown_points(state: RunState, lidar: LidarScans) -> Float32Array:
-    """Return the thinned preprocessed cloud, else the raw one."""
-    cloud = state.clouds.get(lidar.name)
-    return sample_points(lidar.points_m if cloud is None else cloud.points_m, _MAX_CLOUD_POINTS)
 
 
 def _metadata(document: ResultDocument) -> dict[str, str]:

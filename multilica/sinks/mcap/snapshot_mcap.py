@@ -15,7 +15,7 @@ from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
 from multilica.sinks.files.atomic import atomic_file
 from multilica.sinks.mcap import ros2_types as ros2
-from multilica.sinks.mcap.messages import McapMessage, MessageWriter, mcap_messages
+from multilica.sinks.mcap.messages import McapMessage, mcap_messages
 from multilica.snapshot import LidarScans, Snapshot
 
 _CHUNK_BYTES = 4 << 20
@@ -27,14 +27,14 @@ _STAMP_NS = 10**9
 def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
     """Write a snapshot so that `read_snapshot` returns the same points, times, names, frames and static transforms.
 
-    ROS 2 profile, one ``sensor_msgs/PointCloud2`` of float32 per frame, zstd chunks with checksums, ``/tf_static``.
-
-    Args:
-        metadata: further entries of the metadata record, for instance of `window_metadata`.
+    ROS 2 profile, one ``sensor_msgs/PointCloud2`` of float32 per frame, zstd chunks with checksums, ``/tf_static``;
+    `metadata` adds entries to the metadata record, for instance of `window_metadata`.
     """
     zstd = {"chunk_size": _CHUNK_BYTES, "compression": CompressionType.ZSTD}
     with atomic_file(path) as file, mcap_messages(file, Profile.ROS2, **zstd) as messages:
-        _write_static_transforms(messages, snapshot)
+        if snapshot.static_transforms:
+            time_ns = min((time_ns for time_ns, _, _ in _frames(snapshot)), default=0)
+            messages.write(_static_transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)), time_ns)
         _write_scans(messages.writer, snapshot)
         messages.writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
 
@@ -62,12 +62,6 @@ def _origin(snapshot: Snapshot) -> dict[str, str]:
         "notes": json.dumps(snapshot.notes),
         "version": multilica.__version__,
     }
-
-
-def _write_static_transforms(messages: MessageWriter, snapshot: Snapshot) -> None:
-    if snapshot.static_transforms:
-        time_ns = min((time_ns for time_ns, _, _ in _frames(snapshot)), default=0)
-        messages.write(_static_transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)), time_ns)
 
 
 def _static_transforms(poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:

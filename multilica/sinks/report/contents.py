@@ -3,7 +3,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -11,13 +10,15 @@ import numpy.typing as npt
 from multilica.diagnosis import Explanation, explain
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Registration
-from multilica.results.document import ResultDocument
+from multilica.results.document import PairEntry, ResultDocument
 from multilica.sinks.drawing.shapes import sample_points
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans
 
+SAME_POSE = 1e-4
+"""Metres and radians: a recording holds poses in single precision."""
 _RAW_SAMPLE = 60_000
-_BADGES: Mapping[str, str] = MappingProxyType({"unfinished": "ended early", "stopped_early": "stopped"})
+_BADGES: Mapping[str, str] = {"unfinished": "ended early", "stopped_early": "stopped"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,19 +62,9 @@ class ReportContents:
     ended_early: str = ""
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Return the names of the LiDARs in order."""
-        return tuple(self.document.lidars)
-
-    @property
     def target(self) -> str:
         """Return the target LiDAR; the first LiDAR until the target is chosen."""
-        return self.document.target or self.names[0]
-
-    @property
-    def poses(self) -> dict[str, RigidTransform]:
-        """Return ``T_target_source`` of each placed or uncertain LiDAR, including the target."""
-        return self.document.poses
+        return self.document.target or next(iter(self.document.lidars))
 
     @property
     def explanation(self) -> Explanation:
@@ -91,7 +82,7 @@ class ReportContents:
     def details(self) -> tuple[str, ...]:
         """Return sentences below the headline: the target of a result, and why the run ended early."""
         reason = self.document.target_reason.rstrip(".")
-        of_target = len(self.poses) > 1 and self.explanation.cause is None
+        of_target = len(self.document.poses) > 1 and self.explanation.cause is None
         return (
             *((f"Target: {self.target} ({reason}).",) if of_target else ()),
             *((self.ended_early,) if self.ended_early else ()),
@@ -108,12 +99,13 @@ class ReportContents:
         return self.document.lidars[lidar].status == "uncertain"
 
 
-def contents_of(state: RunState, ended_early: str = "") -> ReportContents:
-    """Collect the contents of the report of a calibration that has started.
+def finalists(pair: PairEntry) -> list[RigidTransform]:
+    """Return the poses that the pair's own search scored last, by evidence."""
+    return [RigidTransform(*pair.key, np.asarray(one.T_target_source)) for one in pair.registrations]
 
-    Args:
-        ended_early: why there is no result.
-    """
+
+def contents_of(state: RunState, ended_early: str = "") -> ReportContents:
+    """Collect the contents of the report of a calibration that has started, with the reason if there is no result."""
     lidars = state.snapshot.lidars if state.snapshot is not None else ()
     return ReportContents(
         state.document,

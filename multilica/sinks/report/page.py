@@ -2,11 +2,12 @@
 """HTML page of a report."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from contextlib import AbstractContextManager
 from functools import cache, partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from jinja2 import Template
@@ -21,13 +22,10 @@ from multilica.results.document import PairEntry, ResultDocument
 from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
 from multilica.sinks.drawing.shapes import EDGE_LABEL_SHARE
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.result_files import calibration_toml, config_toml
-from multilica.sinks.files.run_files import REPORT_HTML
-from multilica.sinks.report.cloud_picture import short_name
+from multilica.sinks.files.result_files import REPORT_HTML, calibration_toml, config_toml
 from multilica.sinks.report.contents import ReportContents, contents_of
-from multilica.sinks.report.figures import Figure, pair_figures, rig_figures
-from multilica.sinks.report.rig_scene import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_scene
-from multilica.sinks.report.rig_uncertainty import rig_drawing
+from multilica.sinks.report.figures import Figure, pair_figures, rig_figures, short_name
+from multilica.sinks.report.rig import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_drawing, rig_scene
 from multilica.sinks.report.template import own_text, page_template
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.extrinsics_text import matrix_text, urdf_text
@@ -47,21 +45,13 @@ _GRAPH_SIZE = (640, 420)
 _GRAPH_RADII = (220.0, 150.0)
 
 
-class ReportFile:
-    """A sink that writes `report.html` when the run is over, however it ended.
-
-    Args:
-        directory: an existing directory; a report in it is replaced.
-        state: shared with other sinks of the run.
-    """
+class ReportFile(AbstractContextManager["ReportFile"]):
+    """A sink that writes `report.html` into a directory when the run is over, however it ended."""
 
     def __init__(self, directory: Path, state: RunState | None = None) -> None:
         self.directory = directory
-        self._state = state if state is not None else RunState()
+        self._state = state or RunState()
         self._written = False
-
-    def __enter__(self) -> Self:
-        return self
 
     def __call__(self, event: events.Event) -> None:
         """Update the state; write the report after the last event."""
@@ -87,7 +77,7 @@ class ReportFile:
 def report_html(contents: ReportContents) -> str:
     """Render the report as one self-contained page of at most `MAX_BYTES` bytes."""
     frame = contents.level or RigidTransform.identity(LEVEL_FRAME, contents.target)
-    colours = distinct_colours(contents.names)
+    colours = distinct_colours(contents.document.lidars)
     context = _context(contents, frame)
 
     def page(max_points: int) -> str:
@@ -102,9 +92,9 @@ def report_html(contents: ReportContents) -> str:
 
 def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
     """Return the variables of the template, except the clouds of the 3-D view."""
-    colours = distinct_colours(contents.names)
+    colours = distinct_colours(contents.document.lidars)
     document, explanation = contents.document, contents.explanation
-    calibrated = len(contents.poses) > 1
+    calibrated = len(contents.document.poses) > 1
     merged = {decision.chosen.names for decision in document.decisions if decision.chosen is not None}
     return {
         "contents": contents,
@@ -122,7 +112,7 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
         "refused": refused_poses(contents),
         "points_total": sum(len(cloud) for cloud in contents.clouds.values()),
         "graph_size": _GRAPH_SIZE,
-        "places": _graph_places(contents.names),
+        "places": _graph_places(contents.document.lidars),
         "edges": [(pair, _edge(pair, merged=pair.names in merged)) for pair in document.pairs],
         "label_share": EDGE_LABEL_SHARE,
         "labelled": len(document.pairs) <= _MAX_LABELLED,
@@ -140,7 +130,7 @@ def _pair_figures(
     contents: ReportContents, missing: Sequence[Missing], level: RigidTransform
 ) -> dict[str, list[Figure]]:
     """Draw the decisive pair of each unplaced LiDAR, of a large rig only the first ones, each pair once."""
-    colours = distinct_colours(contents.names)
+    colours = distinct_colours(contents.document.lidars)
     first = {pair: each.lidar for each in reversed(missing) if (pair := _decisive(each)) is not None}
     shown = list(reversed(first.items()))[:_MAX_PICTURED]
     return {lidar: pair_figures(contents, pair, level, colours) for pair, lidar in shown}
@@ -165,16 +155,12 @@ def _edge(pair: PairEntry, *, merged: bool) -> str:
     return "merged" if merged else pair.verdict.outcome
 
 
-def _graph_places(names: Sequence[str]) -> dict[str, tuple[float, float]]:
+def _graph_places(names: Collection[str]) -> dict[str, tuple[float, float]]:
     """Return positions on an ellipse in name order."""
+    (width, height), (across, down) = _GRAPH_SIZE, _GRAPH_RADII
     angles = [2.0 * math.pi * index / len(names) - 0.75 * math.pi for index in range(len(names))]
-    return {
-        name: (
-            round(_GRAPH_SIZE[0] / 2.0 + _GRAPH_RADII[0] * math.cos(angle), 1),
-            round(_GRAPH_SIZE[1] / 2.0 + _GRAPH_RADII[1] * math.sin(angle), 1),
-        )
-        for name, angle in zip(names, angles, strict=True)
-    }
+    places = [(width / 2.0 + across * math.cos(each), height / 2.0 + down * math.sin(each)) for each in angles]
+    return {name: (round(x, 1), round(y, 1)) for name, (x, y) in zip(names, places, strict=True)}
 
 
 class ExtrinsicsText(NamedTuple):
@@ -189,11 +175,16 @@ class ExtrinsicsText(NamedTuple):
 def extrinsics_texts(document: ResultDocument) -> list[ExtrinsicsText]:
     """Return `calibration.toml`, URDF and matrices as `multilica export` writes them; none without a placed LiDAR.
 
-    URDF and matrices are left out if a name cannot stand in such files.
+    URDF and matrices are in the base frame, if the run has one with x, y and yaw, else in the target's frame. They are
+    left out if a name cannot stand in such files.
     """
-    extrinsics = _exported(document)
-    if len(extrinsics.members) < 2:
+    target, ground = document.target, document.ground
+    poses = {name: pose for name, pose in document.poses.items() if document.lidars[name].placed and name != target}
+    if not poses:
         return []
+    extrinsics = Extrinsics(target, poses)
+    if ground is not None and ground.T_base_target_rig is not None and not ground.doubt:
+        extrinsics = extrinsics.seen_from(RigidTransform(ground.frame, target, np.asarray(ground.T_base_target)))
     texts = [ExtrinsicsText("toml", "TOML", "calibration.toml", calibration_toml(document))]
     if all(name.isprintable() and name == name.strip() != "" for name in extrinsics.members):
         inside = f"in the frame {extrinsics.target}"
@@ -202,16 +193,6 @@ def extrinsics_texts(document: ResultDocument) -> list[ExtrinsicsText]:
             ExtrinsicsText("matrices", "matrices", f"4 x 4 matrices {inside}", matrix_text(extrinsics)),
         ]
     return texts
-
-
-def _exported(document: ResultDocument) -> Extrinsics:
-    """Return the placed LiDARs in the base frame, if the run has one with x, y and yaw, else in the target's frame."""
-    target, ground = document.target, document.ground
-    poses = {name: pose for name, pose in document.poses.items() if document.lidars[name].placed and name != target}
-    found = Extrinsics(target, poses)
-    if not poses or ground is None or ground.T_base_target_rig is None or ground.doubt:
-        return found
-    return found.seen_from(RigidTransform(ground.frame, target, np.asarray(ground.T_base_target)))
 
 
 @cache

@@ -26,8 +26,7 @@ def page_template(
 ) -> Template:
     """Load `page.html` of a package with style, script, and their hashes for the content security policy.
 
-    Args:
-        one_line: show every text in one line, with controls as escapes.
+    With `one_line`, every text is shown in one line, with controls as escapes.
     """
     environment = Environment(
         loader=PackageLoader(package, ""),

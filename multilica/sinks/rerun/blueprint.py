@@ -1,25 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blueprints of the viewer."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from rerun.encodings import EntityPathLike
 
 from multilica.config import Stage
-from multilica.geometry import FloatArray
 from multilica.results import PairKey
 from multilica.sinks.drawing.shapes import kept_count
-from multilica.sinks.rerun import entity_paths
-from multilica.sinks.rerun.data import candidate_pairs
-from multilica.sinks.rerun.entity_paths import CONFIG, GROUND, MERGE_STEPS, lidar_frame, lidar_path, pair_path
-from multilica.sinks.rerun.input import RESIDUAL_SCALE_M, name_pole_m
+from multilica.sinks.rerun import scene
+from multilica.sinks.rerun.lidars import RESIDUAL_SCALE_M, name_pole_m
 from multilica.sinks.rerun.pairs import starting_hypothesis
-from multilica.sinks.rerun.scene import STEP_TIMELINE
-from multilica.sinks.rerun.tables import matrix_bounds
+from multilica.sinks.rerun.tables import candidate_pairs, matrix_bounds
 from multilica.sinks.rerun.views import (
+    Overrides,
     above_group,
     around_rig,
     document_view,
@@ -39,7 +35,7 @@ from multilica.sinks.unplaced import Failure, decisive_failure, failures
 
 _MAX_PAIR_TABS = 15
 _Tab = rrb.Container | rrb.View
-_MATRICES = {entity_paths.FITNESS: "Fitness", entity_paths.COVERAGE: "Coverage", entity_paths.VERDICTS: "Verdicts"}
+_MATRICES = {scene.FITNESS: "Fitness", scene.COVERAGE: "Coverage", scene.VERDICTS: "Verdicts"}
 _RIG_MARGIN_M = 3.0
 _RIG_NAME_SPACING_M = 0.5
 
@@ -52,10 +48,10 @@ def _residual_tab(state: RunState) -> rrb.Container | None:
     contents = [
         path
         for lidar in sorted(state.residuals)
-        for path in (lidar_path(lidar, "residual"), f"{lidar_path(lidar, 'name')}/**")
+        for path in (scene.lidar_path(lidar, "residual"), f"{scene.lidar_path(lidar, 'name')}/**")
     ]
     name = f"Distance to the other LiDARs' surfaces: dark 0 m, bright {RESIDUAL_SCALE_M:g} m or more"
-    view = scene_view(name, lidar_frame(document.target), contents, around_rig(state))
+    view = scene_view(name, scene.lidar_frame(document.target), contents, around_rig(state))
     return rrb.Horizontal(view, name="Residual")
 
 
@@ -76,7 +72,7 @@ def _preprocess_tab(state: RunState) -> _Tab | None:
     ]
     if not views:
         return None
-    table = document_view(entity_paths.DROPPED_TABLE, "Dropped points")
+    table = document_view(scene.DROPPED_TABLE, "Dropped points")
     return rrb.Vertical(rrb.Grid(*views), table, row_shares=[3, 1], name="Preprocess")
 
 
@@ -102,13 +98,17 @@ def _opened(state: RunState, pairs: Sequence[PairKey]) -> int:
     return next((pairs.index(pair) for pair in (*failed, *used) if pair in pairs), 0)
 
 
-def _pair_tabs(state: RunState, pairs: Sequence[PairKey], tab: Callable[[RunState, PairKey], _Tab], name: str) -> _Tab:
-    return rrb.Tabs(*(tab(state, pair) for pair in pairs), active_tab=_opened(state, pairs), name=name)
+def _pair_tabs(
+    state: RunState, known: Container[PairKey], tab: Callable[[RunState, PairKey], _Tab], name: str, *more: _Tab
+) -> _Tab | None:
+    """Return a tab per shown pair that is known, then more tabs; None without such a pair."""
+    pairs = [pair for pair in _shown_pairs(state) if pair in known]
+    tabs = (tab(state, pair) for pair in pairs)
+    return rrb.Tabs(*tabs, *more, active_tab=_opened(state, pairs), name=name) if pairs else None
 
 
 def _correspond_tab(state: RunState) -> _Tab | None:
-    pairs = [pair for pair in _shown_pairs(state) if pair in state.matches]
-    return _pair_tabs(state, pairs, _matches_tab, "Correspond") if pairs else None
+    return _pair_tabs(state, state.matches, _matches_tab, "Correspond")
 
 
 def _matches_tab(state: RunState, pair: PairKey) -> rrb.Container:
@@ -118,37 +118,37 @@ def _matches_tab(state: RunState, pair: PairKey) -> rrb.Container:
 
 
 def _coarse_tab(state: RunState) -> _Tab | None:
-    pairs = [pair for pair in _shown_pairs(state) if pair in state.coarse]
-    if not pairs:
-        return None
-    tabs = [
-        rrb.Horizontal(
-            scored_view(state, pair),
-            document_view(entity_paths.pair_path(*pair, "scores"), "Scores"),
-            column_shares=[3, 2],
-            name=pair_label(*pair),
-        )
-        for pair in pairs
-    ]
-    table = document_view(entity_paths.HYPOTHESES_TABLE, "All pairs")
-    name = "Coarse + verify" if state.verified else "Coarse"
-    return rrb.Tabs(*tabs, table, active_tab=_opened(state, pairs), name=name)
+    table = document_view(scene.HYPOTHESES_TABLE, "All pairs")
+    return _pair_tabs(state, state.coarse, _scores_tab, "Coarse + verify" if state.verified else "Coarse", table)
+
+
+def _scores_tab(state: RunState, pair: PairKey) -> rrb.Container:
+    scores = document_view(scene.pair_path(*pair, "scores"), "Scores")
+    return rrb.Horizontal(scored_view(state, pair), scores, column_shares=[3, 2], name=pair_label(*pair))
 
 
 def _fine_tab(state: RunState) -> _Tab | None:
     if not state.registrations:
         return None
-    matrices = [_matrix_view(state, path, name) for path, name in _MATRICES.items()]
-    table = document_view(entity_paths.PAIRS_TABLE, "Pairs")
+    (left, top), (right, bottom) = matrix_bounds(len(state.lidars))
+    bounds, contents = (
+        rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom]),
+        ["$origin/picture", "$origin/labels"],
+    )
+    matrices = [
+        rrb.Spatial2DView(origin=path, contents=contents, name=name, visual_bounds=bounds)
+        for path, name in _MATRICES.items()
+    ]
+    table = document_view(scene.PAIRS_TABLE, "Pairs")
     figures = rrb.Vertical(rrb.Tabs(*matrices), table, row_shares=[1, 1], name="Matrices")
     legend = rrb.PlotLegend(corner=rrb.Corner2D.RightTop)
     curves = [
-        rrb.TimeSeriesView(origin=entity_paths.curve_path(quantity), name=title, plot_legend=legend)
-        for quantity, title in entity_paths.CURVES.items()
+        rrb.TimeSeriesView(origin=scene.curve_path(quantity), name=title, plot_legend=legend)
+        for quantity, title in scene.CURVES.items()
     ]
-    pairs = [pair for pair in _shown_pairs(state) if pair in state.registrations]
-    moved = _pair_tabs(state, pairs, _before_and_after, "Before and after")
-    return rrb.Tabs(figures, rrb.Grid(*curves, grid_columns=2, name="GICP"), moved, name="Fine")
+    moved = _pair_tabs(state, state.registrations, _before_and_after, "Before and after")
+    gicp = rrb.Grid(*curves, grid_columns=2, name="GICP")
+    return rrb.Tabs(*(tab for tab in (figures, gicp, moved) if tab is not None), name="Fine")
 
 
 def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
@@ -156,41 +156,30 @@ def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
 
     A pair that started from the pose that others imply has no hypothesis.
     """
-    target, source = (entity_paths.lidar_path(pair[0], "preprocessed"), entity_paths.pair_path(*pair, "source"))
+    clouds = [scene.lidar_path(pair[0], "preprocessed"), scene.pair_path(*pair, "source")]
     if starting_hypothesis(state, pair, state.registrations[pair]) is None:
-        after = pair_view(state, pair, "After GICP, which started from the implied pose", [target, source])
+        after = pair_view(state, pair, "After GICP, which started from the implied pose", clouds)
         return rrb.Horizontal(after, name=pair_label(*pair))
-    before = pair_view(state, pair, "Before GICP", [target, f"{entity_paths.pair_path(*pair, 'before')}/**"])
-    after = pair_view(state, pair, "After GICP", [target, source])
-    return rrb.Horizontal(before, after, name=pair_label(*pair))
-
-
-def _matrix_view(state: RunState, path: str, name: str) -> rrb.View:
-    (left, top), (right, bottom) = matrix_bounds(len(state.lidars))
-    bounds = rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
-    return rrb.Spatial2DView(
-        origin=path, contents=["$origin/picture", "$origin/labels"], name=name, visual_bounds=bounds
-    )
+    before = pair_view(state, pair, "Before GICP", [clouds[0], f"{scene.pair_path(*pair, 'before')}/**"])
+    return rrb.Horizontal(before, pair_view(state, pair, "After GICP", clouds), name=pair_label(*pair))
 
 
 def _merge_tab(state: RunState) -> _Tab | None:
     if not state.decisions:
         return None
-    graph = rrb.GraphView(origin=entity_paths.MERGE_GRAPH, name="Merge graph")
+    graph = rrb.GraphView(origin=scene.MERGE_GRAPH, name="Merge graph")
     contents = [
-        f"{entity_paths.lidar_path(lidar, part)}/**"
-        for lidar in state.lidars
-        for part in ("preprocessed", "sensor", "name")
+        f"{scene.lidar_path(lidar, part)}/**" for lidar in state.lidars for part in ("preprocessed", "sensor", "name")
     ]
-    growing = scene_view("Growing cloud", entity_paths.DISPLAY_FRAME, contents, above_group(state))
+    growing = scene_view("Growing cloud", scene.DISPLAY_FRAME, contents, above_group(state))
     pairs = [pair for pair in _shown_pairs(state) if pair in candidate_pairs(state)]
     evidence = rrb.TimeSeriesView(
-        origin=entity_paths.PAIRS,
-        contents=[entity_paths.pair_path(*pair, "merge", "evidence") for pair in pairs],
+        origin=scene.PAIRS,
+        contents=[scene.pair_path(*pair, "merge", "evidence") for pair in pairs],
         name="Evidence of the candidates per merge step",
         plot_legend=rrb.PlotLegend(corner=rrb.Corner2D.RightTop),
     )
-    steps = rrb.Tabs(document_view(entity_paths.MERGE_STEPS, "Merge steps"), evidence)
+    steps = rrb.Tabs(document_view(scene.MERGE_STEPS, "Merge steps"), evidence)
     side = rrb.Vertical(graph, steps)
     return rrb.Horizontal(growing, side, column_shares=[3, 2], name="Merge")
 
@@ -218,14 +207,14 @@ def final_blueprint(state: RunState) -> rrb.Blueprint:
     """Show the result, or the pair that failed, then a tab per stage."""
     stages = [tab for build in dict.fromkeys(_STAGE_TABS.values()) if (tab := build(state)) is not None]
     lines = log_view("All lines", ("DEBUG", "INFO", "WARN", "ERROR"))
-    last = rrb.Horizontal(lines, document_view(CONFIG, "Config"), name="Log")
+    last = rrb.Horizontal(lines, document_view(scene.CONFIG, "Config"), name="Log")
     first = [tab for tab in (_failure_tab(state), _result_tab(state), _residual_tab(state)) if tab is not None]
     opened = 0 if first else len(stages) - 1
     return _blueprint(rrb.Tabs(*first, *stages, last, active_tab=opened))
 
 
 def _blueprint(root: rrb.Container) -> rrb.Blueprint:
-    time_panel = rrb.TimePanel(state="collapsed", timeline=STEP_TIMELINE, play_state="following")
+    time_panel = rrb.TimePanel(state="collapsed", timeline=scene.STEP_TIMELINE, play_state="following")
     return rrb.Blueprint(
         root, time_panel, rrb.SelectionPanel(state="hidden"), rrb.BlueprintPanel(state="hidden"), auto_views=False
     )
@@ -236,8 +225,12 @@ def _failure_tab(state: RunState) -> rrb.Container | None:
     decisive = decisive_failure(state)
     if decisive is None or (decisive.pair is None and decisive.stage != "preprocess"):
         return None
-    page = _page(decisive)
-    side = rrb.Vertical(summary_view(), page, row_shares=[3, 2]) if page else summary_view()
+    side: _Tab = summary_view()
+    if decisive.stage == "merge":
+        side = rrb.Vertical(side, document_view(scene.MERGE_STEPS, "Merge steps"), row_shares=[3, 2])
+    elif decisive.stage == "fine" and decisive.pair is not None:
+        scores = document_view(scene.pair_path(*decisive.pair, "scores"), "Scores")
+        side = rrb.Vertical(side, scores, row_shares=[3, 2])
     others = len(failures(state)) - 1
     name = f"Not placed: {decisive.lidar}{f' and {others} more' if others else ''}"
     return rrb.Horizontal(_failed_scene(state, decisive), side, column_shares=[3, 2], name=name)
@@ -255,17 +248,9 @@ def _failed_scene(state: RunState, failure: Failure) -> rrb.Container | rrb.View
         return matches_view(state, pair)
     if state.competing(pair) is None:
         return scored_view(state, pair)
-    contents = [lidar_path(pair[0], "preprocessed"), f"{pair_path(*pair, 'competing')}/**"]
+    contents = [scene.lidar_path(pair[0], "preprocessed"), f"{scene.pair_path(*pair, 'competing')}/**"]
     competing = pair_view(state, pair, f"{pair_label(*pair)}, competing pose", contents, wide=True)
     return rrb.Vertical(scored_view(state, pair, wide=True), competing)
-
-
-def _page(failure: Failure) -> rrb.View | None:
-    if failure.stage == "merge":
-        return document_view(MERGE_STEPS, "Merge steps")
-    if failure.stage == "fine" and failure.pair is not None:
-        return document_view(pair_path(*failure.pair, "scores"), "Scores")
-    return None
 
 
 def _result_tab(state: RunState) -> rrb.Container | None:
@@ -274,32 +259,27 @@ def _result_tab(state: RunState) -> rrb.Container | None:
     if document.status == "unfinished" or not state.target:
         return None
     poses = document.poses
-    clouds = [lidar_path(lidar, "preprocessed") for lidar in poses]
-    sensors = [f"{lidar_path(lidar, part)}/**" for lidar in poses for part in ("sensor", "name")]
-    extents = [lidar_path(lidar, part) for lidar in poses for part in ("field_of_view", "uncertainty")]
+    clouds = [scene.lidar_path(lidar, "preprocessed") for lidar in poses]
+    sensors = [f"{scene.lidar_path(lidar, part)}/**" for lidar in poses for part in ("sensor", "name")]
+    extents = [scene.lidar_path(lidar, part) for lidar in poses for part in ("field_of_view", "uncertainty")]
     uncertain = [lidar for lidar, entry in document.lidars.items() if entry.status == "uncertain"]
-    frame, marks = lidar_frame(document.target), [lidar_path(lidar, "uncertainty") for lidar in uncertain]
-    merged = scene_view("Merged cloud", frame, [*clouds, *sensors, *marks, GROUND], around_rig(state))
-    eye = _rig_eye([pose.xyz_m for pose in poses.values()], up_axis(state, document.target))
+    frame, marks = scene.lidar_frame(document.target), [scene.lidar_path(lidar, "uncertainty") for lidar in uncertain]
+    merged = scene_view("Merged cloud", frame, [*clouds, *sensors, *marks, scene.GROUND], around_rig(state))
+    origins_m = np.array([pose.xyz_m for pose in poses.values()])
+    centre_m = np.mean(origins_m, axis=0)
+    radius_m = _RIG_MARGIN_M + float(np.linalg.norm(origins_m - centre_m, axis=1).max())
+    eye = three_quarter(centre_m, radius_m, up_axis(state, document.target))
     short_names = _short_names(state.lidars, uncertain)
     rig = scene_view("Rig", frame, [*sensors, *extents], eye, grid=True, overrides=short_names)
     side = rrb.Vertical(summary_view(), rig, row_shares=[1, 1])
     return rrb.Horizontal(merged, side, column_shares=[3, 2], name="Result")
 
 
-def _short_names(
-    lidars: Sequence[str], uncertain: Sequence[str]
-) -> dict[EntityPathLike, rr.Points3D | rr.LineStrips3D]:
+def _short_names(lidars: Sequence[str], uncertain: Sequence[str]) -> Overrides:
     """Lower the names for a view of the rig alone."""
-    lowered: dict[EntityPathLike, rr.Points3D | rr.LineStrips3D] = {}
+    lowered: Overrides = {}
     for index, lidar in enumerate(lidars):
         pole_m = name_pole_m(index, top=lidar in uncertain, spacing_m=_RIG_NAME_SPACING_M)
-        lowered[lidar_path(lidar, "name")] = rr.LineStrips3D.from_fields(strips=pole_m)
-        lowered[lidar_path(lidar, "name", "tip")] = rr.Points3D.from_fields(positions=pole_m[0, 1:])
+        lowered[scene.lidar_path(lidar, "name")] = rr.LineStrips3D.from_fields(strips=pole_m)
+        lowered[scene.lidar_path(lidar, "name", "tip")] = rr.Points3D.from_fields(positions=pole_m[0, 1:])
     return lowered
-
-
-def _rig_eye(origins_m: Sequence[FloatArray], up: FloatArray) -> rrb.EyeControls3D:
-    centre_m = np.mean(origins_m, axis=0)
-    radius_m = _RIG_MARGIN_M + float(np.linalg.norm(np.array(origins_m) - centre_m, axis=1).max())
-    return three_quarter(centre_m, radius_m, up)

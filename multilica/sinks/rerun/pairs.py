@@ -18,21 +18,20 @@ from multilica.results import (
     Registration,
     hypothesis_label,
 )
-from multilica.sinks.drawing.palette import (
-    AGREE,
-    KEPT,
-    MUTED,
-    OCCLUDED,
-    REJECTED,
-    UNDECIDED,
-    UNSEEN,
-    VERDICT_COLOURS,
-    VIOLATE,
-    Rgb,
-)
+from multilica.sinks.drawing import palette
 from multilica.sinks.drawing.shapes import kept_matches, match_lines, sample_indices, shown_radius_m
-from multilica.sinks.rerun.entity_paths import CURVES, PAIRS, curve_path, lidar_frame, pair_frame, pair_path
-from multilica.sinks.rerun.scene import ITERATION_TIMELINE, STEP_TIMELINE, RerunScene, rigid
+from multilica.sinks.rerun.scene import (
+    CURVES,
+    ITERATION_TIMELINE,
+    PAIRS,
+    STEP_TIMELINE,
+    RerunScene,
+    curve_path,
+    lidar_frame,
+    pair_frame,
+    pair_path,
+    rigid,
+)
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.markdown import pair_scores_markdown
@@ -40,11 +39,13 @@ from multilica.sinks.unplaced import failures
 
 _LIFT_PER_RADIUS = 0.5
 _COLOURS = {
-    BeamLabel.UNSEEN: UNSEEN,
-    BeamLabel.AGREE: AGREE,
-    BeamLabel.VIOLATE: VIOLATE,
-    BeamLabel.OCCLUDED: OCCLUDED,
+    BeamLabel.UNSEEN: palette.UNSEEN,
+    BeamLabel.AGREE: palette.AGREE,
+    BeamLabel.VIOLATE: palette.VIOLATE,
+    BeamLabel.OCCLUDED: palette.OCCLUDED,
 }
+_MATCH_LINES = {"undecided": (palette.MUTED, 0.25), "rejected": (palette.REJECTED, 0.25), "kept": (palette.KEPT, 1.2)}
+"""Colour and radius in pixels."""
 _ARROW_M = 4.0
 _AXIS_LENGTH_M = 0.5
 
@@ -59,8 +60,7 @@ def log_matches(scene: RerunScene, event: events.CorrespondencesMatched) -> None
         path = pair_path(target, source, "matches", "source")
         frame = pair_frame(target, source, "lifted")
         scene.log_points(path, frame, features.points_m, scene.colour(source), scene.limits.pair_points)
-    everything = np.ones(len(matches), dtype=np.bool_)
-    _log_lines(scene, matches, "undecided", everything, pose, MUTED)
+    _log_lines(scene, matches, pose, undecided=np.ones(len(matches), dtype=np.bool_))
 
 
 def _log_verdict_on_matches(scene: RerunScene, matches: Correspondences, best: Hypothesis | None) -> None:
@@ -68,9 +68,7 @@ def _log_verdict_on_matches(scene: RerunScene, matches: Correspondences, best: H
     identity = RigidTransform.identity(matches.target, matches.source)
     pose = _lifted(scene, matches, best.T_target_source if best else identity)
     kept = kept_matches(scene.state, matches, best) if best else np.zeros(len(matches), dtype=np.bool_)
-    _log_lines(scene, matches, "undecided", np.zeros_like(kept), pose, MUTED)
-    _log_lines(scene, matches, "rejected", ~kept, pose, REJECTED)
-    _log_lines(scene, matches, "kept", kept, pose, KEPT, radius_pixels=1.2)
+    _log_lines(scene, matches, pose, undecided=np.zeros_like(kept), rejected=~kept, kept=kept)
 
 
 def lift_m(matches: Correspondences) -> float:
@@ -88,20 +86,13 @@ def _lifted(scene: RerunScene, matches: Correspondences, pose: RigidTransform) -
     return lifted
 
 
-def _log_lines(
-    scene: RerunScene,
-    matches: Correspondences,
-    kind: str,
-    chosen: BoolArray,
-    pose: RigidTransform,
-    colour: Rgb,
-    *,
-    radius_pixels: float = 0.25,
-) -> None:
-    lines = match_lines(matches, chosen, pose, scene.limits.matches).astype(np.float32)
-    strips = rr.LineStrips3D(lines, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
-    path = pair_path(matches.target, matches.source, "matches", kind)
-    scene.log_in(lidar_frame(matches.target), path, strips)
+def _log_lines(scene: RerunScene, matches: Correspondences, pose: RigidTransform, **chosen: BoolArray) -> None:
+    """Log the matches of each kind of `_MATCH_LINES` as lines."""
+    for kind, rows in chosen.items():
+        colour, radius_pixels = _MATCH_LINES[kind]
+        lines = match_lines(matches, rows, pose, scene.limits.matches).astype(np.float32)
+        strips = rr.LineStrips3D(lines, colors=[colour], radii=rr.Radius.ui_points(radius_pixels))
+        scene.log_in(lidar_frame(matches.target), pair_path(matches.target, matches.source, "matches", kind), strips)
 
 
 def _log_beam_labels(scene: RerunScene) -> None:
@@ -116,11 +107,9 @@ def _log_beam_labels(scene: RerunScene) -> None:
 
 
 def _log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Registration) -> None:
-    """Log the scored points of both sides by label; repeat those in proven-empty space, larger.
+    """Log the scored points of both sides by label, the source's at a pose; repeat those in proven-empty space, larger.
 
-    Args:
-        pair: as it was matched; the registration may be in either order.
-        start: the pose in whose frame the source's points are.
+    The pair is as it was matched; the registration may be in either order.
     """
     _log_beam_labels(scene)
     source = (scored.probes_m, scored.visibility.labels)
@@ -132,7 +121,7 @@ def _log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Reg
     violations_m, target_violations_m = (points_m[labels == BeamLabel.VIOLATE] for points_m, labels in (source, target))
     moved_m = scored.T_target_source.with_target(pair[0]).apply(violations_m)
     points = np.concatenate([moved_m, target_violations_m]).astype(np.float32)
-    shown = rr.Points3D(points, colors=[VIOLATE], radii=rr.Radius.ui_points(4.0))
+    shown = rr.Points3D(points, colors=[palette.VIOLATE], radii=rr.Radius.ui_points(4.0))
     scene.log_in(lidar_frame(pair[0]), pair_path(*pair, "scored", "violations"), shown)
 
 
@@ -149,21 +138,15 @@ def _log_side(scene: RerunScene, path: str, frame: str, points_m: FloatArray, la
 
 def _log_verdict(scene: RerunScene, pair: PairKey, start: str, registration: PairRegistration) -> None:
     """Log the verdict at the source's origin, the competing pose, and arrows along unconstrained directions."""
-    label = f"{pair_label(*pair)} {_verdict_words(registration)}"
-    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, registration.verdict.outcome)
-    _log_competing(scene, pair, scene.state.competing(pair), "competing pose")
-    if any(reason.code == "not_observable" for reason in registration.verdict.reasons):
+    outcome, (first, *others) = registration.verdict.outcome, by_weight(registration.verdict.codes) or ("",)
+    more = f" and {len(others)} more" if others else ""
+    words = f"{outcome}: {REASON_WORDS.get(first, first)}{more}" if first else outcome
+    _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), f"{pair_label(*pair)} {words}", outcome)
+    _log_competing(scene, pair, "competing pose")
+    if "not_observable" in registration.verdict.codes:
         own = registration.target == pair[0]
         frame = lidar_frame(pair[0]) if own else pair_frame(*pair, start)
         _log_slide(scene, pair, registration, frame)
-
-
-def _verdict_words(registration: PairRegistration) -> str:
-    """Return the verdict with its main reason, short enough for a label."""
-    verdict = registration.verdict
-    first, *others = by_weight(reason.code for reason in verdict.reasons) or ("",)
-    more = f" and {len(others)} more" if others else ""
-    return f"{verdict.outcome}: {REASON_WORDS.get(first, first)}{more}" if first else verdict.outcome
 
 
 def log_contested_places(scene: RerunScene) -> None:
@@ -176,19 +159,19 @@ def log_contested_places(scene: RerunScene) -> None:
         label = f"{pair_label(*pair)} accept, but {other} puts {failure.lidar} elsewhere"
         start = scene.state.registrations[pair].start_label
         _log_label(scene, pair_path(*pair, "verdict"), pair_frame(*pair, start), label, "undecided")
-        _log_competing(scene, pair, scene.state.competing(pair), f"where {other} puts {failure.lidar}")
+        _log_competing(scene, pair, f"where {other} puts {failure.lidar}")
 
 
 def _log_label(scene: RerunScene, path: str, frame: str, label: str, outcome: str) -> None:
     """Log a label at the origin of a frame."""
     point = rr.Points3D(
-        [(0.0, 0.0, 0.0)], colors=[VERDICT_COLOURS[outcome]], labels=[label], radii=rr.Radius.ui_points(7.0)
+        [(0.0, 0.0, 0.0)], colors=[palette.VERDICT_COLOURS[outcome]], labels=[label], radii=rr.Radius.ui_points(7.0)
     )
     scene.log_in(frame, path, point)
 
 
-def _log_competing(scene: RerunScene, pair: PairKey, competing: Registration | None, words: str) -> None:
-    cloud = scene.state.clouds.get(pair[1])
+def _log_competing(scene: RerunScene, pair: PairKey, words: str) -> None:
+    competing, cloud = scene.state.competing(pair), scene.state.clouds.get(pair[1])
     if competing is None or cloud is None:
         return
     frame = pair_frame(*pair, "competing")
@@ -204,21 +187,18 @@ def _log_competing(scene: RerunScene, pair: PairKey, competing: Registration | N
 def _log_slide(scene: RerunScene, pair: PairKey, registration: PairRegistration, frame: str) -> None:
     """Log arrows both ways along the least constrained translation, or along the axis of that rotation.
 
-    They have a label only if this is the main reason, since it would cover the label of another one.
-
-    Args:
-        frame: of the registration's target.
+    The frame is that of the registration's target. A label would cover that of another reason, if this is not the main.
     """
     weakest = fixed_sign(registration.registrations[0].visibility.weakest_direction)
     rotates = largest_index(weakest) < 3
     axis, word = (weakest[:3], "rotation about this axis") if rotates else (weakest[3:], "translation")
     axis = axis / np.linalg.norm(axis)
     origin_m = registration.T_target_source.xyz_m
-    weightiest = by_weight(reason.code for reason in registration.verdict.reasons)[0] == "not_observable"
+    weightiest = by_weight(registration.verdict.codes)[0] == "not_observable"
     arrows = rr.Arrows3D(
         origins=[origin_m, origin_m],
         vectors=[_ARROW_M * axis, -_ARROW_M * axis],
-        colors=[UNDECIDED],
+        colors=[palette.UNDECIDED],
         labels=[f"{word} is not constrained", ""] if weightiest else None,
         radii=0.06,
     )
@@ -229,13 +209,13 @@ def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
     """Log every hypothesis of a pair, one step each, the best last; then the matches that it keeps."""
     pair = (event.coarse.target, event.coarse.source)
     hypotheses = event.coarse.hypotheses
-    for index in reversed(range(len(hypotheses))):
+    for index, one in reversed([*enumerate(hypotheses)]):
         scene.advance()
-        scene.shown_at[hypotheses[index]] = scene.step
-        start = hypothesis_label(index, hypotheses[index].origin)
-        _log_pose(scene, pair, start, hypotheses[index].T_target_source)
-    _log_verdict_on_matches(scene, event.correspondences, hypotheses[0] if hypotheses else None)
-    _log_scores(scene, pair, hypotheses[0] if hypotheses else None)
+        scene.shown_at[one] = scene.step
+        _log_pose(scene, pair, hypothesis_label(index, one.origin), one.T_target_source)
+    best = hypotheses[0] if hypotheses else None
+    _log_verdict_on_matches(scene, event.correspondences, best)
+    _log_scores(scene, pair, best)
 
 
 def log_verified(scene: RerunScene, event: events.HypothesesVerified) -> None:

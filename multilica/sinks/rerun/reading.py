@@ -2,11 +2,9 @@
 """Reader of documents, clouds, scores and tables of recordings."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,8 +14,8 @@ from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.results import PairKey
 from multilica.results.document import ResultDocument, parse_result
-from multilica.sinks.rerun.entity_paths import MERGE_TABLE, PAIR_TABLE, RESULT, TIMINGS, lidar_path, pair_path
 from multilica.sinks.rerun.rrd_process import read_batches
+from multilica.sinks.rerun.scene import MERGE_TABLE, PAIR_TABLE, RESULT, TIMINGS, lidar_path, pair_path
 from multilica.sinks.rerun.tables import MERGE_COLUMNS, PAIR_COLUMNS
 
 _TEXT = "TextDocument:text"
@@ -25,19 +23,13 @@ _POSITIONS = "Points3D:positions"
 _CLASSES = "Points3D:class_ids"
 _STEP = "step"
 _MATCH_COLUMNS = (
-    "target_index",
-    "source_index",
-    "target_point_m",
-    "source_point_m",
-    "feature_distance",
-    "agrees_with",
+    *("target_index", "source_index", "target_point_m", "source_point_m", "feature_distance", "agrees_with"),
     "residual_m",
 )
 _SURFACE_COLUMNS = ("target_point_m", "source_point_m", "distance_m", "plane_distance_m")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedScores:
+class RecordedScores(NamedTuple):
     """Scored points of a pair.
 
     Args:
@@ -109,7 +101,8 @@ def _scores(found: Mapping[str, list[Any]], target: str, source: str) -> Recorde
 
 
 def _labelled(scored: list[Any]) -> tuple[npt.NDArray[np.float32], tuple[npt.NDArray[np.uint8], ...]]:
-    labels = (np.asarray(cell, dtype=np.uint8) for cell in reversed(_cells(scored, _CLASSES)))
+    """Return the points, and their labels per pose, also of a pose for which none is labelled."""
+    labels = (np.asarray(cell, dtype=np.uint8) for cell in reversed(_cells(scored, _CLASSES, empty=True)))
     return _points_m(_cells(scored, _POSITIONS)), tuple(labels)
 
 
@@ -126,14 +119,18 @@ def _points_m(cells: list[Any]) -> npt.NDArray[np.float32]:
     return np.asarray(cells[-1], dtype=np.float32).reshape(-1, 3) if cells else np.empty((0, 3), dtype=np.float32)
 
 
-def _cells(batches: list[Any], column: str) -> list[Any]:
-    """Return the cells of a column in order of steps: rows of a file are not in order of time."""
+def _cells(batches: list[Any], column: str, *, empty: bool = False) -> list[Any]:
+    """Return the cells of a column in order of steps: rows of a file are not in order of time.
+
+    Args:
+        empty: keep cells of no values; those of a step at which the column was not logged are always left out.
+    """
     found = [
         (step, cell)
         for batch in batches
         if column in batch.schema.names
         for step, cell in zip(batch.column(_STEP).to_pylist(), batch.column(column).to_pylist(), strict=True)
-        if cell
+        if cell or (empty and cell is not None)
     ]
     return [cell for _, cell in sorted(found, key=lambda each: each[0])]
 
@@ -207,13 +204,11 @@ def _latest_cells(batches: Sequence[Any]) -> dict[str, Any]:
     return {name: cell for name, (_, cell) in latest.items()}
 
 
-TABLES: Mapping[str, Callable[[Path], pa.Table]] = MappingProxyType(
-    {
-        "pairs": partial(_latest_table, entity=PAIR_TABLE, columns=PAIR_COLUMNS),
-        "matches": partial(_of_pairs, parts=("matches", "data"), columns=_MATCH_COLUMNS),
-        "surfaces": partial(_of_pairs, parts=("fine", "matches"), columns=_SURFACE_COLUMNS),
-        "merge": partial(_latest_table, entity=MERGE_TABLE, columns=MERGE_COLUMNS),
-        "timings": _timings,
-    }
-)
+TABLES: Mapping[str, Callable[[Path], pa.Table]] = {
+    "pairs": partial(_latest_table, entity=PAIR_TABLE, columns=PAIR_COLUMNS),
+    "matches": partial(_of_pairs, parts=("matches", "data"), columns=_MATCH_COLUMNS),
+    "surfaces": partial(_of_pairs, parts=("fine", "matches"), columns=_SURFACE_COLUMNS),
+    "merge": partial(_latest_table, entity=MERGE_TABLE, columns=MERGE_COLUMNS),
+    "timings": _timings,
+}
 """Tables of a recording, each with its reader: `matches` are of descriptors, `surfaces` at the final pose."""

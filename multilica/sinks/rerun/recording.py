@@ -2,9 +2,10 @@
 """Sink that writes a Rerun recording."""
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -13,10 +14,18 @@ import rerun_bindings as bindings
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.files.result_files import config_toml
-from multilica.sinks.rerun import data, pairs
+from multilica.sinks.rerun import pairs, tables
 from multilica.sinks.rerun.blueprint import final_blueprint, stage_blueprint
-from multilica.sinks.rerun.input import log_dropped_table, log_features, log_input, log_preprocessed, log_residuals
-from multilica.sinks.rerun.rig import log_ground, log_merge_step, log_outcome
+from multilica.sinks.rerun.lidars import (
+    log_dropped_table,
+    log_features,
+    log_ground,
+    log_input,
+    log_merge_step,
+    log_outcome,
+    log_preprocessed,
+    log_residuals,
+)
 from multilica.sinks.rerun.scene import RerunScene, limits_for
 from multilica.sinks.rerun.tables import log_data_tables, log_pair_tables, log_summary
 from multilica.sinks.run_state import RunState
@@ -51,15 +60,11 @@ def end_threads() -> None:
     bindings.flush_and_cleanup_orphaned_recordings()
 
 
-class RerunRecording:
+class RerunRecording(AbstractContextManager["RerunRecording"]):
     """A sink that writes every event to a `.rrd` file.
 
     Use it as an observer within its `with` block. The file is `<stem>.partial.rrd` until the calibration finishes, also
-    after an interrupted or killed run. Each finished stage is on disk.
-
-    Args:
-        path: final name, ending in `.rrd`; an existing file is replaced.
-        state: shared with other sinks of the run.
+    after an interrupted or killed run. Each finished stage is on disk. An existing file is replaced.
     """
 
     def __init__(self, path: Path, state: RunState | None = None) -> None:
@@ -67,10 +72,7 @@ class RerunRecording:
         # In batches by size and at flushes, never by the clock: equal runs make equal files.
         batches = rr.ChunkBatcherConfig(flush_tick=_FLUSH_TICK_S)
         self._stream = rr.RecordingStream(_NAME, send_properties=False, batcher_config=batches)
-        self._scene = RerunScene(self._stream, state if state is not None else RunState())
-
-    def __enter__(self) -> Self:
-        return self
+        self._scene = RerunScene(self._stream, state or RunState())
 
     def __call__(self, event: events.Event) -> None:
         """Record an event; the first one creates the file."""
@@ -92,7 +94,7 @@ class RerunRecording:
         whole = self._scene.state.result is not None
         if not whole:
             _log_end(self._scene, error)
-        _flush(self._stream)
+        _flush(self._scene)
         self._stream.disconnect()
         if whole:
             partial_path(self.path).replace(self.path)
@@ -100,9 +102,9 @@ class RerunRecording:
         end_threads()
 
 
-def _flush(stream: rr.RecordingStream) -> None:
+def _flush(scene: RerunScene, _event: events.Event | None = None) -> None:
     try:
-        stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
+        scene.stream.flush(timeout_sec=_FLUSH_TIMEOUT_S)
     except RuntimeError as error:
         raise OSError(f"the recording could not be written: {error}; is the disk full?") from error
 
@@ -117,7 +119,7 @@ def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:
     log_input(scene, event)
     log_summary(scene)
     send_blueprint(scene.stream, stage_blueprint(scene.state))
-    _flush(scene.stream)
+    _flush(scene)
 
 
 def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
@@ -133,25 +135,19 @@ def _finish_stage(scene: RerunScene, event: events.StageFinished) -> None:
     log_summary(scene)
     if event.stage in ("preprocess", "coarse", "verify", "fine", "merge"):
         send_blueprint(scene.stream, stage_blueprint(scene.state))
-    _flush(scene.stream)
-
-
-def _register_pair(scene: RerunScene, event: events.PairRegistered) -> None:
-    """Log a pair, and write it to disk: all pairs are searched within one stage."""
-    pairs.log_registration(scene, event)
-    _flush(scene.stream)
+    _flush(scene)
 
 
 def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
     log_outcome(scene)
     pairs.log_contested_places(scene)
     log_data_tables(scene)
-    data.log_timings(scene)
+    tables.log_timings(scene)
     log_summary(scene)
     _send_properties(scene, event.result.status)
     blueprint = final_blueprint if event.result.refusal is None else stage_blueprint
     send_blueprint(scene.stream, blueprint(scene.state))
-    _flush(scene.stream)
+    _flush(scene)
 
 
 def _log_end(scene: RerunScene, error: BaseException | None) -> None:
@@ -178,16 +174,17 @@ _HANDLERS: Mapping[type[events.Event], tuple[Callable[[RerunScene, Any], None], 
     events.CalibrationStarted: (_start,),
     events.CloudPreprocessed: (log_preprocessed,),
     events.FeaturesComputed: (log_features,),
-    events.CorrespondencesMatched: (pairs.log_matches, data.log_matched),
-    events.HypothesesFound: (pairs.log_hypotheses, data.log_hypotheses),
-    events.HypothesesVerified: (pairs.log_verified, data.log_verified),
-    events.PairRegistered: (_register_pair, data.log_registration),
-    events.VerdictChanged: (pairs.log_changed_verdict, data.log_registration),
+    events.CorrespondencesMatched: (pairs.log_matches, tables.log_matched),
+    events.HypothesesFound: (pairs.log_hypotheses, tables.log_hypotheses),
+    events.HypothesesVerified: (pairs.log_verified, tables.log_verified),
+    # All pairs are searched within one stage: each is written to disk.
+    events.PairRegistered: (pairs.log_registration, _flush, tables.log_registration),
+    events.VerdictChanged: (pairs.log_changed_verdict, tables.log_registration),
     events.GroupsRegistered: (pairs.log_group_registration,),
-    events.LoopRegistered: (pairs.log_registration, data.log_registration),
-    events.MergeStepTaken: (log_merge_step, data.log_candidates),
-    events.RigRefined: (data.log_refined,),
-    events.SurfacesMatched: (data.log_surface_matches,),
+    events.LoopRegistered: (pairs.log_registration, tables.log_registration),
+    events.MergeStepTaken: (log_merge_step, tables.log_candidates),
+    events.RigRefined: (tables.log_refined,),
+    events.SurfacesMatched: (tables.log_surface_matches,),
     events.ResidualsMeasured: (log_residuals,),
     events.GroundEstimated: (log_ground,),
     events.StageFinished: (_finish_stage,),

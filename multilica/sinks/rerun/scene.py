@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recording stream with its timelines, and the limits on its size."""
+"""Recording stream with its entities, frames and timelines, and the limits on its size."""
 
 from __future__ import annotations
 
@@ -17,11 +17,28 @@ from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, Registration
 from multilica.sinks.drawing.palette import Rgb, distinct_colours
 from multilica.sinks.drawing.shapes import sample_points
-from multilica.sinks.rerun.entity_paths import LOG
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 from multilica.snapshot import Snapshot
 
+LOG, SUMMARY, CONFIG, RESULT, DROPPED_TABLE = "/log", "/summary", "/config", "/result", "/dropped"
+PAIRS, PAIRS_TABLE, HYPOTHESES_TABLE = "/pairs", "/pair_figures", "/hypotheses"
+FITNESS, COVERAGE, VERDICTS = "/fitness", "/coverage", "/verdicts"
+MERGE_GRAPH, MERGE_STEPS = "/merge/graph", "/merge/steps"
+PAIR_TABLE, MERGE_TABLE, TIMINGS = "/tables/pairs", "/tables/merge", "/timings"
+GROUND, FRAMES = "/ground", "/frames"
+
+DISPLAY_FRAME = "display"
+ROOT_FRAME = "tf#/"
+"""Rerun's own name for the frame of entities that no frame is logged for."""
+
+CURVES = {
+    "fitness": "fitness within GICP's distance",
+    "error": "GICP cost",
+    "translation_step_m": "translation per step, m",
+    "rotation_step_rad": "rotation per step, rad",
+}
+"""Fields of `GicpStep` with the titles of their plots."""
 _ALL = 10**9
 _POINT_BYTES, _LINE_BYTES, _LABEL_BYTES, _MATCH_BYTES = 12, 24, 2, 80
 _CLOUDS_OF_A_PAIR = 4
@@ -33,6 +50,36 @@ STEP_TIMELINE = "step"
 ITERATION_TIMELINE = "iteration"
 CLOCK_TIMELINE = "log_time"
 _POINT_RADIUS_PIXELS = 1.25
+
+
+def lidar_path(lidar: str, *parts: str) -> str:
+    """Return an entity path of one LiDAR."""
+    return rr.new_entity_path(["lidars", lidar, *parts])
+
+
+def pair_path(target: str, source: str, *parts: str) -> str:
+    """Return an entity path of one pair."""
+    return rr.new_entity_path(["pairs", target, source, *parts])
+
+
+def curve_path(quantity: str, target: str = "", source: str = "", start: str = "") -> str:
+    """Return the path of a GICP curve of a pair from a start; without a pair, the parent of all curves."""
+    return rr.new_entity_path(["gicp", quantity, *(part for part in (target, source, start) if part)])
+
+
+def lidar_frame(lidar: str) -> str:
+    """Return the LiDAR's own frame."""
+    return f"lidar/{lidar}"
+
+
+def slot_frame(lidar: str) -> str:
+    """Return the display-only frame of a LiDAR without a pose."""
+    return f"slot/{lidar}"
+
+
+def pair_frame(target: str, source: str, name: str) -> str:
+    """Return a frame of a pair's source, named by its pose, or ``before``, ``competing`` or ``lifted``."""
+    return f"pair/{target}/{source}/{name}"
 
 
 @dataclass(frozen=True, slots=True)

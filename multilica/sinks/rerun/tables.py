@@ -1,19 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of a recording: of all pairs, of the merge, and the summary."""
+"""Figures of a recording, as data for programs and as tables for people."""
 
 import math
+import time
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import rerun as rr
 
-from multilica.geometry import FloatArray
-from multilica.results import MergeDecision, PairKey, PairRegistration, PairResidual
+from multilica import events
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.results import Correspondences, MergeDecision, PairKey, PairRegistration, PairResidual
 from multilica.sinks.drawing.palette import VERDICT_COLOURS, heat_colours
-from multilica.sinks.rerun.entity_paths import (
+from multilica.sinks.drawing.shapes import sample_indices
+from multilica.sinks.rerun.lidars import log_in_slot
+from multilica.sinks.rerun.scene import (
+    CLOCK_TIMELINE,
     COVERAGE,
     FITNESS,
     HYPOTHESES_TABLE,
@@ -22,51 +26,187 @@ from multilica.sinks.rerun.entity_paths import (
     PAIRS_TABLE,
     RESULT,
     SUMMARY,
+    TIMINGS,
     VERDICTS,
+    RerunScene,
+    pair_path,
 )
-from multilica.sinks.rerun.scene import RerunScene
 from multilica.sinks.run_state import RunState
+from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.markdown import hypotheses_markdown, pair_figures_markdown, summary_markdown
 
 _CELL_PIXELS = np.array([60, 20])
 _LABEL_SHARE = 0.05
 Cells = dict[tuple[int, int], PairRegistration]
 """Registered pairs by row of the target and column of the source, in this order."""
-
 _TEXT, _COUNT, _NUMBER, _FLAG = pa.string(), pa.int64(), pa.float64(), pa.bool_()
 _OF_CANDIDATE = ("target", "source", "evidence", "fitness", "rmse_m", "reason", "of_groups")
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
-
-PAIR_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
-    {
-        **dict.fromkeys(("target", "source"), _TEXT),
-        **dict.fromkeys(("matches", "hypotheses"), _COUNT),
-        **dict.fromkeys(("pose_from", "verdict", "reasons"), _TEXT),
-        **dict.fromkeys(
-            ("evidence", "fitness", "rmse_m", "coverage", "violation_share", "sigma_m", "sigma_deg"), _NUMBER
-        ),
-        **dict.fromkeys(("rig_residual_m", "rig_residual_deg", "rig_weight", *_POSE), _NUMBER),
-    }
-)
+PAIR_COLUMNS: Mapping[str, pa.DataType] = {
+    **dict.fromkeys(("target", "source"), _TEXT),
+    **dict.fromkeys(("matches", "hypotheses"), _COUNT),
+    **dict.fromkeys(("pose_from", "verdict", "reasons"), _TEXT),
+    **dict.fromkeys(("evidence", "fitness", "rmse_m", "coverage", "violation_share", "sigma_m", "sigma_deg"), _NUMBER),
+    **dict.fromkeys(("rig_residual_m", "rig_residual_deg", "rig_weight", *_POSE), _NUMBER),
+}
 """Columns of the table of pairs; a figure that is not known is null, a text empty. The pose is `T_target_source`."""
-MERGE_COLUMNS: Mapping[str, pa.DataType] = MappingProxyType(
-    {
-        **dict.fromkeys(("merge_step", "rank"), _COUNT),
-        **dict.fromkeys(("target", "source"), _TEXT),
-        **dict.fromkeys(("evidence", "fitness", "rmse_m"), _NUMBER),
-        **dict.fromkeys(("verdict", "reason"), _TEXT),
-        **dict.fromkeys(("chosen", "of_groups"), _FLAG),
-    }
-)
+MERGE_COLUMNS: Mapping[str, pa.DataType] = {
+    **dict.fromkeys(("merge_step", "rank"), _COUNT),
+    **dict.fromkeys(("target", "source"), _TEXT),
+    **dict.fromkeys(("evidence", "fitness", "rmse_m"), _NUMBER),
+    **dict.fromkeys(("verdict", "reason"), _TEXT),
+    **dict.fromkeys(("chosen", "of_groups"), _FLAG),
+}
 """Columns of the table of merge candidates; steps and ranks count from 1."""
+
+
+def log_timings(scene: RerunScene) -> None:
+    """Log the name of each stage at its start and end, back to back up to now, on the wall clock alone.
+
+    Equal runs differ on that timeline only.
+    """
+    known_s = {stage: seconds for stage, seconds in scene.state.document.timing_s.items() if seconds is not None}
+    if not known_s:
+        return
+    seconds = np.array(list(known_s.values()))
+    ends_s = np.cumsum(seconds)
+    edges_s = np.stack([ends_s - seconds, ends_s], axis=1).ravel() - ends_s[-1]
+    times = (time.time_ns() + (1e9 * edges_s).astype(np.int64)).astype("datetime64[ns]")
+    names = [stage for stage in known_s for _ in ("start", "end")]
+    columns = rr.AnyValues.columns(stage=pa.array(names))
+    scene.stream.send_columns(TIMINGS, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times)], columns)
+    if times[0] < np.datetime64(scene.started_ns, "ns"):  # then views need the frames of the LiDARs there, too
+        for lidar in scene.state.lidars:
+            log_in_slot(scene, lidar, [rr.TimeColumn(CLOCK_TIMELINE, timestamp=times[:1])])
+
+
+def log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None:
+    """Log the number of matches of a pair, and the matches in their own frames; `--record full` keeps all."""
+    matches = event.correspondences
+    _log_scalars(scene, (matches.target, matches.source), "correspond", {"matches": len(matches)})
+    rows = _rows_of(scene, len(matches))
+    values = rr.AnyValues(
+        target_index=pa.array(matches.target_index[rows], pa.int32()),
+        source_index=pa.array(matches.source_index[rows], pa.int32()),
+        target_point_m=_points(matches.target_points_m[rows]),
+        source_point_m=_points(matches.source_points_m[rows]),
+        feature_distance=pa.array(matches.feature_distances[rows], pa.float32()),
+    )
+    scene.log(_data_path(matches), values)
+
+
+def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
+    """Log the figures of a pair's hypotheses, and which of them each match agrees with."""
+    matches, found = event.correspondences, event.coarse.hypotheses
+    figures = {"hypotheses": len(found), "agreeing_matches": found[0].score if found else 0.0}
+    _log_scalars(scene, (event.coarse.target, event.coarse.source), "coarse", figures)
+    told = [one.inliers if len(one.inliers) else np.zeros(len(matches), dtype=np.bool_) for one in found]
+    agree = np.array(told, dtype=np.bool_).reshape(len(told), len(matches)).T[_rows_of(scene, len(matches))]
+    ends = np.concatenate([[0], np.cumsum(np.count_nonzero(agree, axis=1))])
+    lists = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), pa.array(np.nonzero(agree)[1], pa.int32()))
+    scene.log(_data_path(matches), rr.AnyValues(agrees_with=lists))
+
+
+def log_verified(scene: RerunScene, event: events.HypothesesVerified) -> None:
+    """Log the figures of the hypothesis with the most evidence."""
+    if event.registrations:
+        _log_scalars(scene, (event.target, event.source), "verify", event.registrations[0].figures)
+
+
+def log_registration(
+    scene: RerunScene, event: events.PairRegistered | events.VerdictChanged | events.LoopRegistered
+) -> None:
+    """Log the figures of a registered pair, and the residuals of its matches; none of a refused loop."""
+    found = event.registration
+    if isinstance(event, events.LoopRegistered) and not found.verdict.accepted:
+        return
+    pair = scene.state.pair_of(found)
+    _log_scalars(scene, pair, "fine", found.figures)
+    _log_residuals(scene, pair, found.T_target_source)
+
+
+def candidate_pairs(state: RunState) -> tuple[PairKey, ...]:
+    """Return the pairs of two LiDARs that a merge step could have chosen, in name order."""
+    candidates = [one for decision in state.decisions for one in decision.candidates if not one.of_groups]
+    return tuple(sorted({state.key_of(one.target, one.source) for one in candidates}))
+
+
+def log_candidates(scene: RerunScene, event: events.MergeStepTaken) -> None:
+    """Log the figures of the candidates of a merge step."""
+    for pair in candidate_pairs(scene.state):
+        label, colour = pair_label(*pair), scene.pair_colour(*pair)
+        lines = rr.SeriesLines(names=label, colors=colour)
+        points = rr.SeriesPoints(names=label, colors=colour, marker_sizes=5.0)
+        scene.log(pair_path(*pair, "merge", "evidence"), lines, points)
+    for one in event.decision.candidates:
+        figures = {"evidence": one.evidence, "fitness": one.fitness, "rmse_m": one.rmse_m}
+        stage = "merge_groups" if one.of_groups else "merge"
+        _log_scalars(scene, scene.state.key_of(one.target, one.source), stage, figures)
+
+
+def log_refined(scene: RerunScene, event: events.RigRefined) -> None:
+    """Log how far the poses are from each registered pair."""
+    for each in event.refinement.pairs:
+        figures = {"residual_m": each.after_m, "residual_deg": each.after_deg, "weight": each.weight}
+        _log_scalars(scene, scene.state.key_of(each.target, each.source), "refine", figures)
+
+
+def _log_scalars(scene: RerunScene, pair: PairKey, stage: str, figures: Mapping[str, float | None]) -> None:
+    for name, value in figures.items():
+        if value is not None and math.isfinite(value):
+            scene.log(pair_path(*pair, stage, name), rr.Scalars(float(value)))
+
+
+def _rows_of(scene: RerunScene, count: int) -> npt.NDArray[np.intp]:
+    return np.sort(sample_indices(count, scene.limits.match_rows))
+
+
+def _log_residuals(scene: RerunScene, pair: PairKey, pose: RigidTransform) -> None:
+    """Log the distance of the two points of each match at a pose."""
+    matches = scene.state.matches.get(pair)
+    if matches is None:
+        return
+    rows = _rows_of(scene, len(matches))
+    moved_m = pose.with_target(pair[0]).apply(matches.source_points_m[rows])
+    residual_m = np.linalg.norm(moved_m - matches.target_points_m[rows], axis=1)
+    scene.log(_data_path(matches), rr.AnyValues(residual_m=pa.array(residual_m, pa.float32())))
+
+
+def log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> None:
+    """Log the matches of surfaces at the final pose."""
+    found = event.matches
+    pair = scene.state.key_of(found.target, found.source)
+    points = (found.target_points_m, found.source_points_m)
+    of_target, of_source = points if found.target == pair[0] else points[::-1]
+    rows = _rows_of(scene, len(found))
+    values = rr.AnyValues(
+        target_point_m=_points(of_target[rows]),
+        source_point_m=_points(of_source[rows]),
+        distance_m=pa.array(found.distance_m[rows], pa.float32()),
+        plane_distance_m=pa.array(found.plane_distance_m[rows], pa.float32()),
+    )
+    scene.log(pair_path(*pair, "fine", "matches"), values)
+    _log_residuals(scene, pair, found.T_target_source)
+
+
+def _data_path(matches: Correspondences) -> str:
+    return pair_path(matches.target, matches.source, "matches", "data")
+
+
+def _points(points_m: npt.NDArray[np.floating]) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(points_m.astype(np.float32).ravel()), 3)
 
 
 def log_data_tables(scene: RerunScene) -> None:
     """Log one row per pair that was matched or registered, and one per candidate of each merge step."""
-    if scene.state.pairs:
-        _log_rows(scene, PAIR_TABLE, PAIR_COLUMNS, _pair_rows(scene.state))
-    if scene.state.decisions:
-        _log_rows(scene, MERGE_TABLE, MERGE_COLUMNS, _merge_rows(scene.state.decisions))
+    state = scene.state
+    if state.pairs:
+        refined = () if state.document.refinement is None else state.document.refinement.pairs
+        residuals = {state.key_of(each.target, each.source): each for each in refined}
+        rows = [_pair_row(state, pair, residuals.get(pair)) for pair in state.pairs]
+        _log_rows(scene, PAIR_TABLE, PAIR_COLUMNS, rows)
+    if state.decisions:
+        _log_rows(scene, MERGE_TABLE, MERGE_COLUMNS, _merge_rows(state.decisions))
 
 
 def _log_rows(
@@ -83,28 +223,14 @@ def _known(value: object) -> object:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _pair_rows(state: RunState) -> list[dict[str, object]]:
-    refinement = state.document.refinement
-    refined = () if refinement is None else refinement.pairs
-    residuals = {state.key_of(each.target, each.source): each for each in refined}
-    return [_pair_row(state, pair, residuals.get(pair)) for pair in state.pairs]
-
-
 def _pair_row(state: RunState, pair: PairKey, residual: PairResidual | None) -> dict[str, object]:
     found, coarse = state.registrations.get(pair), state.coarse.get(pair)
-    row: dict[str, object] = {
-        "target": pair[0],
-        "source": pair[1],
-        "matches": len(state.matches.get(pair, ())),
-        "hypotheses": 0 if coarse is None else len(coarse.hypotheses),
-        "pose_from": "",
-        "verdict": "no pose",
-        "reasons": "",
-    }
+    hypotheses = 0 if coarse is None else len(coarse.hypotheses)
+    row: dict[str, object] = {"target": pair[0], "source": pair[1], "matches": len(state.matches.get(pair, ()))}
+    row |= {"hypotheses": hypotheses, "pose_from": "", "verdict": "no pose", "reasons": ""}
     if found is not None:
-        pose = found.T_target_source.with_target(pair[0])
-        row |= {"pose_from": found.start_name, "verdict": found.verdict.outcome, **found.figures}
-        row["reasons"] = ",".join(found.verdict.codes)
+        pose, reasons = found.T_target_source.with_target(pair[0]), ",".join(found.verdict.codes)
+        row |= {"pose_from": found.start_name, "verdict": found.verdict.outcome, "reasons": reasons, **found.figures}
         row |= zip(_POSE, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
     if residual is not None:
         row |= {"rig_residual_m": residual.after_m, "rig_residual_deg": residual.after_deg}

@@ -92,7 +92,9 @@ def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:
 @contextmanager
 def _headless_viewer(size_px: tuple[int, int]) -> Iterator[ViewerClient]:
     """Start a viewer on a free port; stop it at the end of the block."""
-    port = _free_port()
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = int(free.getsockname()[1])
     arguments = [*_LOOPBACK, "--headless", "--hide-welcome-screen", "--port", str(port)]
     arguments += ["--window-size", f"{size_px[0]}x{size_px[1]}"]
     # It counts its runs unless CI is set; it starts a process of its own, so both end as a group.
@@ -111,12 +113,6 @@ def _headless_viewer(size_px: tuple[int, int]) -> Iterator[ViewerClient]:
             yield _connect(process, port, output)
         finally:
             os.killpg(process.pid, signal.SIGTERM)
-
-
-def _free_port() -> int:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        return int(free.getsockname()[1])
 
 
 def _polls(pause_s: float) -> Iterator[None]:

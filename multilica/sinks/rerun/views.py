@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Views of a blueprint with their cameras."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import rerun as rr
@@ -12,11 +12,13 @@ from multilica.geometry import FloatArray
 from multilica.results import PairKey
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.drawing.shapes import kept_count, sample_points, shown_radius_m, slot_offsets_m
-from multilica.sinks.rerun.entity_paths import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
 from multilica.sinks.rerun.pairs import lift_m
+from multilica.sinks.rerun.scene import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
+Overrides = dict[EntityPathLike, rr.Points3D | rr.LineStrips3D]
+"""Components by entity, in place of the logged ones."""
 _SAMPLE = 20_000
 _FAR_SHARE = 75.0
 _RADIUS_LIMITS_M = (6.0, 40.0)
@@ -28,24 +30,18 @@ _SCORED_LEGEND = ": green agrees, red lies in proven-empty space, grey is occlud
 
 def around_lidar(state: RunState, lidar: str, *, zoom: float = 1.0, raised_m: float = 0.0) -> rrb.EyeControls3D:
     """Look at one LiDAR's cloud in its own frame, or at a point above it; a smaller zoom shows more around it."""
-    centre_m, radius_m = _extent_of(state, lidar)
+    centre_m, radius_m = _extent(sampled_cloud(state, lidar))
     centre_m = centre_m + np.array([0.0, 0.0, raised_m])
     return three_quarter(centre_m, radius_m / zoom, up_axis(state, lidar))
 
 
 def beside_lidar(state: RunState, lidar: str) -> rrb.EyeControls3D:
     """Look at one LiDAR's cloud from the side, for a view that is wider than high."""
-    centre_m, radius_m = _extent_of(state, lidar)
+    centre_m, radius_m = _extent(sampled_cloud(state, lidar))
     up = up_axis(state, lidar)
     ahead, aside = _horizontal(up, centre_m)
     position = centre_m + radius_m * (-0.5 * ahead - 1.3 * aside + 1.1 * up)
     return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
-
-
-def _extent_of(state: RunState, lidar: str) -> tuple[FloatArray, float]:
-    if lidar in state.clouds and lidar not in state.extents:
-        state.extents[lidar] = _extent(sampled_cloud(state, lidar))
-    return state.extents.get(lidar) or _extent(np.empty((0, 3)))
 
 
 def around_rig(state: RunState) -> rrb.EyeControls3D:
@@ -120,7 +116,7 @@ def scene_view(
     eye: rrb.EyeControls3D,
     *,
     grid: bool = False,
-    overrides: Mapping[EntityPathLike, rr.Points3D | rr.LineStrips3D] | None = None,
+    overrides: Overrides | None = None,
 ) -> rrb.Spatial3DView:
     """Show entities in a frame."""
     return rrb.Spatial3DView(
@@ -165,11 +161,10 @@ def scored_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Sp
     clouds = {lidar_path(pair[0], "preprocessed"): pair[0], pair_path(*pair, "source"): pair[1]}
     contents = [*clouds, f"{pair_path(*pair, 'scored')}/**", pair_path(*pair, "verdict"), pair_path(*pair, "slide")]
     colours, found = distinct_colours(state.lidars), state.registrations.get(pair)
-    dimmed = {path: [int(_DIM * channel) for channel in colours[lidar]] for path, lidar in clouds.items()}
-    overrides: dict[EntityPathLike, rr.Points3D | rr.LineStrips3D] = {
-        path: rr.Points3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.0))
-        for path, colour in dimmed.items()
-    }
+    overrides: Overrides = {}
+    for path, lidar in clouds.items():
+        dimmed = [int(_DIM * channel) for channel in colours[lidar]]
+        overrides[path] = rr.Points3D.from_fields(colors=[dimmed], radii=rr.Radius.ui_points(1.0))
     is_scored = state.verified.get(pair) or (found is not None and found.registrations)
     name = f"{pair_label(*pair)}{_SCORED_LEGEND if is_scored else ''}"
     return pair_view(state, pair, name, contents, wide=wide, overrides=overrides)
@@ -184,7 +179,7 @@ def pair_view(
     zoom: float = 1.0,
     raised_m: float = 0.0,
     wide: bool = False,
-    overrides: Mapping[EntityPathLike, rr.Points3D | rr.LineStrips3D] | None = None,
+    overrides: Overrides | None = None,
 ) -> rrb.Spatial3DView:
     """Show entities of a pair in the target's frame; from the side in a `wide` view."""
     eye = beside_lidar(state, pair[0]) if wide else around_lidar(state, pair[0], zoom=zoom, raised_m=raised_m)

@@ -2,21 +2,10 @@
 """Log lines of events."""
 
 import statistics
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from multilica import events
+from multilica import events, results
 from multilica.errors import MultilicaError
-from multilica.results import (
-    PRIOR,
-    CalibrationResult,
-    CoarseResult,
-    MergeDecision,
-    PairRegistration,
-    PreprocessedCloud,
-    Refinement,
-    SurfaceResiduals,
-)
 from multilica.results.prior_comparison import surprises
 
 LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
@@ -24,8 +13,7 @@ LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
 _OUTLIER_WEIGHT = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class LogLine:
+class LogLine(NamedTuple):
     """A sentence of the log, without times, so that equal runs have equal logs."""
 
     level: LogLevel
@@ -70,8 +58,7 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
         case events.HypothesesVerified():
             return _verified(event)
         case events.SearchWidened():
-            labels = ", ".join(pair_label(*pair) for pair in event.pairs)
-            size = f"{event.voxel_size_m:g} m"
+            labels, size = ", ".join(pair_label(*pair) for pair in event.pairs), f"{event.voxel_size_m:g} m"
             return _line(f"no accepted pair connects these yet: searching again with voxels of {size}: {labels}")
         case events.PairRegistered(found):
             return _registered(found, found.start_name)
@@ -92,10 +79,10 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
             return _line(f"{pair}: {len(matches):,} points on surfaces of both at the final pose", "DEBUG")
         case events.ResidualsMeasured(residuals):
             return _residuals(residuals)
-        case events.GroundEstimated():
-            if event.ground is None:
-                return _line(f"no ground plane: {event.reason}", "WARN")
-            return _line(f"the target is {event.ground.offset_m:.3f} m above ground: {event.reason}")
+        case events.GroundEstimated(None, reason):
+            return _line(f"no ground plane: {reason}", "WARN")
+        case events.GroundEstimated(results.GroundPlane(offset_m=offset_m), reason):
+            return _line(f"the target is {offset_m:.3f} m above ground: {reason}")
         case events.CalibrationFinished(result):
             return _finished(result)
         case _:
@@ -117,7 +104,7 @@ def _started(event: events.CalibrationStarted) -> tuple[LogLine, ...]:
     return lines + tuple(LogLine("WARN", note) for note in snapshot.notes)
 
 
-def _preprocessed(cloud: PreprocessedCloud) -> tuple[LogLine, ...]:
+def _preprocessed(cloud: results.PreprocessedCloud) -> tuple[LogLine, ...]:
     dropped = ", ".join(f"{len(points):,} {reason}" for reason, points in sorted(cloud.dropped_m.items()))
     text = f"{cloud.lidar}: {len(cloud.points_m):,} points after cleaning and thinning; dropped: {dropped or 'none'}"
     doubts = cloud.health.reasons if cloud.health is not None else ()
@@ -127,9 +114,9 @@ def _preprocessed(cloud: PreprocessedCloud) -> tuple[LogLine, ...]:
     )
 
 
-def _hypotheses(coarse: CoarseResult, total: int) -> tuple[LogLine, ...]:
+def _hypotheses(coarse: results.CoarseResult, total: int) -> tuple[LogLine, ...]:
     label = pair_label(coarse.target, coarse.source)
-    prior = [one for one in coarse.hypotheses if one.origin == PRIOR]
+    prior = [one for one in coarse.hypotheses if one.origin == results.PRIOR]
     with_prior = "".join(f"; {one.score:g} agree with the prior" for one in prior)
     found = len(coarse.hypotheses) - len(prior)
     if not found:
@@ -151,25 +138,25 @@ def _verified(event: events.HypothesesVerified) -> tuple[LogLine, ...]:
     )
 
 
-def _registered(found: PairRegistration, start: str) -> tuple[LogLine, ...]:
+def _registered(found: results.PairRegistration, start: str) -> tuple[LogLine, ...]:
     fit = f"fitness {found.fitness:.3f}, RMSE {found.rmse_m:.3f} m" if found.inliers else "no points in common"
     known = "" if found.iterations is None else f" after {found.iterations} iterations"
     text = f"{pair_label(found.target, found.source)} from {start}: {fit}{known}"
     return _line(f"{text}; {_verdict(found)}", "INFO" if found.verdict.accepted else "WARN")
 
 
-def _verdict(found: PairRegistration) -> str:
+def _verdict(found: results.PairRegistration) -> str:
     verdict = found.verdict
     return f"{verdict.outcome}: {verdict.text}" if verdict.reasons else verdict.outcome
 
 
-def _merge_step(decision: MergeDecision) -> tuple[LogLine, ...]:
+def _merge_step(decision: results.MergeDecision) -> tuple[LogLine, ...]:
     groups = "; ".join(" + ".join(group) for group in decision.groups)
     level: LogLevel = "WARN" if decision.chosen is None and len(decision.groups) > 1 else "INFO"
     return _line(f"merge step {decision.step + 1}: {decision.reason}; groups: {groups}", level)
 
 
-def _refined(refinement: Refinement) -> tuple[LogLine, ...]:
+def _refined(refinement: results.Refinement) -> tuple[LogLine, ...]:
     if not refinement.pairs:
         return _line("nothing to refine: no accepted pair with a known uncertainty connects to the target")
     before, after = refinement.cycle_error_before, refinement.cycle_error_after
@@ -186,17 +173,15 @@ def _refined(refinement: Refinement) -> tuple[LogLine, ...]:
     )
 
 
-def _residuals(residuals: SurfaceResiduals) -> tuple[LogLine, ...]:
-    count = len(residuals.residual_m)
+def _residuals(residuals: results.SurfaceResiduals) -> tuple[LogLine, ...]:
+    count, name = len(residuals.residual_m), residuals.lidar
     if count == 0:
-        return _line(
-            f"{residuals.lidar}: no points on surfaces of the LiDARs that its accepted pairs link to it", "WARN"
-        )
+        return _line(f"{name}: no points on surfaces of the LiDARs that its accepted pairs link to it", "WARN")
     median_mm = 1e3 * statistics.median(residuals.residual_m.tolist())
-    return _line(f"{residuals.lidar}: {count:,} points on surfaces of other LiDARs, {median_mm:.0f} mm off (median)")
+    return _line(f"{name}: {count:,} points on surfaces of other LiDARs, {median_mm:.0f} mm off (median)")
 
 
-def _finished(result: CalibrationResult) -> tuple[LogLine, ...]:
+def _finished(result: results.CalibrationResult) -> tuple[LogLine, ...]:
     if result.refusal is not None:
         return _line(f"refused: {result.refusal.text}", "ERROR")
     missing = [place for place in result.placements if place.status == "not_placed"]
@@ -204,12 +189,10 @@ def _finished(result: CalibrationResult) -> tuple[LogLine, ...]:
     count = len(result.placements)
     placed = f"{count - len(missing) - len(uncertain)} of {count} LiDARs placed"
     placed += f", {len(uncertain)} uncertain" if uncertain else ""
+    doubtful = [report for report in result.snapshots if report.outliers or report.disputed or report.refusal]
     return (
         *(
-            LogLine(
-                "WARN" if report.outliers or report.disputed or report.refusal else "INFO",
-                f"snapshot {report.name}: {report.text}",
-            )
+            LogLine("WARN" if report in doubtful else "INFO", f"snapshot {report.name}: {report.text}")
             for report in result.snapshots
         ),
         *(LogLine("ERROR", f"{place.lidar} is not placed: {place.reason}") for place in missing),

@@ -4,34 +4,15 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from multilica import results
 from multilica.diagnosis import Explanation, Missing, explain
-from multilica.results import (
-    PRIOR,
-    Hypothesis,
-    MergeCandidate,
-    MergeDecision,
-    PairKey,
-    PairRegistration,
-    Registration,
-)
 from multilica.results.document import LidarEntry, ResultDocument
 from multilica.sinks.drawing.shapes import SIGMAS, ellipsoid_scale
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
-Shown = Registration | Hypothesis
+Shown = results.Registration | results.Hypothesis
 _SHOWN_HYPOTHESES = 3
-_FIGURES_HEADER = (
-    "pair",
-    "matches",
-    "graph nodes",
-    "graph edges",
-    "fitness",
-    "coverage",
-    "violate",
-    "verdict",
-    "reasons",
-)
 _RMSE_NOTE = (
     "RMSE: distance of neighbouring points of the two clouds, so it contains their spacing and roughness. The error of "
     "a pose is far smaller, and sigma estimates it."
@@ -68,22 +49,25 @@ def escaped(text: str) -> str:
 
 def pair_figures_markdown(state: RunState) -> str:
     """Tabulate the figures of every pair."""
-    table = markdown_table(_FIGURES_HEADER, [_figures_row(state, pair) for pair in state.pairs])
+    header = ("pair", "matches", "graph nodes", "graph edges", "fitness", "coverage", "violate", "verdict", "reasons")
+    table = markdown_table(header, [_figures_row(state, pair) for pair in state.pairs])
     return f"{table}\n\n{_FIGURES_NOTE}"
 
 
-def _figures_row(state: RunState, pair: PairKey) -> Sequence[str]:
+def _figures_row(state: RunState, pair: results.PairKey) -> Sequence[str]:
     coarse, found = state.coarse.get(pair), state.registrations.get(pair)
     nodes, edges = (coarse.graph_nodes, coarse.graph_edges) if coarse is not None else (0, 0)
     counts = (pair_label(*pair), f"{len(state.matches.get(pair, ())):,}", f"{nodes:,}", f"{edges:,}")
     if found is None:
         return (*counts, "-", "-", "-", "no pose", "-")
-    reasons = ", ".join(reason.code.replace("_", " ") for reason in found.verdict.reasons) or "-"
+    reasons = ", ".join(found.verdict.codes).replace("_", " ") or "-"
     violate = f"{found.registrations[0].visibility.violation_share:.1%}" if found.registrations else "-"
     return (*counts, f"{found.fitness:.3f}", f"{found.coverage:.3f}", violate, found.verdict.outcome, reasons)
 
 
-def pair_scores_markdown(state: RunState, pair: PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]) -> str:
+def pair_scores_markdown(
+    state: RunState, pair: results.PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]
+) -> str:
     """Describe the verdict and the search; add a row per pose, the one with the most evidence first.
 
     Args:
@@ -104,7 +88,7 @@ def pair_scores_markdown(state: RunState, pair: PairKey, shown: Shown | None, sh
 
 
 def _score_rows(
-    state: RunState, pair: PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]
+    state: RunState, pair: results.PairKey, shown: Shown | None, shown_at: Mapping[Shown, int]
 ) -> list[tuple[str, ...]]:
     """Return the poses after full GICP, those after a short one, each by evidence, then the others."""
     hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
@@ -125,13 +109,13 @@ def _score_rows(
     return lines
 
 
-def _matches(one: Registration, hypotheses: Sequence[Hypothesis]) -> str:
+def _matches(one: results.Registration, hypotheses: Sequence[results.Hypothesis]) -> str:
     """Return how many matches agree with the hypothesis; "-" for a pose that does not come from matches."""
     index = one.hypothesis
     return f"{hypotheses[index].score:g}" if 0 <= index < len(hypotheses) and not one.derivation else "-"
 
 
-def _scores(one: Registration) -> Sequence[str]:
+def _scores(one: results.Registration) -> Sequence[str]:
     beams = one.visibility
     counts = (f"{beams.agree:,}", f"{beams.violate:,}", f"{beams.occluded:,}", f"{one.evidence:z.1f}")
     return (*counts, thousandths(one.fitness), thousandths(one.rmse_m))
@@ -148,39 +132,37 @@ def hypotheses_markdown(state: RunState) -> str:
     return f"# Hypotheses\n\n{legend} {_RMSE_NOTE}\n\n{markdown_table(header, rows)}"
 
 
-def _hypothesis_rows(state: RunState, pair: PairKey) -> Iterable[Sequence[str]]:
+def _hypothesis_rows(state: RunState, pair: results.PairKey) -> Iterable[Sequence[str]]:
     label = pair_label(*pair)
     hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
     found, verified = state.registrations.get(pair), state.verified.get(pair, ())
     scored = verified or (() if found is None else found.registrations)
-    prior = [one for one in scored if one.origin == PRIOR]
+    prior = [one for one in scored if one.origin == results.PRIOR]
     for one in dict.fromkeys([*scored[:_SHOWN_HYPOTHESES], *prior]):
-        beams = (f"{one.visibility.agree:,}", f"{one.visibility.violate:,}", f"{one.evidence:z.1f}")
-        registered = found is not None and found.start_name == one.name
-        yield (label, one.name, _matches(one, hypotheses), *beams, *(_fit(found) if registered else ("-",) * 3))
+        fit = _fit(found if found is not None and found.start_name == one.name else None)
+        agree, violate, _, evidence, *_ = _scores(one)
+        yield (label, one.name, _matches(one, hypotheses), agree, violate, evidence, *fit)
     if scored:
         return
     for guess in hypotheses[:_SHOWN_HYPOTHESES]:
-        registered = found is not None and found.hypothesis == guess.index
-        yield (label, guess.name, f"{guess.score:g}", *("-",) * 3, *(_fit(found) if registered else ("-",) * 3))
+        fit = _fit(found if found is not None and found.hypothesis == guess.index else None)
+        yield (label, guess.name, f"{guess.score:g}", *("-",) * 3, *fit)
     if not hypotheses:
         yield (label, "none", f"0 of {len(state.matches.get(pair, ()))}", *("-",) * 6)
 
 
-def _fit(found: PairRegistration | None) -> Sequence[str]:
-    return () if found is None else (thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
+def _fit(found: results.PairRegistration | None) -> Sequence[str]:
+    if found is None:
+        return ("-",) * 3
+    return (thousandths(found.fitness), thousandths(found.rmse_m), found.verdict.outcome)
 
 
-def decisions_markdown(decisions: Sequence[MergeDecision], *, by_evidence: bool) -> str:
-    """Tabulate the merge steps, the latest first.
-
-    Args:
-        by_evidence: whether evidence ranks the candidates; without verification, fitness does.
-    """
+def decisions_markdown(decisions: Sequence[results.MergeDecision], *, by_evidence: bool) -> str:
+    """Tabulate the merge steps, the latest first; evidence ranks the candidates or, without verification, fitness."""
     return "\n\n".join([*(_decision_part(decision, by_evidence) for decision in reversed(decisions)), _RMSE_NOTE])
 
 
-def _decision_part(decision: MergeDecision, by_evidence: bool) -> str:
+def _decision_part(decision: results.MergeDecision, by_evidence: bool) -> str:
     header = ("pair", "rank", "evidence", "fitness", "RMSE m", "verdict")
     rows = [
         (
@@ -201,24 +183,20 @@ def _decision_part(decision: MergeDecision, by_evidence: bool) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def candidate_label(one: MergeCandidate) -> str:
+def candidate_label(one: results.MergeCandidate) -> str:
     """Return the name of a pair, or of two groups by their roots."""
     label = pair_label(one.target, one.source)
     return f"{label} (groups)" if one.of_groups else label
 
 
-def _candidate_verdict(one: MergeCandidate, chosen: MergeCandidate | None) -> str:
+def _candidate_verdict(one: results.MergeCandidate, chosen: results.MergeCandidate | None) -> str:
     if one == chosen:
         return "merged, uncertain" if one.uncertain else "merged"
     return "passes" if one.passes else "uncertain" if one.uncertain else "does not pass"
 
 
 def summary_markdown(state: RunState, ended_by: str = "") -> str:
-    """Summarise the outcome, or the progress of a run that has none yet.
-
-    Args:
-        ended_by: why the run ended early.
-    """
+    """Summarise the outcome, or the progress of a run that has none yet, with the reason if it ended early."""
     document = state.document
     parts = [
         *_explanation_parts(explain(document)),
@@ -245,14 +223,11 @@ def _explanation_parts(explanation: Explanation) -> Iterator[str]:
 
 
 def _missing_part(missing: Missing) -> str:
-    lines = [f"- **{missing.headline}**", f"  - At stage {missing.step}."]
-    if missing.decisive is not None:
-        lines.append(f"  - Decisive: {missing.decisive.sentence}")
-    if missing.next_best:
-        lines.append(f"  - Next best: {missing.next_best}")
-    if missing.by_snapshot:
-        lines.append(f"  - By snapshot: {missing.by_snapshot}")
-    return "\n".join([*lines, *_advice_lines(missing.advice)])
+    decisive = missing.decisive.sentence if missing.decisive is not None else ""
+    known = {"Decisive": decisive, "Next best": missing.next_best, "By snapshot": missing.by_snapshot}
+    lines = [f"  - {name}: {text}" for name, text in known.items() if text]
+    head = (f"- **{missing.headline}**", f"  - At stage {missing.step}.")
+    return "\n".join([*head, *lines, *_advice_lines(missing.advice)])
 
 
 def _advice_lines(advice: Sequence[str]) -> Iterator[str]:

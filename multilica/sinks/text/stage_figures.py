@@ -11,20 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from multilica.config import Stage
-from multilica.results import CoarseResult
-from multilica.results.document.stages import (
-    CoarseFigures,
-    CorrespondFigures,
-    FeatureFigures,
-    FineFigures,
-    GroundFigures,
-    IngestFigures,
-    MergeFigures,
-    PoseFigures,
-    PreprocessFigures,
-    StageFigures,
-    VerifyFigures,
-)
+from multilica.results import CoarseResult, MergeDecision, Registration
+from multilica.results.document import stages as figures
 from multilica.results.values import Entry
 from multilica.sinks.text.log_lines import pair_label
 
@@ -34,7 +22,7 @@ if TYPE_CHECKING:
 _DIGEST_CHARACTERS = 16
 
 
-def stage_figures(state: RunState) -> StageFigures:
+def stage_figures(state: RunState) -> figures.StageFigures:
     """Return the figures of each finished stage that has any, per LiDAR, pair or step.
 
     Digests replace arrays that are the same bits in equal runs, with any number of worker processes.
@@ -43,7 +31,7 @@ def stage_figures(state: RunState) -> StageFigures:
     for stage in stages:
         if stage not in state.figures:
             state.figures[stage] = _FIGURES[stage](state)
-    return StageFigures(**{stage: state.figures[stage] for stage in stages})
+    return figures.StageFigures(**{stage: state.figures[stage] for stage in stages})
 
 
 def _digest(*arrays: npt.NDArray[Any]) -> str:
@@ -53,103 +41,62 @@ def _digest(*arrays: npt.NDArray[Any]) -> str:
     return whole.hexdigest()[:_DIGEST_CHARACTERS]
 
 
-def _ingest(state: RunState) -> dict[str, IngestFigures]:
-    lidars = state.snapshot.lidars if state.snapshot is not None else ()
-    return {
-        lidar.name: IngestFigures(
-            frames=len(lidar.scans),
-            points=lidar.points_count,
-            digest=_digest(*(scan.points_m for scan in lidar.scans)),
+def _coarse(coarse: CoarseResult) -> figures.CoarseFigures:
+    best = coarse.hypotheses[:1]
+    known = [part for one in best for part in (one.T_target_source, one)]
+    solver = {"solver": best[0].origin} if best else {}
+    return figures.CoarseFigures.of(*known, coarse, hypotheses=len(coarse.hypotheses), **solver)
+
+
+def _verify(found: tuple[Registration, ...]) -> figures.VerifyFigures:
+    best = [part for one in found[:1] for part in (one.T_target_source, one.visibility, one)]
+    return figures.VerifyFigures.of(*best, distinct=len(found))
+
+
+def _merge(decision: MergeDecision) -> figures.MergeFigures:
+    chosen, groups = decision.chosen, "; ".join(" + ".join(group) for group in decision.groups)
+    if chosen is None:
+        return figures.MergeFigures(chosen=None, fitness=None, groups=groups)
+    return figures.MergeFigures(chosen=pair_label(chosen.target, chosen.source), fitness=chosen.fitness, groups=groups)
+
+
+_FIGURES: Mapping[Stage, Callable[[RunState], Mapping[str, Entry]]] = {
+    "ingest": lambda state: {
+        lidar.name: figures.IngestFigures(
+            frames=len(lidar.scans), points=lidar.points_count, digest=_digest(*(scan.points_m for scan in lidar.scans))
         )
-        for lidar in lidars
-    }
-
-
-def _preprocess(state: RunState) -> dict[str, PreprocessFigures]:
-    return {
-        name: PreprocessFigures(
+        for lidar in (state.snapshot.lidars if state.snapshot is not None else ())
+    },
+    "preprocess": lambda state: {
+        name: figures.PreprocessFigures(
             returns=cloud.returns,
             points=len(cloud.points_m),
             dropped={reason: len(points_m) for reason, points_m in sorted(cloud.dropped_m.items())},
             digest=_digest(cloud.points_m),
         )
         for name, cloud in state.clouds.items()
-    }
-
-
-def _features(state: RunState) -> dict[str, FeatureFigures]:
-    return {
-        name: FeatureFigures(points=len(cloud.points_m), digest=_digest(cloud.points_m, cloud.descriptors))
+    },
+    "features": lambda state: {
+        name: figures.FeatureFigures(points=len(cloud.points_m), digest=_digest(cloud.points_m, cloud.descriptors))
         for name, cloud in state.features.items()
-    }
-
-
-def _correspond(state: RunState) -> dict[str, CorrespondFigures]:
-    return {
-        pair_label(*pair): CorrespondFigures(
+    },
+    "correspond": lambda state: {
+        pair_label(*pair): figures.CorrespondFigures(
             matches=len(matches), digest=_digest(matches.target_points_m, matches.source_points_m)
         )
         for pair, matches in state.matches.items()
-    }
-
-
-def _coarse(state: RunState) -> dict[str, CoarseFigures]:
-    return {pair_label(*pair): _of_hypotheses(coarse) for pair, coarse in state.coarse.items()}
-
-
-def _of_hypotheses(coarse: CoarseResult) -> CoarseFigures:
-    count = len(coarse.hypotheses)
-    if not count:
-        return CoarseFigures.of(coarse, hypotheses=0)
-    best = coarse.hypotheses[0]
-    return CoarseFigures.of(best.T_target_source, best, coarse, hypotheses=count, solver=best.origin)
-
-
-def _verify(state: RunState) -> dict[str, VerifyFigures]:
-    return {
-        pair_label(*pair): VerifyFigures.of(
-            *((found[0].T_target_source, found[0].visibility, found[0]) if found else ()), distinct=len(found)
-        )
-        for pair, found in state.verified.items()
-    }
-
-
-def _fine(state: RunState) -> dict[str, FineFigures]:
-    return {
-        pair_label(*pair): FineFigures.of(found.T_target_source, found, verdict=found.verdict.outcome)
+    },
+    "coarse": lambda state: {pair_label(*pair): _coarse(coarse) for pair, coarse in state.coarse.items()},
+    "verify": lambda state: {pair_label(*pair): _verify(found) for pair, found in state.verified.items()},
+    "fine": lambda state: {
+        pair_label(*pair): figures.FineFigures.of(found.T_target_source, found, verdict=found.verdict.outcome)
         for pair, found in state.registrations.items()
-    }
-
-
-def _merge(state: RunState) -> dict[str, MergeFigures]:
-    return {
-        f"step {decision.step}": MergeFigures(
-            chosen=None if decision.chosen is None else pair_label(decision.chosen.target, decision.chosen.source),
-            fitness=None if decision.chosen is None else decision.chosen.fitness,
-            groups="; ".join(" + ".join(group) for group in decision.groups),
-        )
-        for decision in state.decisions
-    }
-
-
-def _refine(state: RunState) -> dict[str, PoseFigures]:
-    return {pose.source: PoseFigures.of(pose) for pose in state.rig}
-
-
-def _ground(state: RunState) -> dict[str, GroundFigures]:
-    plane = None if state.ground is None else state.ground.ground
-    return {} if plane is None else {"plane": GroundFigures.of(plane)}
-
-
-_FIGURES: Mapping[Stage, Callable[[RunState], Mapping[str, Entry]]] = {
-    "ingest": _ingest,
-    "preprocess": _preprocess,
-    "features": _features,
-    "correspond": _correspond,
-    "coarse": _coarse,
-    "verify": _verify,
-    "fine": _fine,
-    "merge": _merge,
-    "refine": _refine,
-    "ground": _ground,
+    },
+    "merge": lambda state: {f"step {decision.step}": _merge(decision) for decision in state.decisions},
+    "refine": lambda state: {pose.source: figures.PoseFigures.of(pose) for pose in state.rig},
+    "ground": lambda state: (
+        {}
+        if state.ground is None or state.ground.ground is None
+        else {"plane": figures.GroundFigures.of(state.ground.ground)}
+    ),
 }

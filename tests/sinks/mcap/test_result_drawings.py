@@ -16,8 +16,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
-from multilica.sinks.mcap.result_drawings import DRAWING_TOPICS, foxglove_layout
-from multilica.sinks.mcap.result_mcap import ResultMcap
+from multilica.sinks.mcap.result_mcap import DRAWING_TOPICS, ResultMcap, foxglove_layout
 from tests.sinks.made_events import TARGET, TRUTH, made_events
 
 DOCUMENTED_LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "foxglove-layout.json"

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from multilica.geometry import RigidTransform
-from multilica.sinks.report.cloud_picture import (
+from multilica.sinks.report.figures import (
     GROUND_COLOUR,
     Layer,
     View,

@@ -14,7 +14,7 @@ from multilica.geometry import RigidTransform
 from multilica.sinks.drawing.palette import distinct_colours
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.page import opponents, report_html
-from multilica.sinks.report.rig_scene import refused_poses, rig_scene
+from multilica.sinks.report.rig import refused_poses, rig_scene
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
 from tests.sinks.report.conftest import STOPPED, made_contents, with_values
@@ -142,10 +142,10 @@ def test_each_snapshot_of_a_joint_result_has_its_verdict(partial):
 
 
 def test_the_matrix_has_each_pair_once_and_the_right_way_round(partial):
-    header, *matrix = rows(report_html(partial), "pairs")[: 1 + len(partial.names)]
-    assert header == ["", *partial.names]
+    header, *matrix = rows(report_html(partial), "pairs")[: 1 + len(partial.document.lidars)]
+    assert header == ["", *partial.document.lidars]
     filled = {
-        (target, partial.names[column]): cell.split()[1]
+        (target, [*partial.document.lidars][column]): cell.split()[1]
         for target, *cells in matrix
         for column, cell in enumerate(cells)
         if cell
@@ -163,12 +163,12 @@ def test_the_graph_marks_the_pairs_of_the_merge(partial):
     assert outcomes[frozenset(("top", "front left/1"))] == "merged"
     assert outcomes[frozenset(("top", "rear"))] == "reject"
     nodes = re.findall(r'class="node( unplaced)?" cx="([\d.]+)" cy="([\d.]+)"', graph)
-    assert [bool(unplaced) for unplaced, *_ in nodes] == [name == "rear" for name in partial.names]
-    assert len({(x, y) for _, x, y in nodes}) == len(partial.names)
+    assert [bool(unplaced) for unplaced, *_ in nodes] == [name == "rear" for name in partial.document.lidars]
+    assert len({(x, y) for _, x, y in nodes}) == len(partial.document.lidars)
 
 
 def test_the_scene_gives_the_points_back(partial):
-    scene = rig_scene(partial, LEVEL, distinct_colours(partial.names), max_points=3000)
+    scene = rig_scene(partial, LEVEL, distinct_colours(partial.document.lidars), max_points=3000)
     for cloud in scene["clouds"]:
         steps = np.frombuffer(base64.b64decode(cloud["points"]), dtype="<u2").reshape(-1, 3)
         points_m = np.array(cloud["low"]) + np.array(cloud["span"]) * steps / 65_535

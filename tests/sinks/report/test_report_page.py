@@ -102,7 +102,7 @@ def test_everything_that_was_found_is_on_it(partial, text):
 
 
 def test_large_clouds_are_thinned_until_the_page_fits(partial, monkeypatch):
-    large = {name: np.random.default_rng(1).uniform(-20.0, 20.0, (40_000, 3)) for name in partial.names}
+    large = {name: np.random.default_rng(1).uniform(-20.0, 20.0, (40_000, 3)) for name in partial.document.lidars}
     contents = ReportContents(partial.document, large)
     with monkeypatch.context() as thinned:
         thinned.setattr(page, "MAX_POINTS", 0)

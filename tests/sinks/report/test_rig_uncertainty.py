@@ -10,7 +10,7 @@ import pytest
 
 from multilica.geometry import RigidTransform
 from multilica.sinks.report.contents import ReportContents
-from multilica.sinks.report.rig_uncertainty import rig_drawing
+from multilica.sinks.report.rig import rig_drawing
 from tests.sinks.report.conftest import made_contents, with_values
 
 LEVEL = RigidTransform.identity("level", "top")

@@ -158,7 +158,7 @@ def test_a_recording_that_was_cut_off_has_the_tables_so_far(cut_off, name):
 @pytest.fixture(scope="module")
 def of_an_earlier_version(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        for log in ("log_data_tables", "data.log_timings"):
+        for log in ("log_data_tables", "tables.log_timings"):
             patch.setattr(f"multilica.sinks.rerun.recording.{log}", lambda *_: None)
         return record(tmp_path_factory.mktemp("old") / "old.rrd", "partial")
 

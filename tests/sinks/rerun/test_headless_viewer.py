@@ -172,7 +172,7 @@ def cut_off(path: Path) -> Path:
 
 
 def test_entities_without_a_path_are_noticed(viewer, tmp_path, monkeypatch):
-    monkeypatch.setattr("multilica.sinks.rerun.input.ROOT_FRAME", "elsewhere")
+    monkeypatch.setattr("multilica.sinks.rerun.lidars.ROOT_FRAME", "elsewhere")
     wait_until_shown(viewer, record(tmp_path / "run.rrd", "partial"))
     show_every_view(viewer)
     go_to(viewer, "step", times_of(viewer, "step")[STEPS // 3])

@@ -11,9 +11,11 @@ import sys
 
 import numpy as np
 import pytest
+import rerun as rr
 
 from multilica.errors import UnreadableSourceError
-from multilica.sinks.rerun.reading import read_recorded_clouds, read_recorded_document
+from multilica.sinks.rerun.reading import read_recorded_clouds, read_recorded_document, read_recorded_scores
+from multilica.sinks.rerun.scene import pair_path
 from tests.sinks.made_events import LIDARS
 
 LIMIT_BYTES = 8 << 30
@@ -32,6 +34,19 @@ def test_clouds_and_document_are_read_back(recordings):
         **{lidar: figures[lidar].points for lidar in LIDARS},
         "nobody": 0,
     }
+
+
+def test_a_pose_without_scored_points_keeps_its_place(tmp_path):
+    labels = ([1, 2, 3], [], [2, 2, 1])
+    with rr.RecordingStream("multilica") as stream:
+        stream.save(tmp_path / "scored.rrd")
+        for step, classes in enumerate(labels):
+            stream.set_time("step", sequence=step)
+            stream.log(pair_path("top", "rear", "scored", "source"), rr.Points3D.from_fields(class_ids=classes))
+        stream.log(pair_path("top", "rear", "scored", "source"), rr.CoordinateFrame("lidar/rear"))
+        stream.disconnect()
+    scores = read_recorded_scores(tmp_path / "scored.rrd", [("top", "rear")])
+    assert [each.tolist() for each in scores["top", "rear"].labels] == [*reversed(labels)]
 
 
 def test_a_reader_that_crashes_is_told_in_one_sentence(recordings, monkeypatch):

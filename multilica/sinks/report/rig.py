@@ -1,17 +1,33 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Drawing of a rig with the standard deviation of each pose."""
+"""Drawings of the rig: its clouds in 3-D, and the standard deviation of each pose."""
 
+import base64
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.sinks.drawing.shapes import SIGMAS
+from multilica.results import LEVEL_FRAME
+from multilica.sinks.drawing.palette import Rgb
+from multilica.sinks.drawing.shapes import SIGMAS, every_nth, sample_points
 from multilica.sinks.report.contents import ReportContents
-from multilica.sinks.report.figures import QUARTER_TURN
 
+MAX_POINTS = 300_000
+"""More make the view slow on machines without a graphics card."""
+
+BYTES_PER_POINT = 8
+"""Three coordinates of two bytes each, as base64."""
+
+FIRST_VIEW_RAD = (-1.9, 0.7)
+"""Direction from which the view shows the clouds first: angle about z, and above the horizon."""
+
+QUARTER_TURN = RigidTransform.from_xyz_rpy("view", LEVEL_FRAME, (0.0, 0.0, 0.0), (0.0, 0.0, np.pi / 2.0))
+"""From x to the right, y up to x up, y to the left."""
+_STEPS = 65_535
+_REACH_M = 40.0
+_ENOUGH_POINTS = 10_000
 _WIDTH_PX, _LEAST_HEIGHT_PX = 560.0, 240.0
 _SIDE_PX = 190.0
 """Width of each column of labels."""
@@ -31,8 +47,81 @@ _ALONG = ("From above: x to the right, y up.", "From the right: x to the right, 
 _ACROSS = ("From above: x up, y to the left.", "From behind: y to the left, z up.")
 
 
-@dataclass(frozen=True, slots=True)
-class SigmaMark:
+def rig_scene(
+    contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], max_points: int
+) -> dict[str, Any]:
+    """Return the data of the view's script, JSON-ready.
+
+    Args:
+        level: the target LiDAR's pose in the frame of the view, z up.
+        max_points: over all clouds; each is thinned at random to its share.
+
+    Returns:
+        Per LiDAR its points, quantised to 16 bits within its cloud's extent, and its placed or refused pose; matrices
+        are in column-major order.
+    """
+    clouds = {name: cloud for name, cloud in contents.clouds.items() if len(cloud)}
+    share = max_points // max(1, len(clouds))
+    placed = contents.document.poses
+    posed = refused_poses(contents) | placed
+    recorded = {name: RigidTransform.identity(contents.target, name) for name in contents.document.lidars}
+    seen_first = {name: pose for name, pose in (placed or recorded).items() if name in clouds}
+    return {
+        "level": _columns(level.matrix),
+        "direction": FIRST_VIEW_RAD,
+        **_camera([(level @ pose).apply(every_nth(clouds[name], _ENOUGH_POINTS)) for name, pose in seen_first.items()]),
+        "clouds": [
+            {
+                "name": name,
+                "colour": [round(channel / 255.0, 4) for channel in colours[name]],
+                "placed": name in placed,
+                "pose": _columns((level @ posed[name]).matrix) if name in posed else None,
+                **_quantised(sample_points(cloud, share).astype(np.float64)),
+            }
+            for name, cloud in clouds.items()
+        ],
+    }
+
+
+def refused_poses(contents: ReportContents) -> dict[str, RigidTransform]:
+    """Return the best refused pose of each unplaced LiDAR relative to those with a pose."""
+    placed = contents.document.poses
+    poses: dict[str, RigidTransform] = {}
+    for pair in sorted(contents.document.pairs, key=lambda pair: pair.evidence, reverse=True):
+        for pose in (pair.pose, pair.pose.inverse()):
+            if pose.target in placed and pose.source not in placed:
+                poses.setdefault(pose.source, placed[pose.target] @ pose)
+    return poses
+
+
+def _columns(matrix: FloatArray) -> list[float]:
+    return [round(float(value), 7) for value in matrix.T.reshape(-1)]
+
+
+def _camera(clouds: Sequence[FloatArray]) -> dict[str, Any]:
+    """Return a camera that shows most of the placed clouds."""
+    points_m = np.concatenate([np.zeros((1, 3)), *clouds])
+    low, middle, high = np.quantile(points_m, (0.1, 0.5, 0.9), axis=0)
+    centre = (*np.clip(middle[:2], -_REACH_M, _REACH_M), 0.0)
+    size_m = float(np.clip(np.linalg.norm((high - low)[:2]), 8.0, 2.0 * _REACH_M))
+    return {"centre": [round(float(value), 2) for value in centre], "distance": round(1.1 * size_m, 2)}
+
+
+def _quantised(points_m: FloatArray) -> dict[str, Any]:
+    if len(points_m) == 0:
+        return {"count": 0, "low": [0.0] * 3, "span": [1.0] * 3, "points": ""}
+    low = points_m.min(axis=0)
+    span = np.maximum(points_m.max(axis=0) - low, 1e-3)
+    steps = np.rint((points_m - low) / span * _STEPS).astype("<u2")
+    return {
+        "count": len(points_m),
+        "low": [round(float(value), 4) for value in low],
+        "span": [round(float(value), 4) for value in span],
+        "points": base64.b64encode(steps.tobytes()).decode("ascii"),
+    }
+
+
+class SigmaMark(NamedTuple):
     """A LiDAR in a view, in pixels to the right and down.
 
     Args:
@@ -53,8 +142,7 @@ class SigmaMark:
     anchor: str
 
 
-@dataclass(frozen=True, slots=True)
-class SigmaView:
+class SigmaView(NamedTuple):
     """The rig along one axis."""
 
     name: str
@@ -63,14 +151,8 @@ class SigmaView:
     marks: tuple[SigmaMark, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class RigDrawing:
-    """The views of a rig.
-
-    Args:
-        sigmas: how many standard deviations ellipses and fans show.
-        enlarged, turned: how many times ellipses and fans are enlarged.
-    """
+class RigDrawing(NamedTuple):
+    """The views of a rig; ellipses and fans show `sigmas` standard deviations, `enlarged` and `turned` times."""
 
     views: tuple[SigmaView, ...]
     sigmas: float
@@ -78,23 +160,21 @@ class RigDrawing:
     turned: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Pose:
-    """A LiDAR in the level frame; the covariances (3, 3) are along its axes."""
+class _Pose(NamedTuple):
+    """A LiDAR's pose in the level frame; the covariances (3, 3) are along its axes."""
 
-    name: str
     pose: RigidTransform
-    position: FloatArray | None
-    rotation: FloatArray | None
+    position: FloatArray | None = None
+    rotation: FloatArray | None = None
 
 
 def rig_drawing(contents: ReportContents, level: RigidTransform) -> RigDrawing | None:
     """Lay out the rig from above and from the side; None if no LiDAR has a covariance."""
-    if all(contents.document.lidars[name].covariance is None for name in contents.poses):
+    if all(contents.document.lidars[name].covariance is None for name in contents.document.poses):
         return None
-    placed_m = np.array([(level @ pose).xyz_m for pose in contents.poses.values()])
+    placed_m = np.array([(level @ pose).xyz_m for pose in contents.document.poses.values()])
     is_wide = bool(np.ptp(placed_m[:, 1]) > np.ptp(placed_m[:, 0]))
-    poses = [_levelled(contents, name, QUARTER_TURN @ level if is_wide else level) for name in contents.poses]
+    poses = [_levelled(contents, name, QUARTER_TURN @ level if is_wide else level) for name in contents.document.poses]
     xyz_m = np.array([each.pose.xyz_m for each in poses])
     spans_m = np.maximum(np.ptp(xyz_m, axis=0), _LEAST_SPAN_M)
     scale = (_WIDTH_PX - 2.0 * _SIDE_PX) / float(spans_m[0])
@@ -109,12 +189,12 @@ def rig_drawing(contents: ReportContents, level: RigidTransform) -> RigDrawing |
 
 
 def _levelled(contents: ReportContents, name: str, level: RigidTransform) -> _Pose:
-    pose = level @ contents.poses[name]
+    pose = level @ contents.document.poses[name]
     covariance = contents.document.lidars[name].covariance
     if covariance is None or name == contents.target:
-        return _Pose(name, pose, None, None)
+        return _Pose(pose)
     turn, matrix = level.rotation, np.asarray(covariance)
-    return _Pose(name, pose, turn @ matrix[3:, 3:] @ turn.T, turn @ matrix[:3, :3] @ turn.T)
+    return _Pose(pose, turn @ matrix[3:, 3:] @ turn.T, turn @ matrix[:3, :3] @ turn.T)
 
 
 def _largest(covariances: Sequence[FloatArray | None]) -> float:
@@ -200,9 +280,9 @@ def _mark(
         fan = _sector(at, direction, half_rad)
     x, y, anchor = label
     return SigmaMark(
-        each.name,
+        each.pose.source,
         _rounded(at),
-        _rounded(at + _FAN_PX * np.array([math.cos(direction), math.sin(direction)])),
+        _rounded(at + _on_fan(direction)),
         ellipse,
         fan,
         (round(x, 1), round(y, 1)),
@@ -221,12 +301,13 @@ def _forward(pose: RigidTransform, axes: tuple[int, int]) -> float:
 
 def _sector(at: FloatArray, direction: float, half_rad: float) -> str:
     """Return the SVG path of a sector around a direction."""
-    ends = [
-        at + _FAN_PX * np.array([math.cos(angle), math.sin(angle)])
-        for angle in (direction - half_rad, direction + half_rad)
-    ]
-    (x, y), (ax, ay), (bx, by) = (_rounded(point) for point in (at, *ends))
+    ends = (_rounded(at + _on_fan(angle)) for angle in (direction - half_rad, direction + half_rad))
+    (x, y), (ax, ay), (bx, by) = _rounded(at), *ends
     return f"M{x} {y}L{ax} {ay}A{_FAN_PX:g} {_FAN_PX:g} 0 0 1 {bx} {by}Z"
+
+
+def _on_fan(angle: float) -> FloatArray:
+    return _FAN_PX * np.array([math.cos(angle), math.sin(angle)])
 
 
 def _rounded(point: FloatArray) -> tuple[float, float]:
