@@ -23,7 +23,6 @@ from multilica.runs import SavedRun, Tolerances, Truth, read_run
 from multilica.runs.paper_table import PaperTable, paper_table
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
-from multilica.snapshot import Snapshot
 
 
 class PresetFigures(Entry):
@@ -98,13 +97,14 @@ def run_presets(
     names, without_truth, refused = [], [], []
     for scene in scenes:
         names.append(scene.name)
-        folder = out / scene.name
+        folder, frames = out / scene.name, max(len(lidar.scans) for lidar in scene.snapshot.lidars)
         write_scene(scene, folder)
         if scene.truth is None:
             without_truth.append(scene.name)
         for name, each in found.items():
             observe(events.SnapshotStarted(f"{scene.name}, preset {name}"))
-            chosen = _config_of(each.config, scene.snapshot, target or scene.target)
+            ingest = each.config.ingest.model_copy(update={"frames": frames})
+            chosen = each.config.model_copy(update={"target": target or scene.target, "ingest": ingest})
             try:
                 result = run_calibration(folder / "input.mcap", folder / name, chosen, observe=observe).result
             except InputError as error:
@@ -130,9 +130,3 @@ def write_scene(scene: DatasetScene, folder: Path) -> None:
     write_snapshot_mcap(scene.snapshot, folder / "input.mcap")
     if scene.truth is not None:
         write_text_atomically(folder / "truth.toml", tomli_w.dumps(extrinsics_table(scene.truth)))
-
-
-def _config_of(config: CalibrationConfig, snapshot: Snapshot, target: str) -> CalibrationConfig:
-    frames = max(len(lidar.scans) for lidar in snapshot.lidars)
-    ingest = config.ingest.model_copy(update={"frames": frames})
-    return config.model_copy(update={"target": target, "ingest": ingest})

@@ -33,11 +33,15 @@ def autoware_yaml(extrinsics: Extrinsics) -> str:
 
 def read_autoware(path: Path) -> list[RigidTransform]:
     """Read the pose of each child in its parent."""
-    return [
-        _pose(parent, child, values)
-        for parent, children in read_yaml(path).items()
-        for child, values in mapping_of(children, f"'{parent}'").items()
-    ]
+    poses = []
+    for parent, children in read_yaml(path).items():
+        for child, values in mapping_of(children, f"'{parent}'").items():
+            given = mapping_of(values, f"'{child}'")
+            if set(given) != set(_KEYS):
+                raise ValueError(f"'{child}' has {', '.join(given) or 'nothing'}; expected {', '.join(_KEYS)}")
+            found = numbers([given[key] for key in _KEYS], f"'{child}'")
+            poses.append(pose_of_rpy(parent, child, found[:3], found[3:]))
+    return poses
 
 
 def updated_autoware(path: Path, extrinsics: Extrinsics) -> bytes:
@@ -76,11 +80,3 @@ def _represent_number(representer: Any, value: float) -> Any:  # noqa: ANN401 - 
 
 def _values(pose: RigidTransform) -> dict[str, float]:
     return dict(zip(_KEYS, (*pose.xyz_m.tolist(), *pose.rpy_rad.tolist()), strict=True))
-
-
-def _pose(parent: str, child: str, values: object) -> RigidTransform:
-    given = mapping_of(values, f"'{child}'")
-    if set(given) != set(_KEYS):
-        raise ValueError(f"'{child}' has {', '.join(given) or 'nothing'}; expected {', '.join(_KEYS)}")
-    found = numbers([given[key] for key in _KEYS], f"'{child}'")
-    return pose_of_rpy(parent, child, found[:3], found[3:])

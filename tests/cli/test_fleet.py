@@ -140,7 +140,7 @@ def test_old_recordings_are_removed_by_their_rule(store, invoke: Invoke):
     assert recordings
     assert invoke("fleet", "prune", "--store", store).out == "0 files removed, 0.0 MB.\n"
     later = datetime.now(UTC) + timedelta(days=31)
-    assert prune_recordings(opened, success_days=30.0, failure_days=60.0, now=later).files <= len(recordings)
+    assert prune_recordings(opened, success_days=30.0, failure_days=60.0, now=later)[0] <= len(recordings)
     with ask(opened, "SELECT count(*) FROM lidars") as answer:
         ((count,),) = answer.rows()
     prune_recordings(opened, success_days=0.0, failure_days=0.0, now=later)

@@ -247,8 +247,8 @@ def prune(
     """Remove old recordings, reports and MCAP files; tables and poses are kept."""
     from multilica.fleet.store.upkeep import prune_recordings
 
-    pruned = prune_recordings(_opened(store), success_days=success_days, failure_days=failure_days)
-    stdout_console(quiet=quiet).print(f"{pruned.files} files removed, {pruned.size_bytes / 1e6:.1f} MB.")
+    files, size_bytes = prune_recordings(_opened(store), success_days=success_days, failure_days=failure_days)
+    stdout_console(quiet=quiet).print(f"{files} files removed, {size_bytes / 1e6:.1f} MB.")
 
 
 @fleet.command()

@@ -6,7 +6,6 @@ from __future__ import annotations
 import hashlib
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from io import BytesIO
 from pathlib import Path, PurePosixPath
@@ -27,20 +26,17 @@ GROUP BY ALL ORDER BY logs.vehicle, logs.time, logs.key
 """
 
 
-@dataclass(frozen=True, slots=True)
-class Pruned:
-    """Number of files that were removed, and their bytes."""
-
-    files: int
-    size_bytes: int
-
-
-def prune_recordings(store: Store, *, success_days: float, failure_days: float, now: datetime | None = None) -> Pruned:
+def prune_recordings(
+    store: Store, *, success_days: float, failure_days: float, now: datetime | None = None
+) -> tuple[int, int]:
     """Remove recordings, reports and MCAP files of runs that finished longer ago; rows and poses are kept.
 
     Args:
         success_days: for runs that placed every LiDAR.
         failure_days: for the others.
+
+    Returns:
+        The number of files that were removed, and their bytes.
     """
     now, files, size_bytes = now or datetime.now(UTC), 0, 0
     sizes = dict(store.files("runs"))
@@ -53,7 +49,7 @@ def prune_recordings(store: Store, *, success_days: float, failure_days: float, 
                     if path in sizes:
                         store.remove(path)
                         files, size_bytes = files + 1, size_bytes + sizes[path]
-    return Pruned(files, size_bytes)
+    return files, size_bytes
 
 
 def lay_out_catalog(store: Store, folder: Path, vehicle: str | None = None) -> dict[str, Path]:

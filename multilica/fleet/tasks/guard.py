@@ -39,13 +39,7 @@ _STOPPED = threading.Event()
 
 
 class LogTaskLimits(BaseModel):
-    """Limits of a task.
-
-    Attributes:
-        time_s: from its start to its end, then it is killed.
-        memory_mb: on top of what the libraries take.
-        retries: after a lost connection or a kill from outside.
-    """
+    """Limits of a task: until it is killed, on top of what the libraries take, and tries after what may pass."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
