@@ -74,7 +74,9 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: C901, 
         case Interrupted():
             return failure.exit_code, _with_notes(failure)
         case typer.TyperException():
-            return ExitCode.USAGE, _usage_sentence(failure)
+            message = str(getattr(failure, "format_message", failure.__str__)()).strip().rstrip(".")
+            # It is empty after typer printed the help itself.
+            return ExitCode.USAGE, message and f"{message}; see `multilica --help` and `multilica COMMAND --help`."
         case BrokenPipeError():
             return ExitCode.BROKEN, ""
         case ImportError() if "failed to map segment" in str(failure) or "llocate memory" in str(failure):
@@ -101,12 +103,6 @@ def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: C901, 
                 f"This is a bug in multilica, not in the input ({type(failure).__name__}: {failure}); "
                 f"please report it with the traceback that {DEBUG_VARIABLE}=1 prints."
             )
-
-
-def _usage_sentence(failure: typer.TyperException) -> str:
-    """Return typer's own message; empty after typer printed the help itself."""
-    message = str(getattr(failure, "format_message", failure.__str__)()).strip().rstrip(".")
-    return f"{message}; see `multilica --help` and `multilica COMMAND --help`." if message else ""
 
 
 def _with_notes(failure: BaseException) -> str:

@@ -219,24 +219,16 @@ def topic_names(texts: Sequence[str]) -> dict[str, str] | None:
     return topics or None
 
 
-def _without_types(params: list[Any]) -> list[Any]:
-    """Leave out the type of flags, which take no value, and of arguments, whose help describes them."""
-    for param in params:
-        if getattr(param, "is_flag", False):
-            param.metavar = ""
-        elif param.param_type_name == "argument":
-            param.display_type_rich = _no_type
-    return params
-
-
-def _no_type(ctx: object) -> None:
-    del ctx
-
-
 class _PlainHelp:
     def get_params(self, ctx: Any) -> list[Any]:  # noqa: ANN401 - a private type of typer
-        """Return the parameters for parsing and for help."""
-        return _without_types(super().get_params(ctx))  # type: ignore[misc]
+        """Return the parameters, without types of flags, which take no value, and of arguments, which are described."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for param in params:
+            if getattr(param, "is_flag", False):
+                param.metavar = ""
+            elif param.param_type_name == "argument":
+                param.display_type_rich = lambda **_: None
+        return params
 
 
 class _Command(_PlainHelp, TyperCommand):
@@ -282,12 +274,8 @@ def _with_groups(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def _fields_of(group: Any) -> list[Parameter]:  # noqa: ANN401 - a type of dataclass
     hints = get_type_hints(group, include_extras=True)
+    defaults = (Parameter.empty if each.default is MISSING else each.default for each in fields(group))
     return [
-        Parameter(
-            each.name,
-            Parameter.KEYWORD_ONLY,
-            default=Parameter.empty if each.default is MISSING else each.default,
-            annotation=hints[each.name],
-        )
-        for each in fields(group)
+        Parameter(each.name, Parameter.KEYWORD_ONLY, default=default, annotation=hints[each.name])
+        for each, default in zip(fields(group), defaults, strict=True)
     ]

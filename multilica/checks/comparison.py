@@ -161,8 +161,7 @@ def check_document(rigs: Sequence[RigCheck], reference: str) -> CheckDocument:
 
 def joint_verdict(verdicts: Sequence[CheckVerdict]) -> CheckVerdict:
     """Return the verdict over several."""
-    ranked: tuple[CheckVerdict, ...] = ("outside", "undecided")
-    return next((verdict for verdict in ranked if verdict in verdicts), "within")
+    return "outside" if "outside" in verdicts else "undecided" if "undecided" in verdicts else "within"
 
 
 def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances) -> RigCheck:
@@ -175,24 +174,20 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
     Raises:
         UsageError: run and reference have fewer than two LiDARs in common, or a tolerance is for none of them.
     """
-    common = sorted({placement.lidar for placement in found.placements} & reference.members)
-    _require_names(found, reference, common, tolerances)
-    placed = {
-        placement.lidar: placement
-        for placement in found.placements
-        if placement.T_target_source is not None and placement.lidar in common
-    }
+    names = {each.lidar for each in found.placements}
+    common = names & reference.members
+    _require_names(found, reference, sorted(common), tolerances)
+    compared = sorted((each for each in found.placements if each.lidar in common), key=lambda each: each.lidar)
+    placed = {each.lidar: each for each in compared if each.T_target_source is not None}
     root, notes = _root(found.target, placed, reference, tolerances)
     checks = tuple(
-        _check(placement, placed.get(root), found.target, reference, tolerances.of(placement.lidar))
-        for placement in sorted(found.placements, key=lambda each: each.lidar)
-        if placement.lidar in common and placement.lidar != root
+        _check(each, placed.get(root), found.target, reference, tolerances.of(each.lidar))
+        for each in compared
+        if each.lidar != root
     )
-    extra = sorted({placement.lidar for placement in found.placements} - {*common})
-    absent = sorted(reference.members - {*common} - {reference.target})
-    if extra:
+    if extra := sorted(names - common):
         notes.append(f"the reference has no pose of {_and(extra)}")
-    if absent:
+    if absent := sorted(reference.members - common - {reference.target}):
         notes.append(f"{found.name} has no LiDAR {_and(absent)}")
     return RigCheck(name=found.name, root=root, lidars=checks, notes=tuple(notes))
 
