@@ -47,7 +47,12 @@ def plausibility_notes(lidars: Sequence[LidarScans], static_transforms: Sequence
     clouds_m = {name: cloud_m for name, cloud_m in clouds_m.items() if len(cloud_m) >= _MIN_POINTS}
     odd = {name: note for name, cloud_m in clouds_m.items() if (note := _extent_note(cloud_m))}
     fine_m = {name: cloud_m for name, cloud_m in clouds_m.items() if name not in odd}
-    return [*_copies(lidars), *_grouped(odd), *_feet(fine_m), *_mirrored(lidars, fine_m, static_transforms)]
+    # One sentence for all LiDARs that share a kind of note.
+    kinds: dict[str, list[str]] = {}
+    for name, note in odd.items():
+        kinds.setdefault(note.rpartition(":")[2], []).append(name)
+    grouped = (f"The points of {', '.join(names)} {odd[names[0]]}." for names in kinds.values())
+    return [*_copies(lidars), *grouped, *_feet(fine_m), *_mirrored(lidars, fine_m, static_transforms)]
 
 
 def _sample(lidar: LidarScans) -> FloatArray:
@@ -84,14 +89,6 @@ def _extent_note(points_m: FloatArray) -> str:
         return ""
     unit = "millimetres" if median_m / _MM_PER_M < _MAX_MEDIAN_M else "another unit"
     return f"are at a median range of {median_m:.0f} m, farther than LiDARs see: they may be in {unit}; expected metres"
-
-
-def _grouped(notes: Mapping[str, str]) -> list[str]:
-    """Return sentences, one for all LiDARs that share a kind of note."""
-    kinds: dict[str, list[str]] = {}
-    for name, note in notes.items():
-        kinds.setdefault(note.rpartition(":")[2], []).append(name)
-    return [f"The points of {', '.join(names)} {notes[names[0]]}." for names in kinds.values()]
 
 
 def _feet(clouds_m: Mapping[str, FloatArray]) -> Iterator[str]:

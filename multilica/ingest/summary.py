@@ -144,6 +144,11 @@ def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, sna
     ranges_m = [np.linalg.norm(frame.scan.points_m.astype(np.float64), axis=1) for frame in frames]
     joined_m = np.concatenate([*ranges_m, np.empty(0)])
     first_ns, last_ns = span or (None, None)
+    rate_hz = None
+    if topic.count >= 2 and span is not None and span[1] > span[0]:
+        # All turns lie between the first and the last packet, but one less between the first and the last scan.
+        periods = topic.count if topic.encoding == OUSTER_TURN else topic.count - 1
+        rate_hz = periods * _NS_PER_S / (span[1] - span[0])
     return CloudTopicSummary(
         topic=topic.name,
         message_type=topic.message_type,
@@ -151,7 +156,7 @@ def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, sna
         lidar=lidar,
         frames=topic.count,
         frames_taken=len(frames) if lidar else 0,
-        rate_hz=_rate_hz(topic, span),
+        rate_hz=rate_hz,
         points_min=min(counts),
         points_median=int(np.median(counts)),
         points_max=max(counts),
@@ -160,11 +165,3 @@ def _cloud_summary(topic: Topic, frames: Sequence[Cloud], span: Span | None, sna
         first_ns=first_ns,
         last_ns=last_ns,
     )
-
-
-def _rate_hz(topic: Topic, span: Span | None) -> float | None:
-    if topic.count < 2 or span is None or span[1] <= span[0]:
-        return None
-    # All turns lie between the first and the last packet, but one less between the first and the last scan.
-    periods = topic.count if topic.encoding == OUSTER_TURN else topic.count - 1
-    return periods * _NS_PER_S / (span[1] - span[0])

@@ -258,18 +258,17 @@ def _ros_samples(
     if not topics:
         return None
     name = max(topics, key=lambda topic: (topic.count, topic.name)).name
-    bursts: dict[int, list[FloatArray]] = defaultdict(list)
-    logged_ns: dict[int, int] = {}
+    bursts: dict[int, tuple[int, list[FloatArray]]] = {}
     for index, message in sampled(recording, [name], _times_ns(span, 240, 0.25), span[1] + 1, most):
         if message.message_type != message_type:
             continue
         try:
-            bursts[index].append(_numbers(message))
+            numbers = _numbers(message)
         except ValueError:
             continue
-        logged_ns.setdefault(index, message.log_time_ns)
-    order = sorted(logged_ns)
-    return (name, [logged_ns[index] for index in order], [bursts[index] for index in order]) if order else None
+        bursts.setdefault(index, (message.log_time_ns, []))[1].append(numbers)
+    found = [bursts[index] for index in sorted(bursts)]
+    return (name, [time_ns for time_ns, _ in found], [rows for _, rows in found]) if found else None
 
 
 def _times_ns(span: Span, most: int, min_step_s: float) -> list[int]:
