@@ -36,7 +36,7 @@ _START_NS = 1_759_276_800_000_000_000
 """2025-10-01 in UTC."""
 _DAY_NS, _DAYS = 86_400 * 10**9, 365
 _USUAL_EVENTS: Mapping[EventKind, int] = {"jump": 3, "creep": 2, "dead": 1}
-"""Of 20 vehicles."""
+"""Vehicles with each event in a fleet of 20."""
 
 _SIDE = 3
 """Logs on each side of a jump: fewer do not tell a motion from an outlier."""
