@@ -130,14 +130,6 @@ def _scored(state: RunState, pair: PairRegistration) -> tuple[ScoredPoints, ...]
 
 def _scored_points(one: Registration) -> ScoredPoints:
     beams = one.visibility
-    return ScoredPoints(
-        one.T_target_source,
-        one.probes_m,
-        beams.labels,
-        one.target_probes_m,
-        beams.target_labels,
-        beams.agree,
-        beams.violate,
-        beams.occluded,
-        one.evidence,
-    )
+    points = (one.probes_m, beams.labels, one.target_probes_m, beams.target_labels)
+    counts = (beams.agree, beams.violate, beams.occluded)
+    return ScoredPoints(one.T_target_source, *points, *counts, one.evidence)

@@ -162,10 +162,8 @@ def _of_pairs(path: Path, parts: Sequence[str], columns: Sequence[str]) -> pa.Ta
 
 def _pair_table(pair: PairKey, cells: Mapping[str, Any], columns: Sequence[str]) -> pa.Table:
     count = max(map(len, cells.values()), default=0)
-    arrays: dict[str, Any] = {
-        "target": pa.array([pair[0]] * count, pa.string()),
-        "source": pa.array([pair[1]] * count, pa.string()),
-    }
+    ends = {"target": pair[0], "source": pair[1]}
+    arrays: dict[str, Any] = {end: pa.array([lidar] * count, pa.string()) for end, lidar in ends.items()}
     for name in columns:
         cell = cells.get(name)
         if name.endswith("_point_m"):
