@@ -131,10 +131,8 @@ def _fine_tab(state: RunState) -> _Tab | None:
     if not state.registrations:
         return None
     (left, top), (right, bottom) = matrix_bounds(len(state.lidars))
-    bounds, contents = (
-        rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom]),
-        ["$origin/picture", "$origin/labels"],
-    )
+    bounds = rrb.VisualBounds2D(x_range=[left, right], y_range=[top, bottom])
+    contents = ["$origin/picture", "$origin/labels"]
     matrices = [
         rrb.Spatial2DView(origin=path, contents=contents, name=name, visual_bounds=bounds)
         for path, name in _MATRICES.items()
