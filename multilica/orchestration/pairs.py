@@ -11,7 +11,7 @@ import numpy as np
 from multilica.acceptance.accept import accept, accept_by_fitness
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
-from multilica.registration.gicp_cloud import prepare_gicp_cloud
+from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.results import (
     CoarseResult,
     Correspondences,

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
-from multilica.registration.gicp_cloud import GicpCloud
+from multilica.registration.gicp import GicpCloud
 from multilica.registration.neighbours import MovedPoints
-from multilica.registration.poses import moved
-from multilica.registration.stability import arc_between_m
+from multilica.registration.poses import arc_between_m, moved
 
 # Three matches per degree of freedom, rounded up.
 _MIN_MATCHES = 20

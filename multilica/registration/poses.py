@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from multilica.geometry import FloatArray, RigidTransform
+from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.results import Hypothesis, Registration
 
 # Poses as near as this lie in one basin of GICP.
@@ -26,6 +26,12 @@ def is_distinct(
     """Return whether the pose differs from all others, in translation or in rotation."""
     distances = (pose.distance_to(other) for other in others)
     return all(metres > same_m or radians > same_rad for metres, radians in distances)
+
+
+def arc_between_m(pose: RigidTransform, other: RigidTransform) -> float:
+    """Return the distance between two poses, a rotation counted as the arc at `LEVER_ARM_M`."""
+    metres, radians = pose.distance_to(other)
+    return metres + LEVER_ARM_M * radians
 
 
 def is_near(pose: RigidTransform, max_baseline_m: float) -> bool:

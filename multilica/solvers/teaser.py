@@ -11,7 +11,7 @@ from multilica.config import CoarseConfig
 from multilica.geometry import FloatArray
 from multilica.optional_libraries import needed_for, require_library
 from multilica.results import BoolArray, Correspondences
-from multilica.solvers.maximum_clique import maximum_clique
+from multilica.solvers.consistency_graph import maximum_clique
 from multilica.solvers.solution import Solution, pose_of
 
 # Rows of the graph that are computed at once, so that memory stays bounded.

@@ -7,8 +7,7 @@ from dataclasses import replace
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
-from multilica.registration.poses import is_distinct, is_near
-from multilica.registration.stability import arc_between_m
+from multilica.registration.poses import arc_between_m, is_distinct, is_near
 from multilica.results import Group, Hypothesis, PairKey, PairRegistration, Registration, Verdict
 
 # A pose that slides moves farther when it is perturbed.

@@ -1,16 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cleaning of a LiDAR's accumulated returns."""
+"""Cleaning of a LiDAR's accumulated returns, and removal of points that move between its frames."""
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
+from scipy.spatial import cKDTree
 
 from multilica.config import PreprocessConfig, StillnessConfig
-from multilica.geometry import lengths, read_only
+from multilica.geometry import FloatArray, lengths, read_only
 from multilica.registration.neighbours import thin
-from multilica.results import PreprocessedCloud
-from multilica.snapshot import LidarScans
-from multilica.visibility.moving_points import drop_moving
+from multilica.results import BoolArray, IndexArray, PreprocessedCloud
+from multilica.snapshot import LidarScans, Scan
+
+# 0.2 deg, the usual step of spinning LiDARs.
+_FINEST_CELL_RAD = 0.0035
+# Bound on time.
+_SPACING_SAMPLES = 4000
+# The fourth neighbour on a grid is one larger step away, unless one step is over twice the other.
+_SPACING_NEIGHBOUR = 4
+# Bound on time: more frames show little more of what moved.
+_REFERENCE_FRAMES = 10
+# With fewer returns than in the point's own frame, the beam that would hit it may be lost.
+_MIN_FILLED = 0.85
 
 
 def preprocess(
@@ -40,3 +53,118 @@ def preprocess(
         points_m=read_only(thin(kept, config.voxel_size_m), np.float64),
         dropped_m={reason: points for reason, points in dropped.items() if len(points)},
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Grid:
+    """Cells of directions, about as large as the distance between neighbouring beams; the first row is the lowest."""
+
+    cell_rad: float
+    lowest_rad: float
+    rows: int
+    columns: int
+
+    def cells(self, points_m: FloatArray, range_m: FloatArray) -> IndexArray:
+        """Return the cell (N,) of each point."""
+        row = ((np.arcsin(points_m[:, 2] / range_m) - self.lowest_rad) / self.cell_rad).astype(np.int64)
+        turn = np.arctan2(points_m[:, 1], points_m[:, 0]) / (2.0 * np.pi) % 1.0
+        column = (turn * self.columns).astype(np.int64) % self.columns
+        return np.asarray(np.clip(row, 0, self.rows - 1) * self.columns + column)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FrameImage:
+    """Range image of one frame, with its points.
+
+    Args:
+        usable: (N,) which returns of the scan are in the image.
+        range_m, cells: (M,) per usable return.
+        nearest_m: per cell the smallest range in the 3 x 3 cells around it; inf where they are empty.
+        filled: per cell the share of the 3 x 3 cells around it that have a return.
+    """
+
+    usable: BoolArray
+    range_m: FloatArray
+    cells: IndexArray
+    nearest_m: FloatArray
+    filled: FloatArray
+
+
+def drop_moving(scans: Sequence[Scan], config: StillnessConfig) -> tuple[tuple[Scan, ...], FloatArray]:
+    """Drop returns of a LiDAR at rest from places that another frame's beams prove empty.
+
+    A return has moved if in some other frame all beams around its direction, at least as densely as in its own,
+    pass clearly beyond it.
+
+    Returns:
+        The scans without those returns, and the (K, 3) dropped points.
+    """
+    returns = [_usable_returns(scan) for scan in scans]
+    grid = _grid([usable for _, *usable in returns]) if len(scans) > 1 else None
+    if grid is None:
+        return tuple(scans), np.empty((0, 3))
+    frames = [_frame(*each, grid) for each in returns]
+    references = sorted(set(np.linspace(0, len(frames) - 1, _REFERENCE_FRAMES).astype(int).tolist()))
+    moving = [
+        _proven_empty(frame, [frames[other] for other in references if other != index], config.moving_clearance_m)
+        for index, frame in enumerate(frames)
+    ]
+    dropped = [scan.points_m[gone] for scan, gone in zip(scans, moving, strict=True)]
+    kept = tuple(_without(scan, gone) for scan, gone in zip(scans, moving, strict=True))
+    return kept, np.concatenate(dropped).astype(np.float64)
+
+
+def _proven_empty(frame: _FrameImage, others: Sequence[_FrameImage], moving_clearance_m: float) -> BoolArray:
+    own = frame.filled[frame.cells]
+    empty = np.zeros(len(frame.cells), dtype=np.bool_)
+    for other in others:
+        passed = np.flatnonzero(other.nearest_m[frame.cells] > frame.range_m + moving_clearance_m)
+        cells = frame.cells[passed]
+        empty[passed] |= np.isfinite(other.nearest_m[cells]) & (other.filled[cells] >= _MIN_FILLED * own[passed])
+    moving = np.zeros(len(frame.usable), dtype=np.bool_)
+    moving[frame.usable] = empty
+    return moving
+
+
+def _grid(frames: Sequence[Sequence[FloatArray]]) -> _Grid | None:
+    """Make the grid for points (M, 3) and ranges (M,) of each frame; None if there are too few points."""
+    points_m, range_m = max(frames, key=lambda frame: len(frame[0]))
+    if len(points_m) <= _SPACING_NEIGHBOUR:
+        return None
+    directions = points_m / range_m[:, None]
+    sample = directions[:: max(1, len(directions) // _SPACING_SAMPLES)]
+    tree = cKDTree(directions, balanced_tree=False, compact_nodes=False)
+    distances, _ = tree.query(sample, k=_SPACING_NEIGHBOUR + 1)
+    cell_rad = max(_FINEST_CELL_RAD, float(np.median(distances[:, -1])))
+    sines = [points_m[:, 2] / range_m for points_m, range_m in frames if len(points_m)]
+    lowest, highest = (float(np.arcsin(pick([pick(sine) for sine in sines]))) for pick in (np.min, np.max))
+    rows = int((highest - lowest) / cell_rad) + 1
+    return _Grid(cell_rad, lowest, rows, int(np.ceil(2.0 * np.pi / cell_rad)))
+
+
+def _usable_returns(scan: Scan) -> tuple[BoolArray, FloatArray, FloatArray]:
+    """Return which returns (N,) of a scan are usable, with the points (M, 3) and ranges (M,) of those."""
+    points_m = scan.points_m.astype(np.float64)
+    range_m = lengths(points_m)
+    usable = np.isfinite(range_m) & (range_m > 0.0)
+    if not np.all(usable):
+        points_m, range_m = points_m[usable], range_m[usable]
+    return usable, points_m, range_m
+
+
+def _frame(usable: BoolArray, points_m: FloatArray, range_m: FloatArray, grid: _Grid) -> _FrameImage:
+    cells = grid.cells(points_m, range_m)
+    nearest_of_cell_m = np.full(grid.rows * grid.columns, np.inf)
+    np.minimum.at(nearest_of_cell_m, cells, range_m)
+    image_m = nearest_of_cell_m.reshape(grid.rows, grid.columns)
+    around = ("nearest", "wrap")
+    nearest_m = scipy.ndimage.minimum_filter(image_m, size=3, mode=around)
+    filled = scipy.ndimage.uniform_filter(np.isfinite(image_m).astype(np.float64), size=3, mode=around)
+    return _FrameImage(usable, range_m, cells, nearest_m.ravel(), filled.ravel())
+
+
+def _without(scan: Scan, gone: BoolArray) -> Scan:
+    if not np.any(gone):
+        return scan
+    intensity = None if scan.intensity is None else scan.intensity[~gone]
+    return replace(scan, points_m=scan.points_m[~gone], intensity=intensity)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.geometry import RigidTransform
-from multilica.registration.gicp_cloud import GicpCloud
+from multilica.registration.gicp import GicpCloud
 from multilica.results import IndexArray, SurfaceMatches, SurfaceResiduals
 
 

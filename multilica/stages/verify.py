@@ -6,16 +6,17 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import numpy.typing as npt
+import scipy
+from scipy.spatial.transform import Rotation
 
 from multilica.acceptance.accept import cannot_be_accepted, is_well_constrained, min_competing_evidence
 from multilica.config import CalibrationConfig, FineConfig
-from multilica.geometry import RigidTransform
-from multilica.registration.gicp import SHORT_ITERATIONS, register_narrower
-from multilica.registration.gicp_cloud import GicpCloud
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, register_narrower
 from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
 from multilica.visibility.sensor_view import ROUGH_TOLERANCES, SensorView, score_registration, score_visibility
-from multilica.visibility.symmetric_poses import symmetric_poses
 
 # Coarse poses are off by about a voxel of the descriptors and a degree: the true one among them then scores best.
 _COARSE_TOLERANCE_M = 0.3
@@ -32,6 +33,16 @@ _MAX_SYMMETRIC_POSES = 6
 # The short GICP; a denser cloud is thinned further.
 _SHORT_VOXEL_M = 0.5
 _SHORT_POINTS = 4000
+
+# GICP corrects an error of one cell; 256 cells span the common view of two LiDARs.
+_CELL_M = 0.5
+_CELLS = 256
+# Nearer maxima belong to one pose.
+_APART_M = 2.0
+# Surfaces steeper than 45 deg are walls.
+_STRUCTURE = float(np.cos(np.deg2rad(45.0)))
+# Fewer points of walls make no plan.
+_MIN_POINTS = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,14 +166,17 @@ def _competing_hypotheses(
     if not is_well_constrained(best.visibility, acceptance):
         along = slid_hypotheses(start, best.visibility.slide_direction, max_baseline_m)
     return [
-        *((replace(start, T_target_source=each, derivation=_turn_between(pose, each)), near) for each in turned),
+        *(
+            (
+                replace(
+                    start, T_target_source=each, derivation=f"turned by {np.degrees(pose.distance_to(each)[1]):.0f} deg"
+                ),
+                near,
+            )
+            for each in turned
+        ),
         *((each, gicp) for each in along),
     ]
-
-
-def _turn_between(pose: RigidTransform, turned: RigidTransform) -> str:
-    _, turn_rad = pose.distance_to(turned)
-    return f"turned by {np.degrees(turn_rad):.0f} deg"
 
 
 def _registered(
@@ -207,3 +221,81 @@ def _is_settled(found: Sequence[Registration], config: CalibrationConfig) -> boo
         and best.evidence >= acceptance.min_evidence
         and second.evidence <= min_competing_evidence(best.evidence, acceptance)
     )
+
+
+def symmetric_poses(
+    target: SensorView, source: SensorView, pose: RigidTransform, up: FloatArray, max_baseline_m: float, most: int
+) -> list[RigidTransform]:
+    """Find poses at which the walls of both sensors coincide after a turn by 90, 180 or 270 degrees.
+
+    A hall, a garage or a street looks much the same from its other end, and a search by descriptors finds either pose
+    by chance. Plans of the walls, seen along `up`, are correlated over all shifts to find the other one.
+
+    Args:
+        pose: ``T_target_source`` to find competing poses of.
+        up: (3,) unit, the commonest surface normal in the target's frame, the axis of the turns.
+
+    Returns:
+        Poses whose plans share at least half as many cells as those of `pose`, the best first.
+    """
+    walls_m, seen_m = _walls(target, up), pose.rotate(_walls(source, pose.rotation.T @ up))
+    if min(len(walls_m), len(seen_m)) < _MIN_POINTS:
+        return []
+    across = np.linalg.svd(up[None])[2][1:]
+    plan: npt.NDArray[np.complex128] = np.fft.rfft2(
+        scipy.ndimage.maximum_filter(_plan((walls_m - pose.xyz_m) @ across.T), 3, mode="wrap")
+    )
+    needed = 0.5 * _overlap(plan, seen_m @ across.T)[0, 0]
+    found: list[tuple[float, RigidTransform]] = []
+    for quarter in (1, 2, 3):
+        turn = Rotation.from_rotvec(0.5 * np.pi * quarter * up).as_matrix()
+        cells, shifts_m = _maxima(_overlap(plan, seen_m @ turn.T @ across.T), max(needed, 1.0))
+        positions_m = pose.xyz_m + shifts_m @ across
+        near = np.flatnonzero(np.linalg.norm(positions_m, axis=1) <= max_baseline_m)
+        for index in near[_apart(shifts_m[near], most)]:
+            turned = RigidTransform.from_rotation_translation(
+                pose.target, pose.source, turn @ pose.rotation, positions_m[index]
+            )
+            found.append((float(cells[index]), turned))
+    return [turned for _, turned in sorted(found, key=lambda each: -each[0])[:most]]
+
+
+def _walls(view: SensorView, up: FloatArray) -> FloatArray:
+    upright = np.abs(view.normals @ up) < _STRUCTURE
+    return np.asarray(view.probes_m[upright & np.any(view.normals, axis=1)])
+
+
+def _plan(points_m: FloatArray) -> FloatArray:
+    """Compute the (C, C) occupancy of cells seen from above; the origin in cell (0, 0), negative ones wrapped."""
+    plan = np.zeros((_CELLS, _CELLS))
+    cells = np.floor(points_m / _CELL_M + 0.5).astype(np.int64)
+    cells = cells[np.all(np.abs(cells) < _CELLS // 2, axis=1)] % _CELLS
+    plan[cells[:, 0], cells[:, 1]] = 1.0
+    return plan
+
+
+def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArray:
+    """Count, per shift of the points in cells, the cells that coincide; (C, C)."""
+    overlap = np.fft.irfft2(plan * np.conj(np.fft.rfft2(_plan(points_m))), s=(_CELLS, _CELLS))
+    return np.asarray(np.rint(overlap), dtype=np.float64)
+
+
+def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]:
+    """Return local maxima with at least this many cells: their cells (N,), most first, and shifts (N, 2) in metres."""
+    width = int(_APART_M / _CELL_M) + 1
+    highest = scipy.ndimage.maximum_filter(overlap, width, mode="wrap")
+    cells = np.argwhere((overlap >= highest - 0.5) & (overlap >= needed))
+    cells = cells[np.argsort(-overlap[cells[:, 0], cells[:, 1]], kind="stable")]
+    shifts_m = _CELL_M * (((cells + _CELLS // 2) % _CELLS) - _CELLS // 2).astype(np.float64)
+    return overlap[cells[:, 0], cells[:, 1]], shifts_m
+
+
+def _apart(shifts_m: FloatArray, most: int) -> list[int]:
+    """Select the first shifts that are not near an earlier one."""
+    kept: list[int] = []
+    for index, shift_m in enumerate(shifts_m):
+        if len(kept) == most:
+            break
+        if np.all(np.linalg.norm(shifts_m[kept] - shift_m, axis=1) >= _APART_M):
+            kept.append(index)
+    return kept

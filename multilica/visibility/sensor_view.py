@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, lengths
 from multilica.registration.neighbours import PointTree, spread_and_normals, thin
-from multilica.registration.stability import weakest_curvature
 from multilica.results import (
     BeamLabel,
     BoolArray,
@@ -161,7 +160,7 @@ def score_registration(
         visibility=score_visibility(targets, sources, found.T_target_source, tolerance_m, tolerance_deg),
         fitness=found.fitness,
         rmse_m=found.rmse_m,
-        weakest_curvature=weakest_curvature(found),
+        weakest_curvature=_weakest_curvature(found),
         probes_m=sources[0][1].probes_m,
         origin=hypothesis.origin,
         target_probes_m=targets[0][1].probes_m,
@@ -237,6 +236,15 @@ def _labels(
     nearest_m, _ = beams.returns.query(points_m[empty], distance_upper_bound=np.nextafter(reach_m.max(), np.inf))
     labels[empty[nearest_m <= reach_m]] = BeamLabel.AGREE
     return labels
+
+
+def _weakest_curvature(registration: PairRegistration) -> float:
+    """Return the smallest eigenvalue of the GICP Hessian per inlier, rotations scaled by `LEVER_ARM_M`."""
+    inliers = registration.steps[-1].inliers if registration.steps else 0
+    if registration.hessian is None or inliers == 0:
+        return 0.0
+    scale = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
+    return float(np.linalg.eigvalsh(registration.hessian * np.outer(scale, scale) / inliers)[0])
 
 
 def _along_bands(points_m: FloatArray) -> FloatArray:

@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from multilica.config import FineConfig, RefineConfig, StillnessConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration import plane_fit
-from multilica.registration.gicp_cloud import prepare_gicp_cloud
-from multilica.registration.poses import moved
-from multilica.registration.stability import arc_between_m
+from multilica.registration.gicp import prepare_gicp_cloud
+from multilica.registration.poses import arc_between_m, moved
 from multilica.results import PairRegistration
 from multilica.results.visibility_score import VisibilityScore
 from multilica.stages import refine, stillness

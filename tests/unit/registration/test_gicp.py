@@ -7,8 +7,7 @@ import pytest
 from multilica.config import FineConfig, preset
 from multilica.geometry import RigidTransform
 from multilica.registration import gicp
-from multilica.registration.gicp import fitness_and_rmse, register, register_narrower
-from multilica.registration.gicp_cloud import prepare_gicp_cloud
+from multilica.registration.gicp import fitness_and_rmse, prepare_gicp_cloud, register, register_narrower
 from multilica.registration.lazy_open3d import o3d
 
 _TRUTH = RigidTransform.from_xyz_rpy("t", "s", [0.4, -0.2, 0.1], [0.02, -0.01, 0.05])

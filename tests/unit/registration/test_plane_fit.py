@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 from multilica.config import FineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration import plane_fit
-from multilica.registration.gicp_cloud import prepare_gicp_cloud
+from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
 
 _HERE = RigidTransform.identity("t", "s")

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from multilica.solvers import maximum_clique as module
-from multilica.solvers.consistency_graph import grow_clique
-from multilica.solvers.maximum_clique import maximum_clique
+from multilica.solvers.consistency_graph import grow_clique, maximum_clique
 
 
 def _graph(count, edges):

@@ -4,10 +4,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from multilica.config import FeaturesConfig
-from multilica.registration.fpfh import Neighbourhoods, compute_fpfh, estimate_normals
 from multilica.registration.lazy_open3d import o3d
 from multilica.results import PreprocessedCloud
-from multilica.stages.features import compute_features
+from multilica.stages.features import Neighbourhoods, compute_features, compute_fpfh, estimate_normals
 
 _ROOM_HALF_M = np.array([6.0, 4.0, 2.0])
 _SHIFT = np.array([0.1, 0.2, 0.05])

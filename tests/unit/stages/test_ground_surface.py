@@ -2,7 +2,7 @@
 import numpy as np
 import pytest
 
-from multilica.stages.ground.ground_surface import axes_of, fit_surface
+from multilica.stages.ground import axes_of, fit_surface
 
 WHEELS_M = (1.4, 0.8)
 

@@ -10,8 +10,8 @@ from multilica.config import StillnessConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.snapshot import Scan
 from multilica.stages import stillness
+from multilica.stages.preprocess import drop_moving
 from multilica.stages.stillness import Motion, detect_motion, explain_motion
-from multilica.visibility.moving_points import drop_moving
 
 _ROOM_M = (9.0, 6.0, 4.0)
 _CORRIDOR_M = (np.inf, 3.0, 2.5)
@@ -81,7 +81,7 @@ def test_a_lidar_that_jumps_out_of_sight_moves_at_least_a_bit() -> None:
 
 def test_frames_that_are_alike_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stillness, "_TRACKED_BELOW", 2.0)
-    monkeypatch.setattr(stillness, "track_frames", lambda _: None)
+    monkeypatch.setattr(stillness, "_find_step", lambda *_: None)
     motion = detect_motion(_drive(_ROOM_M, 0.0), _CONFIG)
     assert not motion.moving
     assert motion.shift_m < 0.01

@@ -4,7 +4,7 @@ import pytest
 
 from multilica.config import FineConfig
 from multilica.geometry import RigidTransform
-from multilica.registration.gicp_cloud import prepare_gicp_cloud
+from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.stages.surface_distances import match_surfaces, residuals_of
 
 _CONFIG = FineConfig(voxel_size_m=0.01)

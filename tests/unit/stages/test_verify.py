@@ -7,8 +7,7 @@ import pytest
 
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
-from multilica.registration.gicp import register_narrower
-from multilica.registration.gicp_cloud import prepare_gicp_cloud
+from multilica.registration.gicp import prepare_gicp_cloud, register_narrower
 from multilica.results import PRIOR, CoarseResult, Hypothesis
 from multilica.stages import verify
 from multilica.stages.verify import VerificationCloud, short_gicp, verify_hypotheses

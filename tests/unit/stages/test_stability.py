@@ -6,11 +6,10 @@ import pytest
 
 from multilica.config import AcceptanceConfig, FineConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
-from multilica.registration.gicp import register
-from multilica.registration.gicp_cloud import prepare_gicp_cloud
+from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import pose_information
-from multilica.registration.stability import check_stability, perturbed_ends, widened
 from multilica.results.registrations import weakest_sigmas
+from multilica.stages.fine import check_stability, perturbed_ends, widened
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG, _FINE = AcceptanceConfig(), FineConfig()
