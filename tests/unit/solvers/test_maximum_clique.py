@@ -4,7 +4,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.solvers import maximum_clique as module
+from multilica.solvers import consistency_graph as module
 from multilica.solvers.consistency_graph import grow_clique, maximum_clique
 
 
