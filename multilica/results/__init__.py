@@ -19,6 +19,7 @@ from multilica.results.hypotheses import (
     Hypothesis,
     IndexArray,
     PairKey,
+    Solution,
     hypothesis_label,
     pose_name,
 )
@@ -75,6 +76,7 @@ __all__ = [
     "SigmaOrigin",
     "SnapshotDeviation",
     "SnapshotReport",
+    "Solution",
     "Spread",
     "Stability",
     "Status",

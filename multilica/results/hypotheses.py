@@ -64,6 +64,11 @@ class Correspondences:
         source_range_m = np.linalg.norm(self.source_points_m, axis=1)
         return self.subset(np.flatnonzero(np.abs(target_range_m - source_range_m) <= max_baseline_m))
 
+    def pose(self, rotation: npt.ArrayLike, translation: npt.ArrayLike) -> RigidTransform:
+        """Return ``T_target_source`` from its rotation (3, 3) and its translation (3,) or (3, 1)."""
+        flat_m = np.asarray(translation, dtype=np.float64).reshape(3)
+        return RigidTransform.from_rotation_translation(self.target, self.source, np.asarray(rotation), flat_m)
+
     def agreeing(self, pose: RigidTransform, noise_bound_m: float, normal_tolerance_deg: float) -> BoolArray:
         """Find which matches (M,) agree with a pose ``T_target_source`` in place and in normal."""
         residual_m = np.linalg.norm(pose.apply(self.source_points_m) - self.target_points_m, axis=1)
@@ -112,6 +117,21 @@ def pose_name(index: int, origin: str, derivation: str = "") -> str:
         return f"implied by {derivation}" if derivation else "implied by other pairs"
     start = "the prior" if origin == PRIOR else f"{_SOLVER_WORDS.get(origin, origin)} {index}"
     return f"{start}, {derivation}" if derivation else start
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """Poses that matches support by a solver.
+
+    Args:
+        poses: ``T_target_source``, the most trusted first.
+        graph_edges: of the consistency graph; 0 where the solver builds none.
+        clique_size: members of the largest clique that was found; 0 where the solver looks for none.
+    """
+
+    poses: tuple[RigidTransform, ...] = ()
+    graph_edges: int = 0
+    clique_size: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

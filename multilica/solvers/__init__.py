@@ -5,13 +5,12 @@ from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 
 from multilica.config import CoarseConfig
-from multilica.results import Correspondences
+from multilica.results import Correspondences, Solution
 from multilica.solvers.cliques import solve_by_cliques
 from multilica.solvers.kiss_matcher import solve_by_kiss_matcher
-from multilica.solvers.solution import Solution
 from multilica.solvers.teaser import solve_by_maximum_clique, solve_by_teaserpp
 
-__all__ = ["SOLVERS", "Solution", "solver_in_use"]
+__all__ = ["SOLVERS", "solver_in_use"]
 
 SOLVERS: Mapping[str, Callable[[Correspondences, CoarseConfig], Solution]] = {
     "cliques": solve_by_cliques,

@@ -8,9 +8,8 @@ import numpy as np
 from multilica.config import CoarseConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.poses import is_distinct
-from multilica.results import BoolArray, Correspondences, IndexArray
+from multilica.results import BoolArray, Correspondences, IndexArray, Solution
 from multilica.solvers.consistency_graph import build_consistency_graph, grow_clique
-from multilica.solvers.solution import Solution, pose_of
 
 # Fewer points do not determine a pose.
 _MIN_MATCHES = 3
@@ -70,7 +69,7 @@ def _fit(matches: Correspondences, clique: IndexArray, config: CoarseConfig) -> 
         if np.count_nonzero(agree) < _MIN_MATCHES:
             break
         rotation, translation = align_points(target_m[agree], source_m[agree])
-    pose = pose_of(matches, rotation, translation)
+    pose = matches.pose(rotation, translation)
     return pose, matches.agreeing(pose, config.noise_bound_m, config.normal_tolerance_deg)
 
 

@@ -5,8 +5,7 @@ import numpy as np
 
 from multilica.config import CoarseConfig
 from multilica.optional_libraries import needed_for
-from multilica.results import Correspondences
-from multilica.solvers.solution import Solution, pose_of
+from multilica.results import Correspondences, Solution
 
 
 def solve_by_kiss_matcher(matches: Correspondences, config: CoarseConfig) -> Solution:
@@ -23,4 +22,4 @@ def solve_by_kiss_matcher(matches: Correspondences, config: CoarseConfig) -> Sol
     )
     if not solution.valid:
         return Solution()
-    return Solution((pose_of(matches, solution.rotation, solution.translation),))
+    return Solution((matches.pose(solution.rotation, solution.translation),))

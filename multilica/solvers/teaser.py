@@ -10,9 +10,8 @@ from scipy.spatial.distance import cdist
 from multilica.config import CoarseConfig
 from multilica.geometry import FloatArray
 from multilica.optional_libraries import needed_for, require_library
-from multilica.results import BoolArray, Correspondences
+from multilica.results import BoolArray, Correspondences, Solution
 from multilica.solvers.consistency_graph import maximum_clique
-from multilica.solvers.solution import Solution, pose_of
 
 # Rows of the graph that are computed at once, so that memory stays bounded.
 _BLOCK = 256
@@ -42,7 +41,7 @@ def solve_by_maximum_clique(matches: Correspondences, config: CoarseConfig) -> S
     rotation, translation = decoupled_pose(
         matches.target_points_m[clique], matches.source_points_m[clique], config.noise_bound_m
     )
-    return Solution((pose_of(matches, rotation, translation),), edges, len(clique))
+    return Solution((matches.pose(rotation, translation),), edges, len(clique))
 
 
 def _length_graph(matches: Correspondences, tolerance_m: float) -> BoolArray:
@@ -80,7 +79,7 @@ def solve_by_teaserpp(matches: Correspondences, config: CoarseConfig) -> Solutio
     if clique_size < 2:
         return Solution((), edges, clique_size)
     solution = solver.getSolution()
-    return Solution((pose_of(matches, solution.rotation, solution.translation),), edges, clique_size)
+    return Solution((matches.pose(solution.rotation, solution.translation),), edges, clique_size)
 
 
 def decoupled_pose(target_m: FloatArray, source_m: FloatArray, noise_bound_m: float) -> tuple[FloatArray, FloatArray]:

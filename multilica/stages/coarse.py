@@ -9,8 +9,8 @@ import numpy as np
 from multilica.config import CoarseConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct, is_near
-from multilica.results import PRIOR, CoarseResult, Correspondences, Hypothesis
-from multilica.solvers import SOLVERS, Solution, solver_in_use
+from multilica.results import PRIOR, CoarseResult, Correspondences, Hypothesis, Solution
+from multilica.solvers import SOLVERS, solver_in_use
 
 # Coarse poses as near as this converge to the same pose by GICP.
 _DISTINCT_M = 0.5

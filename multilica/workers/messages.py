@@ -1,13 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages between the caller and its workers."""
+"""Messages between the caller and its workers, in anonymous memory that they share by file descriptor."""
 
+import fcntl
+import os
 import pickle
+import struct
 import traceback
-from collections.abc import Callable, Collection, Sequence
+from array import array
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from itertools import accumulate
+from mmap import ACCESS_READ, mmap
 from typing import Any, NamedTuple, NoReturn
 
 UNREADABLE = -1
 """Number of the job in the answer to a message that a worker could not read."""
+
+# A buffer starts with a counter and the number of its sections; then come the lengths of the sections, and the
+# sections: a pickle, and the arrays that it refers to.
+_COUNTER = struct.Struct("=Q")
+_LENGTHS_AT = 2 * _COUNTER.size
+_ALIGNMENT = 64
+_NEVER = 2**63
 
 
 class Job(NamedTuple):
@@ -61,3 +74,94 @@ class WorkerFailure(NamedTuple):
     def reraise(self) -> NoReturn:
         """Raise the exception, with its first traceback as the cause."""
         raise self.error from TaskTracebackError(self.trace)
+
+
+class Shared:
+    """Values that all tasks of a pool can use; in a worker process, arrays are read-only."""
+
+    def __init__(self) -> None:
+        self._values: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:  # noqa: ANN401 - the task knows what was shared
+        """Return the value that was shared under that name."""
+        return self._values[name]
+
+    def add(self, name: str, value: object) -> None:
+        """Make a value available under a name.
+
+        Raises:
+            ValueError: the name is taken.
+        """
+        self.require_free([name])
+        self._values[name] = value
+
+    def require_free(self, names: Iterable[str]) -> None:
+        """Check that no value has one of these names.
+
+        Raises:
+            ValueError: a name is taken.
+        """
+        for name in names:
+            if name in self._values:
+                raise ValueError(f"'{name}' is shared already")
+
+    def drop(self, names: Collection[str] | None) -> None:
+        """Forget the values of those names, or all."""
+        for name in tuple(self._values) if names is None else names:
+            del self._values[name]
+
+
+def pack(value: object) -> int:
+    """Write a value to anonymous memory and return its file descriptor, which the caller closes.
+
+    The memory is freed when no process holds the descriptor or a value that was read from it.
+    """
+    buffers: list[pickle.PickleBuffer] = []
+    head = pickle.dumps(value, protocol=5, buffer_callback=buffers.append)
+    sections = [memoryview(head), *(buffer.raw() for buffer in buffers)]
+    lengths = array("Q", [section.nbytes for section in sections])
+    descriptor = os.memfd_create("multilica")
+    with open(descriptor, "wb", closefd=False) as memory:
+        memory.write(array("Q", [0, len(sections)]).tobytes() + lengths.tobytes())
+        for start, section in zip(_starts(lengths), sections, strict=True):
+            memory.seek(start)
+            memory.write(section)
+    return descriptor
+
+
+def unpack(descriptor: int) -> object:
+    """Read the value that `pack` wrote; its arrays are read-only views of the shared memory."""
+    memory = memoryview(mmap(descriptor, 0, access=ACCESS_READ))
+    (count,) = _COUNTER.unpack_from(memory, _COUNTER.size)
+    lengths = memory[_LENGTHS_AT : _LENGTHS_AT + count * _COUNTER.size].cast("Q")
+    spans = zip(_starts(lengths), lengths, strict=True)
+    head, *buffers = (memory[start : start + length] for start, length in spans)
+    value: object = pickle.loads(head, buffers=buffers)  # noqa: S301 - written by a process of ours
+    return value
+
+
+def _starts(lengths: Sequence[int]) -> Iterator[int]:
+    """Yield the start of each section, aligned for the fastest instructions."""
+    first = _aligned(_LENGTHS_AT + len(lengths) * _COUNTER.size)
+    return accumulate((_aligned(length) for length in lengths[:-1]), initial=first)
+
+
+def _aligned(size: int) -> int:
+    return -(-size // _ALIGNMENT) * _ALIGNMENT
+
+
+def claim_next(descriptor: int) -> int:
+    """Return how often this was called for the buffer before, by any process."""
+    # A process that dies releases its lock.
+    fcntl.lockf(descriptor, fcntl.LOCK_EX)
+    (claimed,) = _COUNTER.unpack(os.pread(descriptor, _COUNTER.size, 0))
+    os.pwrite(descriptor, _COUNTER.pack(claimed + 1), 0)
+    fcntl.lockf(descriptor, fcntl.LOCK_UN)
+    return int(claimed)
+
+
+def end_claims(descriptor: int) -> None:
+    """Let `claim_next` return a number beyond any from now on."""
+    fcntl.lockf(descriptor, fcntl.LOCK_EX)
+    os.pwrite(descriptor, _COUNTER.pack(_NEVER), 0)
+    fcntl.lockf(descriptor, fcntl.LOCK_UN)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tasks spread over worker processes."""
+"""Tasks whose results come in the order of the items, run by this process or spread over others."""
 
 import os
 import socket
@@ -11,13 +11,64 @@ from selectors import EVENT_READ, DefaultSelector
 from typing import Any, NoReturn, TypeVar
 
 from multilica.errors import WorkerDiedError
-from multilica.workers.messages import UNREADABLE, Answer, Job, Release, WorkerFailure
-from multilica.workers.pool import Shared, Workers
+from multilica.workers.messages import UNREADABLE, Answer, Job, Release, Shared, WorkerFailure, end_claims, pack, unpack
 from multilica.workers.server import start_server
-from multilica.workers.shared_buffers import end_claims, pack, unpack
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
+
+
+class Workers:
+    """Runs tasks in this process; `WorkerProcesses` runs them in others.
+
+    Attributes:
+        processes: the most other processes that run tasks at the same time.
+    """
+
+    def __init__(self) -> None:
+        self.processes = 0
+        self._shared = Shared()
+
+    def share(self, name: str, value: object) -> None:
+        """Make a value available to all tasks as ``shared[name]``; its arrays are copied once, for all workers.
+
+        Raises:
+            ValueError: the name is taken; `forget` frees it.
+        """
+        self._shared.add(name, value)
+
+    def forget(self, names: Collection[str] | None = None) -> None:
+        """Drop shared values, all if no names are given."""
+        self._shared.drop(names)
+
+    def map(self, function: Callable[[Shared, _Item], _Result], items: Sequence[_Item]) -> Iterator[_Result]:
+        """Yield ``function(shared, item)`` for each item in order, each as soon as it and those before are there.
+
+        The tasks start with the first ``next``; worker processes go on while the caller uses a result. For them, items
+        and results are copies with read-only arrays. The results do not depend on the number of workers if a task
+        depends on its item and the shared values alone.
+
+        Args:
+            function: a function of a module other than the main module.
+
+        Raises:
+            WorkerDiedError: a worker was killed or crashed.
+            Exception: whatever a task raises, after the results of the items before it.
+        """
+        for item in items:
+            yield function(self._shared, item)
+
+    def map_and_share(
+        self, function: Callable[[Shared, _Item], _Result], items: Mapping[str, _Item]
+    ) -> Iterator[tuple[str, _Result]]:
+        """Yield the name and the result of each item as `map` does, and share the result under that name.
+
+        Raises:
+            ValueError: a name is taken.
+        """
+        for name, item in items.items():
+            self._shared.add(name, result := function(self._shared, item))
+            yield name, result
 
 
 def available_cores() -> int:

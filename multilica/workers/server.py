@@ -13,9 +13,7 @@ from functools import partial
 from importlib import import_module
 
 from multilica.allocator import keep_freed_memory
-from multilica.workers.messages import UNREADABLE, Answer, Job, Release, WorkerFailure
-from multilica.workers.pool import Shared
-from multilica.workers.shared_buffers import claim_next, pack, unpack
+from multilica.workers.messages import UNREADABLE, Answer, Job, Release, Shared, WorkerFailure, claim_next, pack, unpack
 
 # Read by OpenMP, OpenBLAS and MKL when they are loaded. OpenBLAS and MKL fall back to the first.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
