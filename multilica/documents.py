@@ -8,7 +8,8 @@ and numbers. `tomllib`, `json` and `ruamel.yaml` have none of their own, recurse
 import json
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -48,7 +49,7 @@ def read_limited(path: Path, max_bytes: int) -> bytes:
     """
     with path.open("rb") as file:
         data = file.read(max_bytes + 1)
-    _require_size(data, max_bytes)
+    _sized(data, max_bytes)
     if data.startswith(LFS_POINTER):
         raise DocumentError("it is a pointer of Git LFS, not the file; get the file with `git lfs pull`")
     return data
@@ -56,32 +57,22 @@ def read_limited(path: Path, max_bytes: int) -> bytes:
 
 def parse_toml(data: bytes | str) -> dict[str, Any]:
     """Parse a TOML document; raise DocumentError if it is not valid or exceeds a limit."""
-    data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-    _require_size(data, MAX_TOML_BYTES)
+    data = _sized(data, MAX_TOML_BYTES)
     if _LONG_KEY.search(data):
         raise _too_deep()
-    try:
+    with _clauses():
         table = tomllib.loads(data.decode("utf-8"))
-    except RecursionError as error:
-        raise _too_deep() from error
-    except (ValueError, OverflowError) as error:
-        raise DocumentError(_reason(error)) from error
     _require_plain(table)
     return table
 
 
 def parse_json(data: bytes | str) -> Any:  # noqa: ANN401 - any JSON value
     """Parse a JSON document; raise DocumentError if it is not valid or exceeds a limit."""
-    data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-    _require_size(data, MAX_JSON_BYTES)
+    data = _sized(data, MAX_JSON_BYTES)
     if data.count(b",") + 4 * (data.count(b"[") + data.count(b"{")) > _MAX_VALUES:
         raise DocumentError("it has millions of values")
-    try:
+    with _clauses():
         value = json.loads(data.decode("utf-8"), parse_constant=_refuse_constant)
-    except RecursionError as error:
-        raise _too_deep() from error
-    except ValueError as error:
-        raise DocumentError(_reason(error)) from error
     _require_plain(value)
     return value
 
@@ -91,25 +82,17 @@ def parse_yaml(data: bytes | str) -> Any:  # noqa: ANN401 - any YAML value
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
-    _require_size(data, MAX_YAML_BYTES)
-    try:
+    data = _sized(data, MAX_YAML_BYTES)
+    with _clauses():
         text = data.decode("utf-8")
-        _require_plain_events(YAML(typ="safe", pure=True).parse(text))
-        value = YAML(typ="safe", pure=True).load(text)
-    except DocumentError:
-        raise
-    except RecursionError as error:
-        raise _too_deep() from error
-    except YAMLError as error:
-        parts = (getattr(error, name, None) for name in ("context", "problem"))
-        mark = getattr(error, "problem_mark", None)
-        where = f" in line {mark.line + 1}" if mark is not None else ""
-        what = ", ".join(part for part in parts if part) or "it is not YAML"
-        raise DocumentError(_reason(ValueError(f"{what}{where}"))) from error
-    except (ValueError, OverflowError, TypeError, ArithmeticError, LookupError, AttributeError) as error:
-        # The constructors of dates, keys and numbers have no errors of their own.
-        raise DocumentError(_reason(error)) from error
+        try:
+            _require_plain_events(YAML(typ="safe", pure=True).parse(text))
+            value = YAML(typ="safe", pure=True).load(text)
+        except YAMLError as error:
+            parts = (getattr(error, name, None) for name in ("context", "problem"))
+            mark = getattr(error, "problem_mark", None)
+            where = f" in line {mark.line + 1}" if mark is not None else ""
+            raise ValueError(f"{', '.join(filter(None, parts)) or 'it is not YAML'}{where}") from error
     _require_plain(value)
     return value
 
@@ -154,9 +137,27 @@ def require_length(value_m: float) -> float:
     return value_m
 
 
-def _require_size(data: bytes, max_bytes: int) -> None:
+def _sized(data: bytes | str, max_bytes: int) -> bytes:
+    """Return a document as bytes; raise DocumentError if it has more than `max_bytes`."""
+    data = data.encode("utf-8", "surrogatepass") if isinstance(data, str) else data
     if len(data) > max_bytes:
         raise DocumentError(f"it has more than {max_bytes} bytes")
+    return data
+
+
+@contextmanager
+def _clauses() -> Iterator[None]:
+    """Turn the errors of a parser into DocumentError; YAML's dates, keys and numbers have no errors of their own."""
+    try:
+        yield
+    except DocumentError:
+        raise
+    except RecursionError as error:
+        raise _too_deep() from error
+    except (ValueError, TypeError, ArithmeticError, LookupError, AttributeError) as error:
+        text = " ".join(str(error).split()).rstrip(".")
+        long = "integer string conversion" in text
+        raise DocumentError("it has a number of thousands of digits" if long else text) from error
 
 
 def _require_plain(document: object) -> None:
@@ -168,13 +169,10 @@ def _require_plain(document: object) -> None:
             if depth >= _MAX_DEPTH:
                 raise _too_deep()
             named = value.items() if isinstance(value, dict) else ((None, item) for item in value)
-            waiting.extend((item, _path(name, key), depth + 1) for key, item in named)
+            within = f"{name}." if name else ""
+            waiting.extend((item, name if key is None else f"{within}{key}", depth + 1) for key, item in named)
         elif isinstance(value, float | int) and not abs(value) <= _MAX_NUMBER:
             raise DocumentError(f"{name or 'it'} is {shown(value)}; expected a number up to {_MAX_NUMBER:.2g}")
-
-
-def _path(name: str, key: object) -> str:
-    return name if key is None else f"{name}.{key}" if name else str(key)
 
 
 def _too_deep() -> DocumentError:
@@ -183,8 +181,3 @@ def _too_deep() -> DocumentError:
 
 def _refuse_constant(name: str) -> NoReturn:
     raise DocumentError(f"it has the number {name}, which is not finite")
-
-
-def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split()).rstrip(".")
-    return "it has a number of thousands of digits" if "integer string conversion" in text else text

@@ -168,22 +168,28 @@ class Installation:
 
 def examine_installation() -> Installation:
     """Look at the installation in about a second; what is found is tried, in a process of its own."""
-    found = {name: _version((name,)) for name in CORE_LIBRARIES}
-    optional = {module: _version(library.distributions) for module, library in OPTIONAL_LIBRARIES.items()}
-    tried = [module for name, module in CORE_LIBRARIES.items() if found[name]]
-    tried += [module for module in ("open3d", *_COMPILED) if optional[module]]
+    core = [OptionalLibrary(module, (name,), "", "", f"pip install {name}") for name, module in CORE_LIBRARIES.items()]
+    optional = OPTIONAL_LIBRARIES.values()
+    versions = {library.module: _version(library.distributions) for library in (*core, *optional)}
+    tried = [module for module in (*CORE_LIBRARIES.values(), "open3d", *_COMPILED) if versions[module]]
     problems = _problems(tried)
+    examined_core, examined_optional = (
+        tuple(_examined(each, versions[each.module], problems.get(each.module, "")) for each in libraries)
+        for libraries in (core, optional)
+    )
+    folders = dict.fromkeys((str(Path.cwd()), tempfile.gettempdir()))
     return Installation(
         multilica.__version__,
         platform.python_version(),
         platform.platform(),
-        tuple(_core(name, found[name], problems.get(module, "")) for name, module in CORE_LIBRARIES.items()),
-        tuple(
-            _optional(library, optional[module], problems.get(module, ""))
-            for module, library in OPTIONAL_LIBRARIES.items()
-        ),
+        examined_core,
+        examined_optional,
         _viewer(),
-        _machine(),
+        Machine(
+            len(os.sched_getaffinity(0)),
+            {name: os.environ[name] for name in _THREADS if name in os.environ},
+            {folder: shutil.disk_usage(folder).free for folder in folders},
+        ),
     )
 
 
@@ -210,27 +216,14 @@ def _problems(modules: Sequence[str]) -> dict[str, str]:
     return {module: escape_controls(problem) for module, problem in told.items() if problem}
 
 
-def _core(name: str, version: str, problem: str) -> Library:
-    if not version:
-        return Library(name, "missing", command=f"pip install {name}")
-    if problem:
-        return Library(name, "broken", version, problem, command=f"pip install --force-reinstall {name}")
-    return Library(name, "works", version)
-
-
-def _optional(library: OptionalLibrary, version: str, problem: str) -> Library:
-    name, command = library.distributions[-1], library.install_command
-    if not version:
-        return Library(name, "missing", extra=library.extra, purpose=library.purpose, command=command)
+def _examined(library: OptionalLibrary, version: str, problem: str) -> Library:
+    state: State = "broken" if problem else "works" if version else "missing"
+    mend = "" if version else library.install_command
     if problem:
         packages = missing_for_open3d() if library.module == "open3d" else []
-        mend = apt_command(packages) if packages else f"pip install --force-reinstall {_installed_name(library)}"
-        return Library(name, "broken", version, problem, library.extra, library.purpose, mend)
-    return Library(name, "works", version, "", library.extra, library.purpose)
-
-
-def _installed_name(library: OptionalLibrary) -> str:
-    return next(name for name in library.distributions if _version((name,)))
+        installed = next(name for name in library.distributions if _version((name,)))
+        mend = apt_command(packages) if packages else f"pip install --force-reinstall {installed}"
+    return Library(library.distributions[-1], state, version, problem, library.extra, library.purpose, mend)
 
 
 def _viewer() -> Viewer:
@@ -242,13 +235,4 @@ def _viewer() -> Viewer:
         drivers,
         "none" if packages else renderer,
         apt_command(packages) if packages else "",
-    )
-
-
-def _machine() -> Machine:
-    folders = dict.fromkeys((str(Path.cwd()), tempfile.gettempdir()))
-    return Machine(
-        len(os.sched_getaffinity(0)),
-        {name: os.environ[name] for name in _THREADS if name in os.environ},
-        {folder: shutil.disk_usage(folder).free for folder in folders},
     )

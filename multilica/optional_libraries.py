@@ -36,12 +36,7 @@ class OptionalLibrary:
 
 
 _ALL = (
-    OptionalLibrary(
-        "open3d",
-        ("open3d-cpu", "open3d"),
-        "open3d",
-        "presets of the paper, simulate, engines open3d",
-    ),
+    OptionalLibrary("open3d", ("open3d-cpu", "open3d"), "open3d", "presets of the paper, simulate, engines open3d"),
     OptionalLibrary("networkx", ("networkx",), "open3d", "solver maximum_clique of the presets of the paper"),
     OptionalLibrary("kiss_matcher", ("kiss-matcher",), "kiss", "solver kiss_matcher (Python up to 3.12)"),
     OptionalLibrary("laspy", ("laspy",), "las", "LAS and LAZ files"),

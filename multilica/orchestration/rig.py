@@ -156,10 +156,10 @@ def compare_surfaces(state: CalibrationState) -> None:
     compared = dict(zip(poses, state.workers.map(compare_pair, list(poses.values())), strict=True))
     of_lidar: dict[str, list[PairMatches]] = {}
     for key, both_ways in compared.items():
-        state.observe(events.SurfacesMatched(both_ways[0].matches))
+        state.observe(events.SurfacesMatched(both_ways[0][0]))
         if state.registrations[key].verdict.accepted and {*key} <= {*state.poses}:
             for each in both_ways:
-                of_lidar.setdefault(each.matches.source, []).append(each)
+                of_lidar.setdefault(each[0].source, []).append(each)
     for name, found in sorted(of_lidar.items()):
         state.observe(events.ResidualsMeasured(residuals_of(state.lidars[name].side.cloud, found)))
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,13 +11,8 @@ from multilica.geometry import RigidTransform
 from multilica.registration.gicp import GicpCloud
 from multilica.results import IndexArray, SurfaceMatches, SurfaceResiduals
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PairMatches:
-    """Matches of a pair with the rows of the source's cloud that they belong to."""
-
-    matches: SurfaceMatches
-    source_rows: IndexArray
+PairMatches = tuple[SurfaceMatches, IndexArray]
+"""Matches of a pair with the rows of the source's cloud that they belong to."""
 
 
 def match_surfaces(
@@ -46,13 +40,13 @@ def match_surfaces(
         distances_m,
         np.minimum(planes_m, distances_m),
     )
-    return PairMatches(matches, rows[near])
+    return matches, rows[near]
 
 
 def residuals_of(source: GicpCloud, found: Iterable[PairMatches]) -> SurfaceResiduals:
     """Return the residual at each point of a LiDAR that any of the others saw: the smallest to any of them."""
     residual_m = np.full(len(source.points_m), np.inf)
-    for each in found:
-        residual_m[each.source_rows] = np.minimum(residual_m[each.source_rows], each.matches.plane_distance_m)
+    for matches, rows in found:
+        residual_m[rows] = np.minimum(residual_m[rows], matches.plane_distance_m)
     seen = np.flatnonzero(np.isfinite(residual_m))
     return SurfaceResiduals(source.name, source.points_m[seen], residual_m[seen])

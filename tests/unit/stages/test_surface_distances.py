@@ -24,28 +24,28 @@ def _clouds(target_m, source_m):
 
 def test_the_residual_is_the_distance_to_the_plane():
     target, source = _clouds(_floor(0.0, 6.0), _floor(0.07, 6.0, height_m=0.03))
-    found = match_surfaces(target, source, _TRUTH, 0.25, 10**6)
-    assert len(found.matches) == len(source.points_m)
-    assert found.matches.plane_distance_m == pytest.approx(0.03, abs=1e-9)
-    assert np.all(found.matches.distance_m > 0.03)
-    again_m = np.linalg.norm(_TRUTH.apply(found.matches.source_points_m) - found.matches.target_points_m, axis=1)
-    assert again_m == pytest.approx(found.matches.distance_m)
+    found, _ = match_surfaces(target, source, _TRUTH, 0.25, 10**6)
+    assert len(found) == len(source.points_m)
+    assert found.plane_distance_m == pytest.approx(0.03, abs=1e-9)
+    assert np.all(found.distance_m > 0.03)
+    again_m = np.linalg.norm(_TRUTH.apply(found.source_points_m) - found.target_points_m, axis=1)
+    assert again_m == pytest.approx(found.distance_m)
 
 
 def test_points_beyond_the_distance_do_not_match():
     target, source = _clouds(_floor(0.0, 3.0), _floor(2.0, 6.0))
-    found = match_surfaces(target, source, _TRUTH, 0.25, 10**6)
-    matched_m = _TRUTH.apply(source.points_m[found.source_rows])
-    assert 0 < len(found.matches) < len(source.points_m)
+    found, rows = match_surfaces(target, source, _TRUTH, 0.25, 10**6)
+    matched_m = _TRUTH.apply(source.points_m[rows])
+    assert 0 < len(found) < len(source.points_m)
     assert matched_m[:, 0].max() < 3.0 + 0.25
-    assert np.array_equal(found.matches.source_points_m, source.points_m[found.source_rows])
+    assert np.array_equal(found.source_points_m, source.points_m[rows])
 
 
 def test_of_many_points_some_are_matched_evenly():
     target, source = _clouds(_floor(0.0, 6.0), _floor(0.0, 6.0))
-    found = match_surfaces(target, source, _TRUTH, 0.25, 100)
-    assert len(found.matches) == 100
-    assert (found.source_rows[0], found.source_rows[-1]) == (0, len(source.points_m) - 1)
+    found, rows = match_surfaces(target, source, _TRUTH, 0.25, 100)
+    assert len(found) == 100
+    assert (rows[0], rows[-1]) == (0, len(source.points_m) - 1)
 
 
 def test_a_residual_is_the_smallest_to_any_lidar():
