@@ -29,12 +29,17 @@ from multilica.results import (
 from multilica.snapshot import Snapshot
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, select_finalists
 from multilica.stages.ground import estimate_ground, estimate_level, middle_of
-from multilica.stages.group_registration import poses_between, register_groups
 from multilica.stages.known_poses import known_between, known_in_base
-from multilica.stages.merge import merge_along_graph, merge_by_fitness, merge_target_first
+from multilica.stages.merge import (
+    merge_along_graph,
+    merge_by_fitness,
+    merge_target_first,
+    poses_between,
+    register_groups,
+)
+from multilica.stages.pair_choice import choose_target
 from multilica.stages.refine import refine, trusted_pairs
 from multilica.stages.surface_distances import PairMatches, match_surfaces, residuals_of
-from multilica.stages.target import choose_target
 from multilica.workers import Shared
 
 # Enough to see where a pair does not meet; `--record full` has all.

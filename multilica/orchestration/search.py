@@ -23,8 +23,15 @@ from multilica.orchestration.state import CalibrationState
 from multilica.registration.poses import is_distinct
 from multilica.results import Hypothesis, PairKey, PairRegistration
 from multilica.stages.known_poses import known_between
-from multilica.stages.pair_choice import choose_loops, components, implied_poses, is_open, next_round, pairs_by_role
-from multilica.stages.target import choose_target
+from multilica.stages.pair_choice import (
+    choose_loops,
+    choose_target,
+    components,
+    implied_poses,
+    is_open,
+    next_round,
+    pairs_by_role,
+)
 
 
 def search_pairs(state: CalibrationState, until: Stage = "fine") -> None:

@@ -144,7 +144,7 @@ def fitness_and_rmse(
     Open3D calls these fitness and inlier RMSE; the paper's threshold of 0.2 is one of fitness. Without inliers the
     RMSE is infinite.
     """
-    _, distances_m = target.tree.nearest_within(T_target_source.apply(source.points_m), distance_m)
+    _, distances_m, _ = target.tree.nearest_within(T_target_source.apply(source.points_m), distance_m)
     if len(distances_m) == 0:
         return 0.0, float("inf"), 0
     rmse_m = float(np.sqrt(np.mean(distances_m**2)))
@@ -168,28 +168,12 @@ class _Gicp:
     steps: tuple[GicpStep, ...] = ()
     fit: tuple[float, float, int] | None = None
 
-    def moved(
-        self,
-        matrix: FloatArray,
-        iterations: int,
-        distance_m: float,
-        inliers: int,
-        error: float,
-        *,
-        converged: bool,
-        hessian: FloatArray | None = None,
-    ) -> _Gicp:
-        before, iterations = self.pose, (self.iterations or 0) + iterations
-        pose = RigidTransform.from_rotation_translation(before.target, before.source, matrix[:3, :3], matrix[:3, 3])
-        step = GicpStep(iterations, distance_m, inliers, inliers / self.points, error, *before.distance_to(pose))
-        return _Gicp(pose, self.points, iterations, converged, hessian, (*self.steps, step))
-
 
 def _within_reach(
     target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, config: FineConfig
 ) -> GicpCloud:
     reach_m = _REACH * max(config.max_correspondence_distances_m)
-    near, _ = target.tree.nearest_within(T_target_source.apply(source.points_m), reach_m)
+    near, *_ = target.tree.nearest_within(T_target_source.apply(source.points_m), reach_m)
     if len(near) < _MIN_POINTS:
         near = np.union1d(near, np.arange(min(_MIN_POINTS, len(source.points_m))))
     if len(near) > _WORTH_CROPPING * len(source.points_m):
@@ -212,10 +196,12 @@ def _run_small_gicp(state: _Gicp, target: GicpCloud, source: GicpCloud, distance
             rotation_epsilon=config.rotation_epsilon_rad,
             translation_epsilon=config.translation_epsilon_m,
         )
-        matrix, inliers, error = result.T_target_source, int(result.num_inliers), float(result.error)
-        converged, hessian = bool(result.converged), np.array(result.H)
-        iterations = result.iterations + 1
-        state = state.moved(matrix, iterations, distance_m, inliers, error, converged=converged, hessian=hessian)
+        before, iterations = state.pose, (state.iterations or 0) + result.iterations + 1
+        pose, inliers = _moved(before, result.T_target_source), int(result.num_inliers)
+        share, error = inliers / state.points, float(result.error)
+        step = GicpStep(iterations, distance_m, inliers, share, error, *before.distance_to(pose))
+        hessian, steps = np.array(result.H), (*state.steps, step)
+        state = _Gicp(pose, state.points, iterations, bool(result.converged), hessian, steps)
         if state.converged:
             break
     return state
@@ -231,8 +217,11 @@ def _run_open3d(state: _Gicp, target: GicpCloud, source: GicpCloud, distance_m: 
         registration.TransformationEstimationForGeneralizedICP(epsilon=_OPEN3D_EPSILON),
         registration.ICPConvergenceCriteria(_OPEN3D_CONVERGED, _OPEN3D_CONVERGED, config.max_iterations),
     )
-    inliers, before, matrix = len(result.correspondence_set), state.pose, np.asarray(result.transformation)
-    pose = RigidTransform.from_rotation_translation(before.target, before.source, matrix[:3, :3], matrix[:3, 3])
+    inliers, pose = len(result.correspondence_set), _moved(state.pose, np.asarray(result.transformation))
     fit = (float(result.fitness), float(result.inlier_rmse), inliers) if inliers else None
     # Open3D reports neither; without matches it has certainly not converged.
     return _Gicp(pose, state.points, iterations=None, converged=None if inliers else False, fit=fit)
+
+
+def _moved(pose: RigidTransform, matrix: FloatArray) -> RigidTransform:
+    return RigidTransform.from_rotation_translation(pose.target, pose.source, matrix[:3, :3], matrix[:3, 3])

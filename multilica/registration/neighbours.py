@@ -43,13 +43,12 @@ class PointTree:
         index, squared_m2 = self.engine.batch_knn_search(points_m, 1, 1)
         return np.sqrt(squared_m2[:, 0]), index[:, 0].astype(np.int64)
 
-    def nearest_within(self, points_m: FloatArray, reach_m: float) -> tuple[IndexArray, FloatArray]:
-        """Return which of (M, 3) points have a neighbour within that distance: indices (K,) and distances (K,)."""
-        near, distances_m, _ = self.matches_within(points_m, reach_m)
-        return near, distances_m
+    def nearest_within(self, points_m: FloatArray, reach_m: float) -> tuple[IndexArray, FloatArray, IndexArray]:
+        """Find the nearest neighbours of (M, 3) points within a distance.
 
-    def matches_within(self, points_m: FloatArray, reach_m: float) -> tuple[IndexArray, FloatArray, IndexArray]:
-        """Return the same, and the indices (K,) of those neighbours."""
+        Returns:
+            Which points have one (K,), its distances (K,), and its indices (K,).
+        """
         near = np.flatnonzero(self._grid.at_least_m(points_m) <= reach_m)
         distances_m, index = self.nearest(points_m[near])
         within = distances_m <= reach_m

@@ -46,7 +46,6 @@ class _Overlap:
     target: GicpCloud
     points_m: FloatArray
     normals: FloatArray
-    distance_m: float
     placed: MovedPoints
 
 
@@ -136,26 +135,25 @@ def _information(overlap: _Overlap, pose: RigidTransform) -> FloatArray | None:
     noise = jacobian * (residuals.weight * _MIN_SIGMA_M)[:, None]
     per_patch = _summed_by_patch(residuals.points_m, pulls)
     hessian = _remaining_hessian(overlap, pose, residuals)
-    floored, spread = _floored(hessian, per_patch.T @ per_patch + noise.T @ noise, _DISTANCE_M)
+    floored, spread = _floored(hessian, per_patch.T @ per_patch + noise.T @ noise)
     return np.asarray(floored @ np.linalg.pinv(spread, hermitian=True) @ floored)
 
 
 def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Overlap:
     """Select the points that may match, thinned evenly to the number allowed."""
-    reach_m = 1.5 * _DISTANCE_M
-    near, _ = target.tree.nearest_within(pose.apply(source.points_m), reach_m)
+    near, *_ = target.tree.nearest_within(pose.apply(source.points_m), 1.5 * _DISTANCE_M)
     if len(near) > _MAX_POINTS:
         near = near[np.linspace(0, len(near) - 1, _MAX_POINTS).astype(np.intp)]
     normals, _ = source.surface.at(near)
     points_m = source.points_m[near]
-    return _Overlap(target, points_m, normals, _DISTANCE_M, MovedPoints(target.tree, pose.apply(points_m)))
+    return _Overlap(target, points_m, normals, MovedPoints(target.tree, pose.apply(points_m)))
 
 
 def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = None) -> _Residuals | None:
     arms = pose.rotate(overlap.points_m)
     points_m = arms + pose.xyz_m
     distance_m, index = overlap.placed.nearest(points_m)
-    matched = np.flatnonzero(distance_m <= overlap.distance_m)
+    matched = np.flatnonzero(distance_m <= _DISTANCE_M)
     if len(matched) < _MIN_MATCHES:
         return None
     arms, points_m, index = arms[matched], points_m[matched], index[matched]
@@ -196,13 +194,13 @@ def _remaining_hessian(overlap: _Overlap, pose: RigidTransform, residuals: _Resi
     return np.asarray((root * np.clip(shares, _LEAST_REAL, 1.0)) @ root.T / lengths)
 
 
-def _floored(hessian: FloatArray, spread: FloatArray, distance_m: float) -> tuple[FloatArray, FloatArray]:
+def _floored(hessian: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return H and B with a floor: where H is below one point, one point with the largest match distance counts."""
     lengths = np.outer(_SCALE, _SCALE)
     values, directions = np.linalg.eigh(hessian * lengths)
     loose = directions[:, values < 1.0]
     floored = (directions * np.maximum(values, 1.0)) @ directions.T
-    return floored / lengths, spread + distance_m**2 * (loose @ loose.T) / lengths
+    return floored / lengths, spread + _DISTANCE_M**2 * (loose @ loose.T) / lengths
 
 
 def _solved(hessian: FloatArray, pull: FloatArray) -> FloatArray:

@@ -309,13 +309,12 @@ def estimate_level(
         poses: of the placed LiDARs in the target's frame; empty to use the target alone.
     """
     known = poses or {target: RigidTransform.identity(target, target)}
-    samples = [pose.apply(_sample(clouds[name], len(known))) for name, pose in known.items() if name in clouds]
+    samples = []
+    for name, pose in known.items():
+        if (points_m := clouds.get(name)) is not None:
+            most = min(_LEVEL_POINTS // len(known), len(points_m))
+            rows = np.random.default_rng(0).choice(len(points_m), most, replace=False)
+            samples.append(pose.apply(points_m[np.sort(rows)]))
     points_m = np.concatenate([np.empty((0, 3)), *samples])
     ground, _ = estimate_ground(target, points_m, config, middle_of(known))
     return None if ground is None else RigidTransform(LEVEL_FRAME, target, ground.T_base_target.matrix)
-
-
-def _sample(points_m: FloatArray, clouds: int) -> FloatArray:
-    limit = _LEVEL_POINTS // clouds
-    rows = np.random.default_rng(0).choice(len(points_m), min(limit, len(points_m)), replace=False)
-    return points_m[np.sort(rows)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Choice of the pairs of LiDARs to search next, and of those to register where other pairs imply their pose."""
+"""Choice of the pairs of LiDARs to search next, of those that other pairs imply, and of the target."""
 
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -8,7 +8,7 @@ from itertools import combinations, permutations
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.geometry import RigidTransform
 from multilica.registration.poses import is_distinct
-from multilica.results import PairKey, PairRegistration, Registration
+from multilica.results import PairKey, PairRegistration, PreprocessedCloud, Registration
 
 # The noise of a LiDAR's scan is the same in all its pairs, so more loops hardly improve its pose.
 _LOOPS_PER_LIDAR = 4
@@ -100,3 +100,24 @@ def choose_loops(scores: Mapping[PairKey, Registration], min_evidence: float) ->
             count.update(pair)
             chosen.append(pair)
     return chosen
+
+
+def choose_target(
+    asked_for: str, clouds: Mapping[str, PreprocessedCloud], pairs: Sequence[PairRegistration]
+) -> tuple[str, str]:
+    """Choose the root of the result: the LiDAR that the user asks for, if any, else the one with the most overlap.
+
+    Returns:
+        The name of the target and the reason in words.
+    """
+    if asked_for:
+        return asked_for, "set by --target"
+    overlap = dict.fromkeys(clouds, 0.0)
+    for pair in pairs:
+        if pair.verdict.accepted:
+            overlap[pair.target] += pair.fitness
+            overlap[pair.source] += pair.fitness
+    best = max(overlap, key=lambda name: (overlap[name], len(clouds[name].points_m)))
+    if overlap[best] == 0.0:
+        return best, "most points, as no pair was accepted"
+    return best, f"most overlap, the fitness of its pairs adds up to {overlap[best]:.2f}"

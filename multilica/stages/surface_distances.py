@@ -28,7 +28,7 @@ def match_surfaces(
     if len(rows) > most:
         rows = np.linspace(0, len(rows) - 1, most).astype(np.int64)
     moved_m = pose.apply(source.points_m[rows])
-    near, distances_m, index = target.tree.matches_within(moved_m, distance_m)
+    near, distances_m, index = target.tree.nearest_within(moved_m, distance_m)
     normals, _ = target.surface.at(index)
     planes_m = np.abs(((moved_m[near] - target.points_m[index]) * normals).sum(axis=1))
     matches = SurfaceMatches(

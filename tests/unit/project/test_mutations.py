@@ -24,7 +24,7 @@ def test_kernels_run_tests_that_are_there() -> None:
 
 
 def test_the_sample_is_the_same_each_time() -> None:
-    module = "multilica/stages/target.py"
+    module = "multilica/stages/coarse.py"
     few, many = list(mutate.mutants_of(module, 2)), list(mutate.mutants_of(module, 5))
     assert [len(few), len(many)] == [2, 5]
     assert few == many[:2]

@@ -71,13 +71,13 @@ def test_moved_points_have_the_neighbours_of_a_new_search(motion_m):
 def test_a_bounded_search_finds_what_an_unbounded_one_does(reach_m):
     tree, points_m = PointTree(_POINTS_M), 3.0 * _ELSEWHERE_M
     known_m, _ = tree.nearest(points_m)
-    near, distance_m = tree.nearest_within(points_m, reach_m)
+    near, distance_m, _ = tree.nearest_within(points_m, reach_m)
     assert np.array_equal(near, np.flatnonzero(known_m <= reach_m))
     assert np.array_equal(distance_m, known_m[near])
 
 
 def test_a_bounded_search_among_points_of_one_place():
-    near, distance_m = PointTree(np.ones((3, 3))).nearest_within(np.array([[1.0, 1.0, 1.1], [9.0, 1.0, 1.0]]), 0.2)
+    near, distance_m, _ = PointTree(np.ones((3, 3))).nearest_within(np.array([[1.0, 1.0, 1.1], [9.0, 1.0, 1.0]]), 0.2)
     assert near.tolist() == [0]
     assert distance_m == pytest.approx([0.1])
 

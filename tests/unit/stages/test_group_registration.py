@@ -5,7 +5,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, preset
 from multilica.results import Group, Verdict
-from multilica.stages.group_registration import poses_between, register_groups
+from multilica.stages.merge import poses_between, register_groups
 from tests.unit.made_pairs import ACCEPTED, pair, pose, registration, undecided
 
 _REFUSED = Verdict("undecided")

@@ -2,7 +2,7 @@
 import numpy as np
 
 from multilica.results import PreprocessedCloud
-from multilica.stages.target import choose_target
+from multilica.stages.pair_choice import choose_target
 from tests.unit.made_pairs import pair, pose, undecided
 
 _CLOUDS = {
