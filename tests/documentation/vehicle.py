@@ -21,11 +21,11 @@ from tests.cli.support import ROOT, write_pcd
 from tests.ingest.support.recording_writers import write_ros1_bag
 
 LIDARS = ("front", "left", "rear")
-FRAMES = 85
+FRAMES = 140
 FEW_FRAMES = 12
 START_NS = 1_777_897_790_000_000_000
 """Ten seconds before the time that a page names: 2026-05-04T12:30:00Z."""
-PERIOD_NS = 1_000_000_000
+PERIOD_NS = 500_000_000
 SHARES = 16
 """A frame is a random sixteenth of a scan of the sample, so that no two are equal."""
 FEW_SHARES = 2
