@@ -103,6 +103,7 @@ def test_a_folder_above_the_sequence_will_do(sequence: Path, scenes: list[Datase
     assert [scene.name for scene in read_scenes(sequence.parent, REQUEST)] == [scene.name for scene in scenes]
 
 
+@pytest.mark.slow
 def test_without_poses_the_scans_tell_the_stops(tmp_path: Path) -> None:
     sequence = write_helipr(tmp_path / "unknown", with_poses=())
     found = list(read_scenes(sequence, REQUEST))
