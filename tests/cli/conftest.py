@@ -2,14 +2,19 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer.main
 
 from multilica import RigidTransform, read_snapshot
 from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.main import run
 from tests.cli.support import Invoke, Outcome, write_pcd, write_recording
+
+built_once = cache(typer.main.get_command)
+"""Typer builds all commands anew for each command line, which takes longer than most of them."""
 
 
 @pytest.fixture
@@ -17,6 +22,7 @@ def invoke(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
     """Runs a command line in a directory of its own."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("MULTILICA_DEBUG", raising=False)
+    monkeypatch.setattr("typer.main.get_command", built_once)
 
     def call(*arguments: str | Path) -> Outcome:
         capsys.readouterr()

@@ -21,10 +21,6 @@ WIDTHS = (1400, 390)
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
     pytest.mark.shows("docs", "multilica", "cli", *(path.name for path in ROOT.glob("*.md"))),
 ]
 

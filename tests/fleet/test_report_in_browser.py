@@ -18,9 +18,6 @@ from tests.sinks.browser import NoBrowserError, headless_browser
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
     pytest.mark.shows("multilica/fleet", "multilica/sinks/report", "tests/fleet"),
 ]
 LONG = "a_name_without_any_space_" * 8

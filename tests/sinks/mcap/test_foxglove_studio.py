@@ -15,9 +15,6 @@ from tests.sinks.mcap.studio import has_studio, served_studio
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
     pytest.mark.shows(*RUN_FILES),
     pytest.mark.skipif(not has_studio(), reason="run: npm install --prefix tests/node --no-package-lock"),
 ]

@@ -25,10 +25,6 @@ from tests.sinks.made_events import made_events
 DRIVERS = [*Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")]
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
-    pytest.mark.slow,
     pytest.mark.shows(*RUN_FILES),
     pytest.mark.skipif(not DRIVERS, reason="apt-get install mesa-vulkan-drivers libvulkan1"),
 ]

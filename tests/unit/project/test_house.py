@@ -50,17 +50,27 @@ def project_files() -> Iterator[Path]:
         yield from (Path(folder) / name for name in names if name not in UNTRACKED)  # .git is a file in a worktree
 
 
+@cache
+def all_files() -> list[Path]:
+    return sorted(project_files())
+
+
+@cache
+def text_of(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
 def text_files() -> list[Path]:
-    return sorted(path for path in project_files() if path.suffix in TEXT_SUFFIXES and path.name != "LICENSE")
+    return [path for path in all_files() if path.suffix in TEXT_SUFFIXES and path.name != "LICENSE"]
 
 
+@cache
 def relative(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
 def files_below(folders: set[str], suffix: str = "") -> list[Path]:
-    found = (path for path in project_files() if path.relative_to(ROOT).parts[0] in folders)
-    return sorted(path for path in found if path.name.endswith(suffix))
+    return [path for path in all_files() if relative(path).split("/")[0] in folders and path.name.endswith(suffix)]
 
 
 def nodes_below(folders: set[str], kind: type[ast.AST] | UnionType) -> Iterator[tuple[str, ast.AST]]:
@@ -72,7 +82,7 @@ def nodes_below(folders: set[str], kind: type[ast.AST] | UnionType) -> Iterator[
 
 @cache
 def nodes_of(path: Path) -> list[ast.AST]:
-    return [*ast.walk(ast.parse(path.read_text(encoding="utf-8")))]
+    return [*ast.walk(ast.parse(text_of(path)))]
 
 
 def listed(offenders: list[str], rule: str) -> str:
@@ -101,7 +111,7 @@ def test_each_source_begins_with_its_licence() -> None:
 
 
 def has_licence(path: Path) -> bool:
-    head = path.read_text(encoding="utf-8").splitlines()[:2]
+    head = text_of(path).splitlines()[:2]
     first = head[1:] if head and head[0].startswith("#!") else head
     return bool(first) and "SPDX-License-Identifier: Apache-2.0" in first[0]
 
@@ -109,13 +119,13 @@ def has_licence(path: Path) -> bool:
 @pytest.mark.parametrize("fault", BANNED)
 def test_no_file_holds(fault: str) -> None:
     pattern = re.compile(BANNED[fault], re.MULTILINE)
-    found = [relative(path) for path in text_files() if pattern.search(path.read_text(encoding="utf-8"))]
+    found = [relative(path) for path in text_files() if pattern.search(text_of(path))]
     assert found == [], f"{fault} stands in these files"
 
 
 def test_only_packages_list_their_names() -> None:
     declared = re.compile(r"^__all__\b", re.MULTILINE)
-    lists = [path for path in files_below(PRODUCT, ".py") if declared.search(path.read_text(encoding="utf-8"))]
+    lists = [path for path in files_below(PRODUCT, ".py") if declared.search(text_of(path))]
     assert [relative(path) for path in lists if path.name != "__init__.py"] == []
     for path in lists:
         loaded = importlib.import_module(".".join(path.relative_to(ROOT).parts[:-1]))
@@ -130,16 +140,14 @@ def test_the_package_finds_its_public_names() -> None:
 
 
 def test_names_of_tests_are_short() -> None:
-    long = [
-        f"{place} {node.name} ({len(node.name)})"
-        for place, node in nodes_below({"tests"}, Function)
-        if node.name.startswith("test_") and len(node.name) > LONGEST_TEST_NAME
-    ]
+    test = re.compile(r"^ *(?:async )?def (test_\w+)", re.MULTILINE)
+    names = ((path, name) for path in files_below({"tests"}, ".py") for name in test.findall(text_of(path)))
+    long = [f"{relative(path)} {name} ({len(name)})" for path, name in names if len(name) > LONGEST_TEST_NAME]
     assert not long, listed(long, f"a test's name has at most {LONGEST_TEST_NAME} characters")
 
 
 def test_sources_are_short() -> None:
-    lines = {path: path.read_text(encoding="utf-8").count("\n") for path in files_below(PRODUCT | {"tests"}, ".py")}
+    lines = {path: text_of(path).count("\n") for path in files_below(PRODUCT | {"tests"}, ".py")}
     long = [f"{relative(path)} ({count})" for path, count in lines.items() if count > MOST_LINES]
     assert not long, listed(long, f"a source has at most {MOST_LINES} lines")
 
@@ -164,7 +172,7 @@ def test_old_words_are_gone() -> None:
     found = [
         f"{relative(path)}:{number} {line}"
         for path in files_below(PRODUCT)
-        for number, line in enumerate([path.name, *path.read_text(encoding="utf-8").splitlines()])
+        for number, line in enumerate([path.name, *text_of(path).splitlines()])
         if OLD_WORDS.search(line)
     ]
     assert not found, listed(found, f"no name or text has {OLD_WORDS.pattern}")
@@ -196,7 +204,7 @@ def test_no_sentence_of_the_product_opens_with_a_clause() -> None:
 
 def comments() -> Iterator[tuple[str, str]]:
     for path in files_below(PRODUCT, ".py"):
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = text_of(path).splitlines()
         yield from (
             (f"{relative(path)}:{at}", line.lstrip(" #")) for at, line in enumerate(lines, 1) if "# " in line[:50]
         )
