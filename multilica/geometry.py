@@ -75,11 +75,6 @@ def rotation_angle_rad(rotation: FloatArray) -> float:
     return float(2.0 * np.arctan2(half_sine, half_cosine))
 
 
-def rotation_vector_rad(rotation: FloatArray) -> FloatArray:
-    """Return axis times angle (3,) of a rotation matrix (3, 3), in radians."""
-    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidTransform:
     """``p_target = matrix @ p_source``: the pose of the source frame in the target frame.

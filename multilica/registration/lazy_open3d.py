@@ -12,7 +12,15 @@ from multilica.optional_libraries import needed_for
 _PLOTS = "open3d.visualization.draw_plotly"
 
 
-class _LazyOpen3d:
+class LazyOpen3d:
+    """Open3D as a module that is imported at the first use of one of its names.
+
+    That use raises MissingDependencyError if Open3D is not installed, or lacks a system library.
+
+    Args:
+        wanted: what needs it, as for `needed_for`.
+    """
+
     def __init__(self, wanted: str) -> None:
         self._wanted = wanted
 
@@ -21,18 +29,7 @@ class _LazyOpen3d:
             return getattr(_open3d(), name)
 
 
-def open3d_for(wanted: str) -> Any:  # noqa: ANN401 - a module
-    """Return Open3D as a module that is imported at the first use of one of its names.
-
-    That use raises MissingDependencyError if Open3D is not installed, or lacks a system library.
-
-    Args:
-        wanted: what needs it, as for `needed_for`.
-    """
-    return _LazyOpen3d(wanted)
-
-
-o3d: Any = open3d_for("The engine 'open3d'")
+o3d = LazyOpen3d("The engine 'open3d'")
 
 
 @cache

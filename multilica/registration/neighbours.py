@@ -184,17 +184,14 @@ class Surface:
         known = self._known[index]
         if not np.all(known):
             unknown = np.unique(index[~known])
-            self._normals[unknown], self._flatness[unknown] = self._estimated(unknown)
+            points_m = self.tree.points_m
+            neighbours = self.tree.neighbours(points_m[unknown], self._neighbours)
+            variances, self._normals[unknown] = spread_and_normals(points_m, neighbours)
+            deviations = np.sqrt(np.maximum(variances, 0.0))
+            flatness = 1.0 - deviations[:, 0] / np.maximum(deviations[:, 1], 1e-12)
+            self._flatness[unknown] = np.maximum(flatness, 0.0)
             self._known[unknown] = True
         return self._normals[index], self._flatness[index]
-
-    def _estimated(self, index: IndexArray) -> tuple[FloatArray, FloatArray]:
-        points_m = self.tree.points_m
-        neighbours = self.tree.neighbours(points_m[index], self._neighbours)
-        variances, normals = spread_and_normals(points_m, neighbours)
-        deviations = np.sqrt(np.maximum(variances, 0.0))
-        flatness = 1.0 - deviations[:, 0] / np.maximum(deviations[:, 1], 1e-12)
-        return normals, np.maximum(flatness, 0.0)
 
 
 def thin(points_m: FloatArray, voxel_size_m: float) -> FloatArray:

@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad, rotation_vector_rad
+from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad
 from multilica.results import CalibrationResult, LidarPlacement
 
 _MOUNT_PLAY_M = 0.3
@@ -80,6 +81,6 @@ def surprise(placement: LidarPlacement, target: str, exchanged: tuple[str, str] 
 
 def _main_axis(rotation: FloatArray) -> str:
     """Return the axis that the rotation is mainly about; "" if there is none."""
-    vector = rotation_vector_rad(rotation)
+    vector = Rotation.from_matrix(rotation).as_rotvec()
     along = largest_index(vector)
     return "xyz"[along] if np.abs(vector[along]) >= _MAINLY * np.linalg.norm(vector) else ""

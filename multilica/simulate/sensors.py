@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.registration.lazy_open3d import open3d_for
+from multilica.registration.lazy_open3d import LazyOpen3d
 from multilica.simulate.shapes.mesh import Mesh
 
-o3d = open3d_for("A simulation")
+o3d = LazyOpen3d("A simulation")
 
 
 def unit_directions(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:

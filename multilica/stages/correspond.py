@@ -50,7 +50,9 @@ def _match(
 ) -> Correspondences:
     nearest_pairs = _nearest_by_kd_tree if config.engine == "kd_tree" else _nearest_pairs
     of_target, of_source = _drawn(target, most_targets), _drawn(source, most_sources)
-    pairs = nearest_pairs(target.descriptors[of_target], source.descriptors[of_source], mutual=config.mutual)
+    pairs = np.empty((0, 2), dtype=np.int64)
+    if len(of_target) and len(of_source):
+        pairs = nearest_pairs(target.descriptors[of_target], source.descriptors[of_source], mutual=config.mutual)
     source_index, target_index = of_source[pairs[:, 0]], of_target[pairs[:, 1]]
     distances = np.linalg.norm(source.descriptors[source_index] - target.descriptors[target_index], axis=1)
     if config.max_matches:
@@ -82,8 +84,6 @@ def _nearest_pairs(target: FloatArray, source: FloatArray, *, mutual: bool) -> I
 
     Each squared distance is one entry of a matrix product: |s - t|^2 = (-2 s, 1, |s|^2) . (t, |t|^2, 1).
     """
-    if len(target) == 0 or len(source) == 0:
-        return np.empty((0, 2), dtype=np.int64)
     centre = target.mean(axis=0)
     target, source = target - centre, source - centre
     right = np.column_stack([target, _squared(target), np.ones(len(target))]).T.astype(np.float32, order="C")
@@ -107,8 +107,6 @@ def _nearest_pairs(target: FloatArray, source: FloatArray, *, mutual: bool) -> I
 
 def _nearest_by_kd_tree(target: FloatArray, source: FloatArray, *, mutual: bool) -> IndexArray:
     """Do the same in double precision."""
-    if len(target) == 0 or len(source) == 0:
-        return np.empty((0, 2), dtype=np.int64)
     _, nearest = cKDTree(target).query(source)
     pairs = np.column_stack([np.arange(len(source)), nearest])
     if not mutual:

@@ -103,7 +103,9 @@ def register_best(
         hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
     pair = _Pair(target, source, config, fit)
     finalists = pair.finalists(hypotheses)
-    thinned = len(finalists) > 1 or pair.cannot_be_accepted(finalists[0])
+    evidence = finalists[0].evidence
+    hopeless = evidence is not None and cannot_be_accepted(evidence, config.acceptance)
+    thinned = len(finalists) > 1 or hopeless
     registered = pair.register_thinned(finalists) if thinned else [pair.register(finalists[0])]
     best = pair.best_of(registered, thinned=thinned)
     found, stability = best.registrations[0], best.registrations[0].stability
@@ -167,10 +169,6 @@ class _Pair:
         evidence = [self._evidence(hypothesis) for hypothesis in distinct]
         kept = select_finalists(evidence, self.config.acceptance, self.config.fine.max_finalists)
         return [distinct[index] for index in kept]
-
-    def cannot_be_accepted(self, hypothesis: Hypothesis) -> bool:
-        """Return whether the hypothesis is known to have too little evidence."""
-        return hypothesis.evidence is not None and cannot_be_accepted(hypothesis.evidence, self.config.acceptance)
 
     def _evidence(self, hypothesis: Hypothesis) -> float:
         if hypothesis.evidence is not None:

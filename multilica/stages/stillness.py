@@ -99,19 +99,13 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
     found = _motion(result, result.T_target_source, config)
     share, _ = explained_share(first, later[-1], pose)
     if share >= _TRACKED_BELOW:
-        return _confirmed(found, first, later[-1])
+        # A rosette's pattern over a fence suggests motions of decimetres at rest; if they were real, the frames could
+        # not have this much in common without them.
+        suggested = found.moving and found.shift_m > _SEEN_SHIFT_M
+        at_rest = suggested and explained_share(first, later[-1], np.eye(4))[0] >= _TRACKED_BELOW
+        return replace(found, moving=False, observable=False) if at_rest else found
     between = {index: Structure(cloud_m) for index, cloud_m in zip(chosen, clouds_m, strict=True)}
     return _tracked(scans, between, config) or found
-
-
-def _confirmed(found: Motion, first: Structure, last: Structure) -> Motion:
-    """Return the motion, unless it is so large that the frames could not have this much in common without it.
-
-    A rosette's pattern over a fence suggests motions of decimetres at rest.
-    """
-    if found.moving and found.shift_m > _SEEN_SHIFT_M and explained_share(first, last, np.eye(4))[0] >= _TRACKED_BELOW:
-        return replace(found, moving=False, observable=False)
-    return found
 
 
 def _tracked(scans: Sequence[Scan], known: Mapping[int, Structure], config: StillnessConfig) -> Motion | None:

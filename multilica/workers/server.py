@@ -63,8 +63,11 @@ def serve(control_descriptor: int, modules: Sequence[str]) -> None:
             with socket.socket(fileno=descriptors[0]) as caller, suppress(OSError):
                 child = os.fork()
                 if child == 0:
-                    control.close()
-                    _work_until_closed(caller)
+                    try:
+                        control.close()
+                        _work(caller)
+                    finally:
+                        os._exit(0)
                 children.append(child)
     for child in children:
         os.kill(child, signal.SIGKILL)
@@ -73,17 +76,10 @@ def serve(control_descriptor: int, modules: Sequence[str]) -> None:
     os._exit(0)  # without the tidying up of libraries
 
 
-def _work_until_closed(caller: socket.socket) -> None:
-    """Work until the caller closes its end, then end this process."""
-    try:
-        # Few results wait in the socket, so a caller that is slow to read them holds the worker back.
-        caller.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
-        _work(caller)
-    finally:
-        os._exit(0)
-
-
 def _work(caller: socket.socket) -> None:
+    """Work until the caller closes its end."""
+    # Few results wait in the socket, so a caller that is slow to read them holds the worker back.
+    caller.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1)
     shared = Shared()
     caller.send(b".")
     while True:
