@@ -27,6 +27,19 @@ COMMON = (
     "tests/node",
     "tests/selection.py",
 )
+# Files of many seconds, the longest first: one that starts late keeps one worker busy when the other is done.
+LONGEST = (
+    "tests/documentation/test_commands.py",
+    "tests/fleet/test_real_log_tasks.py",
+    "tests/pipeline/test_pair_search.py",
+    "tests/pipeline/test_paper.py",
+    "tests/packaging/test_wheel.py",
+    "tests/sinks/files/test_killed_runs.py",
+    "tests/cli/test_interruption.py",
+    "tests/ingest/test_memory.py",
+    "tests/sinks/mcap/test_foxglove_studio.py",
+    "tests/unit/simulate/test_simulate.py",
+)
 # Sources of the files of a run, for `shows`.
 RUN_FILES = (
     *(f"multilica/{name}" for name in ("config", "diagnosis", "events.py", "geometry.py", "results", "sinks")),
@@ -46,7 +59,7 @@ def pytest_report_header() -> str:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Skip what this run leaves out."""
+    """Skip what this run leaves out, and start with the files that take longest."""
     changed = changed_paths(os.environ.get("MULTILICA_BASE", ""))
     for item in items:
         for mark in item.iter_markers("shows"):
@@ -56,6 +69,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.skip(reason="nothing that it shows has changed"))
         if not NIGHTLY and item.get_closest_marker("nightly"):
             item.add_marker(pytest.mark.skip(reason="make nightly runs it"))
+    places = {ROOT / path: place for place, path in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
 
 def shows_a_change(changed: tuple[str, ...] | None, paths: Iterable[str]) -> bool:

@@ -21,6 +21,7 @@ from tests.ingest.support.confined import read_confined
 from tests.ingest.support.format_writers import write_raw_mcap
 from tests.ingest.support.mutations import write_seed
 from tests.ingest.support.recording_writers import CLOUD, START_NS, make_snapshot, write_mcap, write_ros1_bag
+from tests.selection import some_of
 
 TOPICS = "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);"
 TOPIC = "INSERT INTO topics VALUES(1, '/a', 'sensor_msgs/msg/PointCloud2', 'cdr');"
@@ -45,7 +46,7 @@ def write_database(path: Path, script: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", SCHEMAS)
+@pytest.mark.parametrize("what", some_of(SCHEMAS, 3))
 def test_no_sql_of_a_file_is_run(tmp_path: Path, what: str) -> None:
     write_database(tmp_path / "bomb.db3", SCHEMAS[what])
     warm_up = write_seed("plain.db3", tmp_path)

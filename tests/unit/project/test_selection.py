@@ -80,6 +80,10 @@ def test_the_seed_of_a_push_can_be_repeated(monkeypatch):
     assert selection.some_of("abcde", 4) == [*"abcde"]
 
 
+def test_the_longest_files_exist():
+    assert [path for path in selection.LONGEST if not (ROOT / path).is_file()] == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("variables", "passed", "seed"), [({"MULTILICA_SEED": "7"}, 3, "[8]"), ({"MULTILICA_NIGHTLY": "1"}, 6, "[3]")]
