@@ -108,12 +108,10 @@ def merge_by_fitness(
     The paper's code ends without a result when a pair without the target LiDAR is the best, because it never counts
     that source as placed. Here the members of a group are placed when the group is joined to the target's.
 
-    Args:
-        names: all LiDARs, the target included.
-        pairs: one or both directions of each pair; the target LiDAR is never a source.
+    The steps are as those of `merge_along_graph`.
 
-    Yields:
-        One step per turn; the last one has `chosen` None unless all LiDARs are placed.
+    Args:
+        pairs: one or both directions of each pair; the target LiDAR is never a source.
     """
     groups = {name: Group.of_one(name) for name in names}
     candidates = {(pair.target, pair.source): pair for pair in pairs}
@@ -146,14 +144,8 @@ def merge_target_first(
     """Merge each LiDAR that is accepted against the target as it is, then register the rest to the merged cloud, once.
 
     This is the default of the paper's published code. That gives the pose of a LiDAR that fails twice, with a note that
-    it is not successful; here that LiDAR is not placed.
-
-    Args:
-        names: all LiDARs, the target included.
-        pairs: those without the target are not used.
-
-    Yields:
-        One step per turn; the last one has `chosen` None unless all LiDARs are placed.
+    it is not successful; here that LiDAR is not placed. Pairs without the target are not used, and the steps are as
+    those of `merge_along_graph`.
     """
     groups = {name: Group.of_one(name) for name in names}
     left = _by_evidence([pair for pair in pairs if target in pair.lidars])
