@@ -34,6 +34,7 @@ def test_its_fixture(own): pass
 def test_first_of_several(shared): pass
 def test_second_of_several(shared): pass
 def test_that_waits(): time.sleep(0.3)
+@pytest.mark.slow
 def test_with_the_mark(): exec(BURN)
 """
 
