@@ -1,4 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -22,10 +24,14 @@ def _weekly(count):
     return START_NS + 7 * DAY_NS * np.arange(count)
 
 
-def _events(vehicle, fleet_seed=100, **options):
+@cache
+def _others(lidars):
+    return made_fleet(_rng(100), 10, 10, lidars=lidars)
+
+
+def _events(vehicle, lidars=("left",)):
     """Of one vehicle in a fleet of ten more that do not change."""
-    fleet = made_fleet(_rng(fleet_seed), 10, 10, **options)
-    events = find_drift([*fleet, *vehicle])
+    events = find_drift([*_others(lidars), *vehicle])
     assert {event.vehicle for event in events} <= {"v01"}
     return events
 
