@@ -32,13 +32,15 @@ LONGEST = (
     "tests/documentation/test_commands.py",
     "tests/fleet/test_real_log_tasks.py",
     "tests/pipeline/test_pair_search.py",
-    "tests/pipeline/test_paper.py",
     "tests/packaging/test_wheel.py",
-    "tests/sinks/files/test_killed_runs.py",
-    "tests/cli/test_interruption.py",
-    "tests/ingest/test_memory.py",
+    "tests/sinks/rerun/test_cut_recordings.py",
+    "tests/sinks/rerun/test_headless_viewer.py",
+    "tests/unit/simulate/test_disturbances.py",
+    "tests/sinks/rerun/test_data.py",
+    "tests/pipeline/test_paper.py",
+    "tests/checks/test_pipelines.py",
     "tests/sinks/mcap/test_foxglove_studio.py",
-    "tests/unit/simulate/test_simulate.py",
+    "tests/documentation/test_site.py",
 )
 # Sources of the files of a run, for `shows`.
 RUN_FILES = (
