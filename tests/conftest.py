@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import gc
 import signal
+from contextlib import ExitStack
 
 import pytest
 
@@ -18,6 +19,19 @@ def pytest_collection_finish():
     """Keep collected tests from the search for garbage, which would take a tenth of the time of quick tests."""
     gc.collect()
     gc.freeze()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A browser without a screen; it ends with the module, as its event loop would be in the way of other tests."""
+    from tests.sinks.browser import NoBrowserError, headless_browser
+
+    with ExitStack() as stack:
+        try:
+            started = stack.enter_context(headless_browser())
+        except NoBrowserError as error:
+            pytest.skip(str(error))
+        yield started
 
 
 @pytest.fixture(scope="session", autouse=True)

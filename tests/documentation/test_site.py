@@ -6,7 +6,6 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from playwright.sync_api import Browser
 
 import multilica
 from tests.cli.support import ROOT, environment_of_process
-from tests.sinks.browser import NoBrowserError, headless_browser
 
 SHOWN = ("index", "quickstart", "reference/cli", "reference/python", "recording-layout")
 WIDTHS = (1400, 390)
@@ -36,15 +34,6 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     built = subprocess.run(command, cwd=ROOT, env=environment_of_process(), capture_output=True, text=True, check=False)
     assert built.returncode == 0, built.stderr
     return folder
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    try:
-        with headless_browser() as found:
-            yield found
-    except NoBrowserError as error:
-        pytest.skip(str(error))
 
 
 def test_every_page_is_on_the_site(site: Path) -> None:

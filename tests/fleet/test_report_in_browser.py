@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -14,22 +13,12 @@ from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle,
 from tests.fleet.support.made_store import made_store
 from tests.fleet.support.requests import DAY_NS
 from tests.fleet.test_report import HOSTILE, JUMP, changed, read_histories, renamed
-from tests.sinks.browser import NoBrowserError, headless_browser
 
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.shows("multilica/fleet", "multilica/sinks/report", "tests/fleet"),
 ]
 LONG = "a_name_without_any_space_" * 8
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with ExitStack() as stack:
-        try:
-            yield stack.enter_context(headless_browser())
-        except NoBrowserError as error:
-            pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Made-up runs, recorded once, and one browser."""
+"""Made-up runs, recorded once."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser
 
 from multilica.sinks.rerun.recording import RerunRecording
-from tests.sinks.browser import NoBrowserError, headless_browser
 from tests.sinks.made_events import made_events
 
 
@@ -44,13 +40,3 @@ def rerun_rrd():
         return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60, env=environment)
 
     return run
-
-
-@pytest.fixture(scope="session")
-def browser() -> Iterator[Browser]:
-    with ExitStack() as stack:
-        try:
-            browser = stack.enter_context(headless_browser())
-        except NoBrowserError as error:
-            pytest.skip(str(error))
-        yield browser
