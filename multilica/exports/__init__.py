@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 from multilica.exports.formats import CLOUD_FORMATS, FORMATS
 
 if TYPE_CHECKING:
-    from multilica.exports.reading import read_extrinsics
-    from multilica.exports.writing import RunExport, export_extrinsics, export_run
+    from multilica.exports.files import RunExport, export_extrinsics, export_run, read_extrinsics
 
 __all__ = ["CLOUD_FORMATS", "FORMATS", "RunExport", "export_extrinsics", "export_run", "read_extrinsics"]
 
@@ -17,4 +16,4 @@ def __getattr__(name: str) -> object:
     """Import a function when it is first used, so that the list of formats stays light."""
     if name not in __all__:
         raise AttributeError(f"module 'multilica.exports' has no attribute '{name}'")
-    return getattr(import_module(f"multilica.exports.{'reading' if name == 'read_extrinsics' else 'writing'}"), name)
+    return getattr(import_module("multilica.exports.files"), name)

@@ -96,7 +96,7 @@ _ALL = (
     _format("ros2-static", ".sh .txt", "ros_launch:command_lines", "ros_launch:read_command_lines"),
     _format("ros1-launch", ".launch", "ros_launch:ros1_launch_xml", "ros_launch:read_launch_xml"),
     _format("tf-static", ".mcap", "ros_launch:tf_static_mcap", "ros_launch:read_tf_static", also_read=".bag .db3"),
-    _format("autoware", ".yaml", "autoware:autoware_yaml", "autoware:read_autoware", also_read=".yml"),
+    _format("autoware", ".yaml", "text_files:autoware_yaml", "text_files:read_autoware", also_read=".yml"),
     _format("kalibr", ".yaml", "text_files:kalibr_yaml", "text_files:read_kalibr", also_read=".yml"),
     _format("kitti", ".txt", "text_files:kitti_text", "text_files:read_kitti"),
     _format("matrices", ".txt", "multilica.sinks.text.extrinsics_text:matrix_text", "text_files:read_matrices"),

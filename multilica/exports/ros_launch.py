@@ -12,6 +12,7 @@ import shlex
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -60,31 +61,7 @@ _XML_NODE = """\
   <node pkg="tf2_ros" %s="static_transform_publisher" name="{name}"
         args="{words}"/>
 """
-
-
-def launch_python(extrinsics: Extrinsics) -> str:
-    """Return a launch file in Python."""
-    return _PYTHON.format(nodes=_nodes(_PYTHON_NODE, extrinsics))
-
-
-def launch_yaml(extrinsics: Extrinsics) -> str:
-    """Return a launch file in YAML."""
-    return f"launch:\n{_nodes(_YAML_NODE, extrinsics)}"
-
-
-def command_lines(extrinsics: Extrinsics) -> str:
-    """Return a command per frame; each of them runs until it is stopped."""
-    return _nodes("ros2 run tf2_ros static_transform_publisher {words}\n", extrinsics)
-
-
-def ros1_launch_xml(extrinsics: Extrinsics) -> str:
-    """Return a launch file of ROS 1."""
-    return f"<launch>\n{_nodes(_XML_NODE % 'type', extrinsics, _ros1_arguments)}</launch>\n"
-
-
-def ros2_launch_xml(extrinsics: Extrinsics) -> str:
-    """Return a launch file of ROS 2."""
-    return f"<launch>\n{_nodes(_XML_NODE % 'exec', extrinsics)}</launch>\n"
+_XML = "<launch>\n{nodes}</launch>\n"
 
 
 def tf_static_mcap(extrinsics: Extrinsics) -> bytes:
@@ -104,17 +81,26 @@ def _ros2_arguments(pose: RigidTransform) -> list[str]:
     return [word for name, value in zip(names, _ros1_arguments(pose), strict=True) for word in (f"--{name}", value)]
 
 
-def _nodes(
-    node: str, extrinsics: Extrinsics, arguments: Callable[[RigidTransform], list[str]] = _ros2_arguments
+def _text(
+    node: str, whole: str, extrinsics: Extrinsics, arguments: Callable[[RigidTransform], list[str]] = _ros2_arguments
 ) -> str:
-    """Fill in the text of a node per frame; no argument needs quotes (`_frame`)."""
+    """Fill in the text of a node per frame, then that of the file; no argument needs quotes (`_frame`)."""
     poses = child_poses(extrinsics)
     names = ["static_transform_" + re.sub(r"\W", "_", pose.source, flags=re.ASCII) for pose in poses]
     words = [arguments(pose) for pose in poses]
-    return "".join(
+    nodes = (
         node.format(name=name, words=" ".join(own), listed=json.dumps(own))
         for name, own in zip(names, words, strict=True)
     )
+    return whole.format(nodes="".join(nodes))
+
+
+launch_python = partial(_text, _PYTHON_NODE, _PYTHON)
+launch_yaml = partial(_text, _YAML_NODE, "launch:\n{nodes}")
+ros1_launch_xml = partial(_text, _XML_NODE % "type", _XML, arguments=_ros1_arguments)
+ros2_launch_xml = partial(_text, _XML_NODE % "exec", _XML)
+command_lines = partial(_text, "ros2 run tf2_ros static_transform_publisher {words}\n", "{nodes}")
+"""A command per frame; each of them runs until it is stopped."""
 
 
 def read_launch_python(path: Path) -> list[RigidTransform]:

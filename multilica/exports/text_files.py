@@ -1,21 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Text files with an entry per frame: TOML, CSV, plain matrices, KITTI's, YAML as of Kalibr's, OpenCalib's JSON."""
+"""Text files with an entry per frame: TOML, CSV, matrices, KITTI, YAML of Kalibr and Autoware, JSON of OpenCalib."""
 
 import csv
 import json
 import re
 import shlex
 from collections.abc import Iterator
-from io import StringIO
+from io import BytesIO, StringIO
 from pathlib import Path
+from typing import Any
 
 from multilica.documents import MAX_JSON_BYTES, parse_json, read_limited
-from multilica.errors import UsageError
+from multilica.errors import UnreadableSourceError, UsageError
 from multilica.exports.values import (
+    extrinsics_of_tree,
     mapping_of,
     numbers,
     pose_of_matrix,
     pose_of_quaternion,
+    pose_of_rpy,
     quoted,
     read_text,
     read_yaml,
@@ -29,6 +32,8 @@ KALIBR_MATRIX = "T_base_lidar"
 KITTI_LINE = re.compile(r"^Tr_(?P<source>\S{1,255}?)_to_(?P<target>\S{1,255}?): *(?P<numbers>.*)$", re.MULTILINE)
 _OPENCALIB_NAME = re.compile(r"(.+)-to-(.+)-extrinsic")
 _XYZ, _QUATERNION, _ANGLES = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw"), ("roll_deg", "pitch_deg", "yaw_deg")
+_AUTOWARE = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Metres and radians, of a child in its parent."""
 _READ = ("target", "source", *_XYZ, *_QUATERNION)
 
 
@@ -165,3 +170,63 @@ def read_csv(path: Path) -> Iterator[RigidTransform]:
             yield pose_of_quaternion(row["target"], row["source"], xyz_m, xyzw)
     except csv.Error as error:
         raise ValueError(f"it is not a CSV table: {error}") from error
+
+
+def autoware_yaml(extrinsics: Extrinsics) -> str:
+    """Return `sensors_calibration.yaml` or `sensor_kit_calibration.yaml` with the poses below the common frame."""
+    return f"{quoted(extrinsics.target)}:\n" + "".join(
+        f"  {quoted(pose.source)}:\n"
+        + "".join(f"    {key}: {number_text(value)}\n" for key, value in _values(pose).items())
+        for pose in child_poses(extrinsics)
+    )
+
+
+def read_autoware(path: Path) -> list[RigidTransform]:
+    """Read the pose of each child in its parent."""
+    poses = []
+    for parent, children in read_yaml(path).items():
+        for child, values in mapping_of(children, f"'{parent}'").items():
+            given = mapping_of(values, f"'{child}'")
+            if set(given) != set(_AUTOWARE):
+                raise ValueError(f"'{child}' has {', '.join(given) or 'nothing'}; expected {', '.join(_AUTOWARE)}")
+            found = numbers([given[key] for key in _AUTOWARE], f"'{child}'")
+            poses.append(pose_of_rpy(parent, child, found[:3], found[3:]))
+    return poses
+
+
+def updated_autoware(path: Path, extrinsics: Extrinsics) -> bytes:
+    """Return the file with new or further poses below the common frame; other entries and comments stay.
+
+    Raises:
+        UnreadableSourceError: it is not such a file, or the frames would be no tree.
+    """
+    from ruamel.yaml import YAML
+    from ruamel.yaml.representer import RoundTripRepresenter
+
+    yaml = YAML(pure=True)
+    yaml.Representer = type("Representer", (RoundTripRepresenter,), {})
+    yaml.Representer.add_representer(float, _represent_number)
+    yaml.preserve_quotes = True
+    yaml.width = 4096  # long lines stay as they are
+    content = BytesIO()
+    try:
+        known = read_autoware(path)
+        new = child_poses(extrinsics)
+        frames = {(pose.target, pose.source) for pose in new}
+        extrinsics_of_tree([*(pose for pose in known if (pose.target, pose.source) not in frames), *new])
+        document = yaml.load(read_text(path))
+        below = document.setdefault(extrinsics.target, {})
+        for pose in new:
+            below.setdefault(pose.source, {}).update(_values(pose))
+        yaml.dump(document, content)
+    except ValueError as error:
+        raise UnreadableSourceError(f"{path} cannot take the poses: {error}.") from error
+    return content.getvalue()
+
+
+def _represent_number(representer: Any, value: float) -> Any:  # noqa: ANN401 - of ruamel.yaml
+    return representer.represent_scalar("tag:yaml.org,2002:float", number_text(value))
+
+
+def _values(pose: RigidTransform) -> dict[str, float]:
+    return dict(zip(_AUTOWARE, (*pose.xyz_m.tolist(), *pose.rpy_rad.tolist()), strict=True))

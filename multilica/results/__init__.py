@@ -23,13 +23,17 @@ from multilica.results.hypotheses import (
     hypothesis_label,
     pose_name,
 )
-from multilica.results.merging import Group, MergeCandidate, MergeDecision, PairResidual, Refinement
 from multilica.results.placements import (
     ContestedPlace,
     GroundPlane,
+    Group,
     LidarPlacement,
+    MergeCandidate,
+    MergeDecision,
+    PairResidual,
     PlacementStatus,
     PoseConflict,
+    Refinement,
     SigmaOrigin,
     Spread,
 )

@@ -1,18 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outcome of a calibration, over one snapshot or several."""
+"""The outcome of a calibration, over one snapshot or several, and its tables for data frames and notebooks."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from html import escape
+from math import isfinite
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Field
 
+from multilica.errors import escape_controls
 from multilica.geometry import RigidTransform
 from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
-from multilica.results.merging import MergeDecision, Refinement
-from multilica.results.notebook import TABLE_COLUMNS, html_table, table_rows
-from multilica.results.placements import GroundPlane, LidarPlacement
+from multilica.results.placements import GroundPlane, LidarPlacement, MergeDecision, Refinement
 from multilica.results.registrations import PairRegistration
 
 if TYPE_CHECKING:
@@ -21,6 +22,23 @@ if TYPE_CHECKING:
 LEVEL_FRAME = "level"
 
 Status = Literal["complete", "partial", "failed"]
+
+_VECTORS = {
+    "xyz_m": ("x_m", "y_m", "z_m"),
+    "quaternion_xyzw": ("qx", "qy", "qz", "qw"),
+    "rpy_deg": ("roll_deg", "pitch_deg", "yaw_deg"),
+    "sigma_xyz_m": ("sigma_x_m", "sigma_y_m", "sigma_z_m"),
+    "sigma_rotation_deg": ("sigma_about_x_deg", "sigma_about_y_deg", "sigma_about_z_deg"),
+}
+"""Columns of the vectors of a pose and of its standard deviations."""
+TABLE_COLUMNS = ("lidar", "target", "status", *sum(_VECTORS.values(), ()), "fitness", "rmse_m", "reason")
+
+_HEAD = ("LiDAR", "status", "x m", "y m", "z m", "roll deg", "pitch deg", "yaw deg", "sigma mm", "sigma deg", "fitness")
+# Colours are those of the notebook, so that it reads in the light and in the dark.
+_CELL = "padding:0.2em 0.6em;border-bottom:1px solid rgba(128,128,128,0.4);background:none;color:inherit"
+_LEFT, _RIGHT = f"{_CELL};text-align:left", f"{_CELL};text-align:right"
+_NAME = f"{_LEFT};white-space:nowrap"
+_UNKNOWN = "-"
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,16 +152,17 @@ class CalibrationResult:
     def to_dataframe(self) -> "pd.DataFrame":
         """Return a row per LiDAR in name order.
 
-        The columns are those of `multilica.results.notebook.TABLE_COLUMNS`: pose in metres, as quaternion and in
-        degrees, standard deviations in metres and degrees, all along the axes of the target, then fitness, RMSE and
-        reason. Numbers that are not known are NaN.
+        The columns are those of `multilica.results.calibration.TABLE_COLUMNS`: `T_target_source` in metres, as unit
+        quaternion and as roll, pitch and yaw in degrees (extrinsic xyz), standard deviations in metres and degrees, all
+        along and about the axes of the target, fitness (0 to 1), RMSE in metres, and the pair that placed the LiDAR or
+        the reason why it is uncertain or not placed. Numbers that are not known are NaN.
 
         Raises:
             MissingDependencyError: pandas is not installed.
         """
         with needed_for("`to_dataframe`", "pandas"):
             import pandas as pd
-        return pd.DataFrame(table_rows(self), columns=[*TABLE_COLUMNS])
+        return pd.DataFrame(table_rows(self), columns=TABLE_COLUMNS)
 
     def _repr_html_(self) -> str:
         """Return the table that notebooks show."""
@@ -155,3 +174,63 @@ class CalibrationResult:
             if placement.lidar == lidar:
                 return placement
         raise KeyError(lidar)
+
+
+def table_rows(result: CalibrationResult) -> list[dict[str, str | float]]:
+    """Return a row per LiDAR with the keys of `TABLE_COLUMNS`."""
+    return [_row(placement, result.target) for placement in result.placements]
+
+
+def _row(placement: LidarPlacement, target: str) -> dict[str, str | float]:
+    is_target, nan = placement.lidar == target, float("nan")
+    status = "target" if is_target and placement.placed else placement.status
+    row: dict[str, str | float] = {"lidar": placement.lidar, "target": target, "status": status}
+    for name, columns in _VECTORS.items():
+        values = getattr(placement if name.startswith("sigma") else placement.T_target_source, name, None)
+        row |= dict.fromkeys(columns, nan) if values is None else zip(columns, (values + 0.0).tolist(), strict=True)
+    registered = not is_target and isfinite(placement.rmse_m)
+    row["fitness"], row["rmse_m"] = (placement.fitness, placement.rmse_m) if registered else (nan, nan)
+    return {**row, "reason": placement.reason}
+
+
+def html_table(result: CalibrationResult) -> str:
+    """Return a table with the extrinsics, their largest standard deviations, and why a LiDAR has no certain pose."""
+    caption = f"T_target_source, target {_text(result.target)}: {result.status}"
+    head = "".join(_cell("th", name, _LEFT if index < 2 else _RIGHT) for index, name in enumerate(_HEAD))
+    body = "".join(_html_rows(row) for row in table_rows(result))
+    return (
+        f'<table style="border-collapse:collapse;color:inherit"><caption style="{_LEFT}">{caption}</caption>'
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    )
+
+
+def _html_rows(row: Mapping[str, str | float]) -> str:
+    sigmas_mm = [1e3 * float(row[f"sigma_{axis}_m"]) for axis in "xyz"]
+    sigmas_deg = [float(row[f"sigma_about_{axis}_deg"]) for axis in "xyz"]
+    known = row["status"] != "target"
+    cells = (
+        *(_number(float(row[name]), 3) for name in ("x_m", "y_m", "z_m")),
+        *(_number(float(row[name]), 2) for name in ("roll_deg", "pitch_deg", "yaw_deg")),
+        _number(max(sigmas_mm), 1) if known else _UNKNOWN,
+        _number(max(sigmas_deg), 3) if known else _UNKNOWN,
+        _number(float(row["fitness"]), 3),
+    )
+    status = str(row["status"]).replace("_", " ")
+    doubtful = row["status"] in ("uncertain", "not_placed")
+    named = _cell("th", _text(row["lidar"]), _NAME) + _cell("td", f"<b>{status}</b>" if doubtful else status, _NAME)
+    line = f"<tr>{named}{''.join(_cell('td', cell, _RIGHT) for cell in cells)}</tr>"
+    if not doubtful:
+        return line
+    return f'{line}<tr><td></td><td colspan="{len(_HEAD) - 1}" style="{_LEFT}">{_text(row["reason"])}</td></tr>'
+
+
+def _cell(tag: str, content: str, style: str) -> str:
+    return f'<{tag} style="{style}">{content}</{tag}>'
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:z.{digits}f}" if isfinite(value) else _UNKNOWN
+
+
+def _text(value: object) -> str:
+    return escape(escape_controls(str(value)))

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -46,17 +46,8 @@ class Correspondences:
 
     def subset(self, index: IndexArray) -> Correspondences:
         """Select the matches of those indices."""
-        return Correspondences(
-            self.target,
-            self.source,
-            self.target_points_m[index],
-            self.source_points_m[index],
-            self.target_normals[index],
-            self.source_normals[index],
-            self.feature_distances[index],
-            self.target_index[index],
-            self.source_index[index],
-        )
+        rows = {each.name: getattr(self, each.name)[index] for each in fields(self)[2:]}
+        return replace(self, **rows)
 
     def within_baseline(self, max_baseline_m: float) -> Correspondences:
         """Select the matches whose ranges differ by no more than the distance of the LiDARs."""

@@ -14,7 +14,7 @@ import pytest
 from multilica.errors import MissingDependencyError
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult, LidarPlacement
-from multilica.results.notebook import TABLE_COLUMNS, table_rows
+from multilica.results.calibration import TABLE_COLUMNS, table_rows
 
 HOSTILE = "<script src=https://example.com/x.js>\x1b[31m"
 SIGMAS_RAD, SIGMAS_M = (1e-3, 2e-3, 3e-3), (0.01, 0.02, 0.03)

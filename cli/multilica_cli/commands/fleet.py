@@ -188,7 +188,7 @@ def drift(
 
     Exits with 0 if there are none, else with 5.
     """
-    from multilica.exports.reading import read_extrinsics
+    from multilica.exports import read_extrinsics
     from multilica.fleet.drift.drift import find_drift
     from multilica.fleet.drift.findings import drift_document
     from multilica.fleet.drift.fleet_offsets import find_offsets

@@ -17,8 +17,15 @@ from multilica.geometry import FloatArray, RigidTransform, largest_index, read_o
 from multilica.results.calibration import Refusal, SnapshotReport, TimeLimit
 from multilica.results.clouds import SensorHealth
 from multilica.results.document.stages import StageFigures
-from multilica.results.merging import MergeDecision, Refinement
-from multilica.results.placements import ContestedPlace, LidarPlacement, PlacementStatus, SigmaOrigin, Spread
+from multilica.results.placements import (
+    ContestedPlace,
+    LidarPlacement,
+    MergeDecision,
+    PlacementStatus,
+    Refinement,
+    SigmaOrigin,
+    Spread,
+)
 from multilica.results.registrations import Stability, Verdict
 from multilica.results.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry, Quaternion, Vector3
 

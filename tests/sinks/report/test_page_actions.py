@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
+from multilica.exports.files import rig_of_run
 from multilica.exports.formats import FORMATS
-from multilica.exports.writing import rig_of_run
 from multilica.sinks.files.result_files import calibration_toml
 from multilica.sinks.report.page import extrinsics_texts
 from tests.selection import RUN_FILES
