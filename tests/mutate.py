@@ -67,12 +67,12 @@ TARGETS = {
     "multilica/sinks/files/atomic.py": (f"{SINKS}/files/test_atomic.py",),
     "multilica/sinks/run_directory.py": (f"{SINKS}/files/test_run_directory.py",),
     "multilica/sinks/files/*.py": (AGREE, FILES, f"{SINKS}/test_contested_place.py"),
-    "multilica/sinks/mcap/snapshot_mcap.py": (
+    "multilica/sinks/snapshots.py": (
         "tests/ingest/test_snapshot_mcap.py",
         "tests/ingest/test_snapshot_metadata.py",
         "tests/exports/test_formats.py",
     ),
-    "multilica/sinks/mcap/reading.py": (f"{SINKS}/mcap/test_reading.py",),
+    "multilica/sinks/mcap/messages.py": (f"{SINKS}/mcap/test_reading.py",),
     "multilica/sinks/mcap/*.py": (
         f"{NUMBERS}/test_messages_agree.py",
         f"{NUMBERS}/test_encodings_agree.py",

@@ -22,7 +22,7 @@ from multilica.run import run_calibration
 from multilica.runs import SavedRun, Tolerances, Truth, read_run
 from multilica.runs.paper_table import PaperTable, paper_table
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 
 
 class PresetFigures(Entry):

@@ -75,7 +75,7 @@ _ALL = (
     _format(
         "urdf",
         ".urdf",
-        "multilica.sinks.text.extrinsics_text:urdf_text",
+        "multilica.sinks.files.result_files:urdf_text",
         "multilica.ingest.transforms:read_urdf",
         also_read=".xacro .xml",
     ),
@@ -99,7 +99,7 @@ _ALL = (
     _format("autoware", ".yaml", "text_files:autoware_yaml", "text_files:read_autoware", also_read=".yml"),
     _format("kalibr", ".yaml", "text_files:kalibr_yaml", "text_files:read_kalibr", also_read=".yml"),
     _format("kitti", ".txt", "text_files:kitti_text", "text_files:read_kitti"),
-    _format("matrices", ".txt", "multilica.sinks.text.extrinsics_text:matrix_text", "text_files:read_matrices"),
+    _format("matrices", ".txt", "multilica.sinks.files.result_files:matrix_text", "text_files:read_matrices"),
     _format("opencalib", ".json", "text_files:opencalib_json", "text_files:read_opencalib"),
     _format("csv", ".csv", "text_files:csv_text", "text_files:read_csv"),
 )

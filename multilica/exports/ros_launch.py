@@ -22,7 +22,7 @@ from multilica.exports.values import numbers, pose_of_quaternion, pose_of_rpy, r
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms import parse_xml
-from multilica.sinks.text.extrinsics_text import child_poses, number_text
+from multilica.sinks.files.result_files import child_poses, number_text
 
 EXECUTABLE = "static_transform_publisher"
 _MAX_COMMAND = 4096
@@ -66,7 +66,7 @@ _XML = "<launch>\n{nodes}</launch>\n"
 
 def tf_static_mcap(extrinsics: Extrinsics) -> bytes:
     """Return a ROS 2 recording with `/tf_static`."""
-    from multilica.sinks.mcap.snapshot_mcap import static_transforms_mcap
+    from multilica.sinks.snapshots import static_transforms_mcap
 
     return static_transforms_mcap(child_poses(extrinsics))
 

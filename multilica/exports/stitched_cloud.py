@@ -13,7 +13,7 @@ from multilica.errors import InputError, SourceNotFoundError
 from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
 from multilica.optional_libraries import needed_for
-from multilica.sinks.drawing.palette import distinct_colours
+from multilica.sinks.drawing import distinct_colours
 from multilica.sinks.files.result_files import MCAP
 
 _LAS_SCALE_M = 1e-4

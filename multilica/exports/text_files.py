@@ -25,8 +25,7 @@ from multilica.exports.values import (
 )
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.geometry import RigidTransform
-from multilica.sinks.files.result_files import toml_text
-from multilica.sinks.text.extrinsics_text import MATRIX_FRAMES, child_poses, number_list, number_text
+from multilica.sinks.files.result_files import MATRIX_FRAMES, child_poses, number_list, number_text, toml_text
 
 KALIBR_MATRIX = "T_base_lidar"
 KITTI_LINE = re.compile(r"^Tr_(?P<source>\S{1,255}?)_to_(?P<target>\S{1,255}?): *(?P<numbers>.*)$", re.MULTILINE)

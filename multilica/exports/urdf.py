@@ -12,7 +12,7 @@ from multilica.exports.values import extrinsics_of_tree
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms import Joint, read_urdf
-from multilica.sinks.text.extrinsics_text import child_poses, number_list
+from multilica.sinks.files.result_files import child_poses, number_list
 
 _TAG = rb"""<[^>"']*(?:"[^"]*"[^>"']*|'[^']*'[^>"']*)*>"""
 _ATTRIBUTE = rb"""(?<=\s)%s\s*=\s*("[^"]*"|'[^']*')"""

@@ -15,7 +15,7 @@ from multilica.errors import SourceNotFoundError, UnreadableSourceError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.ingest.transforms import MAX_ANGLE_RAD, Joint
-from multilica.sinks.text.extrinsics_text import number_list
+from multilica.sinks.files.result_files import number_list
 
 _MAX_LISTED = 3
 _MAX_FRAMES = 2000

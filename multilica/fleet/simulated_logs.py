@@ -16,9 +16,8 @@ from multilica.fleet.store.records import POSE_COLUMNS
 from multilica.optional_libraries import require_library
 from multilica.simulate import FleetPlan, PlannedLog, simulate_snapshot, thinned
 from multilica.simulate.fleet import PlannedEvent
-from multilica.sinks.bags import write_ros1_bag, write_ros2_bag, write_ros2_mcap
 from multilica.sinks.files.atomic import atomic_file, write_text_atomically
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap, write_snapshot_mcap
 from multilica.workers import Shared, open_workers
 
 FLEET_TRUTH_SCHEMA = "multilica/fleet-truth/1"

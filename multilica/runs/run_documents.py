@@ -85,7 +85,7 @@ def _recorded(files: list[Path]) -> ResultDocument:
     first, *others = files
     try:
         if first.suffix == ".mcap":
-            from multilica.sinks.mcap.reading import read_attached_document
+            from multilica.sinks.mcap.messages import read_attached_document
 
             return read_attached_document(first)
         from multilica.sinks.rerun.reading import read_recorded_document

@@ -1,18 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""State of a run, accumulated from its events."""
+"""State of a run, accumulated from its events, with its figures per stage and the LiDARs that were not placed."""
 
-from collections.abc import Mapping
+import hashlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from multilica import events, results
 from multilica.config import CalibrationConfig, Stage
+from multilica.diagnosis import DecisivePair, Missing, explain
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.document import ResultDocument
+from multilica.results.document import stages as figures
 from multilica.results.document.building import Provenance, provenance_of, result_document
 from multilica.results.document.result import ProgressEntry
 from multilica.results.values import Entry
-from multilica.sinks.text.stage_figures import stage_figures
+from multilica.sinks.text.log_lines import pair_label
 from multilica.snapshot import Snapshot
+
+_DIGEST_CHARACTERS = 16
 
 
 @dataclass(slots=True, eq=False)
@@ -162,3 +171,130 @@ class RunState:
                 self.ground = event
             case events.CalibrationFinished(result):
                 self.result = result
+
+
+def stage_figures(state: RunState) -> figures.StageFigures:
+    """Return the figures of each finished stage that has any, per LiDAR, pair or step.
+
+    Digests replace arrays that are the same bits in equal runs, with any number of worker processes.
+    """
+    stages = [stage for stage in state.stages if stage in _FIGURES]
+    for stage in stages:
+        if stage not in state.figures:
+            state.figures[stage] = _FIGURES[stage](state)
+    return figures.StageFigures(**{stage: state.figures[stage] for stage in stages})
+
+
+def _digest(*arrays: npt.NDArray[Any]) -> str:
+    whole = hashlib.sha256()
+    for array in arrays:
+        whole.update(np.ascontiguousarray(array).tobytes())
+    return whole.hexdigest()[:_DIGEST_CHARACTERS]
+
+
+def _coarse(coarse: results.CoarseResult) -> figures.CoarseFigures:
+    best = coarse.hypotheses[:1]
+    known = [part for one in best for part in (one.T_target_source, one)]
+    solver = {"solver": best[0].origin} if best else {}
+    return figures.CoarseFigures.of(*known, coarse, hypotheses=len(coarse.hypotheses), **solver)
+
+
+def _verify(found: tuple[results.Registration, ...]) -> figures.VerifyFigures:
+    best = [part for one in found[:1] for part in (one.T_target_source, one.visibility, one)]
+    return figures.VerifyFigures.of(*best, distinct=len(found))
+
+
+def _merge(decision: results.MergeDecision) -> figures.MergeFigures:
+    chosen, groups = decision.chosen, "; ".join(" + ".join(group) for group in decision.groups)
+    if chosen is None:
+        return figures.MergeFigures(chosen=None, fitness=None, groups=groups)
+    return figures.MergeFigures(chosen=pair_label(chosen.target, chosen.source), fitness=chosen.fitness, groups=groups)
+
+
+_FIGURES: Mapping[Stage, Callable[[RunState], Mapping[str, Entry]]] = {
+    "ingest": lambda state: {
+        lidar.name: figures.IngestFigures(
+            frames=len(lidar.scans), points=lidar.points_count, digest=_digest(*(scan.points_m for scan in lidar.scans))
+        )
+        for lidar in (state.snapshot.lidars if state.snapshot is not None else ())
+    },
+    "preprocess": lambda state: {
+        name: figures.PreprocessFigures(
+            returns=cloud.returns,
+            points=len(cloud.points_m),
+            dropped={reason: len(points_m) for reason, points_m in sorted(cloud.dropped_m.items())},
+            digest=_digest(cloud.points_m),
+        )
+        for name, cloud in state.clouds.items()
+    },
+    "features": lambda state: {
+        name: figures.FeatureFigures(points=len(cloud.points_m), digest=_digest(cloud.points_m, cloud.descriptors))
+        for name, cloud in state.features.items()
+    },
+    "correspond": lambda state: {
+        pair_label(*pair): figures.CorrespondFigures(
+            matches=len(matches), digest=_digest(matches.target_points_m, matches.source_points_m)
+        )
+        for pair, matches in state.matches.items()
+    },
+    "coarse": lambda state: {pair_label(*pair): _coarse(coarse) for pair, coarse in state.coarse.items()},
+    "verify": lambda state: {pair_label(*pair): _verify(found) for pair, found in state.verified.items()},
+    "fine": lambda state: {
+        pair_label(*pair): figures.FineFigures.of(found.T_target_source, found, verdict=found.verdict.outcome)
+        for pair, found in state.registrations.items()
+    },
+    "merge": lambda state: {f"step {decision.step}": _merge(decision) for decision in state.decisions},
+    "refine": lambda state: {pose.source: figures.PoseFigures.of(pose) for pose in state.rig},
+    "ground": lambda state: (
+        {}
+        if state.ground is None or state.ground.ground is None
+        else {"plane": figures.GroundFigures.of(state.ground.ground)}
+    ),
+}
+
+
+class Failure(NamedTuple):
+    """A LiDAR that was not placed.
+
+    Args:
+        stage: the stage at which it failed.
+        pair: the decisive pair, as it was matched; None if there was none.
+        elsewhere: the other accepted pair, which puts it at another place.
+    """
+
+    lidar: str
+    stage: Stage
+    pair: results.PairKey | None
+    elsewhere: results.PairKey | None = None
+
+
+def failures(state: RunState) -> tuple[Failure, ...]:
+    """Return every LiDAR that was not placed; none for a run without a result."""
+    return tuple(_failure(state, missing) for missing in explain(state.document).missing)
+
+
+def decisive_failure(state: RunState) -> Failure | None:
+    """Return the first failure with a registered pair, else the first with any pair, else the first."""
+    return min(
+        failures(state), key=lambda each: (each.pair not in state.registrations, each.pair is None), default=None
+    )
+
+
+def _failure(state: RunState, missing: Missing) -> Failure:
+    """Return the failure with the pair that the explanation calls decisive: both are shown side by side."""
+    if missing.cause in ("dead_sensor", "no_returns_in_range"):
+        return Failure(missing.lidar, "preprocess", None)
+    if missing.decisive is not None:
+        stage: Stage = "fine" if missing.decisive.codes else "merge"
+        return Failure(missing.lidar, stage, *(_as_matched(state, at) for at in (missing.decisive, missing.elsewhere)))
+    if not state.matches:
+        return Failure(missing.lidar, "merge", None)
+    own = [pair for pair in state.pairs if missing.lidar in pair]
+    pair = max(own, key=lambda pair: (state.progress_of(pair), pair), default=None)
+    return Failure(missing.lidar, "coarse" if pair is not None and state.matches.get(pair) else "correspond", pair)
+
+
+def _as_matched(state: RunState, pair: DecisivePair | None) -> results.PairKey | None:
+    """Return None for a pair that is not in the state, as in a joint result."""
+    sides = {pair.target, pair.source} if pair is not None else set()
+    return next((key for key in state.registrations if set(key) == sides), None)

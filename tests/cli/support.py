@@ -11,7 +11,7 @@ import numpy as np
 
 from multilica import read_extrinsics
 from multilica.geometry import RigidTransform
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica_cli.commands.calibrate import find_sample
 

@@ -38,7 +38,7 @@ def test_nothing_is_left_of_a_failed_write(invoke: Invoke, monkeypatch: pytest.M
     def fail(*arguments: object) -> None:
         raise OSError(28, "No space left on device", str(arguments[1]))
 
-    monkeypatch.setattr("multilica.sinks.mcap.snapshot_mcap.write_snapshot_mcap", fail)
+    monkeypatch.setattr("multilica.sinks.snapshots.write_snapshot_mcap", fail)
     outcome = invoke(*REQUEST, "--out", "chain.mcap")
     assert outcome.code == 1
     assert outcome.err == "multilica: System error: No space left on device (chain.mcap).\n"

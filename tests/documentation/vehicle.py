@@ -13,7 +13,7 @@ import numpy as np
 
 from multilica import read_extrinsics, read_snapshot
 from multilica.exports import export_extrinsics
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.main import run

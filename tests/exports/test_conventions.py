@@ -14,7 +14,7 @@ from transforms3d.euler import euler2mat
 import multilica
 from multilica.errors import InputError
 from multilica.ingest.transforms import read_urdf
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 RPY = (0.1, -0.2, 1.3)

@@ -12,7 +12,7 @@ import pytest
 
 from multilica import read_extrinsics
 from multilica.exports import CLOUD_FORMATS, FORMATS
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import ROOT, Invoke

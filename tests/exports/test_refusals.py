@@ -96,7 +96,7 @@ def test_missing_files_and_unknown_formats(tmp_path: Path) -> None:
 
 def test_a_recording_with_a_wrong_transform_is_refused(tmp_path: Path) -> None:
     from multilica.geometry import RigidTransform
-    from multilica.sinks.mcap.snapshot_mcap import static_transforms_mcap
+    from multilica.sinks.snapshots import static_transforms_mcap
 
     twice = [RigidTransform.identity(parent, "c") for parent in ("a", "b")]
     (tmp_path / "a.mcap").write_bytes(static_transforms_mcap(twice))

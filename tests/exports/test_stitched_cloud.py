@@ -14,7 +14,7 @@ from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageEr
 from multilica.exports import CLOUD_FORMATS, export_run
 from multilica.ingest import read_snapshot
 from multilica.registration.lazy_open3d import o3d
-from multilica.sinks.drawing.palette import distinct_colours
+from multilica.sinks.drawing import distinct_colours
 from multilica.sinks.files.result_files import ResultFiles
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from tests.sinks.made_events import LIDARS, TRUTH, UNPLACED, made_events

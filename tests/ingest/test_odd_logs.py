@@ -15,7 +15,7 @@ from multilica.config import IngestConfig
 from multilica.errors import MultilicaError, UnfitSnapshotError, UnreadableSourceError
 from multilica.ingest import frames_recorded, inspect_source, read_snapshot
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.recording_writers import (
     CLOUD,

@@ -16,7 +16,7 @@ from multilica.ingest import read_snapshot
 from multilica.ingest.plausibility import plausibility_notes
 from multilica.results.document.building import provenance_of
 from multilica.simulate import simulate_snapshot
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.selection import some_of
 

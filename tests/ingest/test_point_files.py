@@ -13,7 +13,7 @@ from multilica.config import IngestConfig
 from multilica.errors import UnreadableSourceError
 from multilica.ingest import read_snapshot
 from multilica.registration.lazy_open3d import o3d
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import Scan
 from tests.ingest.support.recording_writers import make_snapshot
 

@@ -11,7 +11,7 @@ import pytest
 
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.registration.lazy_open3d import o3d
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.recording_writers import (
     assert_same_points,

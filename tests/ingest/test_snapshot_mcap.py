@@ -16,7 +16,7 @@ from rosbags.interfaces import QosDurability
 
 from multilica.geometry import RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY, SNAPSHOT_METADATA_NAME
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.support.recording_writers import START_NS, make_snapshot
 

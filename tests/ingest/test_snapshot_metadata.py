@@ -19,7 +19,7 @@ from multilica.errors import UnreadableSourceError
 from multilica.geometry import RigidTransform
 from multilica.ingest import frames_recorded, inspect_source
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
-from multilica.sinks.mcap.snapshot_mcap import window_metadata, write_snapshot_mcap
+from multilica.sinks.snapshots import window_metadata, write_snapshot_mcap
 from multilica.snapshot import Snapshot
 from multilica_cli.commands.calibrate import find_sample
 from tests.ingest.support.recording_writers import (

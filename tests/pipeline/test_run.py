@@ -14,9 +14,9 @@ from multilica import events
 from multilica.config import with_overrides
 from multilica.errors import MissingDependencyError, UnfitSnapshotError, UsageError
 from multilica.run import default_directory
-from multilica.sinks.mcap.reading import read_attached_document
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.mcap.messages import read_attached_document
 from multilica.sinks.rerun.reading import read_recorded_document
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 SAMPLE = Path(__file__).parents[2] / "recordings" / "samples" / "edgar-street.mcap"

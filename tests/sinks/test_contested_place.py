@@ -17,8 +17,7 @@ from multilica.sinks.report.figures import pair_figures
 from multilica.sinks.report.page import opponents
 from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.rerun.scene import pair_path
-from multilica.sinks.run_state import RunState
-from multilica.sinks.unplaced import failures
+from multilica.sinks.run_state import RunState, failures
 from tests.sinks.made_events import TRUTH, UNPLACED, made_events
 from tests.sinks.recording_reader import Recording, blueprint_names
 

@@ -17,10 +17,9 @@ from multilica.ingest import read_prior
 from multilica.sinks.files.result_files import ResultFiles
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.report.page import report_html
-from multilica.sinks.run_state import RunState
+from multilica.sinks.run_state import RunState, failures
 from multilica.sinks.text.log_lines import LogLine, log_lines
 from multilica.sinks.text.markdown import decisions_markdown, summary_markdown
-from multilica.sinks.unplaced import failures
 from tests.sinks.conftest import record
 from tests.sinks.made_events import IMPRECISE, LIDARS, TARGET, TRUTH, UNPLACED, made_events
 from tests.sinks.recording_reader import Recording, blueprint_names

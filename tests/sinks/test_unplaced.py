@@ -14,8 +14,7 @@ from multilica.errors import InputError
 from multilica.results import PreprocessedCloud
 from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.rerun.recording import RerunRecording
-from multilica.sinks.run_state import RunState
-from multilica.sinks.unplaced import Failure, decisive_failure, failures
+from multilica.sinks.run_state import Failure, RunState, decisive_failure, failures
 from tests.sinks.made_events import UNPLACED, made_events
 from tests.sinks.recording_reader import Recording
 
@@ -53,7 +52,7 @@ def test_of_two_pairs_the_first_of_the_explanation_is_shown(monkeypatch):
     state = state_of(made_events("partial"))
     pairs = sorted(state.registrations, key=lambda pair: state.registrations[pair].evidence)
     listed = [Failure("dead", "preprocess", None), *(Failure(pair[1], "fine", pair) for pair in pairs)]
-    monkeypatch.setattr("multilica.sinks.unplaced.failures", lambda _: tuple(listed))
+    monkeypatch.setattr("multilica.sinks.run_state.failures", lambda _: tuple(listed))
     assert len(pairs) > 1
     assert decisive_failure(state) == listed[1]
 

@@ -56,7 +56,7 @@ def record(
     from multilica.ingest import frames_recorded, take_snapshot
     from multilica.ingest.locate import locate
     from multilica.ingest.remote.address import is_live
-    from multilica.sinks.mcap.snapshot_mcap import window_metadata, write_snapshot_mcap
+    from multilica.sinks.snapshots import window_metadata, write_snapshot_mcap
     from multilica_cli.progress import show_listening
 
     # An address, taken for a path, lies nowhere above a file that exists.

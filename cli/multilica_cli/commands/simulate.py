@@ -100,7 +100,7 @@ def _write_recording(snapshot: Snapshot, truth: Extrinsics, out: Path) -> None:
 
     from multilica.extrinsics import extrinsics_table
     from multilica.sinks.files.atomic import write_text_atomically
-    from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+    from multilica.sinks.snapshots import write_snapshot_mcap
 
     out.parent.mkdir(parents=True, exist_ok=True)
     write_snapshot_mcap(snapshot, out)

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Result files: `calibration.toml` for people, `result.json` for programs."""
+"""Result files: `calibration.toml` for people, `result.json` for programs; extrinsics as URDF and as matrices."""
 
 import json
 import re
-from collections.abc import Mapping
+import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from xml.sax.saxutils import quoteattr
 
 import tomli_w
 
 from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics, extrinsics_table, pose_values
+from multilica.geometry import RigidTransform
 from multilica.results.document import LidarEntry, ResultDocument
 from multilica.results.document.result import GroundEntry
 from multilica.sinks.files.atomic import write_text_atomically
@@ -26,6 +29,8 @@ _HEADER = """\
 # sigma_xyz_m, sigma_rotation_deg: one standard deviation along and about the axes of {target}.
 # [lidars] has the placed LiDARs. [uncertain] has those whose sigma is above the limit: use them only after a check.
 """
+MATRIX_FRAMES = "# T_target_source "
+"""Start of the line above a matrix, before its target and source."""
 RESULT_JSON = "result.json"
 CALIBRATION_TOML = "calibration.toml"
 REPORT_HTML = "report.html"
@@ -75,6 +80,47 @@ def _figures(lidar: LidarEntry) -> dict[str, Any]:
 def _ground(ground: GroundEntry) -> dict[str, Any]:
     names = ("T_base_target", "xyz_m", "rpy_deg", "area_m2", "residual_m", "sigma_z_m", "sigma_roll_pitch_deg", "doubt")
     return {"base": ground.frame, **{name: getattr(ground, name) for name in names}}
+
+
+def child_poses(extrinsics: Extrinsics) -> list[RigidTransform]:
+    """Return the poses in the common frame by name, without the common frame itself."""
+    named = sorted(extrinsics.T_target_source.items())
+    return [RigidTransform(extrinsics.target, name, pose.matrix) for name, pose in named if name != extrinsics.target]
+
+
+def number_text(value: float) -> str:
+    """Return the shortest text that reads back as the same number; with a dot, which YAML 1.1 needs."""
+    mantissa, exponent, power = repr(float(value) + 0.0).partition("e")
+    return f"{mantissa if '.' in mantissa else f'{mantissa}.0'}{exponent}{power}"
+
+
+def number_list(values: Sequence[float]) -> str:
+    """Return numbers with a space between them."""
+    return " ".join(map(number_text, values))
+
+
+def urdf_text(extrinsics: Extrinsics) -> str:
+    """Return a URDF file with a fixed joint per frame."""
+    poses = child_poses(extrinsics)
+    links = (f"  <link name={quoteattr(name)}/>\n" for name in (extrinsics.target, *(pose.source for pose in poses)))
+    joints = (
+        f'  <joint name={quoteattr(f"{pose.source}_joint")} type="fixed">\n'
+        f"    <parent link={quoteattr(pose.target)}/>\n"
+        f"    <child link={quoteattr(pose.source)}/>\n"
+        f'    <origin xyz="{number_list(pose.xyz_m.tolist())}" rpy="{number_list(pose.rpy_rad.tolist())}"/>\n'
+        "  </joint>\n"
+        for pose in poses
+    )
+    return f'<?xml version="1.0"?>\n<robot name="lidars">\n{"".join(links)}{"".join(joints)}</robot>\n'
+
+
+def matrix_text(extrinsics: Extrinsics) -> str:
+    """Return four lines per frame, below a comment with target and source."""
+    return "# p_target = T_target_source @ p_source, in metres.\n" + "".join(
+        f"{MATRIX_FRAMES}{shlex.join((pose.target, pose.source))}\n"
+        + "".join(f"{number_list(row)}\n" for row in pose.matrix.tolist())
+        for pose in child_poses(extrinsics)
+    )
 
 
 class ResultFiles:

@@ -27,8 +27,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from multilica.geometry import Float32Array, RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
-from multilica.sinks.drawing.palette import Rgb
-from multilica.sinks.drawing.shapes import Drawing, Ellipsoid, Label, Lines
+from multilica.sinks.drawing import Drawing, Ellipsoid, Label, Lines, Rgb
 from multilica.sinks.mcap.messages import McapMessage, MessageSchema
 from multilica.sinks.text.log_lines import LogLine
 

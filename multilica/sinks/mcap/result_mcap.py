@@ -17,7 +17,7 @@ from multilica import events
 from multilica.errors import UnknownNameError
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing import palette, shapes
+from multilica.sinks import drawing
 from multilica.sinks.files.atomic import atomic_file, partial_path
 from multilica.sinks.files.result_files import config_toml
 from multilica.sinks.mcap.messages import MessageWriter, mcap_messages
@@ -48,7 +48,7 @@ _FAR_FUTURE_NS = 2**31 * 10**9 - 3600 * 10**9
 _LAST_STAGES = ("merge", "refine", "ground")
 
 
-def result_drawings(state: RunState, document: ResultDocument) -> Mapping[str, tuple[shapes.Drawing, ...]]:
+def result_drawings(state: RunState, document: ResultDocument) -> Mapping[str, tuple[drawing.Drawing, ...]]:
     """Return the drawings of each topic of `DRAWING_TOPICS`."""
     frames = cloud_frames(document)
     views, sigmas = _fields_of_view(state, frames), _uncertainty(state, document)
@@ -63,7 +63,7 @@ def cloud_frames(document: ResultDocument) -> dict[str, str]:
     }
 
 
-def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[shapes.Drawing]:
+def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[drawing.Drawing]:
     """Draw a sample of each pair's matches at its best pose: kept ones are short, rejected ones long."""
     for pair, matches in sorted(state.matches.items()):
         coarse, found = state.coarse.get(pair), state.registrations.get(pair)
@@ -72,29 +72,29 @@ def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[shapes.Draw
         index = max(found.hypothesis, 0) if found is not None else 0
         hypothesis = coarse.hypotheses[index]
         pose = found.T_target_source.with_target(pair[0]) if found is not None else hypothesis.T_target_source
-        kept = shapes.kept_matches(state, matches, hypothesis)
+        kept = drawing.kept_matches(state, matches, hypothesis)
         lines = (
-            shapes.Lines(shapes.match_lines(matches, kept, pose, _MAX_MATCHES), palette.KEPT),
-            shapes.Lines(shapes.match_lines(matches, ~kept, pose, _MAX_MATCHES), palette.REJECTED),
+            drawing.Lines(drawing.match_lines(matches, kept, pose, _MAX_MATCHES), drawing.KEPT),
+            drawing.Lines(drawing.match_lines(matches, ~kept, pose, _MAX_MATCHES), drawing.REJECTED),
         )
-        yield shapes.Drawing(pair_label(*pair), frames[matches.target], lines)
+        yield drawing.Drawing(pair_label(*pair), frames[matches.target], lines)
 
 
-def _merge_graph(state: RunState, document: ResultDocument) -> Iterator[shapes.Drawing]:
+def _merge_graph(state: RunState, document: ResultDocument) -> Iterator[drawing.Drawing]:
     """Draw a node per LiDAR and an edge per registered pair with its fitness and verdict."""
-    places_m, colours, poses = _places_m(document), palette.distinct_colours(state.lidars), document.poses
+    places_m, colours, poses = _places_m(document), drawing.distinct_colours(state.lidars), document.poses
     for name, entry in document.lidars.items():
         text = name if entry.placed else f"{name}: {entry.status.replace('_', ' ')}"
-        colour = colours[name] if name in poses else palette.VIOLATE
-        label = shapes.Label(places_m[name] + np.array([0.0, 0.0, 2.0 * _NODE_RADIUS_M]), text, colour)
-        yield shapes.Drawing(name, document.target, labels=(label,), lines=(_cross(places_m[name], colour),))
+        colour = colours[name] if name in poses else drawing.VIOLATE
+        label = drawing.Label(places_m[name] + np.array([0.0, 0.0, 2.0 * _NODE_RADIUS_M]), text, colour)
+        yield drawing.Drawing(name, document.target, labels=(label,), lines=(_cross(places_m[name], colour),))
     for pair, found in sorted(state.registrations.items()):
         start_m, end_m = places_m[pair[0]], places_m[pair[1]]
-        colour = palette.VERDICT_COLOURS[found.verdict.outcome]
+        colour = drawing.VERDICT_COLOURS[found.verdict.outcome]
         text = f"{found.fitness:.2f} {found.verdict.outcome}"
-        label = shapes.Label(start_m + shapes.EDGE_LABEL_SHARE * (end_m - start_m), text, colour)
-        edge = shapes.Lines(np.stack([start_m, end_m])[None], colour)
-        yield shapes.Drawing(pair_label(*pair), document.target, (edge,), labels=(label,))
+        label = drawing.Label(start_m + drawing.EDGE_LABEL_SHARE * (end_m - start_m), text, colour)
+        edge = drawing.Lines(np.stack([start_m, end_m])[None], colour)
+        yield drawing.Drawing(pair_label(*pair), document.target, (edge,), labels=(label,))
 
 
 def _places_m(document: ResultDocument) -> dict[str, FloatArray]:
@@ -105,30 +105,30 @@ def _places_m(document: ResultDocument) -> dict[str, FloatArray]:
     return {**places_m, **above_m}
 
 
-def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> shapes.Lines:
+def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> drawing.Lines:
     arms_m = _NODE_RADIUS_M * np.eye(3)
-    return shapes.Lines(np.stack([centre_m - arms_m, centre_m + arms_m], axis=1), colour)
+    return drawing.Lines(np.stack([centre_m - arms_m, centre_m + arms_m], axis=1), colour)
 
 
-def _fields_of_view(state: RunState, frames: Mapping[str, str]) -> Iterator[shapes.Drawing]:
-    colours = palette.distinct_colours(state.lidars)
+def _fields_of_view(state: RunState, frames: Mapping[str, str]) -> Iterator[drawing.Drawing]:
+    colours = drawing.distinct_colours(state.lidars)
     for lidar in sorted(state.clouds):
-        strips = shapes.shown_field_of_view(state, lidar)
+        strips = drawing.shown_field_of_view(state, lidar)
         if strips:
-            segments_m = np.concatenate([shapes.segments_along(strip) for strip in strips])
-            yield shapes.Drawing(lidar, frames[lidar], (shapes.Lines(segments_m, colours[lidar]),))
+            segments_m = np.concatenate([drawing.segments_along(strip) for strip in strips])
+            yield drawing.Drawing(lidar, frames[lidar], (drawing.Lines(segments_m, colours[lidar]),))
 
 
-def _uncertainty(state: RunState, document: ResultDocument) -> Iterator[shapes.Drawing]:
-    colours, scale = palette.distinct_colours(state.lidars), shapes.ellipsoid_scale(document)
+def _uncertainty(state: RunState, document: ResultDocument) -> Iterator[drawing.Drawing]:
+    colours, scale = drawing.distinct_colours(state.lidars), drawing.ellipsoid_scale(document)
     for lidar in document.lidars:
-        found = shapes.uncertainty_ellipsoid(document, lidar)
+        found = drawing.uncertainty_ellipsoid(document, lidar)
         if found is not None:
             half_sizes_m, axes = found
-            shown = shapes.Ellipsoid(axes, scale * half_sizes_m, colours[lidar])
-            text = shapes.ellipsoid_label(document, lidar, scale)
-            labels = (shapes.Label(axes.xyz_m, text, palette.UNCERTAIN),) if text else ()
-            yield shapes.Drawing(lidar, document.target, ellipsoids=(shown,), labels=labels)
+            shown = drawing.Ellipsoid(axes, scale * half_sizes_m, colours[lidar])
+            text = drawing.ellipsoid_label(document, lidar, scale)
+            labels = (drawing.Label(axes.xyz_m, text, drawing.UNCERTAIN),) if text else ()
+            yield drawing.Drawing(lidar, document.target, ellipsoids=(shown,), labels=labels)
 
 
 def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
@@ -153,14 +153,14 @@ def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
 
 
 def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
-    colours = palette.distinct_colours(tuple(cloud_topics))
+    colours = drawing.distinct_colours(tuple(cloud_topics))
     clouds = {
         topic: {
             "visible": True,
             "colorMode": "flat",
             # If none is named, the panel picks one and colours by it.
             "colorField": "z",
-            "flatColor": palette.hex_colour(colours[name]),
+            "flatColor": drawing.hex_colour(colours[name]),
             "pointSize": 2,
         }
         for name, topic in cloud_topics.items()
@@ -251,7 +251,7 @@ class ResultMcap(AbstractContextManager["ResultMcap"]):
         messages.write(self._encoding.transforms(_static_poses(document, frames), stamp_ns), stamp_ns)
         for lidar in snapshot.lidars:
             preprocessed = self._state.clouds.get(lidar.name)
-            points_m = shapes.sample_points(
+            points_m = drawing.sample_points(
                 lidar.points_m if preprocessed is None else preprocessed.points_m, _MAX_CLOUD_POINTS
             )
             cloud = self._encoding.cloud(lidar.name, frames[lidar.name], points_m, stamp_ns)

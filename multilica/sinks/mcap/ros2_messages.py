@@ -11,8 +11,7 @@ from mcap.well_known import Profile
 
 from multilica.geometry import Float32Array, RigidTransform
 from multilica.pointcloud2 import LIDAR_NAME_KEY
-from multilica.sinks.drawing.palette import Rgb
-from multilica.sinks.drawing.shapes import Drawing
+from multilica.sinks.drawing import Drawing, Rgb
 from multilica.sinks.mcap import ros2_types as ros2
 from multilica.sinks.mcap.messages import McapMessage
 from multilica.sinks.text.log_lines import LogLine

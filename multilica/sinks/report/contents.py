@@ -11,7 +11,7 @@ from multilica.diagnosis import Explanation, explain
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import PairKey, PairRegistration, Registration
 from multilica.results.document import PairEntry, ResultDocument
-from multilica.sinks.drawing.shapes import sample_points
+from multilica.sinks.drawing import sample_points
 from multilica.sinks.run_state import RunState
 from multilica.snapshot import LidarScans
 

@@ -13,8 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import LEVEL_FRAME, BeamLabel, PairKey
-from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, Rgb
-from multilica.sinks.drawing.shapes import every_nth
+from multilica.sinks.drawing import AGREE, OCCLUDED, VIOLATE, Rgb, every_nth
 from multilica.sinks.report.contents import SAME_POSE, ReportContents, ScoredPoints, finalists
 from multilica.sinks.report.rig import FIRST_VIEW_RAD, QUARTER_TURN
 

@@ -19,16 +19,14 @@ from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import LEVEL_FRAME, PairKey, SnapshotReport
 from multilica.results.document import PairEntry, ResultDocument
-from multilica.sinks.drawing.palette import AGREE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
-from multilica.sinks.drawing.shapes import EDGE_LABEL_SHARE
+from multilica.sinks.drawing import AGREE, EDGE_LABEL_SHARE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
 from multilica.sinks.files.atomic import write_text_atomically
-from multilica.sinks.files.result_files import REPORT_HTML, calibration_toml, config_toml
+from multilica.sinks.files.result_files import REPORT_HTML, calibration_toml, config_toml, matrix_text, urdf_text
 from multilica.sinks.report.contents import ReportContents, contents_of
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures, short_name
 from multilica.sinks.report.rig import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_drawing, rig_scene
 from multilica.sinks.report.template import own_text, page_template
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.extrinsics_text import matrix_text, urdf_text
 
 MAX_BYTES = 8_000_000
 """Limit of ticket systems and mail; the clouds of the 3-D view are thinned until the page fits."""

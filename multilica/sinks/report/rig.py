@@ -10,8 +10,7 @@ import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import LEVEL_FRAME
-from multilica.sinks.drawing.palette import Rgb
-from multilica.sinks.drawing.shapes import SIGMAS, every_nth, sample_points
+from multilica.sinks.drawing import SIGMAS, Rgb, every_nth, sample_points
 from multilica.sinks.report.contents import ReportContents
 
 MAX_POINTS = 300_000

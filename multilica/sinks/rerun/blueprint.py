@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from multilica.config import Stage
 from multilica.results import PairKey
-from multilica.sinks.drawing.shapes import kept_count
+from multilica.sinks.drawing import kept_count
 from multilica.sinks.rerun import scene
 from multilica.sinks.rerun.lidars import RESIDUAL_SCALE_M, name_pole_m
 from multilica.sinks.rerun.pairs import starting_hypothesis
@@ -29,9 +29,8 @@ from multilica.sinks.rerun.views import (
     three_quarter,
     up_axis,
 )
-from multilica.sinks.run_state import RunState
+from multilica.sinks.run_state import Failure, RunState, decisive_failure, failures
 from multilica.sinks.text.log_lines import pair_label
-from multilica.sinks.unplaced import Failure, decisive_failure, failures
 
 _MAX_PAIR_TABS = 15
 _Tab = rrb.Container | rrb.View

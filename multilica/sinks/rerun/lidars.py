@@ -11,8 +11,8 @@ from multilica import events
 from multilica.geometry import Float32Array, RigidTransform
 from multilica.results import GroundPlane, MergeCandidate, MergeDecision, PairKey, PreprocessedCloud
 from multilica.results.document import ResultDocument
-from multilica.sinks.drawing import shapes
-from multilica.sinks.drawing.palette import MUTED, UNDECIDED, VERDICT_COLOURS, VIOLATE, Rgb, heat_colours
+from multilica.sinks import drawing
+from multilica.sinks.drawing import MUTED, UNDECIDED, VERDICT_COLOURS, VIOLATE, Rgb, heat_colours
 from multilica.sinks.files.result_files import config_toml
 from multilica.sinks.rerun.scene import (
     CLOCK_TIMELINE,
@@ -57,7 +57,7 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
     # Until an entity is logged, the viewer has it in a frame of its own below this one, and reports an error in each
     # view that finds no path from there.
     scene.stream.log(FRAMES, rigid(ROOT_FRAME, DISPLAY_FRAME), static=True)
-    offsets_m = shapes.slot_offsets_m(event.snapshot)
+    offsets_m = drawing.slot_offsets_m(event.snapshot)
     for lidar in event.snapshot.lidars:
         frame, offset_m = slot_frame(lidar.name), (0.0, offsets_m[lidar.name], 0.0)
         place = RigidTransform.from_xyz_rpy(DISPLAY_FRAME, frame, offset_m, (0.0, 0.0, 0.0))
@@ -112,7 +112,7 @@ def log_preprocessed(scene: RerunScene, event: events.CloudPreprocessed) -> None
     cloud, limit = event.cloud, scene.limits.cloud_points
     frame = lidar_frame(cloud.lidar)
     scene.log_points(lidar_path(cloud.lidar, "preprocessed"), frame, cloud.points_m, scene.colour(cloud.lidar), limit)
-    strips = shapes.shown_field_of_view(scene.state, cloud.lidar)
+    strips = drawing.shown_field_of_view(scene.state, cloud.lidar)
     if strips:
         lines = rr.LineStrips3D(strips, colors=[scene.colour(cloud.lidar)], radii=rr.Radius.ui_points(0.6))
         scene.log_in(frame, lidar_path(cloud.lidar, "field_of_view"), lines)
@@ -130,7 +130,7 @@ def log_features(scene: RerunScene, event: events.FeaturesComputed) -> None:
     limit = scene.limits.feature_points
     scene.log_points(path, frame, features.points_m, scene.colour(features.lidar), limit, radius_pixels=2.0)
     if scene.limits.normals:
-        shown = shapes.sample_indices(len(features.points_m), scene.limits.normals)
+        shown = drawing.sample_indices(len(features.points_m), scene.limits.normals)
         normals = rr.Arrows3D(
             origins=features.points_m[shown].astype(np.float32),
             vectors=(_NORMAL_LENGTH_M * features.normals[shown]).astype(np.float32),
@@ -171,7 +171,7 @@ def _kept_cells(cloud: PreprocessedCloud | None, reasons: Sequence[str]) -> Sequ
 def log_residuals(scene: RerunScene, event: events.ResidualsMeasured) -> None:
     """Log the points of a LiDAR that others saw as well, coloured by their distance to the others' surfaces."""
     found = event.residuals
-    rows = shapes.sample_indices(len(found.points_m), scene.limits.cloud_points)
+    rows = drawing.sample_indices(len(found.points_m), scene.limits.cloud_points)
     colours = heat_colours(_DARKEST + (1.0 - _DARKEST) * found.residual_m[rows] / RESIDUAL_SCALE_M)
     shown = rr.Points3D(found.points_m[rows].astype(np.float32), colors=colours, radii=rr.Radius.ui_points(2.0))
     scene.log_in(lidar_frame(found.lidar), lidar_path(found.lidar, "residual"), shown)
@@ -196,7 +196,7 @@ def _log_graph(scene: RerunScene, decisions: Sequence[MergeDecision], *, by_evid
     circle = _CIRCLE_RADIUS * np.column_stack([np.cos(angles), np.sin(angles)])
     places = dict(zip(scene.state.lidars, circle, strict=True))
     pairs = [pair for pair in latest if pair[0] in places and pair[1] in places]
-    middles = [places[end] + shapes.EDGE_LABEL_SHARE * (places[start] - places[end]) for end, start in pairs]
+    middles = [places[end] + drawing.EDGE_LABEL_SHARE * (places[start] - places[end]) for end, start in pairs]
     outcomes = {pair: _outcome(scene, latest[pair]) for pair in pairs}
     uncertain = {pair: ", uncertain" if latest[pair].uncertain else "" for pair in pairs}
     words = {pair: f"merged{uncertain[pair]}" if latest[pair] in merged else outcomes[pair] for pair in pairs}
@@ -250,10 +250,10 @@ def log_outcome(scene: RerunScene) -> None:
 
 def _log_uncertainty(scene: RerunScene, document: ResultDocument, lidar: str) -> None:
     """Log the enlarged ellipsoid of the position in the target's frame; the name of an uncertain LiDAR says so."""
-    ellipsoid, scale = shapes.uncertainty_ellipsoid(document, lidar), shapes.ellipsoid_scale(document)
+    ellipsoid, scale = drawing.uncertainty_ellipsoid(document, lidar), drawing.ellipsoid_scale(document)
     if ellipsoid is None:
         return
-    label = shapes.ellipsoid_label(document, lidar, scale)
+    label = drawing.ellipsoid_label(document, lidar, scale)
     half_sizes_m, axes = ellipsoid
     shape = rr.Ellipsoids3D(
         centers=[axes.xyz_m],

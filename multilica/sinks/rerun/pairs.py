@@ -18,8 +18,8 @@ from multilica.results import (
     Registration,
     hypothesis_label,
 )
-from multilica.sinks.drawing import palette
-from multilica.sinks.drawing.shapes import kept_matches, match_lines, sample_indices, shown_radius_m
+from multilica.sinks import drawing
+from multilica.sinks.drawing import kept_matches, match_lines, sample_indices, shown_radius_m
 from multilica.sinks.rerun.scene import (
     CURVES,
     ITERATION_TIMELINE,
@@ -32,19 +32,18 @@ from multilica.sinks.rerun.scene import (
     pair_path,
     rigid,
 )
-from multilica.sinks.run_state import RunState
+from multilica.sinks.run_state import RunState, failures
 from multilica.sinks.text.log_lines import pair_label
 from multilica.sinks.text.markdown import pair_scores_markdown
-from multilica.sinks.unplaced import failures
 
 _LIFT_PER_RADIUS = 0.5
 _COLOURS = {
-    BeamLabel.UNSEEN: palette.UNSEEN,
-    BeamLabel.AGREE: palette.AGREE,
-    BeamLabel.VIOLATE: palette.VIOLATE,
-    BeamLabel.OCCLUDED: palette.OCCLUDED,
+    BeamLabel.UNSEEN: drawing.UNSEEN,
+    BeamLabel.AGREE: drawing.AGREE,
+    BeamLabel.VIOLATE: drawing.VIOLATE,
+    BeamLabel.OCCLUDED: drawing.OCCLUDED,
 }
-_MATCH_LINES = {"undecided": (palette.MUTED, 0.25), "rejected": (palette.REJECTED, 0.25), "kept": (palette.KEPT, 1.2)}
+_MATCH_LINES = {"undecided": (drawing.MUTED, 0.25), "rejected": (drawing.REJECTED, 0.25), "kept": (drawing.KEPT, 1.2)}
 """Colour and radius in pixels."""
 _ARROW_M = 4.0
 _AXIS_LENGTH_M = 0.5
@@ -121,7 +120,7 @@ def _log_scored_points(scene: RerunScene, pair: PairKey, start: str, scored: Reg
     violations_m, target_violations_m = (points_m[labels == BeamLabel.VIOLATE] for points_m, labels in (source, target))
     moved_m = scored.T_target_source.with_target(pair[0]).apply(violations_m)
     points = np.concatenate([moved_m, target_violations_m]).astype(np.float32)
-    shown = rr.Points3D(points, colors=[palette.VIOLATE], radii=rr.Radius.ui_points(4.0))
+    shown = rr.Points3D(points, colors=[drawing.VIOLATE], radii=rr.Radius.ui_points(4.0))
     scene.log_in(lidar_frame(pair[0]), pair_path(*pair, "scored", "violations"), shown)
 
 
@@ -165,7 +164,7 @@ def log_contested_places(scene: RerunScene) -> None:
 def _log_label(scene: RerunScene, path: str, frame: str, label: str, outcome: str) -> None:
     """Log a label at the origin of a frame."""
     point = rr.Points3D(
-        [(0.0, 0.0, 0.0)], colors=[palette.VERDICT_COLOURS[outcome]], labels=[label], radii=rr.Radius.ui_points(7.0)
+        [(0.0, 0.0, 0.0)], colors=[drawing.VERDICT_COLOURS[outcome]], labels=[label], radii=rr.Radius.ui_points(7.0)
     )
     scene.log_in(frame, path, point)
 
@@ -198,7 +197,7 @@ def _log_slide(scene: RerunScene, pair: PairKey, registration: PairRegistration,
     arrows = rr.Arrows3D(
         origins=[origin_m, origin_m],
         vectors=[_ARROW_M * axis, -_ARROW_M * axis],
-        colors=[palette.UNDECIDED],
+        colors=[drawing.UNDECIDED],
         labels=[f"{word} is not constrained", ""] if weightiest else None,
         radii=0.06,
     )

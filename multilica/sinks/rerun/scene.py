@@ -15,8 +15,7 @@ import rerun as rr
 from multilica.config import RecordConfig
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis, Registration
-from multilica.sinks.drawing.palette import Rgb, distinct_colours
-from multilica.sinks.drawing.shapes import sample_points
+from multilica.sinks.drawing import Rgb, distinct_colours, sample_points
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import LogLine
 from multilica.snapshot import Snapshot

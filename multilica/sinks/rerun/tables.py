@@ -13,8 +13,7 @@ import rerun as rr
 from multilica import events
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import Correspondences, MergeDecision, PairKey, PairRegistration, PairResidual
-from multilica.sinks.drawing.palette import VERDICT_COLOURS, heat_colours
-from multilica.sinks.drawing.shapes import sample_indices
+from multilica.sinks.drawing import VERDICT_COLOURS, heat_colours, sample_indices
 from multilica.sinks.rerun.lidars import log_in_slot
 from multilica.sinks.rerun.scene import (
     CLOCK_TIMELINE,

@@ -10,8 +10,7 @@ from rerun.encodings import EntityPathLike
 
 from multilica.geometry import FloatArray
 from multilica.results import PairKey
-from multilica.sinks.drawing.palette import distinct_colours
-from multilica.sinks.drawing.shapes import kept_count, sample_points, shown_radius_m, slot_offsets_m
+from multilica.sinks.drawing import distinct_colours, kept_count, sample_points, shown_radius_m, slot_offsets_m
 from multilica.sinks.rerun.pairs import lift_m
 from multilica.sinks.rerun.scene import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
 from multilica.sinks.run_state import RunState

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from multilica import results
 from multilica.diagnosis import Explanation, Missing, explain
 from multilica.results.document import LidarEntry, ResultDocument
-from multilica.sinks.drawing.shapes import SIGMAS, ellipsoid_scale
+from multilica.sinks.drawing import SIGMAS, ellipsoid_scale
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 

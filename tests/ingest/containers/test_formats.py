@@ -15,7 +15,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from multilica.config import IngestConfig
 from multilica.geometry import RigidTransform
 from multilica.ingest import read_snapshot
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import Snapshot
 from tests.ingest.support.format_writers import POINT_WRITERS
 from tests.ingest.support.recording_writers import (

@@ -20,7 +20,7 @@ from multilica.ingest import message_types, read_snapshot
 from multilica.ingest.containers import ouster_recording
 from multilica.ingest.message_types import decode_cloud
 from multilica.ingest.recording import RawMessage
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.support.format_writers import (
     LIVOX_DRIVERS,

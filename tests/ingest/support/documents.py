@@ -21,8 +21,8 @@ from multilica.ingest.transforms import read_prior, read_urdf
 from multilica.runs.run_documents import read_run, read_run_document
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.mcap.result_mcap import ResultMcap
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
 from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.snapshots import write_snapshot_mcap
 from tests.ingest.support.recording_writers import make_snapshot
 from tests.sinks.made_documents import made_document
 from tests.sinks.made_events import made_events

@@ -20,7 +20,7 @@ from multilica.errors import MultilicaError
 from multilica.geometry import RigidTransform
 from multilica.ingest import inspect_source, read_snapshot
 from multilica.ingest.message_types import OUSTER, is_installed
-from multilica.sinks.mcap.snapshot_mcap import window_metadata, write_snapshot_mcap
+from multilica.sinks.snapshots import window_metadata, write_snapshot_mcap
 from multilica.snapshot import Scan, Snapshot
 from tests.ingest.support.format_writers import (
     POINT_WRITERS,

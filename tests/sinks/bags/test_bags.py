@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from multilica.ingest import read_snapshot
-from multilica.sinks.bags import write_ros1_bag, write_ros2_bag, write_ros2_mcap
+from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.ingest.support.recording_writers import assert_same_points, assert_same_times, make_snapshot
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from multilica.sinks.drawing.shapes import every_nth, sample_points
+from multilica.sinks.drawing import every_nth, sample_points
 
 
 @pytest.mark.parametrize("count", [0, 1, 99, 100, 250, 10_001])

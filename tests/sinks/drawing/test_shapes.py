@@ -13,7 +13,7 @@ from multilica.results import CalibrationResult, LidarPlacement
 from multilica.results.document import ResultDocument
 from multilica.results.document.building import Provenance, result_document
 from multilica.results.document.result import InputEntry
-from multilica.sinks.drawing.shapes import ellipsoid_scale, field_of_view, uncertainty_ellipsoid
+from multilica.sinks.drawing import ellipsoid_scale, field_of_view, uncertainty_ellipsoid
 
 
 def returns(azimuth_deg: tuple[float, float], elevation_deg: tuple[float, float]) -> np.ndarray:

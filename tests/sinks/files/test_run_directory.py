@@ -20,7 +20,7 @@ from multilica.config import CalibrationConfig, load_config
 from multilica.errors import UsageError
 from multilica.results import Refusal
 from multilica.sinks.files.result_files import ResultFiles
-from multilica.sinks.mcap.reading import read_attached_document
+from multilica.sinks.mcap.messages import read_attached_document
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.rerun.reading import read_recorded_document
 from multilica.sinks.rerun.recording import RerunRecording

@@ -15,7 +15,7 @@ from mcap.reader import make_reader
 from PIL import Image
 from playwright.sync_api import Browser, Page, expect
 
-from multilica.sinks.drawing.palette import Rgb
+from multilica.sinks.drawing import Rgb
 from tests.ingest.support.processes import served
 
 STUDIO = Path(__file__).parent / "foxglove_studio"

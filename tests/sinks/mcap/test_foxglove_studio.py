@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from multilica.sinks.drawing.palette import distinct_colours
+from multilica.sinks.drawing import distinct_colours
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from tests.selection import RUN_FILES
 from tests.sinks.made_events import LIDARS, UNPLACED, made_events

@@ -13,7 +13,7 @@ from rosbags.highlevel import AnyReader
 
 from multilica import events
 from multilica.errors import UnreadableSourceError
-from multilica.sinks.mcap.reading import read_attached_document
+from multilica.sinks.mcap.messages import read_attached_document
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from tests.sinks.made_events import made_events
 

@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 from multilica.errors import UnreadableSourceError
-from multilica.sinks.mcap.reading import read_attached_document
+from multilica.sinks.mcap.messages import read_attached_document
 from tests.sinks.made_documents import made_document
 
 

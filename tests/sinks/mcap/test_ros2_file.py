@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from ruamel.yaml import YAML
 
 from multilica.sinks.mcap.result_mcap import ResultMcap
-from multilica.sinks.mcap.snapshot_mcap import write_snapshot_mcap
+from multilica.sinks.snapshots import write_snapshot_mcap
 from tests.ingest.support.recording_writers import make_snapshot
 from tests.sinks.made_events import LIDARS, made_events
 

@@ -11,7 +11,7 @@ import pytest
 
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.sinks.drawing.palette import distinct_colours
+from multilica.sinks.drawing import distinct_colours
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.page import opponents, report_html
 from multilica.sinks.report.rig import refused_poses, rig_scene

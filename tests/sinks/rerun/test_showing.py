@@ -7,8 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from multilica.sinks.drawing.palette import distinct_colours, heat_colours
-from multilica.sinks.drawing.shapes import sample_indices, sample_points
+from multilica.sinks.drawing import distinct_colours, heat_colours, sample_indices, sample_points
 
 
 def luminance_and_hue(colour) -> np.ndarray:

@@ -1,2 +1,0 @@
-# SPDX-License-Identifier: Apache-2.0
-"""Shapes, colours and samples shared by the sinks."""
