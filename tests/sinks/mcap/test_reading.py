@@ -51,7 +51,7 @@ def test_damage_is_told_by_its_text_or_its_name(tmp_path, monkeypatch, error, to
         del arguments, options
         raise error
 
-    monkeypatch.setattr("mcap.reader.SeekingReader", fail)
+    monkeypatch.setattr("multilica.sinks.mcap.messages.SeekingReader", fail)
     path = write_mcap(tmp_path / "result.mcap", {})
     with pytest.raises(UnreadableSourceError, match=rf"not a whole MCAP file that can be read: {told}\.$"):
         read_attached_document(path)
