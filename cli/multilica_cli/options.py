@@ -115,7 +115,7 @@ class Reading:
 
     @property
     def values(self) -> dict[str, object]:
-        """The options, as `resolve_config` takes them."""
+        """The options, as `Parameters.resolve` takes them."""
         try:
             start_s = None if self.start is None else float(self.start)
         except ValueError:
@@ -145,38 +145,27 @@ class Parameters:
     settings: Settings = None
 
     def resolve(
-        self, options: dict[str, object] | None = None, recorded_frames: int | None = None
+        self, options: Mapping[str, object] | None = None, recorded_frames: int | None = None
     ) -> CalibrationConfig:
-        """Build the configuration; see `resolve_config`."""
-        return resolve_config(self.preset, self.config_file, options or {}, self.settings or (), recorded_frames)
+        """Build the configuration from the preset or file, then options, then `--set`.
 
+        Args:
+            options: key of the configuration -> value of its own option; None where it was not given.
+            recorded_frames: frames of a file made by `multilica record`; used unless file or options give a number.
+        """
+        from multilica.config import load_config, preset, read_config_table, with_overrides
 
-def resolve_config(
-    preset_name: str | None,
-    config_file: Path | None,
-    options: Mapping[str, object],
-    settings: Sequence[str],
-    recorded_frames: int | None = None,
-) -> CalibrationConfig:
-    """Build the configuration from the preset or file, then options, then `--set`.
-
-    Args:
-        options: key of the configuration -> value of its own option; None where it was not given.
-        recorded_frames: frames of a file made by `multilica record`; used unless file or options give a number.
-    """
-    from multilica.config import load_config, preset, read_config_table, with_overrides
-
-    if preset_name and config_file:
-        raise UsageError(
-            f"Found both --preset {preset_name} and --config {config_file}; give one of them, "
-            f'or write preset = "{preset_name}" into the file.'
-        )
-    config = load_config(config_file) if config_file else preset(preset_name or "default")
-    table = read_config_table(config_file) if config_file else {}
-    if recorded_frames and "frames" not in table.get("ingest", {}):
-        config = with_overrides(config, [f"ingest.frames={recorded_frames}"])
-    given = [f"{key}={inline_toml(value)}" for key, value in options.items() if value is not None]
-    return with_overrides(config, [*given, *settings])
+        if self.preset and self.config_file:
+            raise UsageError(
+                f"Found both --preset {self.preset} and --config {self.config_file}; give one of them, "
+                f'or write preset = "{self.preset}" into the file.'
+            )
+        config = load_config(self.config_file) if self.config_file else preset(self.preset or "default")
+        table = read_config_table(self.config_file) if self.config_file else {}
+        if recorded_frames and "frames" not in table.get("ingest", {}):
+            config = with_overrides(config, [f"ingest.frames={recorded_frames}"])
+        given = [f"{key}={inline_toml(value)}" for key, value in (options or {}).items() if value is not None]
+        return with_overrides(config, [*given, *(self.settings or ())])
 
 
 def inline_toml(value: object) -> str:
@@ -189,7 +178,7 @@ def inline_toml(value: object) -> str:
 
 
 def sigma_limits(text: str | None) -> dict[str, object]:
-    """Return the limits of `--max-sigma MM,DEG`, two numbers above zero, as `resolve_config` takes them."""
+    """Return the limits of `--max-sigma MM,DEG`, two numbers above zero, as `Parameters.resolve` takes them."""
     if text is None:
         return {}
     try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress of a run, of a live recording or of many files on the terminal."""
+"""Progress of a run, of a live recording, of many files or of a fleet on the terminal."""
 
 from __future__ import annotations
 
@@ -8,12 +8,24 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    SpinnerColumn,
+    TaskID,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from multilica import events
 from multilica_cli.terminal import printable, stderr_console
 
 if TYPE_CHECKING:
+    from multilica.fleet.fleet_run import FleetObserver, LogsPlanned
+    from multilica.fleet.store.records import LogRow
     from multilica.ingest.recording import MessageObserver
 
 _COLUMNS = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -131,3 +143,41 @@ def show_count(name: str, total: int) -> Iterator[Callable[[], None]]:
             console.print(f"{done} of {total} {name}")
 
     yield advance
+
+
+@contextmanager
+def show_fleet(*, quiet: bool) -> Iterator[FleetObserver]:
+    """Show on stderr how far the run is, its rate and failures, and a line for each log without a result."""
+    from multilica.fleet.fleet_run import LogsPlanned
+
+    console = stderr_console(quiet=quiet)
+    columns = (
+        SpinnerColumn(finished_text=" "),
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TaskProgressColumn(text_format="", show_speed=True),
+        TimeElapsedColumn(),
+        TextColumn("ETA"),
+        TimeRemainingColumn(),
+    )
+    bars = Progress(*columns, console=console, disable=quiet or not console.is_terminal)
+    task, bad, done, to_do = bars.add_task("finding logs", total=None), 0, 0, 0
+
+    def observe(event: LogsPlanned | LogRow) -> None:
+        nonlocal bad, done, to_do
+        if isinstance(event, LogsPlanned):
+            to_do = event.to_do
+            bars.update(task, total=to_do, description="logs")
+            console.print(f"{event.found} logs, {event.found - to_do} of them finished before.")
+            return
+        done += 1
+        if event.state in ("refused", "failed"):
+            bad += 1
+            console.print(f"{event.vehicle}: {event.source}: {event.state}: {event.reason_text}")
+        elif bars.disable and done % max(1, to_do // 20) == 0:
+            console.print(f"{done} of {to_do} logs, {bad} without a result")
+        bars.update(task, completed=done, description=f"logs, {bad} without a result" if bad else "logs")
+
+    with bars:
+        yield observe

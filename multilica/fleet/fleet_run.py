@@ -39,14 +39,8 @@ class LogsPlanned:
     to_do: int
 
 
-@dataclass(frozen=True, slots=True)
-class LogFinished:
-    """A log has its rows in the store."""
-
-    row: LogRow
-
-
-FleetObserver = Callable[[LogsPlanned | LogFinished], None]
+FleetObserver = Callable[[LogsPlanned | LogRow], None]
+"""Called in the thread of `run_fleet`: once all logs are found, then with the row of each finished log."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +93,6 @@ def run_fleet(
 
     Args:
         logs: as `find_logs` takes them.
-        observe: called in this thread.
         run_log_task: run in a thread of this process or of a Dask worker.
 
     Raises:
@@ -119,7 +112,7 @@ def run_fleet(
         vehicles = (_vehicle_tasks(plan.logs_of(vehicle), store, options, digest) for vehicle in plan.vehicles())
         for row in _run_vehicles(vehicles, executor, _AHEAD * slots, options.limits, run_log_task):
             outcome.states[row.state] = outcome.states.get(row.state, 0) + 1
-            observe(LogFinished(row))
+            observe(row)
     return outcome
 
 

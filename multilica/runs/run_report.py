@@ -1,11 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Report of a saved run, its picture, and the tables of its recording."""
-
-from __future__ import annotations
+"""Report of a saved run, and its picture."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,20 +11,11 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import LEVEL_FRAME
 from multilica.results.document import PairEntry, ResultDocument
 from multilica.runs.run_documents import read_run_document
-from multilica.sinks.files.atomic import atomic_file
 from multilica.sinks.report.contents import SAME_POSE, ReportContents, ScoredPoints, finalists
 from multilica.sinks.report.page import report_html
-from multilica.sinks.rerun.reading import (
-    RecordedScores,
-    read_recorded_clouds,
-    read_recorded_scores,
-    read_recorded_table,
-)
+from multilica.sinks.rerun.reading import RecordedScores, read_recorded_clouds, read_recorded_scores
 from multilica.sinks.rerun.viewer import viewer_picture
 from multilica.stages.ground import estimate_level
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _SIDE_PX = (64, 8192)
 
@@ -113,25 +101,3 @@ def picture_of_run(path: Path, size_px: tuple[int, int]) -> bytes:
             "per side."
         )
     return viewer_picture(recording_of_run(path), size_px)
-
-
-def table_of_run(path: Path, name: str) -> pa.Table:
-    """Read a table from the recording of a run directory, or from a recording, complete or not.
-
-    Args:
-        name: ``pairs``, ``matches`` (of descriptors), ``surfaces`` (matches at the final pose), ``merge``, ``timings``.
-
-    Raises:
-        SourceNotFoundError: nothing there, or no recording.
-        UnreadableSourceError: no recording, or a damaged one.
-    """
-    return read_recorded_table(recording_of_run(path), name)
-
-
-def write_parquet(table: pa.Table, path: Path) -> None:
-    """Write a table as Parquet; the file gets its name when it is complete."""
-    import pyarrow.parquet as pq
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_file(path) as file:
-        pq.write_table(table, file)

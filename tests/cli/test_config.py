@@ -9,7 +9,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, known_keys, load_config, preset
 from multilica_cli.commands.config import list_parameters
-from multilica_cli.options import inline_toml, resolve_config, sigma_limits, topic_names
+from multilica_cli.options import Parameters, inline_toml, sigma_limits, topic_names
 from tests.cli.support import Invoke
 
 
@@ -54,14 +54,14 @@ def test_settings_show_in_every_form(invoke: Invoke) -> None:
 
 
 def test_sigma_limits_are_in_millimetres_and_degrees() -> None:
-    limits = resolve_config(None, None, sigma_limits("50, 0.5"), []).acceptance
+    limits = Parameters().resolve(sigma_limits("50, 0.5")).acceptance
     assert (limits.max_sigma_m, limits.max_sigma_deg) == (0.05, 0.5)
-    assert resolve_config(None, None, sigma_limits(None), []) == preset("default")
+    assert Parameters().resolve(sigma_limits(None)) == preset("default")
 
 
 def test_options_and_settings_override_the_preset() -> None:
     options = {"target": 'a "b"', "ingest.frames": 3, "ground.enabled": None, "ingest.topics": {"x.y": "/t/ö"}}
-    config = resolve_config("paper", None, options, ["ingest.frames=4"])
+    config = Parameters("paper", None, ["ingest.frames=4"]).resolve(options)
     assert config.target == 'a "b"'
     assert config.ingest.frames == 4
     assert config.ingest.topics == {"x.y": "/t/ö"}

@@ -14,15 +14,14 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from multilica.config import preset, with_overrides
-from multilica.fleet.fleet_run import LogFinished, LogsPlanned
+from multilica.fleet.fleet_run import LogsPlanned
 from multilica.fleet.store.records import LogRow
 from multilica.run import run_calibration
 from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.commands.fleet import fleet
-from multilica_cli.fleet_progress import show_fleet
 from multilica_cli.main import app
-from multilica_cli.tables import FoldingTable
-from multilica_cli.terminal import wrapped
+from multilica_cli.progress import show_fleet
+from multilica_cli.terminal import FoldingTable, wrapped
 from tests.fleet.support.made_store import made_store
 from tests.runs.made_runs import write_run, write_truth
 from tests.sinks.made_documents import made_document
@@ -212,7 +211,7 @@ def test_progress_of_the_fleet_fits(capsys, monkeypatch, width):
     with show_fleet(quiet=False) as observe:
         observe(LogsPlanned(12_000, 12_000))
         for _ in range(2_000):
-            observe(LogFinished(row))
+            observe(row)
     text = _CODES.sub("", capsys.readouterr().err)
     assert max(map(cell_len, text.splitlines())) <= width
     assert set(told.split()) <= set(text.split())

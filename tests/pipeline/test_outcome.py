@@ -9,7 +9,7 @@ from multilica.extrinsics import Extrinsics
 from multilica.orchestration.rig import placement_of
 from multilica.orchestration.state import CalibrationState
 from multilica.results import Group, MergeCandidate, MergeDecision
-from multilica_cli.options import resolve_config, sigma_limits
+from multilica_cli.options import Parameters, sigma_limits
 from tests.unit.made_pairs import pair, pose, registration, undecided
 
 _POSES = {"a": pose("a", "a"), "b": pose("a", "b", (1.0, 0.0, 0.0), 0.3)}
@@ -99,7 +99,7 @@ def test_a_lidar_with_a_sigma_above_the_limit_is_uncertain():
     ("limits", "status"), [("31,0.2", "placed"), ("29,0.2", "uncertain"), ("31,0.05", "uncertain")]
 )
 def test_max_sigma_moves_the_limit(limits, status):
-    config = resolve_config(None, None, sigma_limits(limits), [])
+    config = Parameters().resolve(sigma_limits(limits))
     assert _placement("b", sigma_m=0.03, config=config).status == status
 
 

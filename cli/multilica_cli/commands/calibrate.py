@@ -26,8 +26,7 @@ from multilica_cli.options import (
     output,
     sigma_limits,
 )
-from multilica_cli.tables import POSE_COLUMNS, FoldingTable, number_cells, pose_cells, size_cells
-from multilica_cli.terminal import stdout_console
+from multilica_cli.terminal import POSE_COLUMNS, FoldingTable, number_cells, pose_cells, size_cells, stdout_console
 
 if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics

@@ -17,8 +17,7 @@ from multilica.errors import UsageError
 from multilica_cli import options
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import argument, option, output
-from multilica_cli.tables import FoldingTable, number_cells
-from multilica_cli.terminal import stdout_console
+from multilica_cli.terminal import FoldingTable, number_cells, stdout_console
 
 if TYPE_CHECKING:
     from multilica.checks import LidarCheck, RigCheck, RigTolerances

@@ -13,8 +13,7 @@ import typer
 from rich.console import Console
 
 from multilica_cli.options import Json, Quiet, Settings, WithinDeg, WithinM, argument, option, output, topic_names
-from multilica_cli.tables import ERROR_COLUMNS, FoldingTable, number_cells
-from multilica_cli.terminal import stdout_console
+from multilica_cli.terminal import ERROR_COLUMNS, FoldingTable, number_cells, stdout_console
 
 if TYPE_CHECKING:
     from multilica.datasets import DatasetDocument

@@ -94,10 +94,10 @@ def run(
     from multilica.fleet.logs.listing import LogPattern
     from multilica.fleet.store.store import open_store
     from multilica.fleet.tasks.guard import LogTaskLimits
-    from multilica_cli.fleet_progress import show_fleet
+    from multilica_cli.progress import show_fleet
 
     given = {**options.Reading(topics, frames, window=window).values, "target": target}
-    config = options.resolve_config(None, config_file, {**given, "runtime.workers": 1}, settings or ())
+    config = options.Parameters(None, config_file, settings).resolve({**given, "runtime.workers": 1})
     chosen = FleetOptions(
         config,
         RigTolerances(default=Tolerance(translation_m=max_translation_m, rotation_deg=max_rotation_deg)),
@@ -280,7 +280,7 @@ def _print_answer(
     store: Store, sql: str, form: Literal["table", "csv", "json"], values: Sequence[object] = (), *, keys: int = 1
 ) -> None:
     from multilica.fleet.store.query import ask
-    from multilica_cli.tables import print_answer
+    from multilica_cli.terminal import print_answer
 
     with ask(store, sql, values) as answer:
         print_answer(answer, form, stdout_console(), keys=keys)

@@ -13,8 +13,15 @@ from rich.console import Console
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Json, Parameters, Quiet, Reading, Sources, argument, mcap_name, option
-from multilica_cli.tables import POSE_COLUMNS, FoldingTable, number_cells, pose_cells
-from multilica_cli.terminal import print_json, stderr_console, stdout_console
+from multilica_cli.terminal import (
+    POSE_COLUMNS,
+    FoldingTable,
+    number_cells,
+    pose_cells,
+    print_json,
+    stderr_console,
+    stdout_console,
+)
 
 if TYPE_CHECKING:
     from multilica.ingest import SourceSummary, TakenSnapshot

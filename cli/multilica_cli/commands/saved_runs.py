@@ -17,8 +17,15 @@ from multilica.exports import CLOUD_FORMATS, FORMATS
 from multilica_cli.commands.calibrate import print_placements
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Json, Quiet, argument, local_path, option, output
-from multilica_cli.tables import ERROR_COLUMNS, FoldingTable, answer_lines, number_cells
-from multilica_cli.terminal import print_json, stderr_console, stdout_console
+from multilica_cli.terminal import (
+    ERROR_COLUMNS,
+    FoldingTable,
+    answer_lines,
+    number_cells,
+    print_json,
+    stderr_console,
+    stdout_console,
+)
 
 if TYPE_CHECKING:
     from multilica.runs.difference import Change, RunDifference
@@ -183,21 +190,24 @@ def query(
     """Print a table of a run's recording: pairs, matches, merge decisions or timings."""
     if form == "parquet" and out is None:
         raise UsageError("--format parquet needs a file; add --out FILE.")
-    from multilica.runs.run_report import table_of_run, write_parquet
-    from multilica.sinks.files.atomic import write_text_atomically
+    from pyarrow.parquet import write_table
 
-    found = table_of_run(run, table)
-    if out is not None and form == "parquet":
-        write_parquet(found, out)
-        return
+    from multilica.runs.run_report import recording_of_run
+    from multilica.sinks.files.atomic import atomic_file
+    from multilica.sinks.rerun.reading import read_recorded_table
+
+    found = read_recorded_table(recording_of_run(run), table)
     rows = zip(*(column.to_pylist() for column in found.columns), strict=True)
-    lines = answer_lines(found.column_names, rows, "json" if form == "json" else "csv")
-    if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_text_atomically(out, "".join(lines))
+    lines = () if form == "parquet" else answer_lines(found.column_names, rows, form)
+    if out is None:
+        for line in lines:
+            typer.echo(line, nl=False)
         return
-    for line in lines:
-        typer.echo(line, nl=False)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_file(out) as file:
+        if form == "parquet":
+            write_table(found, file)
+        file.writelines(line.encode() for line in lines)
 
 
 def view(

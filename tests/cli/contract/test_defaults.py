@@ -13,7 +13,7 @@ import typer
 from multilica.config import CalibrationConfig, preset
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.main import app
-from multilica_cli.options import resolve_config
+from multilica_cli.options import Parameters
 from tests.cli.support import Invoke
 from tests.runs.made_runs import write_run, write_truth
 from tests.sinks.made_documents import made_document
@@ -141,7 +141,7 @@ def test_every_option_has_its_default():
 
 
 def test_options_without_a_default_leave_the_preset_as_it_is():
-    assert resolve_config(None, None, dict.fromkeys(("target", "runtime.workers")), ()) == preset("default")
+    assert Parameters().resolve(dict.fromkeys(("target", "runtime.workers"))) == preset("default")
 
 
 def test_the_help_shows_the_defaults_of_the_configuration(invoke: Invoke):
