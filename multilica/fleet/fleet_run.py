@@ -18,8 +18,7 @@ from multilica.fleet.logs.listing import LogPattern, find_logs
 from multilica.fleet.logs.plan import Plan, QueuedLog
 from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import Store
-from multilica.fleet.tasks.guard import LogTaskLimits, identify_guarded, open_executor, run_guarded
-from multilica.fleet.tasks.log_task import Calibrate, LogTask
+from multilica.fleet.tasks.guard import Calibrate, LogTask, LogTaskLimits, identify_guarded, open_executor, run_guarded
 from multilica.ingest.remote.address import scheme_of
 from multilica.scratch import scratch_folder
 

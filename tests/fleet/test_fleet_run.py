@@ -10,7 +10,7 @@ from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.records import MEASURED, LidarRow
 from multilica.fleet.store.store import open_store
 from multilica.fleet.store.upkeep import compact_store
-from multilica.fleet.tasks.log_task import failed_row
+from multilica.fleet.tasks.guard import failed_row
 
 FLEET = {"v1": 5, "v2": 3, "v3": 4}
 

@@ -18,7 +18,7 @@ import pytest
 from multilica import read_extrinsics
 from multilica.config import CalibrationConfig, IngestConfig
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.fleet.drift.outages import find_outages
+from multilica.fleet.drift.drift import find_outages
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
 from multilica.fleet.lidar_series import read_series
 from multilica.fleet.store.query import ask

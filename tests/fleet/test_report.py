@@ -12,14 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from multilica.fleet.drift.drift import find_drift
+from multilica.fleet.drift.drift import find_drift, find_outages
 from multilica.fleet.drift.findings import DriftEvent
 from multilica.fleet.drift.fleet_offsets import find_offsets
-from multilica.fleet.drift.outages import find_outages
 from multilica.fleet.lidar_series import read_series
 from multilica.fleet.report import page as page_module
 from multilica.fleet.report.page import (
-    FleetOverview,
     PageFailure,
     PageVehicle,
     drawn_vehicles,
@@ -242,7 +240,7 @@ def test_a_recording_that_was_pruned_is_not_linked(tmp_path):
 
 def test_a_link_finds_a_folder_with_percent_signs():
     failure = PageFailure("a/b", None, "s", "", "failed", "unreadable", "t", "runs/a%2Fb/recording.rrd")
-    text = fleet_page(FleetOverview("store", "1", ""), [PageVehicle("a/b", 1, None, None, 0, 0, 1, 0)], [], [failure])
+    text = fleet_page("store", [PageVehicle("a/b", 1, None, None, 0, 0, 1, 0)], [], [failure], ".")
     assert './runs/a%252Fb/recording.rrd"' in text
 
 
@@ -252,8 +250,8 @@ def test_names_cannot_leave_the_text(store):
     vehicle = PageVehicle(HOSTILE, 1, None, None, 1, 0, 1, 0, (HOSTILE,), (history,))
     event = changed(JUMP, vehicle=HOSTILE, lidars=(HOSTILE,))
     failure = PageFailure(HOSTILE, None, HOSTILE, HOSTILE, "failed", HOSTILE, HOSTILE, HOSTILE)
-    for files in (None, "", ".."):
-        text = fleet_page(FleetOverview(HOSTILE, HOSTILE, files), [vehicle], [event], [failure])
+    for files in (None, ".", ".."):
+        text = fleet_page(HOSTILE, [vehicle], [event], [failure], files)
         opened = [tag for tag, _ in Tables(text).opened]
         assert opened.count("script") == 1
         assert opened.count("title") == 1 + 2 * len(history.sources)
@@ -289,7 +287,7 @@ def _fleet(store, count):
 def test_a_fleet_of_twenty_vehicles_fits_into_a_mail(store):
     vehicles = [replace(vehicle, histories=(*vehicle.histories, vehicle.histories[0])) for vehicle in _fleet(store, 20)]
     events = [changed(JUMP, vehicle=vehicle.name) for vehicle in vehicles]
-    text = fleet_page(FleetOverview("store", "1"), vehicles, events, [])
+    text = fleet_page("store", vehicles, events, [])
     assert text.count("<title>") > 20 * 3 * 2 * 9
     assert len(text.encode()) < 2_000_000
 
@@ -304,18 +302,18 @@ def test_of_a_large_fleet_the_urgent_ones_are_drawn(store):
     vehicles = [
         vehicle if vehicle.name in ("v250", "v7") else replace(vehicle, histories=()) for vehicle in _fleet(store, 300)
     ]
-    text = fleet_page(FleetOverview("store", "1"), vehicles, [event], [failure])
+    text = fleet_page("store", vehicles, [event], [failure])
     assert "2 of 300 vehicles are drawn, those with events and failures first." in text
     assert [text.count(f">{name}</h3>") for name in ("v250", "v7", "v8")] == [1, 1, 0]
 
 
 def test_a_page_that_is_too_large_loses_texts_then_plots(store, monkeypatch):
     vehicles = _fleet(store, 4)
-    whole = fleet_page(FleetOverview("store", "1"), vehicles, [changed(JUMP, vehicle="v3")], [])
+    whole = fleet_page("store", vehicles, [changed(JUMP, vehicle="v3")], [])
     monkeypatch.setattr(page_module, "MAX_BYTES", len(whole.encode()) - 1)
-    lean = fleet_page(FleetOverview("store", "1"), vehicles, [changed(JUMP, vehicle="v3")], [])
+    lean = fleet_page("store", vehicles, [changed(JUMP, vehicle="v3")], [])
     assert (lean.count("<title>"), lean.count("<details")) == (1, 4)
     monkeypatch.setattr(page_module, "MAX_BYTES", len(lean.encode()) - 1)
-    short = fleet_page(FleetOverview("store", "1"), vehicles, [changed(JUMP, vehicle="v3")], [])
+    short = fleet_page("store", vehicles, [changed(JUMP, vehicle="v3")], [])
     assert short.count("<details") == 2
     assert ">v3</h3>" in short

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import expect
 
-from multilica.fleet.report.page import FleetOverview, PageFailure, PageVehicle, fleet_page, store_report
+from multilica.fleet.report.page import PageFailure, PageVehicle, fleet_page, store_report
 from tests.fleet.support.made_store import made_store
 from tests.fleet.support.requests import DAY_NS
 from tests.fleet.test_report import HOSTILE, JUMP, changed, read_histories, renamed
@@ -29,14 +29,14 @@ def pages(tmp_path_factory) -> dict[str, Path]:
     vehicle = PageVehicle("v01", 10, None, None, 8, 2, 0, 0, (), read_histories(store, "v01"))
     texts = {
         "fleet": store_report(store, folder / "fleet.html"),
-        "two events": fleet_page(FleetOverview("store", "1"), [vehicle], [JUMP, creep], []),
+        "two events": fleet_page("store", [vehicle], [JUMP, creep], []),
     }
     (history, _) = read_histories(store, "v01")
     for kind, name in (("hostile", HOSTILE), ("long", LONG)):
         vehicle = PageVehicle(name, 1, None, None, 1, 0, 1, 0, (name,), (renamed(history, name),))
         event = changed(JUMP, vehicle=name, lidars=(name,))
         failure = PageFailure(name, None, name, name, "failed", name, name, name)
-        texts[kind] = fleet_page(FleetOverview(name, name), [vehicle], [event], [failure])
+        texts[kind] = fleet_page(name, [vehicle], [event], [failure])
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
     return {name: folder / f"{name}.html" for name in texts}

@@ -189,10 +189,9 @@ def drift(
     Exits with 0 if there are none, else with 5.
     """
     from multilica.exports import read_extrinsics
-    from multilica.fleet.drift.drift import find_drift
+    from multilica.fleet.drift.drift import find_drift, find_outages
     from multilica.fleet.drift.findings import drift_document
     from multilica.fleet.drift.fleet_offsets import find_offsets
-    from multilica.fleet.drift.outages import find_outages
     from multilica.fleet.lidar_series import read_series
 
     opened = _opened(store)

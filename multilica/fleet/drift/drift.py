@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""LiDARs that moved on their vehicles, by a jump or a creep, over the logs of a fleet."""
+"""LiDARs that moved on their vehicles, by a jump or a creep, or are lost, over the logs of a fleet."""
 
 from __future__ import annotations
 
@@ -13,8 +13,10 @@ from scipy.stats import chi2
 from multilica.errors import UsageError
 from multilica.fleet.drift.changes import PoseChange, SeriesChanges, find_changes
 from multilica.fleet.drift.dispersion import calibrate_scatter
-from multilica.fleet.drift.findings import DriftEvent, MovedPart
+from multilica.fleet.drift.findings import DriftEvent, MovedPart, Outage
 from multilica.fleet.lidar_series import LidarSeries
+from multilica.fleet.store.query import ask
+from multilica.fleet.store.store import Store
 from multilica.geometry import FloatArray, skew
 
 FALSE_ALARM_RATE = 1e-3
@@ -23,6 +25,20 @@ FALSE_ALARM_RATE = 1e-3
 _LEAST_P_VALUE = 1e-3
 # One of two explanations is ninety times likelier than the other.
 _DECIDING = 9.0
+# One log without a pose is told by `fleet failures`; two in a row are no accident of the scene.
+_OUTAGES = """
+WITH states AS (
+  SELECT vehicle, lidar, CASE WHEN status = 'not_placed' THEN reason ELSE '' END AS lost, key,
+         epoch_ns(time) AS time_ns, row_number() OVER (PARTITION BY vehicle, lidar ORDER BY time, key) AS place,
+         count(*) OVER (PARTITION BY vehicle, lidar) AS total
+  FROM lidars WHERE time IS NOT NULL),
+spells AS (
+  SELECT *, place - row_number() OVER (PARTITION BY vehicle, lidar, lost ORDER BY place) AS spell FROM states)
+SELECT vehicle, lidar, lost AS reason, arg_min(key, place) AS key, min(time_ns) AS time_ns,
+       max(time_ns) AS last_time_ns, count(*) AS logs, max(place) = any_value(total) AS lasts
+FROM spells WHERE lost <> '' GROUP BY vehicle, lidar, lost, spell HAVING count(*) >= 2
+ORDER BY vehicle, lidar, min(place)
+"""
 
 
 def find_drift(series: Sequence[LidarSeries], false_alarm_rate: float = FALSE_ALARM_RATE) -> list[DriftEvent]:
@@ -168,3 +184,9 @@ def _by_target(xyz_m: FloatArray) -> FloatArray:
 def _chi_squared(seen: _Seen, expected: FloatArray) -> float:
     left = seen.offset - expected
     return float(left @ np.linalg.solve(seen.covariance, left))
+
+
+def find_outages(store: Store) -> list[Outage]:
+    """Find the LiDARs that have no pose in several logs in a row, in the order of vehicles and LiDARs."""
+    with ask(store, _OUTAGES) as answer:
+        return [Outage(**dict(zip(answer.columns, row, strict=True))) for row in answer.rows()]

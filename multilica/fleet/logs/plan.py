@@ -30,6 +30,8 @@ with needed_for("`multilica fleet`", "duckdb"):
 _BATCH = 2000
 _PARTS = 500
 _MEMORY = "256MB"
+_DONE_COLUMNS = ["key", "source", "fingerprint", "vehicle", "time", "state", "reason", "calibration"]
+_DONE_COLUMNS += ["config_sha256", "version"]
 _TEXTS = ("address", "source", "fingerprint", "vehicle", "key")
 _LOGS = pa.schema(
     [
@@ -71,34 +73,28 @@ class Plan:
             "time_ns BIGINT, accepted VARCHAR)"
         )
         self._config_sha256, self._order = config_sha256, "DESC" if newest_first else "ASC"
-        self._read_store(store)
-
-    def _read_store(self, store: Store) -> None:
-        """Read the rows of finished logs, some parts at a time: what Arrow knows of each part takes memory."""
-        passing = ", ".join(f"'{reason}'" for reason in PASSING)
-        rows = f"""SELECT key, source, fingerprint, vehicle, epoch_ns(time) AS time_ns,
-                   CASE WHEN state = 'calibrated' AND calibration LIKE '%' || key || '%' THEN calibration ELSE '' END
-                   AS accepted
-            FROM stored WHERE config_sha256 = $1 AND version = $2
-                          AND NOT (state = 'failed' AND reason IN ({passing}))"""  # noqa: S608 - no text from outside
-        wanted = [self._config_sha256, multilica.__version__]
-        for table in self._stored(store):
-            self._base.register("stored", table)
-            self._base.execute(f"INSERT INTO done {rows}", wanted)
-            self._base.unregister("stored")
-
-    def _stored(self, store: Store) -> Iterator[pa.Table]:
-        columns = ["key", "source", "fingerprint", "vehicle", "time", "state", "reason", "calibration"]
-        columns += ["config_sha256", "version"]
         parts = store.parts("logs")
+        # Some at a time: what Arrow knows of each part takes memory.
         while some := list(islice(parts, _PARTS)):
             try:
-                yield store.dataset("logs", some).to_table(columns=columns)
+                self._read_parts(store, some)
             except (pa.ArrowException, OSError):
                 # The log of a damaged part is not finished; its part will be written again.
                 for part in some:
                     with suppress(pa.ArrowException, OSError):
-                        yield store.dataset("logs", [part]).to_table(columns=columns)
+                        self._read_parts(store, [part])
+
+    def _read_parts(self, store: Store, parts: Sequence[str]) -> None:
+        """Read the rows of finished logs."""
+        self._base.register("stored", store.dataset("logs", parts).to_table(columns=_DONE_COLUMNS))
+        self._base.execute(
+            """INSERT INTO done SELECT key, source, fingerprint, vehicle, epoch_ns(time) AS time_ns,
+                 CASE WHEN state = 'calibrated' AND calibration LIKE '%' || key || '%' THEN calibration ELSE '' END
+               FROM stored WHERE config_sha256 = $1 AND version = $2
+                             AND NOT (state = 'failed' AND list_contains($3, reason))""",
+            [self._config_sha256, multilica.__version__, list(PASSING)],
+        )
+        self._base.unregister("stored")
 
     def add(self, logs: Iterable[FleetLog]) -> None:
         """Add logs."""

@@ -18,11 +18,11 @@ from urllib.parse import quote
 from jinja2 import Template
 from markupsafe import Markup
 
+import multilica
 from multilica.errors import escape_controls
-from multilica.fleet.drift.drift import find_drift
+from multilica.fleet.drift.drift import find_drift, find_outages
 from multilica.fleet.drift.findings import DriftEvent, Finding
 from multilica.fleet.drift.fleet_offsets import find_offsets
-from multilica.fleet.drift.outages import find_outages
 from multilica.fleet.lidar_series import LidarSeries, read_series
 from multilica.fleet.report import charts
 from multilica.fleet.report.charts import drift_plots, sparklines
@@ -40,20 +40,6 @@ MAX_EVENTS = MAX_FAILURES = 1000
 _PACKAGE = "multilica.fleet.report"
 _FRAME = {"width": charts.WIDTH_PX, "left": charts.LEFT_PX, "right": charts.RIGHT_PX, "strip": charts.STRIP_PX}
 _DATE = re.compile(r"(\b\d{4}-\d\d-\d\d(?: \d\d:\d\d)?\b)", re.ASCII)
-
-
-@dataclass(frozen=True, slots=True)
-class FleetOverview:
-    """The figures of the whole store on the page.
-
-    Args:
-        files: relative path of the store as seen from the page, "" if the page lies in its top folder; None if no file
-            of the store can be linked.
-    """
-
-    store: str
-    version: str
-    files: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,8 +88,6 @@ def store_report(store: Store, page: Path) -> str:
     Args:
         page: where it will lie; files of the store are linked if that is within the store.
     """
-    from multilica import __version__
-
     series, failures = list(read_series(store)), _failures(store)
     unlike = [offset for offset in find_offsets(series) if offset.vehicle is not None]
     events: list[Finding] = [*find_drift(series), *find_outages(store), *unlike]
@@ -121,7 +105,7 @@ def store_report(store: Store, page: Path) -> str:
         )
         for row in rows
     ]
-    return fleet_page(FleetOverview(store.name, __version__, _files_seen_from(page, store)), vehicles, events, failures)
+    return fleet_page(store.name, vehicles, events, failures, _files_seen_from(page, store))
 
 
 def _failures(store: Store) -> list[PageFailure]:
@@ -138,10 +122,7 @@ def _files_seen_from(page: Path, store: Store) -> str | None:
     if store.system is not None:
         return None
     root, folder = Path(store.root).resolve(), page.absolute().parent.resolve()
-    if not folder.is_relative_to(root):
-        return None
-    path = os.path.relpath(root, folder)
-    return "" if path == "." else path
+    return os.path.relpath(root, folder) if folder.is_relative_to(root) else None
 
 
 def drawn_vehicles(names: Sequence[str], events: Sequence[Finding], failures: Sequence[PageFailure]) -> list[str]:
@@ -154,22 +135,25 @@ def drawn_vehicles(names: Sequence[str], events: Sequence[Finding], failures: Se
 
 
 def fleet_page(
-    overview: FleetOverview,
+    store: str,
     vehicles: Sequence[PageVehicle],
     events: Sequence[Finding],
     failures: Sequence[PageFailure],
+    files: str | None = None,
 ) -> str:
     """Render the report as one self-contained page.
 
     Args:
+        store: its name.
         vehicles: all of the fleet; the histories only of those to draw (`drawn_vehicles`).
         events: of LiDARs, in the order of the table.
         failures: of logs and LiDARs.
+        files: relative path of the store as seen from the page; None if no file of the store can be linked.
 
     Returns:
         A page of at most `MAX_BYTES` bytes unless its tables alone are larger.
     """
-    context = _context(overview, vehicles, events, failures)
+    context = {"store": store, "files": files, **_context(vehicles, events, failures)}
     names = drawn_vehicles([each.name for each in vehicles if each.histories], events, failures)
     page = ""
     for count, texts in ((len(names), True), *((len(names) >> halvings, False) for halvings in range(8)), (0, False)):
@@ -183,12 +167,9 @@ def fleet_page(
 
 
 def _context(
-    overview: FleetOverview,
-    vehicles: Sequence[PageVehicle],
-    events: Sequence[Finding],
-    failures: Sequence[PageFailure],
+    vehicles: Sequence[PageVehicle], events: Sequence[Finding], failures: Sequence[PageFailure]
 ) -> dict[str, Any]:
-    """Return the variables of the template, except the sections of the vehicles."""
+    """Return what the template shows of the fleet, except the sections of the vehicles."""
     own_events: dict[str, list[Finding]] = defaultdict(list)
     for event in events:
         own_events[event.vehicle or ""].append(event)
@@ -198,22 +179,16 @@ def _context(
     times = [time for vehicle in vehicles for time in (vehicle.first, vehicle.last) if time is not None]
     histories = {vehicle.name: vehicle.histories for vehicle in vehicles}
     return {
-        "overview": overview,
+        "version": multilica.__version__,
         "vehicles": vehicles,
         "events": events,
         "shown_events": events[:MAX_EVENTS],
         "own_events": own_events,
         "moved": moved,
         "moved_on": len({vehicle for vehicle, _ in moved}),
-        "unlike": sum(event.kind == "offset" for event in events),
         "failures": sorted(failures, key=lambda failure: rank[failure.reason])[:MAX_FAILURES],
         "failure_count": len(failures),
         "causes": causes,
-        "not_placed": sum(len(vehicle.not_placed_last) for vehicle in vehicles),
-        "counts": {
-            name: sum(getattr(vehicle, name) for vehicle in vehicles)
-            for name in ("logs", "verified", "calibrated", "without_result", "duplicates")
-        },
         "first": min(times, default=None),
         "last": max(times, default=None),
         "anchors": {vehicle.name: f"vehicle-{index}" for index, vehicle in enumerate(vehicles, 1)},
@@ -251,7 +226,7 @@ def _template() -> Template:
         "counted": lambda count, noun: f"{count:,} {noun}{'' if count == 1 else 's'}",
         "px": charts.number,
         # Relative, and names in the store may hold percent signs.
-        "address": lambda path, files: quote(f"{files}/{path}" if files else f"./{path}"),
+        "address": lambda path, files: quote(f"{files}/{path}"),
         "with_dates": _with_dates,
     }
     return page_template(_PACKAGE, style, own_text(_PACKAGE, "page.js"), filters, one_line=True)

@@ -12,7 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.fleet.store.store import Store, damaged_part
+from multilica.fleet.store.store import TABLES, Store, damaged_part
 from multilica.optional_libraries import needed_for
 
 with needed_for("`multilica fleet`", "duckdb"):
@@ -21,6 +21,14 @@ with needed_for("`multilica fleet`", "duckdb"):
 _LONGEST = 300
 _BATCH = 1000
 _DAMAGED = re.compile(r"Parquet input source '([^']+)'")
+_VIEWS = """
+SET TimeZone='UTC';
+CREATE VIEW logs AS SELECT * EXCLUDE (turn) FROM (
+  SELECT *, row_number() OVER (PARTITION BY source, fingerprint
+                               ORDER BY state = 'failed', finished_at DESC, key) AS turn
+  FROM logs_parts) WHERE turn = 1;
+CREATE VIEW lidars AS SELECT DISTINCT ON (key, lidar) * FROM lidars_parts WHERE key IN (SELECT key FROM logs)
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,38 +45,19 @@ class QueryAnswer:
 
 
 @contextmanager
-def open_tables(store: Store) -> Iterator[duckdb.DuckDBPyConnection]:
-    """Open a database with the views `lidars` and `logs`.
+def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[QueryAnswer]:
+    """Answer a question in the SQL of DuckDB, with the tables `lidars` and `logs`.
 
     A log that was treated again, by another version or configuration, stands there once, by its last row. A row of
     `lidars` is there if the row of its log is.
-    """
-    base = duckdb.connect()
-    try:
-        base.execute("SET TimeZone='UTC'")
-        for table in ("lidars", "logs"):
-            base.register(f"{table}_parts", store.dataset(table))
-        base.execute(
-            """CREATE VIEW logs AS SELECT * EXCLUDE (turn) FROM (
-                 SELECT *, row_number() OVER (PARTITION BY source, fingerprint
-                                              ORDER BY state = 'failed', finished_at DESC, key) AS turn
-                 FROM logs_parts) WHERE turn = 1;
-               CREATE VIEW lidars AS SELECT DISTINCT ON (key, lidar) * FROM lidars_parts
-               WHERE key IN (SELECT key FROM logs)"""
-        )
-        yield base
-    finally:
-        base.close()
-
-
-@contextmanager
-def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[QueryAnswer]:
-    """Answer a question in the SQL of DuckDB, with the tables `lidars` and `logs`.
 
     Raises:
         UsageError: the database does not understand it.
     """
-    with open_tables(store) as base:
+    with duckdb.connect() as base:
+        for table in TABLES:
+            base.register(f"{table}_parts", store.dataset(table))
+        base.execute(_VIEWS)
         try:
             done = base.execute(sql, list(values))
             if done is None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from io import BytesIO
 from pathlib import Path, PurePosixPath
@@ -65,26 +64,20 @@ def lay_out_catalog(store: Store, folder: Path, vehicle: str | None = None) -> d
         SourceNotFoundError: there is no recording.
     """
     folders: dict[str, Path] = {}
-    for name, recording, label in _recordings(store):
-        if vehicle in {None, name}:
-            folders.setdefault(name, folder / folder_name(name)).mkdir(parents=True, exist_ok=True)
-            place = folders[name] / f"{label}.rrd"
-            if store.system is None:
-                place.symlink_to(Path(store.root, recording))
-            else:
-                place.write_bytes(store.read(recording))
+    with ask(store, _RUNS) as answer:
+        for name, time, key, recording, *_ in answer.rows():
+            if vehicle in {None, name} and store.exists(recording):
+                folders.setdefault(name, folder / folder_name(name)).mkdir(parents=True, exist_ok=True)
+                day = "unknown" if time is None else f"{time:%Y-%m-%d_%H%M%S}"
+                place = folders[name] / f"{day}_{key[:8]}.rrd"
+                if store.system is None:
+                    place.symlink_to(Path(store.root, recording))
+                else:
+                    place.write_bytes(store.read(recording))
     if not folders:
         whose = f" of {vehicle}" if vehicle else ""
         raise SourceNotFoundError(f"The store {store} has no recordings{whose}; logs that verify have none.")
     return folders
-
-
-def _recordings(store: Store) -> Iterator[tuple[str, str, str]]:
-    with ask(store, _RUNS) as answer:
-        for vehicle, time, key, recording, *_ in answer.rows():
-            if store.exists(recording):
-                day = "unknown" if time is None else f"{time:%Y-%m-%d_%H%M%S}"
-                yield vehicle, recording, f"{day}_{key[:8]}"
 
 
 def compact_store(store: Store) -> tuple[int, int]:

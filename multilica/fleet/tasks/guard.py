@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Executors of log tasks, each task in a process of its own, with limits of time and memory.
+"""Log tasks and their executors, each task in a process of its own, with limits of time and memory.
 
 Every executor runs `run_guarded`, in a thread of this process or of a Dask worker. Each such thread keeps one child
 process, so that libraries are loaded once, and one that crashes, hangs or takes too much memory ends only that.
@@ -16,26 +16,79 @@ import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from multiprocessing import Pipe
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict
 
+import multilica
+from multilica.checks import RigTolerances
+from multilica.config import CalibrationConfig
 from multilica.errors import SourceNotFoundError, UsageError
 from multilica.fleet.store.records import PASSING, LogRow
 from multilica.fleet.store.store import open_store
-from multilica.fleet.tasks.log_task import LogTask, LogTaskFailure, failed_row
 from multilica.ingest.metadata import LogIdentity
 from multilica.optional_libraries import needed_for
+
+Calibrate = Literal["when-needed", "always"]
 
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
 _SERVER = "multilica.fleet.tasks.task_server"
 _IDENTIFY_S = 60.0
+_OF_ROW = ("key", "vehicle", "time_ns", "source", "fingerprint", "size_bytes", "config_sha256", "reference")
+"""Fields of a task that are also fields of its row."""
 _LOCAL = threading.local()
 _RUNNING: set[_TaskProcess] = set()
 _STOPPED = threading.Event()
+
+
+class LogTask(BaseModel):
+    """The input of a worker for one log.
+
+    Attributes:
+        reference: path in the store of the vehicle's last accepted poses; empty if there are none.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    key: str
+    address: str
+    source: str
+    fingerprint: str
+    size_bytes: int
+    vehicle: str
+    time_ns: int | None
+    store: str
+    config: CalibrationConfig
+    config_sha256: str
+    tolerances: RigTolerances
+    calibrate: Calibrate
+    reference: str
+    attempt: int = 1
+
+    def row(self) -> LogRow:
+        """Return the part of the row that is known beforehand."""
+        known = {name: getattr(self, name) for name in _OF_ROW}
+        version = multilica.__version__
+        return LogRow(**known, state="failed", version=version, calibration=self.reference, attempts=self.attempt)
+
+
+@dataclass(frozen=True, slots=True)
+class LogTaskFailure:
+    """Reason why a task ended without a row."""
+
+    reason: str
+    text: str
+
+
+def failed_row(request: LogTask, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed") -> LogRow:
+    """Return the row of a log without a result; the poses that held before it still hold."""
+    told = text.replace(request.address, request.source)
+    return replace(request.row(), state=state, reason=reason, reason_text=told, finished_at=datetime.now(UTC))
 
 
 class LogTaskLimits(BaseModel):
@@ -86,21 +139,18 @@ def open_executor(workers: int, scheduler: str = "") -> Iterator[tuple[Executor,
             executor.shutdown(wait=False)
 
 
-@contextmanager
-def _dask_client(scheduler: str) -> Iterator[Any]:
+def _dask_client(scheduler: str) -> Any:  # noqa: ANN401 - a type of Dask
     with needed_for(f"The Dask scheduler {scheduler}", "distributed"):
         from distributed import Client
         from distributed.security import Security
     security = Security(require_encryption=True) if scheduler.startswith(("tls", "wss")) else None
     try:
-        client = _connected(lambda: Client(scheduler, timeout=30, security=security, set_as_default=False))
+        return _connected(lambda: Client(scheduler, timeout=30, security=security, set_as_default=False))
     except (OSError, ValueError, TypeError, KeyError) as error:
         raise SourceNotFoundError(
             f"No Dask scheduler answers at {scheduler} ({type(error).__name__}); check the address, and the "
             "certificates in the configuration of Dask."
         ) from error
-    with client:
-        yield client
 
 
 def _connected(connect: Callable[[], Any]) -> Any:  # noqa: ANN401 - a type of Dask
@@ -113,38 +163,32 @@ def _connected(connect: Callable[[], Any]) -> Any:  # noqa: ANN401 - a type of D
 
 def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
     """Run a task, again after what may pass; write the row of one that ended without."""
-    tried = request
-
-    def ask(attempt: int) -> Any:  # noqa: ANN401 - what the server answers
-        nonlocal tried
-        tried = request.model_copy(update={"attempt": attempt})
-        return _process(limits).ask(tried, limits.time_s)
-
-    answer: LogRow | LogTaskFailure = _tried(ask, limits)
+    answer: LogRow | LogTaskFailure
+    answer, attempt = _tried(lambda attempt: request.model_copy(update={"attempt": attempt}), limits.time_s, limits)
     if isinstance(answer, LogTaskFailure):
-        answer = failed_row(tried, answer.reason, answer.text)
+        answer = failed_row(request.model_copy(update={"attempt": attempt}), answer.reason, answer.text)
         open_store(request.store, create=False).finish(answer, [])
     return answer
 
 
 def identify_guarded(address: str, limits: LogTaskLimits) -> LogIdentity:
     """Read vehicle and time of a log, again after what may pass; nothing if that takes too much."""
-    time_s = min(_IDENTIFY_S, limits.time_s)
-    answer: LogIdentity | LogTaskFailure = _tried(lambda _: _process(limits).ask(address, time_s), limits)
+    answer: LogIdentity | LogTaskFailure
+    answer, _ = _tried(lambda _: address, min(_IDENTIFY_S, limits.time_s), limits)
     return LogIdentity("", None) if isinstance(answer, LogTaskFailure) else answer
 
 
-def _tried(ask: Callable[[int], Any], limits: LogTaskLimits) -> Any:  # noqa: ANN401 - as above
-    """Ask up to an answer, or a failure that does not pass."""
-    for attempt in range(limits.retries + 1):
-        if attempt:
-            _STOPPED.wait(_PAUSES_S[min(attempt, len(_PAUSES_S)) - 1])
-        answer = ask(attempt + 1)
+def _tried(request: Callable[[int], LogTask | str], time_s: float, limits: LogTaskLimits) -> tuple[Any, int]:
+    """Make the request of each attempt up to an answer, or a failure that does not pass; with the number of tries."""
+    for attempt in range(1, limits.retries + 2):
+        if attempt > 1:
+            _STOPPED.wait(_PAUSES_S[min(attempt - 1, len(_PAUSES_S)) - 1])
+        answer = _process(limits).ask(request(attempt), time_s)
         if _STOPPED.is_set():
             raise CancelledError
         if not (isinstance(answer, LogTaskFailure) and answer.reason in PASSING):
             break
-    return answer
+    return answer, attempt
 
 
 def end_processes() -> None:

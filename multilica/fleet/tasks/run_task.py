@@ -23,7 +23,7 @@ from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import POSE_COLUMNS, LidarRow, LogRow
 from multilica.fleet.store.store import Store, folder_name, open_store
-from multilica.fleet.tasks.log_task import LogTask, failed_row
+from multilica.fleet.tasks.guard import LogTask, failed_row
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError

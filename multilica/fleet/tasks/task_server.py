@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from multilica.fleet.tasks.log_task import LogTask
+    from multilica.fleet.tasks.guard import LogTask
 
 
 def main() -> None:
@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def _answer(request: LogTask | str, run_task: Any) -> object:  # noqa: ANN401 - a module that takes time to load
-    from multilica.fleet.tasks.log_task import LogTaskFailure
+    from multilica.fleet.tasks.guard import LogTaskFailure
     from multilica.ingest.metadata import identify_log
     from multilica.ingest.remote.remote_file import ConnectionLostError
 

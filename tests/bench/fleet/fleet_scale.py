@@ -16,8 +16,7 @@ from multilica.config import CalibrationConfig
 from multilica.fleet.fleet_run import FleetOptions, run_fleet
 from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import open_store
-from multilica.fleet.tasks.guard import LogTaskLimits
-from multilica.fleet.tasks.log_task import LogTask, failed_row
+from multilica.fleet.tasks.guard import LogTask, LogTaskLimits, failed_row
 from tests.bench.support.claims import at_most, print_claims, print_table
 
 _FEW, _MANY = 10_000, 100_000

@@ -11,7 +11,7 @@ import numpy as np
 from multilica.errors import UnreadableSourceError
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks import run_task, task_server
-from multilica.fleet.tasks.log_task import failed_row
+from multilica.fleet.tasks.guard import failed_row
 from multilica.ingest import metadata
 from multilica.ingest.remote.remote_file import ConnectionLostError
 

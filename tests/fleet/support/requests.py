@@ -7,7 +7,7 @@ from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.fleet.logs.listing import FleetLog
 from multilica.fleet.store.store import open_store
-from multilica.fleet.tasks.log_task import LogTask
+from multilica.fleet.tasks.guard import LogTask
 
 DAY_NS = 86_400 * 10**9
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01
