@@ -14,7 +14,6 @@ from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds, open_calibration_workers
 from multilica.orchestration.pairs import PAIR_STAGES
-from multilica.orchestration.required_libraries import require_libraries
 from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refine_rig, refused, result_of
 from multilica.orchestration.search import search_pairs
 from multilica.orchestration.state import CalibrationState
@@ -61,7 +60,7 @@ def calibrate(
             lacks the base frame or a LiDAR that may become the target.
     """
     config = config or CalibrationConfig()
-    require_libraries(config)
+    clouds.require_libraries(config)
     clouds.require_two_lidars(snapshot)
     if config.target:
         snapshot[config.target]

@@ -26,7 +26,7 @@ from multilica.ingest.metadata import config_for
 from multilica.ingest.remote.address import local_output, stem_of
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
-from multilica.orchestration.required_libraries import require_libraries
+from multilica.orchestration.clouds import require_libraries
 from multilica.pipeline import calibrate, deadline_of
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside

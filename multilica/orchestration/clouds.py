@@ -1,19 +1,43 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stages that work on single LiDARs."""
+"""Requirements of a calibration, and stages that work on single LiDARs."""
 
 from dataclasses import dataclass, replace
 
 from multilica import events
-from multilica.config import CalibrationConfig
+from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.errors import UnfitSnapshotError
+from multilica.optional_libraries import raise_missing, require_library
 from multilica.orchestration.pairs import PreparedLidar, prepare_lidar
 from multilica.orchestration.state import CalibrationState
 from multilica.results import PreprocessedCloud, SensorHealth
 from multilica.snapshot import LidarScans, Snapshot
+from multilica.solvers import solver_in_use
 from multilica.stages.preprocess import preprocess
 from multilica.stages.sensor_health import examine_sensor
 from multilica.stages.stillness import Motion, detect_motion, explain_motion
+from multilica.system_libraries import missing_for_open3d
 from multilica.workers import Shared
+
+_LIBRARY_OF_SOLVER = {"maximum_clique": "networkx", "kiss_matcher": "kiss_matcher"}
+
+
+def require_libraries(config: CalibrationConfig) -> None:
+    """Check that the libraries of the engines and the solver of the stages to run are there, without importing them.
+
+    Raises:
+        MissingDependencyError: a library, or a system library that it loads, is missing.
+    """
+    solver = solver_in_use(config.coarse)
+    wanted: tuple[tuple[Stage, str, str | None], ...] = (
+        ("features", "The engine 'open3d' of features", "open3d" if config.features.engine == "open3d" else None),
+        ("coarse", f"The solver '{solver}'", _LIBRARY_OF_SOLVER.get(solver)),
+        ("fine", "The engine 'open3d' of fine", "open3d" if config.fine.engine == "open3d" else None),
+    )
+    for stage, name, module in wanted:
+        if module and STAGES.index(config.until) >= STAGES.index(stage):
+            require_library(name, module)
+            if module == "open3d" and missing_for_open3d():
+                raise_missing(name, module, ImportError("a shared object file is missing"))
 
 
 def require_two_lidars(snapshot: Snapshot) -> None:

@@ -9,10 +9,8 @@ from multilica import events
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.acceptance.rig import check_ambiguous_chains, check_cycles, check_scene_symmetry
 from multilica.config import Stage
-from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import (
     PAIR_STAGES,
-    PairSearch,
     SearchRequest,
     priority_of,
     register_implied,
@@ -66,7 +64,10 @@ def _search_all(state: CalibrationState, until: Stage) -> None:
     priority = dict(zip(state.pairs, state.workers.map(priority_of, state.pairs), strict=True))
     state.timing_s["correspond"] = time.perf_counter() - start_s
     for voxel_size_m in (usual, *state.config.features.retry_voxel_sizes_m):
-        tried = set() if voxel_size_m == usual else _not_to_widen(state)
+        tried: set[PairKey] = set()
+        if voxel_size_m != usual:
+            # Other descriptors cannot help where a pose was found and others fit as well.
+            tried = {pair for pair, found in state.registrations.items() if found.verdict.outcome != "reject"}
         while True:
             accepted = [(pair.target, pair.source) for pair in state.accepted]
             pairs = next_round(list(state.clouds), accepted, tried, priority)
@@ -78,11 +79,6 @@ def _search_all(state: CalibrationState, until: Stage) -> None:
                 state.observe(events.SearchWidened(tuple(pairs), voxel_size_m))
             tried.update(pairs)
             _search(state, pairs, voxel_size_m)
-
-
-def _not_to_widen(state: CalibrationState) -> set[PairKey]:
-    """Return the pairs for which other descriptors cannot help: a pose was found, and others fit as well."""
-    return {pair for pair, found in state.registrations.items() if found.verdict.outcome != "reject"}
 
 
 def _search(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
@@ -101,22 +97,18 @@ def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m:
     for pair, found in zip(pairs, state.workers.map(search_pair, requests), strict=True):
         for stage in PAIR_STAGES:
             state.timing_s[stage] = state.timing_s.get(stage, 0.0) + found.elapsed_s.get(stage, 0.0)
-        again = pair in state.coarse
-        if not again or (found.registration is not None and found.registration.verdict.accepted):
-            _take(state, pair, found)
-
-
-def _take(state: CalibrationState, pair: PairKey, found: PairSearch) -> None:
-    state.observe(events.CorrespondencesMatched(found.matches))
-    if found.coarse is not None:
-        state.coarse[pair] = found.coarse
-        state.observe(events.HypothesesFound(found.coarse, found.matches))
-    if found.verified is not None:
-        state.verified[pair] = found.verified
-        state.observe(events.HypothesesVerified(*pair, found.verified))
-    if found.registration is not None:
-        state.registrations[pair] = found.registration
-        state.observe(events.PairRegistered(found.registration))
+        if pair in state.coarse and not (found.registration and found.registration.verdict.accepted):
+            continue
+        state.observe(events.CorrespondencesMatched(found.matches))
+        if found.coarse is not None:
+            state.coarse[pair] = found.coarse
+            state.observe(events.HypothesesFound(found.coarse, found.matches))
+        if found.verified is not None:
+            state.verified[pair] = found.verified
+            state.observe(events.HypothesesVerified(*pair, found.verified))
+        if found.registration is not None:
+            state.registrations[pair] = found.registration
+            state.observe(events.PairRegistered(found.registration))
 
 
 def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
@@ -146,7 +138,7 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     starts = [Hypothesis(poses[pair], derivation="-".join(graph.lidars_between(*pair))) for pair in chosen]
     registered = state.workers.map(register_implied, starts)
     for pair, found in zip(chosen, registered, strict=True):
-        if _moved_away(found, poses[pair]):
+        if is_distinct(poses[pair], [found.T_target_source.with_target(pair[0])]):  # it moved away from it
             contradicted.add(pair)
             continue
         state.observe(events.LoopRegistered(found))
@@ -157,10 +149,6 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     # Whatever the time: without them, a wrong pair could pass.
     _search_now(state, pairs, state.config.features.voxel_size_m)
     return _check_pairs(state)
-
-
-def _moved_away(found: PairRegistration, implied: RigidTransform) -> bool:
-    return is_distinct(implied, [found.T_target_source.with_target(implied.target)])
 
 
 def _check_pairs(state: CalibrationState) -> bool:

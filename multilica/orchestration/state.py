@@ -90,7 +90,7 @@ class CalibrationState:
         """Score a pose between any two LiDARs by their beams."""
         key = pose.target, pose.source, pose.matrix.tobytes()
         if key not in self.scores:
-            self.scores[key] = score_pose(*self._views(pose), pose, *FINE_TOLERANCES)
+            self.scores[key] = score_pose(self._view(pose.target), self._view(pose.source), pose, *FINE_TOLERANCES)
         return self.scores[key]
 
     def remember(self, scores: Iterable[Registration]) -> None:
@@ -101,16 +101,13 @@ class CalibrationState:
 
     def score_rough_pose(self, pose: RigidTransform) -> Registration:
         """Score a pose that may be off by some centimetres."""
-        return score_pose(*self._views(pose), pose, *ROUGH_TOLERANCES)
+        return score_pose(self._view(pose.target), self._view(pose.source), pose, *ROUGH_TOLERANCES)
 
     def score_turned(self, motion: RigidTransform) -> VisibilityScore:
         """Score all that a LiDAR and those that accepted pairs link to it see, turned, against itself."""
         poses = PairGraph.of(self.clouds, self.accepted).poses(motion.target)
         placed = [(pose, self._view(name)) for name, pose in sorted(poses.items())]
         return score_visibility(placed, placed, motion, *ROUGH_TOLERANCES)
-
-    def _views(self, pose: RigidTransform) -> tuple[SensorView, SensorView]:
-        return self._view(pose.target), self._view(pose.source)
 
     def _view(self, name: str) -> SensorView:
         view = self.lidars[name].view

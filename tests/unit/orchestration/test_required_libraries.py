@@ -3,8 +3,8 @@ import pytest
 
 from multilica.config import CalibrationConfig, preset, with_overrides
 from multilica.errors import MissingDependencyError
-from multilica.orchestration import required_libraries
-from multilica.orchestration.required_libraries import require_libraries
+from multilica.orchestration import clouds
+from multilica.orchestration.clouds import require_libraries
 from multilica.pipeline import calibrate
 from tests.pipeline.watched import sides
 
@@ -54,7 +54,7 @@ def test_a_stage_that_does_not_run_needs_nothing(without):
 
 
 def test_missing_system_libraries_are_told_with_their_command(monkeypatch):
-    monkeypatch.setattr(required_libraries, "missing_for_open3d", lambda: ["libgl1"])
+    monkeypatch.setattr(clouds, "missing_for_open3d", lambda: ["libgl1"])
     monkeypatch.setattr("multilica.optional_libraries.missing_for_open3d", lambda: ["libgl1"])
     with pytest.raises(MissingDependencyError, match=r"apt-get install libgl1"):
         require_libraries(_config("fine.engine=open3d"))
