@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The data layout of `sensor_msgs/PointCloud2`."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -24,10 +23,6 @@ Column = npt.NDArray[Any]
 _COORDINATES = ("x", "y", "z")
 _INTENSITY = "intensity"
 _FLOAT32 = 7
-_BARE = np.dtype([(axis, "<f4") for axis in _COORDINATES])
-_WINDOW = np.dtype(np.complex128)
-_BLOCK = 16384
-"""Number of points that are converted at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,8 +69,6 @@ def decode_points(cloud: PointCloud2) -> tuple[Float32Array, Float32Array | None
         return np.empty((0, 3), np.float32), None
     row_step = _checked_row_step(cloud)
     dtype = point_dtype(cloud.fields, cloud.point_step, big_endian=cloud.big_endian)
-    if row_step == cloud.width * cloud.point_step:
-        return finite_records(np.ndarray((cloud.height * cloud.width,), dtype, cloud.data))
     shape, strides = (cloud.height, cloud.width), (row_step, cloud.point_step)
     return finite_records(np.ndarray(shape, dtype, cloud.data, 0, strides))
 
@@ -132,44 +125,7 @@ def _checked_row_step(cloud: PointCloud2) -> int:
 
 def finite_records(records: npt.NDArray[np.void]) -> tuple[Float32Array, Float32Array | None]:
     """Return the finite points of records of any shape and of a type of `point_dtype`, as `finite_points` does."""
-    if records.dtype == _BARE:
-        return _finite(np.array(records.reshape(-1).view(("<f4", 3)), np.float32), None)
-    place = _window_place(records.dtype)
-    if place is None or records.ndim > 1:
-        return finite_points(*(records[name].reshape(-1) for name in records.dtype.names or ()))
-    return _finite(*_by_windows(records, place))
-
-
-@lru_cache(maxsize=64)
-def _window_place(dtype: np.dtype[Any]) -> int | None:
-    """Find the offset of 16 bytes with x, y and z as three of four little-endian float32; None if there is none."""
-    fields: Mapping[str, Any] = dtype.fields or {}
-    kinds, offsets = zip(*(fields[axis][:2] for axis in _COORDINATES), strict=True)
-    place = min(*offsets, dtype.itemsize - _WINDOW.itemsize)
-    fits = place >= 0 and max(offsets) - place < _WINDOW.itemsize and all((each - place) % 4 == 0 for each in offsets)
-    return place if fits and kinds == (np.dtype("<f4"),) * 3 else None
-
-
-def _by_windows(records: npt.NDArray[np.void], place: int) -> tuple[Float32Array, Float32Array | None]:
-    # Records are seldom aligned, and NumPy gathers 16 such bytes in the time of four; in blocks, so that they are still
-    # in the processor's cache when the coordinates are put in order.
-    fields: Mapping[str, Any] = records.dtype.fields or {}
-    columns = [(fields[axis][1] - place) // 4 for axis in _COORDINATES]
-    windows = records.getfield(_WINDOW, place)
-    points_m = np.empty((len(records), 3), "<f4")
-    intensities = records[_INTENSITY] if _INTENSITY in fields else None
-    values = None if intensities is None else np.empty(len(records), np.float32)
-    block = np.empty((min(len(records), _BLOCK), 4), "<f4")
-    for start in range(0, len(records), _BLOCK):
-        part = slice(start, min(start + _BLOCK, len(records)))
-        put = block[: part.stop - start]
-        put.view(_WINDOW)[:, 0] = windows[part]
-        for axis, column in enumerate(columns):
-            points_m[part, axis] = put[:, column]
-        if intensities is not None and values is not None:
-            with np.errstate(over="ignore"):
-                values[part] = intensities[part]
-    return points_m.astype(np.float32, copy=False), values
+    return finite_points(*(records[name].reshape(-1) for name in records.dtype.names or ()))
 
 
 def finite_points(
@@ -182,10 +138,6 @@ def finite_points(
             # Two steps: from packed records, NumPy copies to contiguous memory ten times as fast as to strided one.
             points_m[:, axis] = column.astype(np.float32)
         values = None if intensity is None else intensity.astype(np.float32)
-    return _finite(points_m, values)
-
-
-def _finite(points_m: Float32Array, values: Float32Array | None) -> tuple[Float32Array, Float32Array | None]:
     # One pass without a temporary array; a sum of squares that overflows only leads to the longer way.
     flat = points_m.reshape(-1)
     with np.errstate(over="ignore", invalid="ignore"):

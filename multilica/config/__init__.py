@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every parameter of multilica, each once, with its unit, default and meaning."""
 
-from multilica.config.loading import known_keys, load_config, preset, read_config_table, with_overrides
-from multilica.config.presets import PRESETS
+from multilica.config.loading import PRESETS, known_keys, load_config, preset, read_config_table, with_overrides
 from multilica.config.sections import (
     STAGES,
     AcceptanceConfig,

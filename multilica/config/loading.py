@@ -9,13 +9,55 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from multilica.config.presets import PRESETS
 from multilica.config.sections import CalibrationConfig, Section
 from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited, shown
 from multilica.errors import ConfigError, UnknownNameError
 
-_MAX_KEYS = 16
-"""Parts of a key of a setting."""
+_PAPER: Mapping[str, Any] = {
+    "stillness": {"enabled": False},
+    "preprocess": {"min_range_m": 0.0, "max_range_m": 1e6, "voxel_size_m": 0.0},
+    "features": {
+        "engine": "open3d",
+        "voxel_size_m": 0.35,
+        "normal_radius_voxels": 5.0,
+        "normal_neighbours": 100,
+        "feature_radius_voxels": 5.0,
+        "feature_neighbours": 100,
+        "max_range_m": 25.0,
+        "range_shape": "box",
+        "orient_normals": False,
+    },
+    "correspond": {"engine": "kd_tree", "max_keypoints": 0, "max_matches": 0},
+    "coarse": {
+        "solver": "teaserpp",
+        "noise_bound_m": 0.35,
+        "max_hypotheses": 1,
+        "normal_tolerance_deg": 180.0,
+        "min_agreeing_matches": 0,
+    },
+    "verify": {"enabled": False},
+    "acceptance": {"max_baseline_m": 1e6},
+    "fine": {
+        "engine": "open3d",
+        "voxel_size_m": 0.05,
+        "max_points": 1_000_000_000,
+        "max_correspondence_distances_m": [1.0],
+        "max_iterations": 100,
+        "neighbours": 30,
+        "fitness_distance_m": 1.0,
+    },
+    "refine": {"enabled": False},
+}
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    "default": {"preset": "default"},
+    "paper": {**_PAPER, "preset": "paper", "merge": {"mode": "target_first", "fitness_threshold": 0.2}},
+    "paper-algorithm1": {
+        **_PAPER,
+        "preset": "paper-algorithm1",
+        "merge": {"mode": "algorithm1", "fitness_threshold": 0.2},
+    },
+}
+
 _USED_WITH: Mapping[str, tuple[str, str]] = {
     "fine.rotation_epsilon_rad": ("fine.engine", "small_gicp"),
     "fine.translation_epsilon_m": ("fine.engine", "small_gicp"),
@@ -75,11 +117,13 @@ def with_overrides(config: CalibrationConfig, overrides: Iterable[str]) -> Calib
     for override in overrides:
         key, equals, text = override.partition("=")
         keys = key.strip().split(".")
-        if not equals or not key.strip() or len(keys) > _MAX_KEYS:
+        if not equals or not key.strip() or len(keys) > 16:
             raise ConfigError(
                 f"Cannot read the setting '{override}'; expected section.key=value, as in fine.max_iterations=30."
             )
-        table = _nested(keys, _toml_value(key, text.strip()))
+        table: Any = _toml_value(key, text.strip())
+        for part in reversed(keys):
+            table = {part: table}
         config = _merged(config, table, f"setting '{override}'")
         given |= {known: f"setting '{override}'" for known in _USED_WITH if _has(table, known)}
     _refuse_unused(config, given)
@@ -106,10 +150,6 @@ def _has(table: Mapping[str, Any], key: str) -> bool:
     return isinstance(values := table.get(section), Mapping) and name in values
 
 
-def _nested(keys: list[str], value: object) -> dict[str, Any]:
-    return {keys[0]: value if len(keys) == 1 else _nested(keys[1:], value)}
-
-
 def _toml_value(key: str, text: str) -> object:
     try:
         return parse_toml(f"value = {text}")["value"]
@@ -123,7 +163,12 @@ def _merged(base: CalibrationConfig, table: Mapping[str, Any], where: str) -> Ca
     try:
         return CalibrationConfig.model_validate(_deep_update(base.model_dump(), table))
     except ValidationError as error:
-        raise ConfigError(_explain(error, where)) from error
+        key, what, found = first_problem(error)
+        if error.errors(include_url=False, include_context=False)[0]["type"] != "extra_forbidden":
+            raise ConfigError(f"In {where}, {key} is {shown(found)}: {what}.") from error
+        close = _nearest_key(key)
+        hint = f" Did you mean '{close}'?" if close else " `multilica config` lists them all."
+        raise ConfigError(f"In {where}, there is no key '{key}'.{hint}") from error
 
 
 def _deep_update(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, Any]:
@@ -134,15 +179,6 @@ def _deep_update(base: dict[str, Any], table: Mapping[str, Any]) -> dict[str, An
             _deep_update(current, value) if isinstance(current, dict) and isinstance(value, Mapping) else value
         )
     return updated
-
-
-def _explain(error: ValidationError, where: str) -> str:
-    key, what, found = first_problem(error)
-    if error.errors(include_url=False, include_context=False)[0]["type"] != "extra_forbidden":
-        return f"In {where}, {key} is {shown(found)}: {what}."
-    close = _nearest_key(key)
-    hint = f" Did you mean '{close}'?" if close else " `multilica config` lists them all."
-    return f"In {where}, there is no key '{key}'.{hint}"
 
 
 def _nearest_key(key: str) -> str:

@@ -11,7 +11,6 @@ import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from threading import Lock
 
 import numpy as np
 
@@ -37,7 +36,6 @@ class MemoryBudget:
         self._limit_mb = limit_mb
         self._where = where or "The source"
         self.taken_bytes = 0
-        self._lock = Lock()
 
     def require(self, size: int) -> None:
         """Raise MemoryLimitError if there are not `size` more bytes."""
@@ -50,14 +48,12 @@ class MemoryBudget:
 
     def take(self, size: int) -> None:
         """Count `size` more bytes; errors as of `require`."""
-        with self._lock:
-            self.require(size)
-            self.taken_bytes += size
+        self.require(size)
+        self.taken_bytes += size
 
     def give(self, size: int) -> None:
         """Count `size` fewer bytes."""
-        with self._lock:
-            self.taken_bytes -= size
+        self.taken_bytes -= size
 
     def empty(self, size: int) -> memoryview:
         """Return memory that is not cleared, counted until it is released; errors as of `require`."""

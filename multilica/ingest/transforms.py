@@ -3,7 +3,7 @@
 
 import math
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -87,9 +87,8 @@ def read_prior(source: str | Extrinsics, snapshot: Snapshot) -> Prior:
         UnfitPriorError: it connects fewer than two of the LiDARs, or a joint between two of them moves.
         UsageError: the file is of another kind.
     """
-    where = "The recording's /tf_static" if source == STATIC_TRANSFORMS else str(source)
-    if isinstance(source, Extrinsics):
-        where = "The prior"
+    titles = {STATIC_TRANSFORMS: "The recording's /tf_static"}
+    where = "The prior" if isinstance(source, Extrinsics) else titles.get(source, source)
     joints = _read_joints(source, snapshot)
     ends = ((joint.T_parent_child.target, joint.T_parent_child.source) for joint in joints)
     known = sorted(set(chain.from_iterable(ends)))
@@ -98,7 +97,9 @@ def read_prior(source: str | Extrinsics, snapshot: Snapshot) -> Prior:
         for lidar in snapshot.lidars
         if (frame := next((name for name in (lidar.name, lidar.frame_id) if name in known), None)) is not None
     }
-    poses = _largest_rig(joints, frames)
+    connected = {frame: poses_from(frame, joints) for frame in frames.values()}
+    rigs = [{name: poses[other] for name, other in frames.items() if other in poses} for poses in connected.values()]
+    poses = max(rigs, key=len, default={})  # relative to the first of them
     if len(poses) < 2:
         raise UnfitPriorError(_too_few(where, snapshot, frames, known))
     for pose in poses.values():
@@ -109,36 +110,28 @@ def read_prior(source: str | Extrinsics, snapshot: Snapshot) -> Prior:
             )
     root, *_ = poses
     transforms = {name: RigidTransform(root, name, pose.T_target_source.matrix) for name, pose in poses.items()}
-    return Prior(Extrinsics(root, transforms), tuple(_notes(where, snapshot, frames, poses)))
+    missing = ", ".join(name for name in snapshot.names if name not in frames)
+    apart = ", ".join(name for name in frames if name not in poses)
+    notes = (
+        *([f"{where} has no pose of {missing}"] if missing else []),
+        *([f"{where} does not connect {apart} with {', '.join(poses)}"] if apart else []),
+    )
+    return Prior(Extrinsics(root, transforms), tuple(f"{note}: calibrated without a prior." for note in notes))
 
 
 def _read_joints(source: str | Extrinsics, snapshot: Snapshot) -> tuple[Joint, ...]:
+    if not isinstance(source, Extrinsics) and Path(source).suffix == ".toml":
+        source = read_extrinsics_table(source, with_uncertain=True)
     if isinstance(source, Extrinsics):
-        return _fixed(source)
+        return tuple(Joint(pose) for pose in source.T_target_source.values() if pose.target != pose.source)
     if source == STATIC_TRANSFORMS:
         return tuple(Joint(pose) for pose in snapshot.static_transforms)
     path = Path(source)
     if path.suffix in (".urdf", ".xml", ".xacro"):
         return read_urdf(path)
-    if path.suffix == ".toml":
-        return _fixed(read_extrinsics_table(path, with_uncertain=True))
     if not path.exists():
         raise SourceNotFoundError(f"No prior at {path}; {_EXPECTED}.")
     raise UsageError(f"The prior {path} is of an unknown kind; {_EXPECTED}.")
-
-
-def _fixed(known: Extrinsics) -> tuple[Joint, ...]:
-    return tuple(Joint(pose) for pose in known.T_target_source.values() if pose.target != pose.source)
-
-
-def _largest_rig(joints: Sequence[Joint], frames: Mapping[str, str]) -> dict[str, FramePose]:
-    """Return the poses of the most LiDARs that are connected, relative to the first of them."""
-    best: dict[str, FramePose] = {}
-    for frame in frames.values():
-        poses = poses_from(frame, joints)
-        rig = {name: poses[other] for name, other in frames.items() if other in poses}
-        best = rig if len(rig) > len(best) else best
-    return best
 
 
 def poses_from(frame: str, joints: Iterable[Joint]) -> dict[str, FramePose]:
@@ -167,17 +160,6 @@ def _too_few(where: str, snapshot: Snapshot, frames: Mapping[str, str], known: S
         f"{where} has {len(frames)} of the LiDARs {', '.join(snapshot.names)}{apart}; a prior needs two or more that "
         f"are connected, by name or by frame id; its frames: {listed}{more}."
     )
-
-
-def _notes(where: str, snapshot: Snapshot, frames: Mapping[str, str], poses: Mapping[str, FramePose]) -> list[str]:
-    missing = [name for name in snapshot.names if name not in frames]
-    apart = [name for name in frames if name not in poses]
-    notes = []
-    if missing:
-        notes.append(f"{where} has no pose of {', '.join(missing)}")
-    if apart:
-        notes.append(f"{where} does not connect {', '.join(apart)} with {', '.join(poses)}")
-    return [f"{note}: calibrated without a prior." for note in notes]
 
 
 def read_static_transforms(recording: Recording) -> StaticTransforms:
@@ -212,8 +194,10 @@ def read_static_transforms(recording: Recording) -> StaticTransforms:
 
 def _add(message: RawMessage, found: dict[tuple[str, str], RigidTransform], notes: dict[str, None]) -> bool:
     """Add the transforms of a message; return whether any of them is new."""
+    # Building the message types of `rosbags` would take longer than everything else that a small recording needs.
     try:
-        stamped = tuple(_stamped_transforms(message))
+        reader = WireReader.of_message(message)
+        stamped = [(reader.header()[1], reader.text().strip("/"), reader.float64s(7)) for _ in range(reader.uint32())]
     except ValueError as error:
         notes[f"A message on '{message.topic}' was left out: it {error}."] = None
         return False
@@ -228,15 +212,6 @@ def _add(message: RawMessage, found: dict[tuple[str, str], RigidTransform], note
             is_news |= key not in found or not np.array_equal(found[key].matrix, transform.matrix)
             found[key] = transform
     return is_news
-
-
-def _stamped_transforms(message: RawMessage) -> Iterator[tuple[str, str, tuple[float, ...]]]:
-    """Read parent, child, and x, y, z, qx, qy, qz, qw of each ``geometry_msgs/TransformStamped``."""
-    # Building the message types of `rosbags` would take longer than everything else that a small recording needs.
-    reader = WireReader.of_message(message)
-    for _ in range(reader.uint32()):
-        _, parent = reader.header()
-        yield parent, reader.text().strip("/"), reader.float64s(7)
 
 
 def _rigid(parent: str, child: str, values: tuple[float, ...]) -> RigidTransform:
@@ -261,7 +236,13 @@ def read_urdf(path: Path) -> tuple[Joint, ...]:
         UnreadableSourceError: it is not XML or URDF, has xacro macros, or its joints are not a tree.
     """
     robot = parse_xml(path, "URDF")
-    _require_shallow(robot, path)
+    level = [robot]
+    for _ in range(_MAX_URDF_DEPTH):
+        level = [child for element in level for child in element]
+    if level:
+        raise UnreadableSourceError(
+            f"{path} is not a valid URDF file: it is nested more than {_MAX_URDF_DEPTH} levels deep."
+        )
     if path.suffix == ".xacro" or any(_NAMESPACE_OF_XACRO in str(element.tag) for element in robot.iter()):
         raise UnreadableSourceError(
             f"{path} has xacro macros; run xacro first (xacro {path.name} > robot.urdf) and give its output."
@@ -270,9 +251,14 @@ def read_urdf(path: Path) -> tuple[Joint, ...]:
         raise UnreadableSourceError(f"{path} begins with <{robot.tag}>; expected <robot>, as in a URDF file.")
     try:
         joints = tuple(_joint(element) for element in robot.findall("joint"))
-        _require_tree(joints)
     except ValueError as error:
         raise UnreadableSourceError(f"{path} is not a valid URDF file: {error}.") from error
+    parents = Counter(joint.T_parent_child.source for joint in joints)
+    link, count = next(iter(parents.most_common(1)), ("", 0))
+    if count > 1:
+        raise UnreadableSourceError(
+            f"{path} is not a valid URDF file: link '{link}' is the child of {count} joints, expected one."
+        )
     return joints
 
 
@@ -291,16 +277,6 @@ def parse_xml(path: Path, kind: str) -> Element:
         raise UnreadableSourceError(f"{path} defines XML entities; remove them, a {kind} file needs none.") from error
     except (OSError, ElementTree.ParseError, ValueError, LookupError) as error:
         raise UnreadableSourceError(f"{path} is not a valid XML file: {error}.") from error
-
-
-def _require_shallow(robot: Element, path: Path) -> None:
-    level = [robot]
-    for _ in range(_MAX_URDF_DEPTH):
-        level = [child for element in level for child in element]
-    if level:
-        raise UnreadableSourceError(
-            f"{path} is not a valid URDF file: it is nested more than {_MAX_URDF_DEPTH} levels deep."
-        )
 
 
 def _joint(element: Element) -> Joint:
@@ -330,10 +306,3 @@ def _three(origin: Element | None, key: str, name: str) -> list[float]:
     if key == "rpy" and max(map(abs, numbers)) > MAX_ANGLE_RAD:
         raise ValueError(f"joint '{name}' has {key} '{text}', expected radians")
     return numbers
-
-
-def _require_tree(joints: tuple[Joint, ...]) -> None:
-    parents = Counter(joint.T_parent_child.source for joint in joints)
-    link, count = max(parents.items(), key=lambda entry: entry[1], default=("", 0))
-    if count > 1:
-        raise ValueError(f"link '{link}' is the child of {count} joints, expected one")

@@ -5,19 +5,16 @@ from __future__ import annotations
 
 import heapq
 from bisect import bisect_left
-from collections import Counter, deque
-from collections.abc import Callable, Collection, Generator, Iterator, Sequence, Sized
-from concurrent.futures import ThreadPoolExecutor
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Sequence, Sized
 from contextlib import closing
-from contextvars import copy_context
 from dataclasses import dataclass, field
-from functools import partial
 from itertools import count
 from operator import itemgetter
-from typing import TypeAlias, cast
+from typing import cast
 
 from multilica.ingest.containers.exact_reader import ExactReader
-from multilica.ingest.decompression import UNCOMPRESSED, require_checksum, unpack
+from multilica.ingest.decompression import require_checksum, unpack
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.recording import (
     DamagedRecordingError,
@@ -35,13 +32,9 @@ Part = tuple[int, Iterator[RawMessage]]
 """Position behind a record of the file, and the messages of the record, which may be a chunk."""
 
 _MAX_KEPT_BYTES = 128 << 20
-"""Messages up to this size are kept in memory, as finding out what a file holds takes as long as reading it."""
+"""Recordings up to this size are kept in memory, as finding out what a file holds takes as long as reading it."""
 _MARK_BYTES = 1 << 20
 """Distance of the positions that are remembered to start at."""
-_AHEAD = 1
-"""Compressed chunks that are unpacked ahead; see docs/decisions/0005-chunks-unpacked-ahead.md."""
-_MAX_RATIO = 0.9
-"""Only chunks compressed below this share of their size are worth a thread; base64, for one, is only copied."""
 _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time wait for each other up to this size; above it, messages are no longer sorted."""
 _WAITING_MESSAGE_BYTES, _KEPT_MESSAGE_BYTES = 512, 256
@@ -74,21 +67,12 @@ class PackedChunk:
     crc32: int = 0
     is_whole: bool = True
 
-    @property
-    def is_worth_a_thread(self) -> bool:
-        """True if unpacking does more than copy and check the data."""
-        return self.compression not in UNCOMPRESSED and len(self.data) < _MAX_RATIO * self.size
-
     def unpack(self) -> memoryview:
         """Return its records, or those at its beginning if it is not whole; raise ValueError if they are broken."""
         data = unpack(self.compression, self.data, self.size, partial=not self.is_whole)
         if self.is_whole:
             require_checksum(data, self.crc32)
         return data
-
-
-_Unpacked: TypeAlias = tuple[ChunkPlace, memoryview, str]
-"""A chunk, its records, and why it has none."""
 
 
 @dataclass(eq=False)
@@ -122,7 +106,7 @@ class ChunkedRecording(Recording):
         for chunk in sorted(self._chunks_with(topics, 0), key=lambda chunk: -chunk.end_ns):
             if chunk.end_ns <= last_ns:
                 break
-            for message in self._messages_of(self._unpack(chunk, self._read(chunk)), topics):
+            for message in self._messages_of(chunk, *self._records_of(chunk), topics):
                 last_ns = max(last_ns, message.log_time_ns)
         return first.log_time_ns, last_ns
 
@@ -134,18 +118,18 @@ class ChunkedRecording(Recording):
         waiting_bytes = 0
         number = count()
         memory = memory_budget()
-        with closing(self._unpacked(chunks)) as unpacked:
-            for part, next_start_ns in zip(unpacked, starts, strict=False):
-                waiting_bytes += len(part[1])
-                for message in self._messages_of(part, topics):
-                    if message.log_time_ns >= start_ns:
-                        memory.take(_WAITING_MESSAGE_BYTES)
-                        heapq.heappush(waiting, (message.log_time_ns, next(number), message))
-                crowded = waiting_bytes > _MAX_WAITING_BYTES
-                while waiting and (crowded or waiting[0][0] <= next_start_ns):
-                    memory.give(_WAITING_MESSAGE_BYTES)
-                    yield heapq.heappop(waiting)[2]
-                waiting_bytes *= bool(waiting)
+        for chunk, next_start_ns in zip(chunks, starts, strict=False):
+            records, fault = self._records_of(chunk)
+            waiting_bytes += len(records)
+            for message in self._messages_of(chunk, records, fault, topics):
+                if message.log_time_ns >= start_ns:
+                    memory.take(_WAITING_MESSAGE_BYTES)
+                    heapq.heappush(waiting, (message.log_time_ns, next(number), message))
+            crowded = waiting_bytes > _MAX_WAITING_BYTES
+            while waiting and (crowded or waiting[0][0] <= next_start_ns):
+                memory.give(_WAITING_MESSAGE_BYTES)
+                yield heapq.heappop(waiting)[2]
+            waiting_bytes *= bool(waiting)
 
     def close(self) -> None:
         """Close the file."""
@@ -159,40 +143,18 @@ class ChunkedRecording(Recording):
             if chunk.end_ns >= start_ns and (chunk.topics is None or chunk.topics & wanted)
         ]
 
-    def _unpacked(self, chunks: Sequence[ChunkPlace]) -> Generator[_Unpacked, None, None]:
-        """Yield the records of each chunk; another thread unpacks the next compressed chunk meanwhile."""
-        ahead: deque[Callable[[], _Unpacked]] = deque()
-        with ThreadPoolExecutor(max_workers=1) as thread:
-            for place in chunks:
-                chunk = self._read(place)
-                threaded = isinstance(chunk, PackedChunk) and chunk.is_worth_a_thread
-                unpack = partial(self._unpack, place, chunk)
-                ahead.append(thread.submit(copy_context().run, unpack).result if threaded else unpack)
-                while len(ahead) > (_AHEAD if threaded else 0):
-                    yield ahead.popleft()()
-            while ahead:
-                yield ahead.popleft()()
-
-    def _read(self, place: ChunkPlace) -> PackedChunk | str:
-        """Return a chunk, or why it cannot be read."""
+    def _records_of(self, chunk: ChunkPlace) -> tuple[memoryview, str]:
+        """Return the records of a chunk, and why it has none."""
         try:
             with damage_named(self.where):
-                return self.read_chunk(self.stream, place)
+                return self.read_chunk(self.stream, chunk).unpack(), ""
         except DamagedRecordingError as error:
-            return error.reason
+            return memoryview(b""), error.reason
 
-    def _unpack(self, place: ChunkPlace, chunk: PackedChunk | str) -> _Unpacked:
-        if isinstance(chunk, str):
-            return place, memoryview(b""), chunk
-        try:
-            with damage_named(self.where):
-                return place, chunk.unpack(), ""
-        except DamagedRecordingError as error:
-            return place, memoryview(b""), error.reason
-
-    def _messages_of(self, part: _Unpacked, topics: Collection[str]) -> Iterator[RawMessage]:
+    def _messages_of(
+        self, chunk: ChunkPlace, records: memoryview, fault: str, topics: Collection[str]
+    ) -> Iterator[RawMessage]:
         """Yield the readable messages, then one with a fault on each topic that may have lost some."""
-        chunk, records, fault = part
         try:
             with damage_named(self.where):
                 yield from self.split(records, topics)
@@ -239,10 +201,10 @@ class Survey:
         if place - (self.marks[-1][0] if self.marks else 0) >= _MARK_BYTES:
             self.marks.append((place, self.latest_ns))
 
-    def begin(self, start_ns: int, least: int) -> int:
-        """Return the last known position, at least `least`, with only messages before `start_ns` in front of it."""
+    def begin(self, start_ns: int) -> int:
+        """Return the last known position with only messages before `start_ns` in front of it."""
         index = bisect_left(self.marks, start_ns, key=itemgetter(1))
-        return max(least, self.marks[index - 1][0]) if index else least
+        return self.marks[index - 1][0] if index else 0
 
 
 class UnindexedRecording(Recording):
@@ -269,8 +231,7 @@ class UnindexedRecording(Recording):
         self.format = title
         self._where = where
         self._scan = scan
-        self._kept: list[RawMessage] = []
-        self._kept_until: int | None = 0
+        self._kept: list[RawMessage] | None = None
         self._error: DamagedRecordingError | None = None
         found = survey()
         self._survey = self._read() if found is None or found.unpacked_bytes <= _MAX_KEPT_BYTES else found
@@ -283,20 +244,15 @@ class UnindexedRecording(Recording):
 
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield messages in the order of writing."""
-        wanted = self._all_messages(start_ns)
-        yield from (message for message in wanted if message.topic in topics and message.log_time_ns >= start_ns)
-
-    def _all_messages(self, start_ns: int) -> Iterator[RawMessage]:
-        yield from self._kept
-        if self._kept_until is not None:
-            with damage_named(self._where):
-                for _, messages in self._scan(self._survey.begin(start_ns, self._kept_until)):
-                    yield from messages
+        with damage_named(self._where):
+            parts = self._scan(self._survey.begin(start_ns)) if self._kept is None else [(0, iter(self._kept))]
+            for _, messages in parts:
+                yield from (each for each in messages if each.topic in topics and each.log_time_ns >= start_ns)
         if self._error is not None:
             raise self._error
 
     def _read(self) -> Survey:
-        found, kept_bytes, whole_parts = Survey(), 0, 0
+        found, kept, kept_bytes = Survey(), list[RawMessage](), 0
         try:
             with damage_named(self._where):
                 for behind, messages in self._scan(0):
@@ -307,18 +263,15 @@ class UnindexedRecording(Recording):
                         before, chunk = chunk, _chunk_of(message)
                         kept_bytes += _KEPT_MESSAGE_BYTES + (0 if chunk is before else len(chunk))
                         if kept_bytes <= _MAX_KEPT_BYTES:
-                            self._kept.append(message)
+                            kept.append(message)
+                        else:
+                            kept.clear()
                     found.mark(behind)
-                    if kept_bytes <= _MAX_KEPT_BYTES:
-                        self._kept_until, whole_parts = behind, len(self._kept)
         except DamagedRecordingError as error:
             if not found.counts:
                 raise
             found.damage, self._error = error.reason, error
-        if kept_bytes <= _MAX_KEPT_BYTES:
-            self._kept_until = None
-        else:
-            del self._kept[whole_parts:]
+        self._kept = kept if kept_bytes <= _MAX_KEPT_BYTES else None
         return found
 
 
