@@ -5,23 +5,10 @@ from collections.abc import Mapping
 
 from multilica.datasets import helipr
 from multilica.datasets.folders import read_edgar, read_opencalib
-from multilica.datasets.presets import DatasetDocument, run_presets
-from multilica.datasets.published import published
+from multilica.datasets.presets import DatasetDocument, published, run_presets
 from multilica.datasets.scene import DatasetScene, Reader, SceneRequest
 
-__all__ = [
-    "READERS",
-    "DatasetDocument",
-    "DatasetScene",
-    "Reader",
-    "SceneRequest",
-    "published",
-    "run_presets",
-]
+__all__ = ["READERS", "DatasetDocument", "DatasetScene", "SceneRequest", "published", "run_presets"]
 
-READERS: Mapping[str, Reader] = {
-    "edgar": read_edgar,
-    "helipr": helipr.read_scenes,
-    "opencalib": read_opencalib,
-}
+READERS: Mapping[str, Reader] = {"edgar": read_edgar, "helipr": helipr.read_scenes, "opencalib": read_opencalib}
 """Data set -> its reader."""

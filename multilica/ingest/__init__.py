@@ -11,13 +11,10 @@ from multilica.ingest.snapshot_reader import (
     require_lidar,
     take_snapshot,
 )
-from multilica.ingest.summary import CloudTopicSummary, OtherTopicSummary, SourceSummary, inspect_source
-from multilica.ingest.transforms import Prior, read_prior
+from multilica.ingest.summary import SourceSummary, inspect_source
+from multilica.ingest.transforms import read_prior
 
 __all__ = [
-    "CloudTopicSummary",
-    "OtherTopicSummary",
-    "Prior",
     "SnapshotSource",
     "SourceSummary",
     "TakenSnapshot",

@@ -7,7 +7,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
@@ -133,11 +133,18 @@ def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObse
     label = without_secrets(url)
     if config.start_s or config.start_at or config.window_s or config.window == "auto":
         raise UsageError(f"Found a window for {label}; a live snapshot begins now and takes one scan after the other.")
+
+    def is_offered() -> bool:
+        with suppress(UnknownNameError, UnfitSnapshotError):
+            choose_topics(recording, config.topics, "", config.only)
+            return True
+        return False
+
     with (
         limited_memory(config.max_memory_mb, label),
         closing(LiveRecording(url, config.frames, config.timeout_s, report)) as recording,
     ):
-        recording.wait_for(lambda: _is_offered(recording, config))
+        recording.wait_for(is_offered)
         given = choose_topics(recording, config.topics, label, config.only)
         for topic in sorted(given):
             report(topic, 0)
@@ -153,14 +160,6 @@ def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObse
         unread = [*unread_notes(recording), *recording.notes]
     silent = tuple(sorted(given.keys() - window.clouds.keys()))
     return TakenSnapshot(assemble_snapshot(label, given, window, static, notes=unread), silent=silent)
-
-
-def _is_offered(recording: Recording, config: IngestConfig) -> bool:
-    try:
-        choose_topics(recording, config.topics, "", config.only)
-    except (UnknownNameError, UnfitSnapshotError):
-        return False
-    return True
 
 
 def assemble_snapshot(

@@ -28,12 +28,14 @@ from mcap.summary import Summary
 from multilica.ingest.containers.chunked import (
     ChunkedRecording,
     ChunkPlace,
+    EndOfFileError,
+    ExactReader,
     PackedChunk,
     Part,
     Survey,
     UnindexedRecording,
+    unpack_head,
 )
-from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader, unpack_head
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES, require_checksum
 from multilica.ingest.formats import FORMATS, named_format
 from multilica.ingest.recording import (

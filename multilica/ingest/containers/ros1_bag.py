@@ -13,8 +13,16 @@ from functools import partial
 from pathlib import Path
 from typing import TypeAlias
 
-from multilica.ingest.containers.chunked import ChunkedRecording, ChunkPlace, PackedChunk, Part, UnindexedRecording
-from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader, unpack_head
+from multilica.ingest.containers.chunked import (
+    ChunkedRecording,
+    ChunkPlace,
+    EndOfFileError,
+    ExactReader,
+    PackedChunk,
+    Part,
+    UnindexedRecording,
+    unpack_head,
+)
 from multilica.ingest.decompression import MAX_RECORDS, MAX_UNPACKED_BYTES
 from multilica.ingest.recording import (
     DamagedRecordingError,

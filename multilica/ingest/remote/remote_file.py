@@ -111,13 +111,12 @@ class RemoteFile:
             raise ValueError(f"expected mode 'rb', found '{mode}'")
         return cast(IO[bytes], CachedStream(self._cache))
 
-    def read_bytes(self) -> bytes:
-        """Return the whole file; raise UnreadableSourceError if it is larger than `MAX_WHOLE_BYTES`."""
-        self._require_size(self._cache.size, "a file of this format can only be read as a whole")
-        return self._cache.read(0, self._cache.size)
-
     def copy(self, what: str) -> Path:
-        """Download the file to a copy that is removed together with this object; errors as in `read_bytes`."""
+        """Download the file to a copy that is removed together with this object.
+
+        Raises:
+            UnreadableSourceError: it is larger than `MAX_WHOLE_BYTES`.
+        """
         advice = "download it, or give an indexed MCAP file"
         self._require_size(self._cache.size, f"{what} can only be read as a whole", advice)
         for start in range(0, self._cache.size, _PIECE_BYTES):

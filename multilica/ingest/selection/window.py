@@ -154,8 +154,15 @@ def collect_frames(recording: Recording, topics: Collection[str], config: Ingest
     shortages = [note for stream in streams for note in _shortages(stream, streams, damage)]
     if damage and all(stream.is_full for stream in streams):
         shortages.append(f"{label} is damaged: {damage}; all wanted scans lie before that.")
-    remarks = [*times.notes, *(remark for stream in streams for remark in stream.remarks()), *_clock_notes(streams)]
-    clouds = {stream.topic: stream.by_time() for stream in streams if stream.clouds}
+    told = [
+        (each.topic, remark) for each in streams for remark in sorted({cloud.remark for cloud in each.clouds} - {""})
+    ]
+    remarks = [*times.notes, *(f"'{topic}' {remark}." for topic, remark in told), *_clock_notes(streams)]
+    clouds = {
+        stream.topic: tuple(sorted(stream.clouds, key=lambda cloud: cloud.scan.stamp_ns))
+        for stream in streams
+        if stream.clouds
+    }
     unread = {stream.topic: [*stream.broken, *([] if clouds else stream.lost)] for stream in streams}
     return Window(
         clouds,
@@ -274,10 +281,6 @@ class TopicFrames:
         memory_budget().take(scan.points_m.nbytes + (0 if scan.intensity is None else scan.intensity.nbytes))
         self.clouds.append(replace(cloud, scan=replace(scan, log_time_ns=message.log_time_ns)))
 
-    def by_time(self) -> tuple[Cloud, ...]:
-        """Return the clouds by stamp, oldest first."""
-        return tuple(sorted(self.clouds, key=lambda cloud: cloud.scan.stamp_ns))
-
     def faults(self) -> Iterator[str]:
         """Yield sentences on scans that cannot be used as they are."""
         taken = len(self.clouds)
@@ -297,10 +300,6 @@ class TopicFrames:
         frame_ids = sorted({cloud.frame_id for cloud in self.clouds})
         if len(frame_ids) > 1:
             yield f"'{self.topic}' has scans in several frames ({', '.join(frame_ids)}), used as one."
-
-    def remarks(self) -> Iterator[str]:
-        """Yield the remarks of the decoders."""
-        yield from (f"'{self.topic}' {remark}." for remark in sorted({cloud.remark for cloud in self.clouds} - {""}))
 
 
 def _clock_notes(streams: list[TopicFrames]) -> list[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from multilica.ingest.containers.exact_reader import EndOfFileError, ExactReader
+from multilica.ingest.containers.chunked import EndOfFileError, ExactReader
 
 
 def test_a_read_gives_everything_or_nothing(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ def test_what_is_kept_is_not_unpacked_again(monkeypatch: pytest.MonkeyPatch, lim
 @pytest.mark.parametrize("make", ["mcap", "unchunked mcap", "bag"])
 @pytest.mark.parametrize("cut", [1.0, 0.9])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.7])
-def test_a_recording_too_large_to_keep_is_read_like_one_that_is_kept(
+def test_a_recording_too_large_to_keep_is_read_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: str, cut: float, share: float
 ) -> None:
     path = tmp_path / "a"
