@@ -3,7 +3,7 @@
 
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 
 from threadpoolctl import threadpool_limits
 
@@ -71,8 +71,11 @@ def calibrate(
     deadline_s = deadline_of(config) if deadline_s is None else deadline_s
     state = CalibrationState(snapshot, config, observe, prior, rig=rig, deadline_s=deadline_s)
     observe(events.CalibrationStarted(snapshot, config, prior))
+    if workers is not None:
+        workers.forget()
+    opened = open_calibration_workers(config) if workers is None else nullcontext(workers)
     try:
-        with threadpool_limits(1), _opened(workers, config) as state.workers:
+        with threadpool_limits(1), opened as state.workers:
             _run_stages(state)
             result = result_of(state)
             state.workers.forget()
@@ -89,17 +92,12 @@ def deadline_of(config: CalibrationConfig) -> float:
     return time.monotonic() + config.runtime.max_time_s if config.runtime.max_time_s else float("inf")
 
 
-def _opened(workers: Workers | None, config: CalibrationConfig) -> AbstractContextManager[Workers]:
-    if workers is None:
-        return open_calibration_workers(config)
-    workers.forget()
-    return nullcontext(workers)
-
-
 def _run_stages(state: CalibrationState) -> None:
     """Run the stages as far as the configuration says, each between its two events."""
     wanted = STAGES[: STAGES.index(state.config.until) + 1]
-    _nothing_to_do(state, "ingest")
+    state.timing_s["ingest"] = state.snapshot.reading_s  # it ended when the snapshot was read
+    state.observe(events.StageStarted("ingest", 0))
+    state.observe(events.StageFinished("ingest", state.snapshot.reading_s))
     for stages, run in _STEPS:
         due = [stage for stage in stages if stage in wanted]
         if not due:
@@ -118,13 +116,6 @@ def _run_stages(state: CalibrationState) -> None:
 def _refine(state: CalibrationState) -> None:
     refine_rig(state)
     compare_surfaces(state)
-
-
-def _nothing_to_do(state: CalibrationState, stage: Stage) -> None:
-    """Report the stage that ended when the snapshot was read."""
-    state.timing_s[stage] = state.snapshot.reading_s
-    state.observe(events.StageStarted(stage, 0))
-    state.observe(events.StageFinished(stage, state.snapshot.reading_s))
 
 
 def _steps_of(stage: Stage, state: CalibrationState) -> int:

@@ -85,14 +85,14 @@ class ScanFiles:
             raise UnreadableSourceError(f"{path} has no coordinates where HeLiPR's {self.lidar} has them.")
         return Scan(points_m, stamp_ns, intensity, stamp_ns)
 
+    def read_from(self, start_ns: int, length_ns: int, frames: int) -> tuple[Scan, ...]:
+        """Read the scans from a stamp on, for that long and at most as many as `frames`; errors as of `read`."""
+        inside = self.stamps_ns[(self.stamps_ns >= start_ns) & (self.stamps_ns < start_ns + length_ns)]
+        return tuple(self.read(int(stamp_ns)) for stamp_ns in inside[:frames])
 
-def find_sequence(path: Path) -> Path:
-    """Return the folder of a sequence, the one that has ``LiDAR/``: the given one, or the only one below it.
 
-    Raises:
-        SourceNotFoundError: the path does not exist.
-        InputError: there is no such folder, or several.
-    """
+def _find_sequence(path: Path) -> Path:
+    """Return the folder of a sequence, the one that has ``LiDAR/``: the given one, or the only one below it."""
     if not path.is_dir():
         raise SourceNotFoundError(f"No folder at {path}; give the folder of a HeLiPR sequence.")
     found = [folder for folder in (path, *sorted(path.iterdir())) if (folder / "LiDAR").is_dir()]
@@ -103,12 +103,8 @@ def find_sequence(path: Path) -> Path:
     return found[0]
 
 
-def find_scan_files(sequence: Path) -> dict[str, ScanFiles]:
-    """Return the scans of each LiDAR of a sequence, in the order of `LIDARS`.
-
-    Raises:
-        InputError: fewer than two LiDARs have scans.
-    """
+def _find_scan_files(sequence: Path) -> dict[str, ScanFiles]:
+    """Return the scans of each LiDAR of a sequence, two or more, in the order of `LIDARS`."""
     found = {}
     for lidar in LIDARS:
         folder = sequence / "LiDAR" / lidar
@@ -152,12 +148,8 @@ class Trajectory:
         return RigidTransform.from_rotation_translation("world", self.lidar, rotation.as_matrix(), xyz_m)
 
 
-def read_trajectory(path: Path, lidar: str) -> Trajectory:
-    """Read lines ``stamp_ns x y z qx qy qz qw``.
-
-    Raises:
-        UnreadableSourceError: another layout, fewer than two poses, or stamps that do not increase.
-    """
+def _read_trajectory(path: Path, lidar: str) -> Trajectory:
+    """Read lines ``stamp_ns x y z qx qy qz qw`` with increasing stamps, two or more."""
     try:
         lines = [line.split() for line in path.read_text(encoding="ascii").splitlines() if line.strip()]
         stamps_ns = np.array([int(words[0]) for words in lines], np.int64)
@@ -174,8 +166,6 @@ def read_trajectory(path: Path, lidar: str) -> Trajectory:
         ) from error
 
 
-ScanReader = Callable[[Iterable[int]], Sequence[Scan]]
-"""A function that reads the scans of those stamps."""
 _LOOKS_EVERY_NS = 2_000_000_000
 """A stop that matters is longer than this."""
 
@@ -202,7 +192,7 @@ def stops_by_poses(trajectory: Trajectory, length_ns: int) -> list[int]:
     return _middles(stamps_ns, still)
 
 
-def stops_by_scans(stamps_ns: Stamps, read: ScanReader, length_ns: int) -> list[int]:
+def stops_by_scans(stamps_ns: Stamps, read: Callable[[Iterable[int]], Sequence[Scan]], length_ns: int) -> list[int]:
     """Find the stops at which the scans of one LiDAR show no motion for that long, by looking every two seconds.
 
     Returns:
@@ -242,10 +232,10 @@ def read_scenes(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:
         SourceNotFoundError: the path does not exist.
         InputError: it is not a sequence, a file is damaged, or the vehicle never stands still.
     """
-    sequence = find_sequence(path)
-    files = find_scan_files(sequence)
+    sequence = _find_sequence(path)
+    files = _find_scan_files(sequence)
     paths = {lidar: sequence / "LiDAR_GT" / f"{lidar}_gt.txt" for lidar in files}
-    trajectories = {lidar: read_trajectory(path, lidar) for lidar, path in paths.items() if path.is_file()}
+    trajectories = {lidar: _read_trajectory(path, lidar) for lidar, path in paths.items() if path.is_file()}
     given = None if request.truth is None else read_truth(request.truth)
     length_ns = (request.frames + 1) * _PERIOD_NS
     for start_ns in _moments(files, trajectories, length_ns, request, sequence):
@@ -264,17 +254,13 @@ def _moments(
     """Return the start stamps of the scenes, oldest first."""
     reference = next(iter(files.values()))
     followed = next((trajectories[lidar] for lidar in LIDARS if lidar in trajectories), None)
-
-    def read(stamps_ns: Iterable[int]) -> list[Scan]:
-        return [reference.read(stamp_ns) for stamp_ns in stamps_ns]
-
     if followed is not None:
         stops = stops_by_poses(followed, length_ns)
     else:
-        stops = stops_by_scans(reference.stamps_ns, read, length_ns)
+        stops = stops_by_scans(reference.stamps_ns, lambda wanted: [*map(reference.read, wanted)], length_ns)
     confirmed: list[int] = []
     for start_ns in stops:
-        scans = read(_stamps(reference, start_ns, length_ns, request.frames))
+        scans = reference.read_from(start_ns, length_ns, request.frames)
         if scans and not detect_motion(scans, StillnessConfig()).moving:
             confirmed.append(start_ns)
         if len(confirmed) == request.scenes:
@@ -288,19 +274,14 @@ def _moments(
     return sorted(confirmed)
 
 
-def _stamps(files: ScanFiles, start_ns: int, length_ns: int, frames: int) -> list[int]:
-    inside = files.stamps_ns[(files.stamps_ns >= start_ns) & (files.stamps_ns < start_ns + length_ns)]
-    return [int(stamp_ns) for stamp_ns in inside[:frames]]
-
-
 def _snapshot(files: Mapping[str, ScanFiles], start_ns: int, length_ns: int, frames: int, sequence: Path) -> Snapshot:
     lidars, notes = [], []
-    for lidar, scans in files.items():
-        stamps_ns = _stamps(scans, start_ns, length_ns, frames)
-        if stamps_ns:
-            lidars.append(LidarScans(lidar, tuple(map(scans.read, stamps_ns)), topic=f"/{lidar.lower()}/points"))
-        if len(stamps_ns) < frames:
-            notes.append(f"{lidar} has {len(stamps_ns)} of {frames} scans from {start_ns} on.")
+    for lidar, scan_files in files.items():
+        scans = scan_files.read_from(start_ns, length_ns, frames)
+        if scans:
+            lidars.append(LidarScans(lidar, scans, topic=f"/{lidar.lower()}/points"))
+        if len(scans) < frames:
+            notes.append(f"{lidar} has {len(scans)} of {frames} scans from {start_ns} on.")
     return Snapshot(tuple(lidars), f"{sequence} at {start_ns}", notes=tuple(notes))
 
 

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from multilica.config import IngestConfig
@@ -16,10 +16,11 @@ from multilica.ingest.containers.mcap_file import mcap_metadata
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
-from multilica.ingest.recording import DamagedRecordingError, sanitize_text
+from multilica.ingest.recording import DamagedRecordingError, Recording, sanitize_text
 from multilica.ingest.remote.address import is_live
 from multilica.ingest.remote.remote_file import ConnectionLostError, SourceFile
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
+from multilica.snapshot import Snapshot
 
 _PREFIX = "When it was recorded: "
 _MAX_FRAMES = 1_000_000
@@ -47,10 +48,14 @@ def frames_recorded(sources: Sequence[PathLike]) -> int | None:
     return max(counts) if counts and all(counts) else None
 
 
-def notes_recorded(files: Sequence[SourceFile], known: Collection[str]) -> list[str]:
-    """Return the notes saved when the snapshots were taken, without the known ones."""
-    notes = [note for file in files for note in _notes(_snapshot_metadata(file)) if note not in known]
-    return [note if note.startswith(_PREFIX) else f"{_PREFIX}{note}" for note in notes]
+def with_recorded_notes(snapshot: Snapshot, recording: Recording, files: Sequence[SourceFile]) -> Snapshot:
+    """Add the notes that `multilica record` saved when the snapshot was taken."""
+    # Only multilica's own recordings name their LiDARs.
+    if not any(topic.lidar for topic in recording.topics):
+        return snapshot
+    notes = [note for file in files for note in _notes(_snapshot_metadata(file)) if note not in snapshot.notes]
+    told = [note if note.startswith(_PREFIX) else f"{_PREFIX}{note}" for note in notes]
+    return replace(snapshot, notes=(*snapshot.notes, *told))
 
 
 def _frames(saved: Mapping[str, str]) -> int:

@@ -14,10 +14,10 @@ from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.ingest.locate import PathLike, find_source, locate, require_distinct
 from multilica.ingest.memory import limited_memory
-from multilica.ingest.metadata import config_for, notes_recorded
+from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
 from multilica.ingest.plausibility import plausibility_notes
-from multilica.ingest.recording import MessageObserver, Recording, sanitize_text
+from multilica.ingest.recording import MessageObserver, sanitize_text
 from multilica.ingest.remote.address import is_live, require_valid, without_secrets
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
@@ -204,14 +204,6 @@ def assemble_snapshot(
         static_transforms=static[0],
         notes=tuple(map(sanitize_text, (*window.notes, *static[1], *frame_notes, *doubts, *notes))),
     )
-
-
-def with_recorded_notes(snapshot: Snapshot, recording: Recording, files: Sequence[SourceFile]) -> Snapshot:
-    """Add the notes that `multilica record` saved in the recording."""
-    # Only multilica's own recordings name their LiDARs.
-    if not any(topic.lidar for topic in recording.topics):
-        return snapshot
-    return replace(snapshot, notes=(*snapshot.notes, *notes_recorded(files, snapshot.notes)))
 
 
 def _unique_names(wanted: Mapping[str, str]) -> dict[str, str]:

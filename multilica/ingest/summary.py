@@ -13,11 +13,11 @@ from multilica.geometry import RigidTransform
 from multilica.ingest.locate import PathLike, find_source
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.message_types import OUSTER_TURN, Cloud, is_cloud
-from multilica.ingest.metadata import config_for
+from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
-from multilica.ingest.snapshot_reader import assemble_snapshot, require_calibratable, with_recorded_notes
+from multilica.ingest.snapshot_reader import assemble_snapshot, require_calibratable
 from multilica.ingest.transforms import read_static_transforms
 from multilica.snapshot import Snapshot
 

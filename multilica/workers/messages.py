@@ -10,7 +10,7 @@ from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import accumulate
 from mmap import ACCESS_READ, mmap
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 UNREADABLE = -1
 """Number of the job in the answer to a message that a worker could not read."""
@@ -70,10 +70,6 @@ class WorkerFailure(NamedTuple):
         except Exception:  # noqa: BLE001
             error = RuntimeError(f"{type(error).__name__}: {error}")
         return cls(error, trace)
-
-    def reraise(self) -> NoReturn:
-        """Raise the exception, with its first traceback as the cause."""
-        raise self.error from TaskTracebackError(self.trace)
 
 
 class Shared:
@@ -150,18 +146,11 @@ def _aligned(size: int) -> int:
     return -(-size // _ALIGNMENT) * _ALIGNMENT
 
 
-def claim_next(descriptor: int) -> int:
-    """Return how often this was called for the buffer before, by any process."""
+def claim_next(descriptor: int, *, ends: bool = False) -> int:
+    """Return how often this was called for the buffer before, by any process; after `ends`, a number beyond any."""
     # A process that dies releases its lock.
     fcntl.lockf(descriptor, fcntl.LOCK_EX)
     (claimed,) = _COUNTER.unpack(os.pread(descriptor, _COUNTER.size, 0))
-    os.pwrite(descriptor, _COUNTER.pack(claimed + 1), 0)
+    os.pwrite(descriptor, _COUNTER.pack(_NEVER if ends else claimed + 1), 0)
     fcntl.lockf(descriptor, fcntl.LOCK_UN)
     return int(claimed)
-
-
-def end_claims(descriptor: int) -> None:
-    """Let `claim_next` return a number beyond any from now on."""
-    fcntl.lockf(descriptor, fcntl.LOCK_EX)
-    os.pwrite(descriptor, _COUNTER.pack(_NEVER), 0)
-    fcntl.lockf(descriptor, fcntl.LOCK_UN)

@@ -23,9 +23,9 @@ from multilica.workers.messages import (
     Job,
     Release,
     Shared,
+    TaskTracebackError,
     WorkerFailure,
     claim_next,
-    end_claims,
     pack,
     unpack,
 )
@@ -189,7 +189,7 @@ class WorkerProcesses(Workers):
                 yield _result_of(answers.pop(index))
         finally:
             del self._jobs[number]
-            end_claims(buffer)
+            claim_next(buffer, ends=True)
             os.close(buffer)
 
     def close(self) -> None:
@@ -221,11 +221,15 @@ class WorkerProcesses(Workers):
     def _receive(self) -> None:
         """Wait for messages of the workers, and keep the answers to jobs that are still open."""
         for key, _ in self._selector.select():
-            sent, buffers = _received(key.data)
+            sent, buffers = b"", list[int]()
+            with suppress(ConnectionResetError):
+                sent, buffers, _, _ = socket.recv_fds(key.data, 1, 1)
             if not sent:
                 _raise_died()
             if not buffers:
-                self._introduce(key.data)
+                self._ready.append(key.data)  # it has just started, and learns what the others know
+                for buffer in (*self._buffers.values(), *(buffer for buffer, _ in self._jobs.values())):
+                    _send(key.data, buffer)
                 continue
             answer: Any = unpack(buffers[0])
             wanted = answer.job in self._jobs
@@ -239,16 +243,10 @@ class WorkerProcesses(Workers):
             if wanted:
                 self._jobs[answer.job][1][answer.item] = answer.value
 
-    def _introduce(self, worker: socket.socket) -> None:
-        """Tell a worker that has just started what the others know."""
-        self._ready.append(worker)
-        for buffer in (*self._buffers.values(), *(buffer for buffer, _ in self._jobs.values())):
-            _send(worker, buffer)
-
 
 def _result_of(answer: Any) -> Any:  # noqa: ANN401 - results have any type
     if isinstance(answer, WorkerFailure):
-        answer.reraise()
+        raise answer.error from TaskTracebackError(answer.trace)
     return answer
 
 
@@ -257,14 +255,6 @@ def _send(receiver: socket.socket, buffer: int) -> None:
         socket.send_fds(receiver, [b"."], [buffer])
     except (BrokenPipeError, ConnectionResetError):
         _raise_died()
-
-
-def _received(worker: socket.socket) -> tuple[bytes, list[int]]:
-    try:
-        sent, buffers, _, _ = socket.recv_fds(worker, 1, 1)
-    except ConnectionResetError:
-        _raise_died()
-    return sent, buffers
 
 
 def _raise_died() -> NoReturn:

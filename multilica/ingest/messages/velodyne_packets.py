@@ -18,16 +18,13 @@ def decode_cloud(message: RawMessage) -> Cloud:
     """Decode one turn of a Velodyne, whose model is in the packets."""
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
-    packets = [_packet(reader) for _ in range(reader.uint32())]
+    packets = []
+    for _ in range(reader.uint32()):
+        reader.align(4)
+        seconds, nanoseconds = reader.numbers("II" if reader.alignment == 1 else "iI")
+        packets.append(velodyne_decoder.VelodynePacket(seconds + nanoseconds * 1e-9, bytes(reader.raw(1206))))
     points_m, intensity = finite_points(*_decoded(packets)[:, :4].T)
     return Cloud(Scan(points_m, stamp_ns or message.log_time_ns, intensity), frame_id)
-
-
-def _packet(reader: WireReader) -> Any:  # noqa: ANN401 - the class is the library's
-    """Read a ``VelodynePacket``: stamp and data."""
-    reader.align(4)
-    seconds, nanoseconds = reader.numbers("II" if reader.alignment == 1 else "iI")
-    return velodyne_decoder.VelodynePacket(seconds + nanoseconds * 1e-9, bytes(reader.raw(1206)))
 
 
 def _decoded(packets: list[Any]) -> Float32Array:

@@ -48,17 +48,6 @@ def _rows(data: memoryview, columns: int) -> Table:
 
 def _npy(data: memoryview) -> Table:
     head = BytesIO(data)
-    shape, fortran_order, dtype = _npy_header(head)
-    count = math.prod(shape)
-    if dtype.hasobject or not dtype.itemsize:
-        raise ValueError(f"holds {dtype}; expected numbers")
-    if count * dtype.itemsize > len(data) - head.tell():
-        raise ValueError(f"claims {' x '.join(map(str, shape))} values of {dtype}, but ends before")
-    flat = np.frombuffer(data, dtype, count, head.tell())
-    return flat.reshape(shape, order="F" if fortran_order else "C")
-
-
-def _npy_header(head: BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     try:
         version = np.lib.format.read_magic(head)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -67,7 +56,13 @@ def _npy_header(head: BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
         raise ValueError("has an invalid NumPy header") from error
     if not all(type(size) is int and 0 <= size < _MAX_SIZE for size in shape):
         raise ValueError(f"claims the impossible shape {shown(shape)}")
-    return shape, bool(fortran_order), dtype
+    count = math.prod(shape)
+    if dtype.hasobject or not dtype.itemsize:
+        raise ValueError(f"holds {dtype}; expected numbers")
+    if count * dtype.itemsize > len(data) - head.tell():
+        raise ValueError(f"claims {' x '.join(map(str, shape))} values of {dtype}, but ends before")
+    flat = np.frombuffer(data, dtype, count, head.tell())
+    return flat.reshape(shape, order="F" if fortran_order else "C")
 
 
 def _columns(table: Table) -> list[Table]:

@@ -150,10 +150,8 @@ def claimed_bytes(encoding: str, head: bytes) -> int | None:
         return len(head)
 
 
-def _row_count(word: str) -> int:
-    if not (word.isascii() and word.isdigit() and len(word) <= 18):
-        raise ValueError("expected a whole number")
-    return int(word)
+def _whole_number(word: str) -> int | None:
+    return int(word) if word.isascii() and word.isdigit() and len(word) <= 18 else None
 
 
 def _filled_lines(body: memoryview) -> Iterator[bytes]:
@@ -241,10 +239,10 @@ def _points(entries: Mapping[str, list[str]]) -> int:
 
 def _numbers(entries: Mapping[str, list[str]], key: str) -> list[int]:
     words = entries.get(key, [])
-    try:
-        return [_row_count(word) for word in words]
-    except ValueError as error:
-        raise ValueError(f"has the header line '{key} {_listed(words)}'; expected whole numbers") from error
+    numbers = [number for word in words if (number := _whole_number(word)) is not None]
+    if len(numbers) < len(words):
+        raise ValueError(f"has the header line '{key} {_listed(words)}'; expected whole numbers")
+    return numbers
 
 
 def _listed(words: Sequence[object]) -> str:
@@ -280,8 +278,10 @@ def _ply_header(head: bytes) -> PointTable:
         match words:
             case ["format", name, *_]:
                 storage = name
-            case ["element", name, rows]:
-                elements.append(_Element(name, _ply_rows(rows)))
+            case ["element", name, word]:
+                if (rows := _whole_number(word)) is None:
+                    raise ValueError(f"has '{word[:20]}' in its header where the number of rows is expected")
+                elements.append(_Element(name, rows))
             case ["property", *kind] if elements:
                 elements[-1].add(kind)
             case ["end_header"]:
@@ -289,13 +289,6 @@ def _ply_header(head: bytes) -> PointTable:
                     raise ValueError(f"has format '{storage}'; expected {', '.join(_STORAGES)}")
                 return replace(_ply_vertices(elements), storage=_STORAGES[storage], start=end)
     raise ValueError("has no line end_header")
-
-
-def _ply_rows(word: str) -> int:
-    try:
-        return _row_count(word)
-    except ValueError as error:
-        raise ValueError(f"has '{word[:20]}' in its header where the number of rows is expected") from error
 
 
 def _ply_vertices(elements: list[_Element]) -> PointTable:
