@@ -22,8 +22,6 @@ from multilica.errors import InputError, SourceNotFoundError, UnknownNameError, 
 from multilica.geometry import RigidTransform
 
 EXTRINSICS_SCHEMA: Literal["multilica/extrinsics/1"] = "multilica/extrinsics/1"
-_MAX_RIG_M = 100.0
-"""No vehicle is longer: such lengths are millimetres."""
 Number = Annotated[float, Strict(), AfterValidator(require_length)]
 Three = tuple[Number, Number, Number]
 Four = tuple[Number, Number, Number, Number]
@@ -121,7 +119,7 @@ def require_metres(pose: RigidTransform, where: str) -> None:
     Raises:
         InputError: so far off; `where` begins its sentence.
     """
-    if max(abs(pose.xyz_m)) > _MAX_RIG_M:
+    if max(abs(pose.xyz_m)) > 100.0:  # longer than any vehicle: millimetres
         found = ", ".join(str(value) for value in pose.xyz_m.tolist())
         raise InputError(f"{where} has '{pose.source}' at {found} in '{pose.target}'; expected metres.")
 

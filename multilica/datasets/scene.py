@@ -2,10 +2,9 @@
 """A moment of a data set with its truth."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
@@ -60,15 +59,6 @@ class SceneRequest:
     def __post_init__(self) -> None:
         if self.scenes < 1 or self.frames < 1:
             raise UsageError(f"Found {self.scenes} scenes of {self.frames} frames; expected at least one of each.")
-
-
-Reader: TypeAlias = Callable[[Path, SceneRequest], Iterator[DatasetScene]]
-"""A function that yields the scenes of a data set.
-
-Raises:
-    SourceNotFoundError: the path does not exist.
-    InputError: it does not hold that data set, a file of it is damaged, or it has no moment of standstill.
-"""
 
 
 def extrinsics_of(target: str, poses: Mapping[str, tuple[Sequence[float], Sequence[float]]]) -> Extrinsics:

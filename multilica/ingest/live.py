@@ -29,6 +29,7 @@ from multilica.optional_libraries import needed_for
 
 with needed_for("Listening to a running vehicle", "websockets"):
     from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI, WebSocketException
+    from websockets.frames import CloseCode
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
 
@@ -39,9 +40,6 @@ _MESSAGE_HEAD = struct.Struct("<BIQ")
 _MESSAGE_DATA = 1
 _MAX_MESSAGE_BYTES = 64 << 20
 """Twenty times the size of a large scan."""
-_MAX_WAITING = 4
-"""Messages that the library receives ahead."""
-_TOO_BIG = 1009
 
 _FIRST_PAUSE_S = 0.1
 _STATIC_S = 1.0
@@ -139,7 +137,7 @@ class FoxgloveSocket:
                 open_timeout=timeout_s,
                 close_timeout=1.0,
                 max_size=_MAX_MESSAGE_BYTES,
-                max_queue=_MAX_WAITING,
+                max_queue=4,  # messages that the library receives ahead
             )
         except (InvalidHandshake, InvalidURI) as error:
             if isinstance(error, InvalidStatus) and error.response.status_code >= 500:
@@ -180,7 +178,8 @@ class FoxgloveSocket:
         except TimeoutError:
             return None
         except (OSError, EOFError, WebSocketException) as error:
-            is_too_big = isinstance(error, ConnectionClosed) and error.sent is not None and error.sent.code == _TOO_BIG
+            sent = error.sent if isinstance(error, ConnectionClosed) else None
+            is_too_big = sent is not None and sent.code == CloseCode.MESSAGE_TOO_BIG
             oddity = f"has more than {_MAX_MESSAGE_BYTES} bytes" if is_too_big else ""
             raise ConnectionLost(str(error), oddity) from error
         except (UnicodeDecodeError, RecursionError) as error:

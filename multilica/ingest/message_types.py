@@ -23,9 +23,6 @@ OUSTER = "ouster.sdk.core:LidarFrame"
 
 _ROS = ("cdr", "ros1")
 
-_MAX_STAMP_NS = 1 << 64
-"""Stamps beyond are no times, and overflow."""
-
 
 @dataclass(frozen=True, slots=True)
 class MessageType:
@@ -162,6 +159,6 @@ def decode_cloud(message: RawMessage) -> Cloud:
         raise UnreadableSourceError(f"{message.origin} {error}.") from error
     except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError) as error:
         raise UnreadableSourceError(f"{message.origin} cannot be decoded: {reason_of(error)}.") from error
-    if abs(cloud.scan.stamp_ns) >= _MAX_STAMP_NS:
+    if abs(cloud.scan.stamp_ns) >= 1 << 64:  # no time, and it would overflow
         return replace(cloud, scan=replace(cloud.scan, stamp_ns=message.log_time_ns))
     return cloud

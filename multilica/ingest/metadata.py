@@ -28,8 +28,6 @@ _MAX_FRAMES = 1_000_000
 VEHICLE_KEYS = ("vehicle", "vehicle_id", "vehicle_name", "robot", "robot_id")
 """Keys, in any metadata record of an MCAP file or in `custom_data` of a ROS 2 bag, of the vehicle's name."""
 
-_LATEST_NS = 2**63
-
 
 def config_for(sources: Sequence[PathLike]) -> IngestConfig:
     """Return the defaults; for recorded snapshots, with all of their frames."""
@@ -98,7 +96,7 @@ def identify_log(source: PathLike) -> LogIdentity:
         found = find_source(file)
         with limited_memory(IngestConfig().max_memory_mb, found.label), closing(open_source(found)) as recording:
             span = recording.span_ns([topic.name for topic in recording.topics])
-            time_ns = span[0] if span and 0 < span[0] < _LATEST_NS else None
+            time_ns = span[0] if span and 0 < span[0] < 2**63 else None
     except ConnectionLostError:
         raise
     except (MultilicaError, DamagedRecordingError, OSError):

@@ -15,11 +15,10 @@ from typing import cast
 import zstandard
 
 from multilica.errors import UnreadableSourceError, UsageError
-from multilica.ingest.containers.ouster_recording import with_turns
 from multilica.ingest.formats import Content, FileFormat, detect_format, named_format
 from multilica.ingest.locate import FrameFiles, Source, locate
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.message_types import decode_cloud, is_cloud
+from multilica.ingest.message_types import MESSAGE_TYPES, OUSTER, decode_cloud, is_cloud, is_installed
 from multilica.ingest.point_files.tables import MAX_HEADER_BYTES, claimed_bytes
 from multilica.ingest.recording import (
     DamagedRecordingError,
@@ -54,7 +53,14 @@ def open_source(source: Source) -> Recording:
         return _open_recorders(source.recorders)
     files = source.recordings
     is_whole_file = len(files) == 1 and not source.missing
-    return with_turns(_open_file(files[0]) if is_whole_file else _open_parts(files, source.missing))
+    recording = _open_file(files[0]) if is_whole_file else _open_parts(files, source.missing)
+    types = {name for name, entry in MESSAGE_TYPES.items() if entry.requires == OUSTER}
+    packets = [topic for topic in recording.topics if topic.message_type in types and topic.count]
+    if not packets or not is_installed(OUSTER):
+        return recording
+    from multilica.ingest.messages.ouster_packets import with_turns
+
+    return with_turns(recording, packets)
 
 
 def _open_file(file: SourceFile) -> Recording:

@@ -6,7 +6,6 @@ import os
 import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
@@ -92,19 +91,13 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
     start_s = time.perf_counter()
     found = find_source(source)
     config = config or config_for(found.files)
-    with (
-        limited_memory(config.max_memory_mb, found.label),
-        ThreadPoolExecutor(max_workers=1) as thread,
-        closing(open_source(found)) as recording,
-    ):
-        # Hashing takes as long as unpacking and releases the GIL.
-        sha256 = thread.submit(sha256_of_files, found.files)
+    with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         given = choose_topics(recording, config.topics, found.label, config.only)
         window = collect_frames(recording, given.keys(), config, found.label)
         require_frames(window, given.keys(), config, found.label)
         static = read_static_transforms(recording)
         unread = unread_notes(recording)
-        snapshot = assemble_snapshot(found.label, given, window, static, sha256.result(), unread)
+        snapshot = assemble_snapshot(found.label, given, window, static, sha256_of_files(found.files), unread)
         noted = with_recorded_notes(snapshot, recording, found.files)
     return replace(noted, reading_s=time.perf_counter() - start_s)
 

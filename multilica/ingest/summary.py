@@ -55,15 +55,6 @@ class CloudTopicSummary:
     last_ns: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class OtherTopicSummary:
-    """A topic with anything else."""
-
-    topic: str
-    message_type: str
-    count: int
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceSummary:
     """The contents of a source.
@@ -75,7 +66,7 @@ class SourceSummary:
     source: str
     format: str
     clouds: tuple[CloudTopicSummary, ...]
-    others: tuple[OtherTopicSummary, ...]
+    others: tuple[Topic, ...]
     static_transforms: tuple[RigidTransform, ...]
     notes: tuple[str, ...]
     objection: str
@@ -108,16 +99,15 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
             require_calibratable(snapshot)
         except UnfitSnapshotError as error:
             objection = objection or str(error)
-        clouds = [topic for topic in recording.topics if is_cloud(topic)]
-        others = [topic for topic in recording.topics if not is_cloud(topic)]
         return SourceSummary(
             source=found.label,
             format=recording.format,
             clouds=tuple(
                 _cloud_summary(topic, window.clouds.get(topic.name, ()), recording.span_ns([topic.name]), snapshot)
-                for topic in clouds
+                for topic in recording.topics
+                if is_cloud(topic)
             ),
-            others=tuple(OtherTopicSummary(topic.name, topic.message_type, topic.count) for topic in others),
+            others=tuple(topic for topic in recording.topics if not is_cloud(topic)),
             static_transforms=static[0],
             notes=snapshot.notes,
             objection=objection,

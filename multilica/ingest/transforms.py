@@ -38,7 +38,6 @@ _NORM_TOLERANCE = 0.01
 _MAX_URDF_BYTES = 4 << 20
 """A description without its meshes takes a few hundred kilobytes; as elements, each byte takes a hundred."""
 _MAX_URDF_DEPTH = 64
-_NAMESPACE_OF_XACRO = "wiki/xacro}"
 MAX_ANGLE_RAD = 6.29
 """A full turn, rounded up: larger angles are degrees."""
 
@@ -243,7 +242,7 @@ def read_urdf(path: Path) -> tuple[Joint, ...]:
         raise UnreadableSourceError(
             f"{path} is not a valid URDF file: it is nested more than {_MAX_URDF_DEPTH} levels deep."
         )
-    if path.suffix == ".xacro" or any(_NAMESPACE_OF_XACRO in str(element.tag) for element in robot.iter()):
+    if path.suffix == ".xacro" or any("wiki/xacro}" in str(element.tag) for element in robot.iter()):
         raise UnreadableSourceError(
             f"{path} has xacro macros; run xacro first (xacro {path.name} > robot.urdf) and give its output."
         )

@@ -35,7 +35,7 @@ def test_everything_is_told(tmp_path: Path, name: str) -> None:
     assert summary.notes == ()
     assert summary.source == str(tmp_path / name)
     assert summary.duration_s == pytest.approx(0.400001)
-    assert [(other.topic, other.message_type, other.count) for other in summary.others] == [
+    assert [(other.name, other.message_type, other.count) for other in summary.others] == [
         ("/tf_static", "tf2_msgs/msg/TFMessage", 1)
     ]
     assert [pose.source for pose in summary.static_transforms] == ["lidar_0"]

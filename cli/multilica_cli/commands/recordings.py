@@ -100,7 +100,9 @@ def _summary_document(summary: SourceSummary) -> dict[str, Any]:
         "format": summary.format,
         "duration_s": summary.duration_s,
         "clouds": [asdict(cloud) for cloud in summary.clouds],
-        "others": [asdict(other) for other in summary.others],
+        "others": [
+            {"topic": other.name, "message_type": other.message_type, "count": other.count} for other in summary.others
+        ],
         "static_transforms": [
             {
                 "parent": transform.target,
@@ -130,7 +132,7 @@ def _print_summary(summary: SourceSummary, console: Console) -> None:
     if summary.others:
         table = FoldingTable("Other topics", ("topic", "type", "messages"), numbers_from=2, keys=2)
         for other in summary.others:
-            table.add_row(other.topic, other.message_type, str(other.count))
+            table.add_row(other.name, other.message_type, str(other.count))
         console.print(table)
     if summary.static_transforms:
         table = FoldingTable("Static transforms", ("parent", "child", *POSE_COLUMNS), numbers_from=2, keys=2)

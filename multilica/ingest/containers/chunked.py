@@ -46,7 +46,6 @@ _MAX_WAITING_BYTES = 256 << 20
 """Chunks that overlap in time wait for each other up to this size; above it, messages are no longer sorted."""
 _WAITING_MESSAGE_BYTES, _KEPT_MESSAGE_BYTES = 512, 256
 """Memory of a message besides its data."""
-_END_OF_TIME = 2**64
 _ZEROS = bytes(4 << 20)
 _MAX_SKIPPED = 1000
 """Regions of zeros; a power loss leaves a few."""
@@ -202,7 +201,7 @@ class ChunkedRecording(Recording):
     def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
         """Yield messages by log time; for a damaged chunk, one with a fault on each topic."""
         chunks = self._chunks_with(topics, start_ns)
-        starts = [*(chunk.start_ns for chunk in chunks[1:]), _END_OF_TIME]
+        starts = [*(chunk.start_ns for chunk in chunks[1:]), 2**64]  # the end of time
         waiting: list[tuple[int, int, RawMessage]] = []
         waiting_bytes = 0
         number = count()

@@ -56,8 +56,6 @@ _FOOTER_BYTES, _CRC_BYTES = 20, 4
 _READ = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.DATA_END)
 _BOUNDED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX)
 _MAX_CHECKED_BYTES = 256 << 20
-_MAX_METADATA_BYTES = 1 << 20
-"""Limit of a record; those of a vehicle or a snapshot take a few hundred bytes."""
 
 (_MAGIC,) = FORMATS["mcap"].magic
 _RECORD_HEAD = struct.Struct("<BQ")
@@ -188,20 +186,18 @@ def _records(stream: ExactReader, place: int) -> Iterator[tuple[int, memoryview]
 def _survey(path: Path, known: _KnownChannels) -> Survey | None:
     """Count messages by the message indexes behind the chunks; None if they are missing or make no sense."""
     found = Survey()
-    stream = ExactReader(path)
-    try:
-        if stream.read(len(_MAGIC)) != _MAGIC:
+    with closing(ExactReader(path)) as stream:
+        try:
+            if stream.read(len(_MAGIC)) != _MAGIC:
+                return None
+            while _add_next(stream, found, known):
+                found.mark(stream.tell())
+        except EndOfFileError as error:
+            found.damage = reason_of(error)
+        except DamagedRecordingError as error:
+            found.damage = error.reason
+        except Exception:  # noqa: BLE001 - reading the messages meets it again and names it
             return None
-        while _add_next(stream, found, known):
-            found.mark(stream.tell())
-    except EndOfFileError as error:
-        found.damage = reason_of(error)
-    except DamagedRecordingError as error:
-        found.damage = error.reason
-    except Exception:  # noqa: BLE001 - reading the messages meets it again and names it
-        return None
-    finally:
-        stream.close()
     return found if found.counts else None
 
 
@@ -364,7 +360,7 @@ def mcap_metadata(path: SourceFile) -> Iterator[Metadata]:
         with closing(ExactReader(path)) as stream:
             summary = make_reader(stream).get_summary()
             for index in (summary.metadata_indexes if summary else [])[:100]:
-                if index.length <= _MAX_METADATA_BYTES:
+                if index.length <= 1 << 20:  # those of a vehicle or a snapshot take a few hundred bytes
                     stream.seek(index.offset + _RECORD_HEAD.size)
                     record = stream.read(index.length - _RECORD_HEAD.size)
                     yield Metadata.read(ReadDataStream(BytesIO(record)))

@@ -53,8 +53,6 @@ _EVERY_MESSAGE = f"""
     SELECT topic_id, {_TIME}, CAST(data AS BLOB) FROM messages WHERE typeof(topic_id) = 'integer' ORDER BY id
 """  # noqa: S608
 _TABLES = ("topics", "messages")
-_EXPRESSION = -2
-"""Number of a column of an index that is none of the table's."""
 _STEPS_PER_BYTE = 20
 _FREE_STEPS = 5_000_000
 """A row has five bytes or more and takes up to a hundred steps of SQLite's machine; a page that is linked many times
@@ -154,9 +152,10 @@ def _require_plain(database: apsw.Connection) -> set[str]:
         if kind == "table":
             tables.add(str(name))
         elif table in _TABLES:
+            # The number -2 stands for a column of the index that is none of the table's.
             columns = database.execute("SELECT cid FROM pragma_index_xinfo(?)", (name,)).fetchall()
             partial = database.execute("SELECT name FROM pragma_index_list(?) WHERE partial", (table,)).fetchall()
-            if (_EXPRESSION,) in columns or (name,) in partial:
+            if (-2,) in columns or (name,) in partial:
                 raise ValueError(f"it defines the index '{name}' with an expression, which a ROS 2 bag does not have")
     for table in tables & {*_TABLES}:
         rows = database.execute("SELECT name FROM pragma_table_xinfo(?) WHERE hidden <> 0", (table,)).fetchall()

@@ -35,7 +35,14 @@ def decode_cloud(message: RawMessage) -> Cloud:
     points_m, intensity = decode_points(PointCloud2(fields, width, 1, stride, len(data), data))
     frame_id = frame_id.strip("/")
     scan = Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity)
-    return Cloud(scan, frame_id, _pose_remark(pose, frame_id))
+    x, y, z, qx, qy, qz, qw = pose
+    turned = max(abs(qx), abs(qy), abs(qz)) > _POSE_TOLERANCE * max(1.0, abs(qw))
+    if math.hypot(x, y, z) <= _POSE_TOLERANCE and not turned:
+        return Cloud(scan, frame_id)
+    remark = (
+        f"gives its clouds a pose of their own in '{frame_id}'; the result is for the cloud's origin, not that frame"
+    )
+    return Cloud(scan, frame_id, remark)
 
 
 _Parts = tuple[int, str, Sequence[float], tuple[PointField, ...], int, bytes]
@@ -96,12 +103,3 @@ def _table_and_data(message: memoryview) -> tuple[dict[str, Any], bytes]:
 
 def _numbers(table: Mapping[str, Any] | None, names: str) -> list[float]:
     return [float((table or {}).get(name, 0.0)) for name in names]
-
-
-def _pose_remark(pose: Sequence[float], frame_id: str) -> str:
-    """Return a remark if the cloud's origin is not that of its frame."""
-    x, y, z, qx, qy, qz, qw = pose
-    turned = max(abs(qx), abs(qy), abs(qz)) > _POSE_TOLERANCE * max(1.0, abs(qw))
-    if math.hypot(x, y, z) <= _POSE_TOLERANCE and not turned:
-        return ""
-    return f"gives its clouds a pose of their own in '{frame_id}'; the result is for the cloud's origin, not that frame"

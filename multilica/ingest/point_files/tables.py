@@ -99,15 +99,11 @@ class PointTable:
             PointCloud2(self.fields, self.rows, 1, self.row_bytes, 0, body, self.storage == "big endian")
         )
 
-    def _needed(self) -> tuple[str, ...]:
-        """Return the names of the fields to read."""
-        return point_dtype(self.fields, self.row_bytes, big_endian=False).names or ()
-
     def _read_text(self, body: memoryview) -> Points:
         """Read lines of numbers; empty ones do not count."""
         ends = accumulate(field.count for field in self.fields)
         columns = {field.name: end - field.count for field, end in reversed([*zip(self.fields, ends, strict=True)])}
-        chosen = [columns[name] for name in self._needed()]
+        chosen = [columns[name] for name in point_dtype(self.fields, self.row_bytes, big_endian=False).names or ()]
         lines = islice(_filled_lines(body), self.skipped[0], self.skipped[0] + self.rows)
         try:
             with warnings.catch_warnings():
@@ -124,7 +120,7 @@ class PointTable:
         raw = _decompressed(self.rows, self.rows * self.row_bytes, body)
         first = {field.name: field for field in reversed(self.fields)}
         columns: list[npt.NDArray[Any]] = []
-        for field in (first[name] for name in self._needed()):
+        for field in (first[name] for name in point_dtype(self.fields, self.row_bytes, big_endian=False).names or ()):
             dtype = np.dtype(f"<{DATATYPES[field.datatype]}")
             # One field of all points after the other, not point after point.
             start, step = field.offset * self.rows, dtype.itemsize * field.count

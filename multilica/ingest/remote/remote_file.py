@@ -16,7 +16,7 @@ from contextlib import ExitStack, closing, contextmanager, suppress
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path, PurePosixPath
-from typing import IO, TYPE_CHECKING, Any, TypeAlias, cast
+from typing import IO, TYPE_CHECKING, Any, Literal, TypeAlias, cast
 from urllib.parse import urlsplit
 
 from multilica.errors import MultilicaError, SourceNotFoundError, UnreadableSourceError
@@ -102,13 +102,11 @@ class RemoteFile:
         """Return mode and size in bytes; all else is zero."""
         return os.stat_result((stat.S_IFREG | 0o444, 0, 0, 0, 0, 0, self._cache.size, 0, 0, 0))
 
-    def open(self, mode: str = "rb", buffering: int = -1) -> IO[bytes]:
+    def open(self, _mode: Literal["rb"] = "rb", buffering: int = -1) -> IO[bytes]:
         """Open a stream; all streams of this object share a cache, whatever the `buffering`."""
         del buffering
         from multilica.ingest.remote.file_cache import CachedStream
 
-        if mode != "rb":
-            raise ValueError(f"expected mode 'rb', found '{mode}'")
         return cast(IO[bytes], CachedStream(self._cache))
 
     def copy(self, what: str) -> Path:

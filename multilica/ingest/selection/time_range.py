@@ -38,8 +38,6 @@ _Evidence: TypeAlias = tuple[str, _Samples] | None
 """Name and samples; None if the recording has no such topic."""
 
 _ODOMETRY, _IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
-_MAX_LIDARS = 4
-"""LiDARs to try until one shows enough throughout."""
 
 _MAX_SPEED_MPS = 0.05
 _MAX_TURN_RAD_S = 0.01
@@ -205,7 +203,7 @@ def _by_clouds(recording: Recording, span: Span) -> _Evidence:
     The LiDAR is the one with the largest clouds that show enough at all times, else at most times.
     """
     found: list[tuple[float, str, _Samples]] = []
-    for topic in _richest_topics(recording, span)[:_MAX_LIDARS]:
+    for topic in _richest_topics(recording, span)[:4]:
         samples = _cloud_samples(recording, topic, span)
         known = np.mean([still is not None for _, still in samples]) if samples else 0.0
         found.append((float(known), topic, samples))

@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 
 from multilica.errors import MultilicaError, UnfitSnapshotError, UnreadableSourceError
-from multilica.ingest import message_types, read_snapshot
-from multilica.ingest.containers import ouster_recording
+from multilica.ingest import message_types, opening, read_snapshot
 from multilica.ingest.message_types import decode_cloud
 from multilica.ingest.recording import RawMessage
 from multilica.sinks.snapshots import write_snapshot_mcap
@@ -132,7 +131,7 @@ def test_velodyne_packets(tmp_path: Path, encoding: str) -> None:
 
 
 def test_packets_name_the_driver_to_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in (message_types, ouster_recording):
+    for module in (message_types, opening):
         monkeypatch.setattr(module, "is_installed", lambda requires: not requires)
     write_raw_mcap(velodyne_messages("cdr"), tmp_path / "a.mcap", "cdr")
     with pytest.raises(

@@ -74,7 +74,7 @@ def test_what_inspect_says(tmp_path: Path) -> None:
     summary = inspect_source(tmp_path / "a.mcap")
     (cloud,) = summary.clouds
     assert (cloud.topic, cloud.frames) == ("/ouster/lidar_packets", 4)
-    assert {topic.topic for topic in summary.others} == {"/ouster/metadata", "/ouster/imu_packets"}
+    assert {topic.name for topic in summary.others} == {"/ouster/metadata", "/ouster/imu_packets"}
     assert not [note for note in summary.notes if "packets" in note]
 
 
