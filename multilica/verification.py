@@ -20,10 +20,6 @@ from multilica.stages.known_poses import require_usable_prior
 from multilica.stages.refine import refine
 from multilica.workers import Workers
 
-# Fewer points in common say nothing.
-_MIN_COMMON = 100
-# Verdicts on poses that stand alone.
-_USABLE = ("accept", "uncertain")
 # A pose near the known one is at least ten times as likely as one that a search finds.
 _KNOWN_LOG_ODDS = 2.3
 
@@ -71,7 +67,7 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
             if PairGraph.of(names, accepted).implied(*pair) is None:
                 target, source = (state.lidars[name].side for name in pair)
                 found.append(register_sides(target, source, [Hypothesis(poses[pair])], config))
-                if found[-1].verdict.outcome in _USABLE and found[-1].information is not None:
+                if found[-1].verdict.outcome in ("accept", "uncertain") and found[-1].information is not None:
                     accepted.append(found[-1])
     graph = PairGraph.of(names, accepted)
     root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
@@ -96,5 +92,5 @@ def _trusting(config: CalibrationConfig) -> CalibrationConfig:
 def _by_common_points(scores: Mapping[PairKey, Registration]) -> list[PairKey]:
     """Order pairs by the points that both LiDARs see, agreeing or not: those of one that moved disagree."""
     common = {pair: score.visibility.agree + score.visibility.violate for pair, score in scores.items()}
-    enough = [pair for pair in common if common[pair] >= _MIN_COMMON]
+    enough = [pair for pair in common if common[pair] >= 100]  # fewer points in common say nothing
     return sorted(enough, key=lambda pair: (-common[pair], pair))

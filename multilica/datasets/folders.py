@@ -64,12 +64,12 @@ def _is_scene(folder: Path) -> bool:
     if (folder / "metadata.yaml").is_file():
         return True
     entries = [entry for entry in folder.iterdir() if not entry.name.startswith(".")]
-    return any(_is_read(entry, Content.CLOUD) for entry in entries if entry.is_file())
+    return any(_is_read(entry, "cloud") for entry in entries if entry.is_file())
 
 
-def _is_read(file: Path, content: Content = Content.RECORDING) -> bool:
+def _is_read(file: Path, content: Content = "recording") -> bool:
     named = named_format(file)
-    return named is not None and named.content is content
+    return named is not None and named.content == content
 
 
 def read_opencalib(path: Path, request: SceneRequest) -> Iterator[DatasetScene]:

@@ -6,7 +6,7 @@ little-endian records without a header, in files that are named after their time
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,25 +33,22 @@ _PLAUSIBLE_SHARE = 0.9
 """As for KITTI's files: of random bytes, seven in eight are no coordinates."""
 _FLOAT32, _UINT8 = 7, 2
 _XYZ = tuple(PointField(axis, 4 * index, _FLOAT32) for index, axis in enumerate("xyz"))
-
-
-def _layout(point_bytes: int, intensity: PointField) -> PointTable:
-    return PointTable((*_XYZ, intensity), row_bytes=point_bytes)
-
-
 _REFLECTIVITY = PointField("intensity", 12, _FLOAT32)
-_LAYOUTS: Mapping[str, PointTable] = {
-    "Ouster": _layout(26, _REFLECTIVITY),  # then t, reflectivity, ring, ambient
-    "Velodyne": _layout(22, _REFLECTIVITY),  # then ring, time
-    "Avia": _layout(19, PointField("intensity", 12, _UINT8)),  # then tag, line, offset_time
-    "Aeva": _layout(25, _REFLECTIVITY),  # then velocity, time_offset_ns, line_index
+_LAYOUTS: Mapping[str, tuple[int, PointField]] = {
+    "Ouster": (26, _REFLECTIVITY),  # then t, reflectivity, ring, ambient
+    "Velodyne": (22, _REFLECTIVITY),  # then ring, time
+    "Avia": (19, PointField("intensity", 12, _UINT8)),  # then tag, line, offset_time
+    "Aeva": (25, _REFLECTIVITY),  # then velocity, time_offset_ns, line_index
 }
-_LONG_AEVA = _layout(29, PointField("intensity", 25, _FLOAT32))
+_LONG_AEVA = (29, PointField("intensity", 25, _FLOAT32))
+"""Bytes of a point, and the place of its intensity; x, y and z begin each point."""
 
 
 def point_layout(lidar: str, stamp_ns: int) -> PointTable:
     """Return the layout of the points of a LiDAR at a time, without a number of rows."""
-    return _LONG_AEVA if lidar == "Aeva" and stamp_ns > LAST_SHORT_AEVA_NS else _LAYOUTS[lidar]
+    is_long = lidar == "Aeva" and stamp_ns > LAST_SHORT_AEVA_NS
+    point_bytes, intensity = _LONG_AEVA if is_long else _LAYOUTS[lidar]
+    return PointTable((*_XYZ, intensity), row_bytes=point_bytes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +76,7 @@ class ScanFiles:
                 f"{path} has {len(data)} bytes; expected points of {layout.row_bytes} bytes each, as HeLiPR's "
                 f"{self.lidar} has them at that time."
             )
-        table = PointTable(layout.fields, len(data) // layout.row_bytes, layout.row_bytes)
+        table = replace(layout, rows=len(data) // layout.row_bytes)
         points_m, intensity = table.read_records(memoryview(data))
         if np.count_nonzero(np.abs(points_m) < _FARTHEST_M) < _PLAUSIBLE_SHARE * 3 * table.rows:
             raise UnreadableSourceError(f"{path} has no coordinates where HeLiPR's {self.lidar} has them.")

@@ -77,12 +77,6 @@ class _PresetRuns:
     truths: list[Truth] = field(default_factory=list)
     stages_s: list[float] = field(default_factory=list)
 
-    def figures(self, limits: Tolerances) -> PresetFigures:
-        return PresetFigures(
-            median_stages_s=np.median(self.stages_s) if self.stages_s else None,
-            table=paper_table(self.runs, self.truths, limits) if self.runs else None,
-        )
-
 
 def run_presets(
     dataset: str,
@@ -135,7 +129,13 @@ def run_presets(
         scenes=tuple(names),
         without_truth=tuple(without_truth),
         refused=tuple(refused),
-        presets={name: each.figures(limits) for name, each in found.items()},
+        presets={
+            name: PresetFigures(
+                median_stages_s=np.median(each.stages_s) if each.stages_s else None,
+                table=paper_table(each.runs, each.truths, limits) if each.runs else None,
+            )
+            for name, each in found.items()
+        },
         published=published(dataset, limits),
     )
 

@@ -5,7 +5,7 @@ To add a format, write its reader and add one entry to `FORMATS`.
 """
 
 from dataclasses import dataclass
-from enum import Enum
+from typing import Literal
 
 from multilica.documents import LFS_POINTER
 from multilica.errors import UnreadableSourceError
@@ -13,14 +13,8 @@ from multilica.ingest.decompression import ZSTD_MAGIC
 from multilica.ingest.remote.remote_file import SourceFile
 
 HEAD_BYTES = 1024
-
-
-class Content(Enum):
-    """Content of a file of a format."""
-
-    RECORDING = "messages of several topics"
-    CLOUD = "one point cloud"
-    FILE = "another file, compressed"
+Content = Literal["recording", "cloud", "compressed"]
+"""Content of a file: messages of several topics, one point cloud, or another file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +52,6 @@ class FileFormat:
         return first.upper().startswith(self.first_words)
 
 
-_MESSAGES, _CLOUD = Content.RECORDING, Content.CLOUD
 FORMATS = {
     entry.name: entry
     for entry in (
@@ -66,7 +59,7 @@ FORMATS = {
             "mcap",
             "an MCAP file",
             (".mcap",),
-            _MESSAGES,
+            "recording",
             "containers.mcap_file",
             (b"\x89MCAP0\r\n",),
             reads_ranges=True,
@@ -75,24 +68,26 @@ FORMATS = {
             "sqlite3",
             "an SQLite file (ROS 2 bag)",
             (".db3",),
-            _MESSAGES,
+            "recording",
             "containers.ros2_sqlite",
             (b"SQLite format 3\0",),
         ),
         FileFormat(
-            "ros1", "a ROS 1 bag", (".bag", ".bag.active"), _MESSAGES, "containers.ros1_bag", (b"#ROSBAG V2.0",)
+            "ros1", "a ROS 1 bag", (".bag", ".bag.active"), "recording", "containers.ros1_bag", (b"#ROSBAG V2.0",)
         ),
-        FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), Content.FILE, "", (ZSTD_MAGIC,)),
-        FileFormat("ply", "a PLY file", (".ply",), _CLOUD, "point_files.tables", (b"ply\n", b"ply\r")),
-        FileFormat("las", "a LAS file", (".las", ".laz"), _CLOUD, "point_files.las", (b"LASF",)),
-        FileFormat("npy", "a NumPy file", (".npy",), _CLOUD, "point_files.raw_arrays", (b"\x93NUMPY",)),
-        FileFormat("pcd", "a PCD file", (".pcd",), _CLOUD, "point_files.tables", (b"# .PCD",), (b"VERSION", b"FIELDS")),
-        FileFormat("kitti", "a float32 file (KITTI)", (".bin",), _CLOUD, "point_files.raw_arrays"),
-        FileFormat("nuscenes", "a float32 file (nuScenes)", (".pcd.bin",), _CLOUD, "point_files.raw_arrays"),
+        FileFormat("zstd", "compressed with zstd", (".zst", ".zstd"), "compressed", "", (ZSTD_MAGIC,)),
+        FileFormat("ply", "a PLY file", (".ply",), "cloud", "point_files.tables", (b"ply\n", b"ply\r")),
+        FileFormat("las", "a LAS file", (".las", ".laz"), "cloud", "point_files.las", (b"LASF",)),
+        FileFormat("npy", "a NumPy file", (".npy",), "cloud", "point_files.raw_arrays", (b"\x93NUMPY",)),
+        FileFormat(
+            "pcd", "a PCD file", (".pcd",), "cloud", "point_files.tables", (b"# .PCD",), (b"VERSION", b"FIELDS")
+        ),
+        FileFormat("kitti", "a float32 file (KITTI)", (".bin",), "cloud", "point_files.raw_arrays"),
+        FileFormat("nuscenes", "a float32 file (nuScenes)", (".pcd.bin",), "cloud", "point_files.raw_arrays"),
     )
 }
 """Name -> format; the first one that matches is taken."""
-_NAMED = {suffix: entry for entry in FORMATS.values() for suffix in entry.suffixes if entry.content is not Content.FILE}
+_NAMED = {suffix: entry for entry in FORMATS.values() for suffix in entry.suffixes if entry.content != "compressed"}
 
 _UNSUPPORTED = (
     (b"#ROSBAG", "a ROS 1 bag of an old version; convert it with `rosbag migrate`"),
@@ -112,7 +107,7 @@ def named_format(path: SourceFile) -> FileFormat | None:
 def named_content(path: SourceFile) -> Content | None:
     """Return what a file holds by its name, messages if it is compressed; None if the name does not tell."""
     named = named_format(path)
-    return named.content if named else Content.RECORDING if name_unpacked(path.name) != path.name else None
+    return named.content if named else "recording" if name_unpacked(path.name) != path.name else None
 
 
 def name_unpacked(name: str) -> str:

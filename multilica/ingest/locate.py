@@ -11,7 +11,7 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
-from multilica.ingest.formats import FORMATS, Content, detect_format, name_unpacked, named_content, named_format
+from multilica.ingest.formats import FORMATS, detect_format, name_unpacked, named_content, named_format
 from multilica.ingest.remote.address import require_readable, scheme_of
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 
@@ -98,7 +98,7 @@ def _look_at(path: SourceFile) -> Source:
         return _folder(path)
     if not path.is_file():
         raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
-    if detect_format(path).content is not Content.CLOUD:
+    if detect_format(path).content != "cloud":
         return Source(str(path), recordings=(path,))
     return Source(str(path), frames=(FrameFiles(path.name, _stem(path), (path,)),))
 
@@ -123,7 +123,7 @@ def _several(paths: list[SourceFile]) -> Source:
 def _folder(folder: Path) -> Source:
     entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
     files = [entry for entry in entries if entry.is_file()]
-    recordings = [path for path in files if named_content(path) is Content.RECORDING]
+    recordings = [path for path in files if named_content(path) == "recording"]
     frames = _frames(entries)
     if recordings and frames:
         raise UsageError(
@@ -161,7 +161,7 @@ def _stem(path: SourceFile) -> str:
 
 
 def _is_cloud_file(path: Path) -> bool:
-    return named_content(path) is Content.CLOUD and not path.name.startswith(".") and path.is_file()
+    return named_content(path) == "cloud" and not path.name.startswith(".") and path.is_file()
 
 
 def _natural(path: Path) -> tuple[list[int | str], str]:

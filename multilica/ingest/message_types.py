@@ -9,7 +9,7 @@ from functools import cache
 from importlib import import_module
 
 from multilica.errors import UnreadableSourceError
-from multilica.ingest.formats import FORMATS, Content
+from multilica.ingest.formats import FORMATS
 from multilica.ingest.memory import require_decodable
 from multilica.ingest.recording import RawMessage, Topic, reason_of
 from multilica.optional_libraries import OPTIONAL_LIBRARIES
@@ -93,7 +93,7 @@ MESSAGE_TYPES = {
         *(
             MessageType((file.name.upper(),), (file.name,), file.reader)
             for file in FORMATS.values()
-            if file.content is Content.CLOUD
+            if file.content == "cloud"
         ),
     )
     for name in entry.names

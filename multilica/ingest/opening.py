@@ -15,7 +15,7 @@ from typing import cast
 import zstandard
 
 from multilica.errors import UnreadableSourceError, UsageError
-from multilica.ingest.formats import Content, FileFormat, detect_format, named_format
+from multilica.ingest.formats import FileFormat, detect_format, named_format
 from multilica.ingest.locate import FrameFiles, Source, locate
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import MESSAGE_TYPES, OUSTER, decode_cloud, is_cloud, is_installed
@@ -65,7 +65,7 @@ def open_source(source: Source) -> Recording:
 
 def _open_file(file: SourceFile) -> Recording:
     found = detect_format(file)
-    if found.content is Content.FILE:
+    if found.content == "compressed":
         return _open_packed(path_on_disk(file, "a compressed file"), str(file))
     return _read_by(found, file if found.reads_ranges else path_on_disk(file, found.title), str(file))
 
@@ -126,7 +126,7 @@ def _open_packed(path: Path, where: str) -> Recording:
         unpacked = opened.enter_context(scratch_folder()) / path.stem
         _unpack(path, unpacked, where)
         found = detect_format(unpacked, f"{where} unpacks to a file that")
-        if found.content is not Content.RECORDING:
+        if found.content != "recording":
             raise UnreadableSourceError(f"{where} does not unpack to a recording; unpack it with `zstd -d`.")
         part = opened.enter_context(closing(_read_by(found, unpacked, where)))
         return _CombinedRecording(f"{part.format}, zstd", [part], part.topics, opened.pop_all())

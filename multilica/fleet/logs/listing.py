@@ -19,7 +19,7 @@ import numpy as np
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.store.store import vehicle_name
-from multilica.ingest.formats import Content, named_content
+from multilica.ingest.formats import named_content
 from multilica.ingest.remote.address import require_readable, scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 
@@ -155,14 +155,14 @@ def _logs_below(folder: Path, above: frozenset[Path] = frozenset()) -> Iterator[
         return
     entries = sorted(each for each in folder.iterdir() if not each.name.startswith("."))
     if (folder / "metadata.yaml").is_file() or any(
-        named_content(each) is Content.CLOUD for each in entries if each.is_file()
+        named_content(each) == "cloud" for each in entries if each.is_file()
     ):
         yield folder
         return
     for each in entries:
         if each.is_dir():
             yield from _logs_below(each, above | {real})
-        elif (each.is_file() or not each.exists()) and named_content(each) is Content.RECORDING:
+        elif (each.is_file() or not each.exists()) and named_content(each) == "recording":
             yield each
 
 
@@ -186,7 +186,7 @@ def _in_bucket(given: str) -> Iterator[FleetLog]:
         found: Mapping[str, Mapping[str, Any]] = (
             system.glob(path, detail=True) if has_magic(path) else system.find(path, detail=True)
         )
-    logs = [each for each in sorted(found) if named_content(Path(each)) is Content.RECORDING]
+    logs = [each for each in sorted(found) if named_content(Path(each)) == "recording"]
     if not logs:
         raise SourceNotFoundError(f"There is no recording at {without_secrets(given)}.")
     for each in logs:
