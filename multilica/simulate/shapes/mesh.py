@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -113,8 +114,15 @@ def cylinder(radius_m: float, z0_m: float, z1_m: float, top_radius_m: float | No
 
 
 def _circle(radius_m: float, z_m: float, sides: int) -> FloatArray:
+    circle = np.full((sides + 1, 3), z_m)
+    circle[:, :2] = radius_m * _unit_circle(sides)
+    return circle
+
+
+@cache
+def _unit_circle(sides: int) -> FloatArray:
     angles = np.linspace(0.0, 2.0 * np.pi, sides + 1)
-    return np.column_stack([radius_m * np.cos(angles), radius_m * np.sin(angles), np.full(sides + 1, z_m)])
+    return np.column_stack([np.cos(angles), np.sin(angles)])
 
 
 def tube(start_m: Point, end_m: Point, radius_m: float, sides: int = 8) -> Mesh:

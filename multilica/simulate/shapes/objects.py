@@ -3,6 +3,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -32,6 +33,7 @@ CAR_SHAPES = {
 }
 
 
+@cache
 def car(shape: CarShape) -> Mesh:
     """Build a car on its wheels, heading along x, its middle over the origin."""
     half_x, half_y = shape.length_m / 2.0, shape.width_m / 2.0
