@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import warnings
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +18,18 @@ class Recording:
 
     def __init__(self, path: Path) -> None:
         self.chunks = _open(path).stream().to_chunks()
-        self.rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        for chunk in self.chunks:
-            batch = chunk.to_record_batch()
-            untimed = [name for name in batch.schema.names if not pa.types.is_timestamp(batch.schema.field(name).type)]
-            self.rows[chunk.entity_path] += batch.select(untimed).to_pylist()
+        self._rows: dict[str, list[dict[str, Any]]] = {}
+
+    def rows(self, path: str) -> list[dict[str, Any]]:
+        """The rows of one path; those of clouds take long."""
+        if path not in self._rows:
+            chunks = (chunk for chunk in self.chunks if chunk.entity_path == path)
+            self._rows[path] = [row for chunk in chunks for row in _untimed(chunk)]
+        return self._rows[path]
 
     @property
     def entity_paths(self) -> set[str]:
-        return {path for path in self.rows if not path.startswith("/__properties")}
+        return {chunk.entity_path for chunk in self.chunks if not chunk.entity_path.startswith("/__properties")}
 
     @property
     def timelines(self) -> set[str]:
@@ -35,25 +37,26 @@ class Recording:
 
     @property
     def frames(self) -> set[str]:
-        cells = (row.get(name) for rows in self.rows.values() for row in rows for name in FRAME_COLUMNS)
-        return {frame for cell in cells for frame in cell or ()}
+        batches = [chunk.to_record_batch() for chunk in self.chunks]
+        columns = [batch.column(name) for batch in batches for name in FRAME_COLUMNS if name in batch.schema.names]
+        return {frame for column in columns for cell in column.to_pylist() for frame in cell or ()}
 
     @property
     def log(self) -> list[tuple[int, str, str]]:
         """(step, level, text) in order."""
-        rows = sorted(self.rows["/log"], key=lambda row: row["step"])
+        rows = sorted(self.rows("/log"), key=lambda row: row["step"])
         return [(row["step"], row["TextLog:level"][0], row["TextLog:text"][0]) for row in rows]
 
     def properties(self) -> dict[str, str]:
         """The last value of each."""
         found: dict[str, str] = {}
-        for row in self.rows["/__properties/multilica"]:
+        for row in self.rows("/__properties/multilica"):
             found |= {name: cell[0] for name, cell in row.items() if isinstance(cell, list) and cell}
         return found
 
     def cells(self, path: str, column: str, timeline: str = "step") -> list[tuple[int, Any]]:
         """(time, cell) of every row that has something in that column, in order."""
-        rows = [(row[timeline], row[column]) for row in self.rows[path] if row.get(column) and timeline in row]
+        rows = [(row[timeline], row[column]) for row in self.rows(path) if row.get(column) and timeline in row]
         return sorted(rows, key=lambda row: row[0])
 
     def last(self, path: str, column: str) -> Any:
@@ -65,6 +68,12 @@ def _open(path: Path) -> RrdReader:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="RRD file has no footer")
         return RrdReader(path)
+
+
+def _untimed(chunk: Any) -> list[dict[str, Any]]:
+    batch = chunk.to_record_batch()
+    names = [name for name in batch.schema.names if not pa.types.is_timestamp(batch.schema.field(name).type)]
+    return batch.select(names).to_pylist()
 
 
 def blueprint_names(path: Path) -> list[set[str]]:

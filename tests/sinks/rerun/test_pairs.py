@@ -34,7 +34,7 @@ def test_scored_points_are_logged_once_with_labels_per_pose(partial):
 
 
 def test_the_classes_have_names(partial):
-    annotations = partial.rows["/pairs"][0]["AnnotationContext:context"][0]
+    annotations = partial.rows("/pairs")[0]["AnnotationContext:context"][0]
     assert {entry["class_id"]: entry["class_description"]["info"]["label"] for entry in annotations} == {
         int(label): label.name.lower() for label in BeamLabel
     }
