@@ -10,12 +10,15 @@ SAMPLE := recordings/samples/edgar-street.mcap
 # One worker runs a module, so that its fixtures are made once.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
+# Linters, tests and installations wait often enough to run beside each other, on two cores too.
+MAKEFLAGS += --jobs=3
+
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Compiled modules are kept wherever make runs: without them each start of Python takes longer than most tests.
 export PYTHONDONTWRITEBYTECODE :=
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo check test nightly test-kernel test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
+.PHONY: help libraries pictures demo check test nightly quick-tests test-kernel test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -23,7 +26,9 @@ help: ## List the targets.
 demo: $(READY) ## Set everything up, then calibrate the embedded sample.
 	@$(BIN)/multilica demo
 
-check: lint ## Run the linters and the quick tests; a minute.
+check: lint quick-tests ## Run the linters and the quick tests; a minute.
+
+quick-tests: $(READY)
 	$(PYTEST) -m "not slow" --fail-slow 2
 
 test: lint pytest test-kernel ## Set everything up, then run all checks and tests; ten minutes.
@@ -84,26 +89,27 @@ clean: ## Remove the environment and what tools cached.
 libraries:
 	@$(PYTHON) .ci/system_libraries.py
 
-pictures:
+pictures: | libraries
 	@$(PYTHON) .ci/system_libraries.py --pictures
 
 $(READY): pyproject.toml constraints.txt | libraries
 	@echo "installing into $(VENV): 2.4 GB, a minute or a few"
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@$(BIN)/python -m pip install --quiet --upgrade 'pip>=25.1'
-	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[all]' --group dev
+	@$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[all]' --group dev
 	@$(BIN)/python -m pip install --quiet --no-deps ouster-sdk==1.0.1 \
 	|| echo "tests of Ouster's packets are skipped: ouster-sdk has no wheel for this machine"
+	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # on all cores, as pip does not
 	@touch $@
 
 node: $(NODE_READY)
 
-$(NODE_READY): tests/node/package.json
+$(NODE_READY): tests/node/package.json | libraries
 	@if command -v npm >/dev/null && npm install --prefix tests/node --no-package-lock --no-audit --no-fund --silent; \
 	then touch $@; else echo "tests that read with npm packages are skipped: npm is missing or failed"; fi
 
 ros2: $(ROS2_READY)
 
-$(ROS2_READY): tests/ros2/requirements.txt
+$(ROS2_READY): tests/ros2/requirements.txt | libraries
 	@if $(PYTHON) -m venv tests/ros2/.venv && tests/ros2/.venv/bin/pip install --quiet --prefer-binary -r $<; \
 	then touch $@; else rm -rf tests/ros2/.venv; echo "a test that reads with ROS 2 is skipped: no wheels for this machine"; fi

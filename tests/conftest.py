@@ -40,3 +40,11 @@ def _one_core():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("multilica.workers.processes.available_cores", lambda: 1)
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_loss_of_power():
+    """Files of tests need not outlast one, and waiting for the disk takes seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("os.fsync", lambda _: None)
+        yield

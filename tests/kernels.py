@@ -55,8 +55,8 @@ def probe(chosen: dict[str, str]) -> tuple[set[str], set[str], list[str]]:
     return {ALIASES.get(name, name) for name in copies}, set(baseline), found
 
 
-def run_tests(kernel: str, arguments: list[str]) -> str:
-    """Run the tests with one kernel; return what came of it."""
+def run_tests(kernel: str, arguments: list[str], *, beside_others: bool = False) -> str:
+    """Run the tests with one kernel; return what came of it. Beside other tests, print their output when they ended."""
     _, baseline, found = probe({})
     if not NEEDED[kernel] & {*baseline, *found}:
         return f"skipped: this CPU has none of {', '.join(sorted(NEEDED[kernel]))}"
@@ -68,8 +68,10 @@ def run_tests(kernel: str, arguments: list[str]) -> str:
     if used != {kernel} or {*kept} & {*disabled}:
         return f"failed: {chosen} is ignored: OpenBLAS uses {', '.join(sorted(used))}, NumPy {', '.join(kept)}"
     print(f"== {kernel}: NumPy without {' '.join(disabled) or '-'}", flush=True)
-    code = subprocess.run([*PYTEST, *arguments], env=os.environ | chosen, check=False).returncode
-    return f"failed: pytest ended with {code}" if code else "passed"
+    output = subprocess.PIPE if beside_others else None
+    ended = subprocess.run([*PYTEST, *arguments], env=os.environ | chosen, stdout=output, text=True, check=False)
+    print(ended.stdout or "", end="", flush=True)
+    return f"failed: pytest ended with {ended.returncode}" if ended.returncode else "passed"
 
 
 def main() -> int:
@@ -78,7 +80,7 @@ def main() -> int:
     parser.add_argument("--push", action="store_true", help=f"only {PUSH_KERNEL}, and only tests of numbers")
     given, others = parser.parse_known_args()
     kernels, folders = ([PUSH_KERNEL], NUMERIC) if given.push else (ALLOWED, FOLDERS)
-    outcomes = {kernel: run_tests(kernel, [*folders, *others]) for kernel in kernels}
+    outcomes = {kernel: run_tests(kernel, [*folders, *others], beside_others=given.push) for kernel in kernels}
     print("", *(f"{kernel}: {outcome}" for kernel, outcome in outcomes.items()), sep="\n")
     return int(any(outcome.startswith("failed") for outcome in outcomes.values()))
 

@@ -21,13 +21,13 @@ from tests.cli.support import ROOT, write_pcd
 from tests.ingest.support.recording_writers import write_ros1_bag
 
 LIDARS = ("front", "left", "rear")
-FRAMES = 140
+FRAMES = 50
 FEW_FRAMES = 12
 START_NS = 1_777_897_790_000_000_000
 """Ten seconds before the time that a page names: 2026-05-04T12:30:00Z."""
 PERIOD_NS = 500_000_000
-SHARES = 16
-"""A frame is a random sixteenth of a scan of the sample, so that no two are equal."""
+SHARES = 20
+"""A frame is a random twentieth of a scan of the sample, so that no two are equal."""
 FEW_SHARES = 2
 """The same for logs of a fleet, in whose single frames the ground and walls must be seen."""
 DEAD = np.zeros((0, 3), np.float32)
@@ -112,7 +112,7 @@ def _write_logs(folder: Path) -> None:
     logs = folder / "logs" / "bus-7"
     logs.mkdir(parents=True)
     for seed, name in enumerate(("monday", "tuesday")):
-        write_snapshot_mcap(_snapshot(seed, shares=FEW_SHARES), logs / f"{name}.mcap")
+        write_snapshot_mcap(_snapshot(seed, frames=FEW_FRAMES // 2, shares=FEW_SHARES), logs / f"{name}.mcap")
     rows = [f"logs/bus-7/{name}.mcap,bus-7,2026-06-0{day}" for day, name in enumerate(("monday", "tuesday"), 1)]
     (folder / "june.csv").write_text("\n".join(["source,vehicle,time", *rows, ""]), encoding="utf-8")
 

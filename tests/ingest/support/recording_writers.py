@@ -9,10 +9,12 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from mcap_ros2.writer import Writer as McapRos2Writer
 from rosbags import rosbag1, rosbag2
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
@@ -216,8 +218,11 @@ def write_ros2_bag(
     writer = rosbag2.Writer(folder, version=9, storage_plugin=storage)
     if compression != rosbag2.CompressionMode.NONE:
         writer.set_compression(compression, rosbag2.CompressionFormat.ZSTD)
-    with writer:
-        _write_all(writer, raw_messages(snapshot, store, "cdr"), store)
+    with pytest.MonkeyPatch.context() as patch:
+        # It need not outlast a loss of power, and waiting for the disk takes long.
+        patch.setattr(Sqlite3Writer, "SQLITE_SCHEMA", f"PRAGMA synchronous = OFF;{Sqlite3Writer.SQLITE_SCHEMA}")
+        with writer:
+            _write_all(writer, raw_messages(snapshot, store, "cdr"), store)
 
 
 def write_ros1_bag(snapshot: Snapshot, path: Path, compression: rosbag1.Writer.CompressionFormat | None = None) -> None:
