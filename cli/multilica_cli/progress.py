@@ -24,7 +24,7 @@ from multilica import events
 from multilica_cli.terminal import printable, stderr_console
 
 if TYPE_CHECKING:
-    from multilica.fleet.fleet_run import FleetObserver, LogsPlanned
+    from multilica.fleet.fleet_run import FleetObserver, FleetOutcome
     from multilica.fleet.store.records import LogRow
     from multilica.ingest.recording import MessageObserver
 
@@ -148,7 +148,7 @@ def show_count(name: str, total: int) -> Iterator[Callable[[], None]]:
 @contextmanager
 def show_fleet(*, quiet: bool) -> Iterator[FleetObserver]:
     """Show on stderr how far the run is, its rate and failures, and a line for each log without a result."""
-    from multilica.fleet.fleet_run import LogsPlanned
+    from multilica.fleet.fleet_run import FleetOutcome
 
     console = stderr_console(quiet=quiet)
     columns = (
@@ -164,12 +164,12 @@ def show_fleet(*, quiet: bool) -> Iterator[FleetObserver]:
     bars = Progress(*columns, console=console, disable=quiet or not console.is_terminal)
     task, bad, done, to_do = bars.add_task("finding logs", total=None), 0, 0, 0
 
-    def observe(event: LogsPlanned | LogRow) -> None:
+    def observe(event: FleetOutcome | LogRow) -> None:
         nonlocal bad, done, to_do
-        if isinstance(event, LogsPlanned):
-            to_do = event.to_do
+        if isinstance(event, FleetOutcome):
+            to_do = event.found - event.skipped
             bars.update(task, total=to_do, description="logs")
-            console.print(f"{event.found} logs, {event.found - to_do} of them finished before.")
+            console.print(f"{event.found} logs, {event.skipped} of them finished before.")
             return
         done += 1
         if event.state in ("refused", "failed"):

@@ -6,16 +6,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from multilica.fleet.store.query import ask
+from multilica.fleet.store.store import Store
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, read_only
-
-if TYPE_CHECKING:
-    from multilica.fleet.store.store import Store
 
 IndexArray = npt.NDArray[np.int64]
 
@@ -83,14 +82,9 @@ class LidarSeries:
     def with_known_covariances(self) -> LidarSeries:
         """Return the logs whose covariance is known, as keys, times, poses and covariances."""
         known = np.flatnonzero(~np.isnan(self.covariances[:, 0, 0]))
+        keys, poses = tuple(self.keys[index] for index in known), tuple(self.T_target_lidar[index] for index in known)
         return LidarSeries(
-            self.vehicle,
-            self.lidar,
-            self.target,
-            tuple(self.keys[index] for index in known),
-            self.time_ns[known],
-            tuple(self.T_target_lidar[index] for index in known),
-            self.covariances[known],
+            self.vehicle, self.lidar, self.target, keys, self.time_ns[known], poses, self.covariances[known]
         )
 
     def offsets(self, reference: RigidTransform) -> FloatArray:
@@ -120,8 +114,6 @@ class LidarSeries:
 
 def read_series(store: Store) -> Iterator[LidarSeries]:
     """Yield the poses of each LiDAR of each vehicle, relative to each target that its logs have."""
-    from multilica.fleet.store.query import ask
-
     with ask(store, _ROWS) as answer:
         for (vehicle, lidar, target), group in groupby(answer.rows(), key=lambda row: row[:3]):
             yield _series(vehicle, lidar, target, [row[3:] for row in group])

@@ -14,7 +14,7 @@ from rich.cells import cell_len
 from rich.console import Console
 
 from multilica.config import preset, with_overrides
-from multilica.fleet.fleet_run import LogsPlanned
+from multilica.fleet.fleet_run import FleetOutcome
 from multilica.fleet.store.records import LogRow
 from multilica.run import run_calibration
 from multilica_cli.commands.calibrate import find_sample
@@ -209,7 +209,7 @@ def test_progress_of_the_fleet_fits(capsys, monkeypatch, width):
         "k", "truck-0123456789", 0, "s3://bucket/truck/2026-03-01.mcap", "f", 1, "failed", "damaged", reason_text=told
     )
     with show_fleet(quiet=False) as observe:
-        observe(LogsPlanned(12_000, 12_000))
+        observe(FleetOutcome(12_000))
         for _ in range(2_000):
             observe(row)
     text = _CODES.sub("", capsys.readouterr().err)

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from multilica.extrinsics import Extrinsics
-from multilica.fleet.drift.fleet_offsets import find_offsets
+from multilica.fleet.drift.drift import find_offsets
 from tests.fleet.made_series import MOUNTED, Motion, made_fleet, made_vehicle, moved_mounting
 
 _NOMINAL = Extrinsics("top", MOUNTED)

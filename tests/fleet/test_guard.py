@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 import threading
 from concurrent.futures import CancelledError
+from dataclasses import replace
 
 import pytest
 
@@ -48,7 +49,7 @@ def test_a_unit_that_ends_badly_has_its_row(tmp_path, source, reason, words):
 
 def test_a_unit_that_hangs_is_killed(tmp_path):
     run_guarded(request(tmp_path, "fine-1"), LIMITS)  # the libraries are loaded
-    summary = run_guarded(request(tmp_path, "hang-1"), LIMITS.model_copy(update={"time_s": 0.5}))
+    summary = run_guarded(request(tmp_path, "hang-1"), replace(LIMITS, time_s=0.5))
     assert (summary.state, summary.reason) == ("failed", "timeout")
 
 

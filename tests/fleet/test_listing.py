@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.fleet.logs.listing import LogPattern, find_logs
+from multilica.fleet.listing import LogPattern, find_logs
 
 MARCH_NS = int(datetime(2026, 3, 1, 12, 30, tzinfo=UTC).timestamp()) * 10**9
 

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from multilica.fleet.drift.drift import find_drift, find_outages
+from multilica.fleet.drift.drift import find_drift, find_offsets, find_outages
 from multilica.fleet.drift.findings import DriftEvent
-from multilica.fleet.drift.fleet_offsets import find_offsets
 from multilica.fleet.lidar_series import read_series
 from multilica.fleet.report import page as page_module
 from multilica.fleet.report.page import (

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
-from multilica.fleet.store.records import LIDARS_SCHEMA, LidarRow, LogRow
+from multilica.fleet.store.records import TABLES, LidarRow, LogRow
 from multilica.fleet.store.store import folder_name, open_store, vehicle_name
 from tests.fleet.support.buckets import bucket
 from tests.fleet.support.requests import DAY_NS, START_NS
@@ -66,7 +66,7 @@ def test_other_readers_read_the_parts(tmp_path):
     assert found.select("vehicle", "lidar").fetchall() == [("v 1", "left")]
     (part,) = store.parts("lidars")
     schema = pq.read_schema(tmp_path / part)
-    assert schema.equals(LIDARS_SCHEMA)
+    assert schema.equals(TABLES["lidars"])
     assert schema.metadata[b"multilica.schema_version"] == b"1"
 
 

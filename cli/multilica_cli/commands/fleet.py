@@ -91,7 +91,7 @@ def run(
     """
     from multilica.checks import RigTolerances, Tolerance
     from multilica.fleet.fleet_run import FleetOptions, run_fleet
-    from multilica.fleet.logs.listing import LogPattern
+    from multilica.fleet.listing import LogPattern
     from multilica.fleet.store.store import open_store
     from multilica.fleet.tasks.guard import LogTaskLimits
     from multilica_cli.progress import show_fleet
@@ -124,10 +124,7 @@ def run(
 
 @fleet.command()
 def query(
-    sql: Annotated[
-        str,
-        argument("SQL", "Question in the SQL of DuckDB; tables: lidars, logs."),
-    ],
+    sql: Annotated[str, argument("SQL", "Question in the SQL of DuckDB; tables: lidars, logs.")],
     *,
     store: options.FleetStore,
     form: _Format = "table",
@@ -189,9 +186,8 @@ def drift(
     Exits with 0 if there are none, else with 5.
     """
     from multilica.exports import read_extrinsics
-    from multilica.fleet.drift.drift import find_drift, find_outages
+    from multilica.fleet.drift.drift import find_drift, find_offsets, find_outages
     from multilica.fleet.drift.findings import drift_document
-    from multilica.fleet.drift.fleet_offsets import find_offsets
     from multilica.fleet.lidar_series import read_series
 
     opened = _opened(store)

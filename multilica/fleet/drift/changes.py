@@ -267,36 +267,25 @@ def find_changes(poses: ScatteredPoses, false_alarm_rate: float) -> SeriesChange
     fits = PeriodFits(poses)
     thresholds = Thresholds(false_alarm_rate, fits.count, poses.dof)
     periods = _partition(fits, thresholds)
-    while (weakest := _weakest(poses, fits, periods, thresholds)) is not None:
-        periods = _place(fits, _without(fits, periods, weakest, thresholds))
-    changes = [
-        change
-        for _, change in _tested(poses, fits, periods, thresholds)
-        if change.p_value <= thresholds.false_alarm_rate
-    ]
-    return SeriesChanges(poses, fits, tuple(periods), tuple(changes))
-
-
-def _weakest(
-    poses: ScatteredPoses, fits: PeriodFits, periods: list[Period], thresholds: Thresholds
-) -> tuple[int, ChangeKind] | None:
-    """Return the period of the least significant change that explains nothing, with the kind of the change.
-
-    A boundary of a creeping period stays: where a creep begins, the pose does not jump.
-    """
-    weak = [
-        (change.p_value, -change.squared, index, change.kind)
-        for index, change in _tested(poses, fits, periods, thresholds)
-        if change.p_value > thresholds.false_alarm_rate
-        and (change.kind == "creep" or not (periods[index - 1].creeps or periods[index].creeps))
-    ]
-    return max(weak)[2:] if weak else None
+    while True:
+        tested = list(_tested(poses, fits, periods, thresholds))
+        # Changes that explain nothing; where a creep begins, the pose does not jump, so that boundary stays.
+        weak = [
+            (change.p_value, -change.squared, index, change.kind)
+            for index, change in tested
+            if change.p_value > false_alarm_rate
+            and (change.kind == "creep" or not (periods[index - 1].creeps or periods[index].creeps))
+        ]
+        if not weak:
+            break
+        periods = _place(fits, _without(fits, periods, *max(weak)[2:], thresholds))
+    significant = tuple(change for _, change in tested if change.p_value <= false_alarm_rate)
+    return SeriesChanges(poses, fits, tuple(periods), significant)
 
 
 def _without(
-    fits: PeriodFits, periods: list[Period], weakest: tuple[int, ChangeKind], thresholds: Thresholds
+    fits: PeriodFits, periods: list[Period], index: int, kind: ChangeKind, thresholds: Thresholds
 ) -> list[Period]:
-    index, kind = weakest
     if kind == "creep":
         return [*periods[:index], replace(periods[index], creeps=False), *periods[index + 1 :]]
     start, end = periods[index - 1].start, periods[index].end

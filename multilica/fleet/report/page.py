@@ -20,9 +20,8 @@ from markupsafe import Markup
 
 import multilica
 from multilica.errors import escape_controls
-from multilica.fleet.drift.drift import find_drift, find_outages
+from multilica.fleet.drift.drift import find_drift, find_offsets, find_outages
 from multilica.fleet.drift.findings import DriftEvent, Finding
-from multilica.fleet.drift.fleet_offsets import find_offsets
 from multilica.fleet.lidar_series import LidarSeries, read_series
 from multilica.fleet.report import charts
 from multilica.fleet.report.charts import drift_plots, sparklines
@@ -213,9 +212,8 @@ def _lidars(event: Finding) -> tuple[str, ...]:
 def _causes(failures: Sequence[PageFailure]) -> list[tuple[str, int, int]]:
     """Return the causes, the most frequent first: logs without a result, and LiDARs without a certain pose."""
     logs = Counter(failure.reason for failure in failures if not failure.lidar)
-    lidars = Counter(failure.reason for failure in failures if failure.lidar)
-    reasons = sorted(logs + lidars, key=lambda reason: (-logs[reason] - lidars[reason], reason))
-    return [(reason, logs[reason], lidars[reason]) for reason in reasons]
+    both = Counter(failure.reason for failure in failures)
+    return [(name, logs[name], both[name] - logs[name]) for name in sorted(both, key=lambda name: (-both[name], name))]
 
 
 @cache

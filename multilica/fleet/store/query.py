@@ -12,7 +12,8 @@ from typing import Any
 import pyarrow as pa
 
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.fleet.store.store import TABLES, Store, damaged_part
+from multilica.fleet.store.records import TABLES
+from multilica.fleet.store.store import Store, damaged_part
 from multilica.optional_libraries import needed_for
 
 with needed_for("`multilica fleet`", "duckdb"):

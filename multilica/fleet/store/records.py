@@ -117,8 +117,7 @@ def _schema(table: str, row: type[LidarRow | LogRow]) -> pa.Schema:
     return pa.schema(columns, metadata=metadata)
 
 
-LIDARS_SCHEMA = _schema("lidars", LidarRow)
-LOGS_SCHEMA = _schema("logs", LogRow)
+TABLES = {"lidars": _schema("lidars", LidarRow), "logs": _schema("logs", LogRow)}
 
 
 def table_of(rows: Sequence[LidarRow] | Sequence[LogRow], schema: pa.Schema) -> pa.Table:

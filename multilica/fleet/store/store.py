@@ -30,15 +30,7 @@ import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
 
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError, escape_controls
-from multilica.fleet.store.records import (
-    LIDARS_SCHEMA,
-    LOGS_SCHEMA,
-    SCHEMA_VERSION,
-    LidarRow,
-    LogRow,
-    month_of,
-    table_of,
-)
+from multilica.fleet.store.records import SCHEMA_VERSION, TABLES, LidarRow, LogRow, month_of, table_of
 from multilica.ingest.remote.address import scheme_of, without_secrets
 from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
 from multilica.optional_libraries import needed_for
@@ -47,7 +39,6 @@ from multilica.sinks.files.atomic import atomic_file
 _LAYOUT = "fleet.json"
 _BUCKETS = {"s3": "s3fs", "gs": "gcsfs"}
 """Scheme of a bucket -> library that reads and writes it."""
-TABLES = {"lidars": LIDARS_SCHEMA, "logs": LOGS_SCHEMA}
 
 
 def folder_name(name: str) -> str:
@@ -83,8 +74,8 @@ class Store:
         """Write the rows of a log, the row that makes it finished last."""
         part = f"vehicle={folder_name(log.vehicle)}/month={month_of(log.time_ns)}/{log.key}.parquet"
         if lidars:
-            self.write_part(f"lidars/{part}", table_of(lidars, LIDARS_SCHEMA))
-        self.write_part(f"logs/{part}", table_of([log], LOGS_SCHEMA))
+            self.write_part(f"lidars/{part}", table_of(lidars, TABLES["lidars"]))
+        self.write_part(f"logs/{part}", table_of([log], TABLES["logs"]))
 
     def run_folder(self, vehicle: str, time_ns: int | None, key: str) -> str:
         """Return the path of a log's run files, relative to the store."""

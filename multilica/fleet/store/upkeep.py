@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 
 from multilica.errors import SourceNotFoundError
 from multilica.fleet.store.query import ask
-from multilica.fleet.store.store import TABLES, Store, damaged_part, folder_name
+from multilica.fleet.store.records import TABLES
+from multilica.fleet.store.store import Store, damaged_part, folder_name
 
 _LARGE = ("recording.rrd", "report.html", "result.mcap")
 _RUNS = """

@@ -21,12 +21,11 @@ from datetime import UTC, datetime
 from multiprocessing import Pipe
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict
-
 import multilica
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
 from multilica.errors import SourceNotFoundError, UsageError
+from multilica.fleet.listing import FleetLog
 from multilica.fleet.store.records import PASSING, LogRow
 from multilica.fleet.store.store import open_store
 from multilica.ingest.metadata import LogIdentity
@@ -37,7 +36,7 @@ Calibrate = Literal["when-needed", "always"]
 _PAUSES_S = (0.5, 2.0, 8.0)
 _KILLED = {signal.SIGKILL, signal.SIGTERM, signal.SIGHUP, signal.SIGINT}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"), "1")
-_SERVER = "multilica.fleet.tasks.task_server"
+_SERVER = "multilica.fleet.tasks.run_task"
 _IDENTIFY_S = 60.0
 _OF_ROW = ("key", "vehicle", "time_ns", "source", "fingerprint", "size_bytes", "config_sha256", "reference")
 """Fields of a task that are also fields of its row."""
@@ -46,22 +45,15 @@ _RUNNING: set[_TaskProcess] = set()
 _STOPPED = threading.Event()
 
 
-class LogTask(BaseModel):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LogTask(FleetLog):
     """The input of a worker for one log.
 
-    Attributes:
+    Args:
         reference: path in the store of the vehicle's last accepted poses; empty if there are none.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
     key: str
-    address: str
-    source: str
-    fingerprint: str
-    size_bytes: int
-    vehicle: str
-    time_ns: int | None
     store: str
     config: CalibrationConfig
     config_sha256: str
@@ -91,10 +83,9 @@ def failed_row(request: LogTask, reason: str, text: str, *, state: Literal["refu
     return replace(request.row(), state=state, reason=reason, reason_text=told, finished_at=datetime.now(UTC))
 
 
-class LogTaskLimits(BaseModel):
+@dataclass(frozen=True, slots=True)
+class LogTaskLimits:
     """Limits of a task: until it is killed, on top of what the libraries take, and tries after what may pass."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     time_s: float = 600.0
     memory_mb: float = 4000.0
@@ -164,9 +155,9 @@ def _connected(connect: Callable[[], Any]) -> Any:  # noqa: ANN401 - a type of D
 def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
     """Run a task, again after what may pass; write the row of one that ended without."""
     answer: LogRow | LogTaskFailure
-    answer, attempt = _tried(lambda attempt: request.model_copy(update={"attempt": attempt}), limits.time_s, limits)
+    answer, attempt = _tried(lambda attempt: replace(request, attempt=attempt), limits.time_s, limits)
     if isinstance(answer, LogTaskFailure):
-        answer = failed_row(request.model_copy(update={"attempt": attempt}), answer.reason, answer.text)
+        answer = failed_row(replace(request, attempt=attempt), answer.reason, answer.text)
         open_store(request.store, create=False).finish(answer, [])
     return answer
 

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One log: from its address to its rows and files in the store."""
+"""One log: from its address to its rows and files in the store, in a process that answers over a connection.
+
+The process ends when its stdin does, so never outlives the one that started it.
+"""
 
 from __future__ import annotations
 
+import os
 import resource
+import signal
+import sys
+import threading
 import time
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Literal
 
@@ -23,10 +31,11 @@ from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import POSE_COLUMNS, LidarRow, LogRow
 from multilica.fleet.store.store import Store, folder_name, open_store
-from multilica.fleet.tasks.guard import LogTask, failed_row
+from multilica.fleet.tasks.guard import LogTask, LogTaskFailure, failed_row
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError
+from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.ingest.remote.remote_file import ConnectionLostError
 from multilica.results.document import ResultDocument
 from multilica.run import run_calibration
@@ -203,3 +212,50 @@ def _row(
         flat, sigma_deg = tuple(covariance.ravel().tolist()), float(np.rad2deg(sigma_rad))
         row = replace(row, covariance=flat, sigma_mm=1000.0 * sigma_m, sigma_deg=sigma_deg)
     return row
+
+
+def main() -> None:
+    """Answer requests until stdin ends: a LogTask with its row, the address of a log with its LogIdentity."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver ends it
+    threading.Thread(target=_end_with_stdin, daemon=True).start()
+    _limit_memory(float(sys.argv[2]))
+    with Connection(int(sys.argv[1])) as requests:
+        while True:
+            requests.send(_answer(requests.recv()))
+
+
+def _answer(request: LogTask | str) -> LogRow | LogIdentity | LogTaskFailure:
+    try:
+        return identify_log(request) if isinstance(request, str) else run_log_task(_below_folder(request))
+    except ConnectionLostError as failure:
+        return LogTaskFailure("network", str(failure))
+    except MemoryError:
+        return LogTaskFailure("memory", "The log takes more memory than a task may have.")
+    except Exception as failure:  # noqa: BLE001 - one log must not end the others
+        text = f"This is a bug in multilica, not in the log ({type(failure).__name__}: {failure})."
+        return LogTaskFailure("bug", text[:500])
+
+
+def _below_folder(request: LogTask) -> LogTask:
+    """Read a local log by its path below what was given, so that files and tables hold no path of the machine."""
+    folder = request.address.removesuffix(request.source)
+    if folder not in {"", request.address} and Path(folder).is_dir():
+        os.chdir(folder)
+        return replace(request, address=request.source)
+    return request
+
+
+def _end_with_stdin() -> None:
+    sys.stdin.read()
+    os._exit(0)
+
+
+def _limit_memory(limit_mb: float) -> None:
+    """Allow so much on top of what the libraries take."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    most = pages * resource.getpagesize() + round(limit_mb * 1e6)
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+if __name__ == "__main__":
+    main()

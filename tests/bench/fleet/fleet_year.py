@@ -18,8 +18,7 @@ from pathlib import Path
 import psutil
 
 from multilica.documents import parse_json
-from multilica.fleet.drift.drift import find_drift, find_outages
-from multilica.fleet.drift.fleet_offsets import find_offsets
+from multilica.fleet.drift.drift import find_drift, find_offsets, find_outages
 from multilica.fleet.lidar_series import read_series
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.records import MEASURED

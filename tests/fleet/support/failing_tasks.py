@@ -10,7 +10,7 @@ import numpy as np
 
 from multilica.errors import UnreadableSourceError
 from multilica.fleet.store.store import open_store
-from multilica.fleet.tasks import run_task, task_server
+from multilica.fleet.tasks import run_task
 from multilica.fleet.tasks.guard import failed_row
 from multilica.ingest import metadata
 from multilica.ingest.remote.remote_file import ConnectionLostError
@@ -55,6 +55,6 @@ def identify_log(address):
 
 
 if __name__ == "__main__":
-    metadata.identify_log = identify_log
+    run_task.identify_log = identify_log
     run_task.run_log_task = run_log_task
-    task_server.main()
+    run_task.main()

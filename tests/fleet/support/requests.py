@@ -5,7 +5,7 @@ import hashlib
 
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
-from multilica.fleet.logs.listing import FleetLog
+from multilica.fleet.listing import FleetLog
 from multilica.fleet.store.store import open_store
 from multilica.fleet.tasks.guard import LogTask
 
@@ -36,4 +36,4 @@ def request(folder, source, **changes):
         "calibrate": "when-needed",
         "reference": "",
     }
-    return LogTask.model_validate(values | changes)
+    return LogTask(**(values | changes))

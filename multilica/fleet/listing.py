@@ -65,12 +65,12 @@ class LogPattern:
                 f"Found the pattern '{text}'; expected {{vehicle}}, {{time:%Y-%m-%d}} or both, for example "
                 "{vehicle}/{time:%Y-%m-%d_%H%M%S}."
             )
-        pattern, position, self._time_format = "", 0, ""
-        for found in _FIELD.finditer(text):
-            pattern += _literal(text[position : found.start()])
-            pattern += self._time(found[2], text) if found[1] == "time" else r"(?P<vehicle>[^/]+?)"
-            position = found.end()
-        self._pattern = re.compile(pattern + _literal(text[position:]))
+        self._time_format, parts = "", iter(_FIELD.split(text))
+        pattern = _literal(next(parts))
+        for name, time_format, literal in zip(parts, parts, parts, strict=True):
+            pattern += self._time(time_format, text) if name == "time" else r"(?P<vehicle>[^/]+?)"
+            pattern += _literal(literal)
+        self._pattern = re.compile(pattern)
 
     def of(self, source: str) -> tuple[str, int | None]:
         """Return vehicle and time in nanoseconds; empty and None where the path does not have them."""
