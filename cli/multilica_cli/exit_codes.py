@@ -48,18 +48,13 @@ def print_failure(failure: BaseException) -> int:
     """Print the failure on stderr and return the exit code."""
     code, sentence = describe_failure(failure)
     if sentence:
-        line = _shortened(printable(" ".join(sentence.split())))
+        line = printable(" ".join(sentence.split()))
+        if len(line) > _LONGEST:  # by a name or a text of the input
+            line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
         print_line(wrapped(line, get_terminal_size().columns - len(PREFIX)) if sys.stderr.isatty() else line)
     if os.environ.get(DEBUG_VARIABLE) == "1":
         sys.excepthook(type(failure), failure, failure.__traceback__)
     return code
-
-
-def _shortened(sentence: str) -> str:
-    """Cut out the middle of what is too long to read: a name or a text of the input."""
-    if len(sentence) <= _LONGEST:
-        return sentence
-    return f"{sentence[: _LONGEST // 2]} ... {sentence[-_LONGEST // 2 :]}"
 
 
 def describe_failure(failure: BaseException) -> tuple[int, str]:  # noqa: C901, PLR0911 - a return per kind of failure

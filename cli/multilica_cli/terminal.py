@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 from functools import partial
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Literal
 
 import typer
@@ -144,8 +144,7 @@ class FoldingTable:
         blocks: list[list[int]] = [keys]
         for index in range(self._keys, len(self._columns)):
             wider = [*blocks[-1], index]
-            fits = _width(self._table(wider, 0, limits), console) <= width
-            if fits or blocks[-1] == keys:
+            if blocks[-1] == keys or _width(self._table(wider, 0, limits), console) <= width:
                 blocks[-1] = wider
             else:
                 blocks.append([*keys, index])
@@ -179,7 +178,8 @@ class FoldingTable:
         """Return how wide each column of text may be: a third, or its longest word if there is room for it."""
         third = width // 3
         every = range(len(self._columns))
-        wanted = [min(self._width_of(each), max(third, self._longest_word(each))) for each in every]
+        words = [[cell_len(word) for cell in self._cells_of(each) for word in cell.split()] for each in every]
+        wanted = [min(self._width_of(each), max(third, *words[each], 0)) for each in every]
         keys, others = wanted[: self._keys], wanted[self._keys :]
         room = width - 1 - (min(third, max(others, default=0)) + 1)
         if sum(keys) + len(keys) > room:
@@ -189,9 +189,6 @@ class FoldingTable:
             keys[widest] = min(wanted[widest], max(_NARROWEST, room - sum(keys) - len(keys)))
         beside = max(_NARROWEST, width - 2 - sum(keys) - len(keys))
         return [*keys, *(min(each, beside) for each in others)]
-
-    def _longest_word(self, column: int) -> int:
-        return max((cell_len(word) for cell in self._cells_of(column) for word in cell.split()), default=0)
 
     def _width_of(self, column: int) -> int:
         return max(cell_len(line) for cell in self._cells_of(column) for line in cell.split("\n"))
@@ -254,12 +251,13 @@ def answer_lines(
     columns: Sequence[str], rows: Iterable[Sequence[object]], form: Literal["csv", "json"]
 ) -> Iterator[str]:
     """Yield the lines of a table: CSV with a header, or a JSON object per row; what is unknown is empty or null."""
+    csv_line = csv.writer(SimpleNamespace(write=str), lineterminator="\n").writerow  # returns what `write` does
     if form == "csv":
-        yield _csv_line(columns)
+        yield csv_line(columns)
     for row in rows:
         values = [_plain(value) for value in row]
         if form == "csv":
-            yield _csv_line(values)
+            yield csv_line(values)
         else:
             named = dict(zip(columns, values, strict=True))
             yield json.dumps(named, ensure_ascii=False, allow_nan=False) + "\n"
@@ -269,12 +267,6 @@ def _plain(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value.isoformat() if isinstance(value, datetime) else value
-
-
-def _csv_line(values: object) -> str:
-    line = io.StringIO()
-    csv.writer(line, lineterminator="\n").writerow(values)  # type: ignore[arg-type]
-    return line.getvalue()
 
 
 def _cell(value: object) -> str:

@@ -7,12 +7,14 @@ from multilica.checks.comparison import (
     RigTolerances,
     Tolerance,
     check_document,
+    check_found,
     check_rig,
+    decide_unplaced,
     read_tolerances,
     relative_covariance,
+    verify_snapshot,
 )
 from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
-from multilica.checks.verify_snapshot import check_found, decide_unplaced, verify_snapshot
 
 __all__ = [
     "LidarCheck",

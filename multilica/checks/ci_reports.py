@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont, ImageFont
 
-_WORDS: dict[CheckVerdict, str] = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
+VERDICT_WORDS: dict[CheckVerdict, str] = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
 _BAR = 10
 _FULL_SHARE = 2.0
 """A bar ends at twice the tolerance."""
@@ -68,7 +68,7 @@ def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
     """Return a JUnit report: a suite per rig and a test case per LiDAR; what is undecided is an error."""
     root = Element("testsuites")
     for number, rig in enumerate(map(_printable, rigs)):
-        count = {verdict: sum(each.verdict == verdict for each in rig.lidars) for verdict in _WORDS}
+        count = {verdict: sum(each.verdict == verdict for each in rig.lidars) for verdict in VERDICT_WORDS}
         suite = SubElement(
             root,
             "testsuite",
@@ -97,7 +97,7 @@ def junit_xml(rigs: Sequence[RigCheck], timestamp: str) -> str:
 def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = "") -> str:
     """Return a summary in Markdown, with the picture at an address unless that is empty."""
     verdict = joint_verdict([rig.verdict for rig in rigs])
-    lines = [f"## LiDAR extrinsics: {_WORDS[verdict]}", "", f"Reference: `{reference}`", ""]
+    lines = [f"## LiDAR extrinsics: {VERDICT_WORDS[verdict]}", "", f"Reference: `{reference}`", ""]
     if picture:
         lines += [f"![differences as shares of the tolerances]({picture})", ""]
         lines += ["Upper bars: translation; lower bars: rotation; thin lines: one sigma.", ""]
@@ -113,14 +113,15 @@ def summary_markdown(rigs: Sequence[RigCheck], reference: str, picture: str = ""
 
 
 def _row(check: LidarCheck) -> str:
-    cells = [_text(check.lidar), f"**{_WORDS[check.verdict]}**" if check.verdict != "within" else check.verdict]
+    cells = [_text(check.lidar), f"**{VERDICT_WORDS[check.verdict]}**" if check.verdict != "within" else check.verdict]
     if check.distance_m is None or check.angle_deg is None or check.share is None:
         cells += ["-", "-", "-"]
     else:
+        filled = "#" * min(_BAR, round(_BAR * check.share / _FULL_SHARE))
         cells += [
             _with_sigma(1000.0 * check.distance_m, check.sigma_m and 1000.0 * check.sigma_m, "mm", 1),
             _with_sigma(check.angle_deg, check.sigma_deg, "deg", 3),
-            f"`{_bar(check.share)}` {100.0 * check.share:.0f} %",
+            f"`{filled:.<{_BAR}}` {100.0 * check.share:.0f} %",
         ]
     return f"| {' | '.join([*cells, _text(check.reason)])} |"
 
@@ -128,11 +129,6 @@ def _row(check: LidarCheck) -> str:
 def _with_sigma(value: float, sigma: float | None, unit: str, digits: int) -> str:
     shown = f"{value:.{digits}f}"
     return f"{shown} {unit}" if sigma is None else f"{shown} ± {sigma:.{digits}f} {unit}"
-
-
-def _bar(share: float) -> str:
-    filled = min(_BAR, round(_BAR * share / _FULL_SHARE))
-    return "#" * filled + "." * (_BAR - filled)
 
 
 def _text(value: str) -> str:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Comparison of two runs."""
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from math import isclose
 from typing import Any, Literal
 
@@ -90,11 +90,6 @@ class RunDifference(Entry):
     differences: Mapping[str, tuple[Change, ...]]
     notes: tuple[str, ...] = ()
 
-    @property
-    def places_nothing(self) -> bool:
-        """True if neither run places a LiDAR, the target included."""
-        return self.target in self.placed_by_neither and not self.statuses
-
 
 def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, within_rad: float) -> RunDifference:
     """Compare the second run with the first.
@@ -114,12 +109,7 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
     limits = within_m, within_rad
     moves = {
         name: _move(
-            first.target,
-            name,
-            rigs,
-            _variances(first, second, name),
-            limits,
-            uncertain="uncertain" in found[name],
+            first.target, name, rigs, _variances(first, second, name), limits, uncertain="uncertain" in found[name]
         )
         for name in sorted(common - {first.target})
         if first.target in common
@@ -137,7 +127,7 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
     differences = stage_differences(first, second)
     return RunDifference(
         runs=(str(before.path), str(after.path)),
-        same=_same_poses(moves, statuses),
+        same=not statuses and not any(move.moved for move in moves.values()),
         target=first.target,
         targets=(first.target, second.target),
         moves=moves,
@@ -176,7 +166,7 @@ def compare_poses(
     }
     return RunDifference(
         runs=names,
-        same=_same_poses(moves, statuses),
+        same=not statuses and not any(move.moved for move in moves.values()),
         target=target,
         targets=(target, target),
         moves=moves,
@@ -184,10 +174,6 @@ def compare_poses(
         statuses=statuses,
         differences={},
     )
-
-
-def _same_poses(moves: Mapping[str, Move], statuses: Collection[object]) -> bool:
-    return not statuses and not any(move.moved for move in moves.values())
 
 
 def _move(

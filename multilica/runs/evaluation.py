@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Literal, get_args
+from typing import BinaryIO, Literal, get_args
 
 import numpy as np
 from pydantic import Field, InstanceOf
@@ -48,10 +48,7 @@ class Tolerances:
     wrong_sigma: float = 4.0
 
     def __post_init__(self) -> None:
-        for unit, within, wrong in (
-            ("m", self.within_m, self.wrong_m),
-            ("deg", self.within_deg, self.wrong_deg),
-        ):
+        for unit, within, wrong in (("m", self.within_m, self.wrong_m), ("deg", self.within_deg, self.wrong_deg)):
             if not 0.0 < within <= wrong < math.inf:
                 raise UsageError(
                     f"Found 'within' {within:g} {unit} and 'wrong' {wrong:g} {unit}; "
@@ -282,7 +279,7 @@ def _comparison(run: SavedRun, truth: Truth, found: LidarPlacement, tolerances: 
 
 _TABLE_SUFFIXES = (".parquet", ".csv")
 _COLUMNS = [name for name, field in Comparison.model_fields.items() if not field.exclude]
-_TEXT_COLUMNS = frozenset({"run", "truth", "target", "lidar", "outcome", "reason"})
+_TEXT_COLUMNS = ("run", "truth", "target", "lidar", "outcome", "reason")
 
 
 def require_table_name(path: Path) -> None:
@@ -322,12 +319,7 @@ def _write_parquet(evaluation: Evaluation, file: BinaryIO) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    types = {name: _column_type(pa, name) for name in _COLUMNS}
+    kinds = dict.fromkeys(_TEXT_COLUMNS, pa.string()) | dict.fromkeys(("placed", "uncertain"), pa.bool_())
+    types = {name: kinds.get(name, pa.float64()) for name in _COLUMNS}
     schema = pa.schema(types, metadata={"multilica": evaluation.model_dump_json(exclude={"lidars"})})
     parquet.write_table(pa.Table.from_pylist([row.model_dump() for row in evaluation.lidars], schema=schema), file)
-
-
-def _column_type(pa: Any, name: str) -> Any:  # noqa: ANN401
-    if name in _TEXT_COLUMNS:
-        return pa.string()
-    return pa.bool_() if name in ("placed", "uncertain") else pa.float64()

@@ -98,11 +98,6 @@ def _recorded(files: list[Path]) -> ResultDocument:
 
 
 def _read_result_json(file: Path) -> ResultDocument:
-    """Read a `result.json`.
-
-    Raises:
-        UnreadableSourceError: not JSON, of another schema, or damaged.
-    """
     try:
         text = read_limited(file, MAX_JSON_BYTES)
     except (OSError, DocumentError) as error:

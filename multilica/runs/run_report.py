@@ -12,7 +12,6 @@ from multilica.results import LEVEL_FRAME
 from multilica.results.document import PairEntry, ResultDocument
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.report.contents import SAME_POSE, ReportContents, ScoredPoints, finalists
-from multilica.sinks.report.page import report_html
 from multilica.sinks.rerun.reading import RecordedScores, read_recorded_clouds, read_recorded_scores
 from multilica.sinks.rerun.viewer import viewer_picture
 from multilica.stages.ground import estimate_level
@@ -20,20 +19,15 @@ from multilica.stages.ground import estimate_level
 _SIDE_PX = (64, 8192)
 
 
-def report_of_run(path: Path) -> str:
-    """Return the page of a run directory, its `result.json`, or a recording, also a cut-off one.
+def contents_of_run(path: Path) -> ReportContents:
+    """Return what `report_html` shows of a run directory, its `result.json`, or a recording, also a cut-off one.
 
-    Scored points are those that the recording kept.
+    Clouds and scored points are those that the recording kept.
 
     Raises:
         SourceNotFoundError: nothing there, or no recording.
         UnreadableSourceError: damaged, or not of a run.
     """
-    return report_html(contents_of_run(path))
-
-
-def contents_of_run(path: Path) -> ReportContents:
-    """Return what the report of a run shows, with the clouds of its recording; raises as `report_of_run`."""
     run = read_run_document(path)
     if run.recording is None:
         raise SourceNotFoundError(f"{path} has no recording (.rrd) beside it, which has the clouds to draw.")

@@ -16,8 +16,9 @@ from multilica.config import CalibrationConfig
 from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.runs.run_report import contents_of_run, picture_of_run, recording_of_run, report_of_run
+from multilica.runs.run_report import contents_of_run, picture_of_run, recording_of_run
 from multilica.sinks.report.contents import contents_of
+from multilica.sinks.report.page import report_html
 from multilica.sinks.run_directory import open_run
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import TRUTH, made_events
@@ -70,7 +71,10 @@ def test_scored_points_and_competing_pose_are_read_back(runs):
 
 @pytest.mark.slow
 def test_a_report_made_anew_tells_the_same(runs):
-    anew, first = report_of_run(runs["partial"]), (runs["partial"] / "report.html").read_text(encoding="utf-8")
+    anew, first = (
+        report_html(contents_of_run(runs["partial"])),
+        (runs["partial"] / "report.html").read_text(encoding="utf-8"),
+    )
     for words in (
         "<h1>1 of 3 LiDARs is not placed. rear: it shares",
         "What helps",
@@ -84,13 +88,13 @@ def test_a_report_made_anew_tells_the_same(runs):
 def test_notes_are_shown_again(tmp_path):
     turned = TRUTH["rear"] @ RigidTransform.from_xyz_rpy("rear", "rear", (0, 0, 0), (0, 0, 2))
     run = leave_run(tmp_path / "run", "complete", prior=Extrinsics("top", TRUTH | {"rear": turned}))
-    for page in (report_of_run(run), (run / "report.html").read_text(encoding="utf-8")):
+    for page in (report_html(contents_of_run(run)), (run / "report.html").read_text(encoding="utf-8")):
         assert "Note: rear is turned by 115 deg about its z axis" in page
 
 
 @pytest.mark.slow
 def test_a_killed_run_gets_its_report(runs):
-    text = report_of_run(runs["killed"])
+    text = report_html(contents_of_run(runs["killed"]))
     assert "The run was cut off" in text
     assert "ended early" in text
     assert text.count("<img ") == 3  # as recorded, from above, from the side and at an angle
@@ -123,10 +127,10 @@ def test_what_is_no_run_is_told_in_a_sentence(runs, tmp_path):
         recording_of_run(tmp_path / "nowhere")
     (tmp_path / "torn.rrd").write_bytes(b"RRF2 and then nothing")
     with pytest.raises(UnreadableSourceError, match=r"torn\.rrd"):
-        report_of_run(tmp_path / "torn.rrd")
+        report_html(contents_of_run(tmp_path / "torn.rrd"))
     shutil.copy(runs["partial"] / "result.json", tmp_path / "result.json")
     with pytest.raises(SourceNotFoundError, match="no recording"):
-        report_of_run(tmp_path)
+        report_html(contents_of_run(tmp_path))
 
 
 @pytest.mark.parametrize("missing", ["lidars", "pairs", "decisions", "input", "versions"])
@@ -136,4 +140,4 @@ def test_a_result_that_is_not_whole_is_told_in_a_sentence(missing, runs, tmp_pat
     del document[missing]
     (tmp_path / "run" / "result.json").write_text(json.dumps(document), encoding="utf-8")
     with pytest.raises(UnreadableSourceError, match="is not a whole result"):
-        report_of_run(tmp_path / "run")
+        report_html(contents_of_run(tmp_path / "run"))

@@ -35,9 +35,7 @@ if TYPE_CHECKING:
     from multilica.run import CalibrationRun
 
 SAMPLE_NAME = "edgar-street"
-_PRIOR_COLUMNS = ("to prior\nmm", "to prior\ndeg")
 _STATUS = {"placed": "placed", "uncertain": "UNCERTAIN", "not_placed": "NOT PLACED"}
-_SPREAD_COLUMNS = ("spread\nmm", "spread\ndeg", "snap-\nshots")
 
 
 def calibrate(
@@ -216,8 +214,8 @@ def print_placements(document: ResultDocument, console: Console) -> None:
         return
     prior = any(entry.prior is not None for entry in lidars.values())
     columns = ["LiDAR", "status", *POSE_COLUMNS, "sigma\nmm", "sigma\ndeg", "fitness"]
-    columns += _PRIOR_COLUMNS if prior else ()
-    columns += _SPREAD_COLUMNS if document.snapshots else ()
+    columns += ("to prior\nmm", "to prior\ndeg") if prior else ()
+    columns += ("spread\nmm", "spread\ndeg", "snap-\nshots") if document.snapshots else ()
     title = f"T_target_source, target {document.target}"
     table = FoldingTable(title, columns, numbers_from=2, spare=("fitness",))
     for name, entry in lidars.items():

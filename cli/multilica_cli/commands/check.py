@@ -20,10 +20,9 @@ from multilica_cli.options import argument, option, output
 from multilica_cli.terminal import FoldingTable, number_cells, stdout_console
 
 if TYPE_CHECKING:
-    from multilica.checks import LidarCheck, RigCheck, RigTolerances
+    from multilica.checks import RigCheck, RigTolerances
     from multilica.config import CalibrationConfig
 
-_WORDS = {"within": "within", "outside": "OUTSIDE", "undecided": "UNDECIDED"}
 _COLUMNS = ("LiDAR", "verdict", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
 _MaxTranslation = Annotated[
     float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6)
@@ -204,10 +203,15 @@ def _finish(checks: Sequence[RigCheck], reference: Path, gate: Gate, *, quiet: b
 
 def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: Console) -> None:
     """Print a table per rig, the reasons of what is not within, and the outcome."""
+    from multilica.checks.ci_reports import VERDICT_WORDS
+
     for rig in checks:
         table = FoldingTable(f"{rig.name}, compared to {rig.root}", _COLUMNS, numbers_from=2, keys=2)
         for each in rig.lidars:
-            table.add_row(each.lidar, _WORDS[each.verdict], *_cells(each))
+            lengths = number_cells((each.distance_m, each.sigma_m), 1000.0, 1)
+            angles = number_cells((each.angle_deg, each.sigma_deg), 1.0, 3)
+            limits = f"{1000.0 * each.max_translation_m:g}", f"{each.max_rotation_deg:g}"
+            table.add_row(each.lidar, VERDICT_WORDS[each.verdict], *lengths, limits[0], *angles, limits[1])
         console.print(table)
         for each in rig.lidars:
             if each.verdict != "within":
@@ -218,9 +222,3 @@ def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: C
         console.print(f"wrote {path}")
     for rig in checks:
         console.print(rig.sentence if len(checks) == 1 else f"{rig.name}: {rig.sentence}")
-
-
-def _cells(check: LidarCheck) -> tuple[str, ...]:
-    lengths = number_cells((check.distance_m, check.sigma_m), 1000.0, 1)
-    angles = number_cells((check.angle_deg, check.sigma_deg), 1.0, 3)
-    return *lengths, f"{1000.0 * check.max_translation_m:g}", *angles, f"{check.max_rotation_deg:g}"

@@ -157,7 +157,7 @@ def _shown(change: Change) -> str:
 def _verdict(difference: RunDifference) -> str:
     moved = [lidar for lidar, move in difference.moves.items() if move.moved]
     if difference.same:
-        if difference.places_nothing:
+        if difference.target in difference.placed_by_neither and not difference.statuses:
             return "Neither run places any LiDAR."
         missing = ", ".join(difference.placed_by_neither)
         return f"Both runs place the same LiDARs at the same places{f'; neither places {missing}' if missing else ''}."
@@ -241,14 +241,15 @@ def report(
     quiet: Quiet = False,
 ) -> None:
     """Create report.html for a run that was killed before it wrote one."""
-    from multilica.runs.run_report import report_of_run
+    from multilica.runs.run_report import contents_of_run
     from multilica.sinks.files.atomic import write_text_atomically
     from multilica.sinks.files.result_files import REPORT_HTML
+    from multilica.sinks.report.page import report_html
 
     file = out or (run if run.is_dir() else run.parent) / REPORT_HTML
     if out is None and file.exists():
         raise UsageError(f"{file} already exists and may show more than a new one; give --out FILE.")
-    write_text_atomically(file, report_of_run(run))
+    write_text_atomically(file, report_html(contents_of_run(run)))
     stdout_console(quiet=quiet).print(f"wrote {file}")
 
 
