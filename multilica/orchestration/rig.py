@@ -59,7 +59,10 @@ def merge_pairs(state: CalibrationState) -> None:
     def register_again(group: Group, other: Group, pair: PairRegistration) -> PairRegistration | None:
         if state.config.verify.enabled:
             return _register_groups(state, group, other, [pair])
-        return _register_from_coarse(state, group, other)
+        start = state.coarse[group.root, other.root].hypotheses[0]
+        found = register_sides(_side_of(state, group), _side_of(state, other), [start], state.config)
+        state.observe(events.GroupsRegistered(found))
+        return found
 
     def register_rest(group: Group, other: Group) -> PairRegistration | None:
         if state.config.verify.enabled:
@@ -98,14 +101,6 @@ def _register_groups(
     found = register_groups(group, other, pairs, poses_between(group, other, finalists), register, state.config)
     if found is not None:
         state.observe(events.GroupsRegistered(found))
-    return found
-
-
-def _register_from_coarse(state: CalibrationState, group: Group, other: Group) -> PairRegistration:
-    """Register two groups from the coarse pose of their roots."""
-    start = state.coarse[group.root, other.root].hypotheses[0]
-    found = register_sides(_side_of(state, group), _side_of(state, other), [start], state.config)
-    state.observe(events.GroupsRegistered(found))
     return found
 
 
@@ -157,7 +152,13 @@ def compare_surfaces(state: CalibrationState) -> None:
     """Report the matches of each registered pair, and the residual of the merged cloud at each placed LiDAR."""
     if state.observe is events.ignore:
         return
-    poses = {key: _final_pose(state, pair.T_target_source) for key, pair in sorted(state.registrations.items())}
+    # The pose in the rig; that of the registration where the rig lacks one of the two.
+    poses = {
+        (target, source): state.poses[target].inverse() @ state.poses[source]
+        if {target, source} <= {*state.poses}
+        else pair.T_target_source
+        for (target, source), pair in sorted(state.registrations.items())
+    }
     compared = dict(zip(poses, state.workers.map(compare_pair, list(poses.values())), strict=True))
     of_lidar: dict[str, list[PairMatches]] = {}
     for key, both_ways in compared.items():
@@ -167,14 +168,6 @@ def compare_surfaces(state: CalibrationState) -> None:
                 of_lidar.setdefault(each[0].source, []).append(each)
     for name, found in sorted(of_lidar.items()):
         state.observe(events.ResidualsMeasured(residuals_of(state.lidars[name].side.cloud, found)))
-
-
-def _final_pose(state: CalibrationState, registered: RigidTransform) -> RigidTransform:
-    """Return the pose in the rig; that of the registration where the rig lacks one of the two."""
-    target, source = registered.target, registered.source
-    if target in state.poses and source in state.poses:
-        return state.poses[target].inverse() @ state.poses[source]
-    return registered
 
 
 def compare_pair(lidars: Shared, pose: RigidTransform) -> tuple[PairMatches, PairMatches]:
