@@ -125,14 +125,8 @@ def explain(document: ResultDocument) -> Explanation:
 
 
 def _without_places(document: ResultDocument, headline: str, cause: str, known: Iterable[str]) -> Explanation:
-    return Explanation(
-        headline=headline,
-        input=_input(document),
-        cause=cause,
-        known=tuple(known),
-        advice=CAUSES[cause][1:],
-        warnings=tuple(_warnings(document)),
-    )
+    told = Explanation(headline, _input(document), cause=cause, known=tuple(known), advice=CAUSES[cause][1:])
+    return replace(told, warnings=tuple(_warnings(document)))
 
 
 def _progress(document: ResultDocument) -> str:

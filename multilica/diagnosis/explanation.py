@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Types of an explanation, with the texts for each cause."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 _MORE_OVERLAP = "a scene with structure in the common field of view, or another LiDAR that overlaps both"
@@ -174,6 +174,14 @@ class Missing:
     by_snapshot: str = ""
     advice: tuple[str, ...] = ()
 
+    @property
+    def details(self) -> tuple[str, ...]:
+        """Sentences below the headline."""
+        decisive = "" if self.decisive is None else self.decisive.sentence
+        known = {"Decisive": decisive, "Next best": self.next_best, "By snapshot": self.by_snapshot}
+        texts = (f"{name}: {text}" for name, text in known.items() if text)
+        return (f"At stage {self.step}.", *texts, *(f"What helps: {advice}." for advice in self.advice))
+
 
 @dataclass(frozen=True, slots=True)
 class Uncertain:
@@ -196,6 +204,11 @@ class Uncertain:
     max_sigma_deg: float
     advice: tuple[str, ...]
     cause: str = "uncertain"
+
+    @property
+    def details(self) -> tuple[str, ...]:
+        """Sentences below the headline."""
+        return tuple(f"What helps: {advice}." for advice in self.advice)
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,6 +235,11 @@ class Explanation:
     warnings: tuple[str, ...] = ()
 
     @property
+    def unclear(self) -> tuple[Missing | Uncertain, ...]:
+        """The LiDARs that are not placed, then the uncertain ones."""
+        return (*self.missing, *self.uncertain)
+
+    @property
     def lines(self) -> tuple[str, ...]:
         """The facts beside the table of placed LiDARs as plain text, a sentence per line, details indented."""
         return (self.headline, self.input, *self.known, *self.findings[1:])
@@ -229,19 +247,8 @@ class Explanation:
     @property
     def findings(self) -> tuple[str, ...]:
         """The same for a run whose input is known: headline, missing and uncertain LiDARs, warnings."""
-        lines, unclear = [self.headline], list[Missing | Uncertain]((*self.missing, *self.uncertain))
-        for each in unclear:
-            lines += [each.headline, *(_details(each) if isinstance(each, Missing) else ())]
-            lines += [f"  What helps: {advice}." for advice in each.advice]
+        lines = [self.headline]
+        for each in self.unclear:
+            lines += [each.headline, *(f"  {detail}" for detail in each.details)]
         lines += [f"What helps: {advice}." for advice in self.advice]
         return (*lines, *(f"Warning: {warning}" for warning in self.warnings))
-
-
-def _details(missing: Missing) -> Iterator[str]:
-    yield f"  At stage {missing.step}."
-    if missing.decisive is not None:
-        yield f"  Decisive: {missing.decisive.sentence}"
-    if missing.next_best:
-        yield f"  Next best: {missing.next_best}"
-    if missing.by_snapshot:
-        yield f"  By snapshot: {missing.by_snapshot}"

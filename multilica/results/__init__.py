@@ -7,7 +7,6 @@ from multilica.results.calibration import (
     Refusal,
     SnapshotDeviation,
     SnapshotReport,
-    Status,
     TimeLimit,
 )
 from multilica.results.clouds import FeatureCloud, PreprocessedCloud, SensorHealth, SurfaceMatches, SurfaceResiduals
@@ -21,7 +20,6 @@ from multilica.results.hypotheses import (
     PairKey,
     Solution,
     hypothesis_label,
-    pose_name,
 )
 from multilica.results.placements import (
     ContestedPlace,
@@ -34,7 +32,6 @@ from multilica.results.placements import (
     PlacementStatus,
     PoseConflict,
     Refinement,
-    SigmaOrigin,
     Spread,
 )
 from multilica.results.registrations import (
@@ -77,13 +74,11 @@ __all__ = [
     "Refusal",
     "Registration",
     "SensorHealth",
-    "SigmaOrigin",
     "SnapshotDeviation",
     "SnapshotReport",
     "Solution",
     "Spread",
     "Stability",
-    "Status",
     "SurfaceMatches",
     "SurfaceResiduals",
     "TimeLimit",
@@ -91,5 +86,4 @@ __all__ = [
     "VisibilityScore",
     "connected",
     "hypothesis_label",
-    "pose_name",
 ]

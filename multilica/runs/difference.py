@@ -217,9 +217,8 @@ def _why(documents: Sequence[ResultDocument], lidar: str) -> str:
     for document in documents:
         if _status(document, lidar) in ("not placed", "uncertain"):
             explanation = explain(document)
-            headlines = [each.headline for each in explanation.missing if each.lidar == lidar]
-            headlines += [each.headline for each in explanation.uncertain if each.lidar == lidar]
-            return headlines[0] if headlines else explanation.headline
+            headlines = (each.headline for each in explanation.unclear if each.lidar == lidar)
+            return next(headlines, explanation.headline)
     return "only one of the runs has it"
 
 

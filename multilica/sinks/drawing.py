@@ -145,11 +145,6 @@ class Drawing(NamedTuple):
     labels: tuple[Label, ...] = ()
 
 
-def segments_along(strip_m: FloatArray) -> FloatArray:
-    """Return the segments (N - 1, 2, 3) of a polyline (N, 3)."""
-    return np.stack([strip_m[:-1], strip_m[1:]], axis=1)
-
-
 def kept_matches(state: RunState, matches: Correspondences, hypothesis: Hypothesis) -> BoolArray:
     """Return which matches (M,) agree with the hypothesis, by distance if the solver does not say."""
     if len(hypothesis.inliers) == len(matches) and hypothesis.inliers.any():

@@ -25,7 +25,6 @@ import tomli_w
 import multilica
 from multilica.checks import check_found, relative_covariance
 from multilica.diagnosis import explain
-from multilica.diagnosis.explanation import Missing, Uncertain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
@@ -173,9 +172,7 @@ def _verified_rows(request: LogTask, snapshot: Snapshot, known: Extrinsics) -> l
 
 def _calibrated_rows(request: LogTask, document: ResultDocument) -> list[LidarRow]:
     """Return the poses of a calibration, and why LiDARs have none or an uncertain one."""
-    outcome = explain(document)
-    causes: dict[str, Missing | Uncertain] = {each.lidar: each for each in outcome.missing}
-    causes |= {each.lidar: each for each in outcome.uncertain}
+    causes = {each.lidar: each for each in explain(document).unclear}
     evidence: dict[str, float] = {}
     for pair in document.pairs:
         for name in (pair.target, pair.source) if pair.verdict.accepted else ():

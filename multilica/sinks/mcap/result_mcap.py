@@ -7,7 +7,6 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,8 +35,6 @@ _WAITING_HEIGHT_M = 1.5
 _NODE_RADIUS_M = 0.06
 _SCENE, _LOG, _METRICS = "3D!multilica", "RosOut!multilica", "RawMessages!multilica"
 _GRID = "#ffffff20"
-_AT_FIRST = {"/matches": False}
-"""Hidden at first: hundreds of lines."""
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000
 _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html": "text/html"}
@@ -48,15 +45,7 @@ _FAR_FUTURE_NS = 2**31 * 10**9 - 3600 * 10**9
 _LAST_STAGES = ("merge", "refine", "ground")
 
 
-def result_drawings(state: RunState, document: ResultDocument) -> Mapping[str, tuple[drawing.Drawing, ...]]:
-    """Return the drawings of each topic of `DRAWING_TOPICS`."""
-    frames = cloud_frames(document)
-    views, sigmas = _fields_of_view(state, frames), _uncertainty(state, document)
-    drawings = (_matches(state, frames), _merge_graph(state, document), views, sigmas)
-    return {topic: tuple(found) for topic, found in zip(DRAWING_TOPICS, drawings, strict=True)}
-
-
-def cloud_frames(document: ResultDocument) -> dict[str, str]:
+def _cloud_frames(document: ResultDocument) -> dict[str, str]:
     """Return the frame of each LiDAR's cloud: its name, which no transform has for an uncertain LiDAR."""
     return {
         name: f"uncertain/{name}" if entry.status == "uncertain" else name for name, entry in document.lidars.items()
@@ -81,8 +70,11 @@ def _matches(state: RunState, frames: Mapping[str, str]) -> Iterator[drawing.Dra
 
 
 def _merge_graph(state: RunState, document: ResultDocument) -> Iterator[drawing.Drawing]:
-    """Draw a node per LiDAR and an edge per registered pair with its fitness and verdict."""
-    places_m, colours, poses = _places_m(document), drawing.distinct_colours(state.lidars), document.poses
+    """Draw a node per LiDAR, unplaced ones above the target, and an edge per registered pair with its verdict."""
+    colours, poses = drawing.distinct_colours(state.lidars), document.poses
+    waiting = [name for name in document.lidars if name not in poses]
+    places_m = {name: pose.xyz_m for name, pose in poses.items()}
+    places_m |= {name: np.array([0.0, 0.0, _WAITING_HEIGHT_M * (1 + row)]) for row, name in enumerate(waiting)}
     for name, entry in document.lidars.items():
         text = name if entry.placed else f"{name}: {entry.status.replace('_', ' ')}"
         colour = colours[name] if name in poses else drawing.VIOLATE
@@ -97,14 +89,6 @@ def _merge_graph(state: RunState, document: ResultDocument) -> Iterator[drawing.
         yield drawing.Drawing(pair_label(*pair), document.target, (edge,), labels=(label,))
 
 
-def _places_m(document: ResultDocument) -> dict[str, FloatArray]:
-    """Return positions of the LiDARs in the target's frame; unplaced ones are above it."""
-    places_m = {name: pose.xyz_m for name, pose in document.poses.items()}
-    waiting = [name for name in document.lidars if name not in places_m]
-    above_m = {name: np.array([0.0, 0.0, _WAITING_HEIGHT_M * (1 + row)]) for row, name in enumerate(waiting)}
-    return {**places_m, **above_m}
-
-
 def _cross(centre_m: FloatArray, colour: tuple[int, int, int]) -> drawing.Lines:
     arms_m = _NODE_RADIUS_M * np.eye(3)
     return drawing.Lines(np.stack([centre_m - arms_m, centre_m + arms_m], axis=1), colour)
@@ -115,7 +99,7 @@ def _fields_of_view(state: RunState, frames: Mapping[str, str]) -> Iterator[draw
     for lidar in sorted(state.clouds):
         strips = drawing.shown_field_of_view(state, lidar)
         if strips:
-            segments_m = np.concatenate([drawing.segments_along(strip) for strip in strips])
+            segments_m = np.concatenate([np.stack([strip[:-1], strip[1:]], axis=1) for strip in strips])
             yield drawing.Drawing(lidar, frames[lidar], (drawing.Lines(segments_m, colours[lidar]),))
 
 
@@ -165,7 +149,8 @@ def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
         }
         for name, topic in cloud_topics.items()
     }
-    drawings = {topic: {"visible": _AT_FIRST.get(topic, True)} for topic in DRAWING_TOPICS}
+    # Matches are hidden at first: hundreds of lines.
+    drawings = {topic: {"visible": topic != "/matches"} for topic in DRAWING_TOPICS}
     return {
         "followMode": "follow-pose",
         "followTf": target,
@@ -213,9 +198,7 @@ class ResultMcap(AbstractContextManager["ResultMcap"]):
         if ended and self._state.stage not in _LAST_STAGES:
             self._write(partial_path(self.path))
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         """Write the file of a calibration that has started."""
         partial = partial_path(self.path)
         if self._finished:
@@ -230,11 +213,16 @@ class ResultMcap(AbstractContextManager["ResultMcap"]):
         if snapshot is None:
             return
         target = document.target or snapshot.names[0]
-        start_ns = _first_stamp_ns(snapshot)
+        stamps_ns = [scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans]
+        known_ns = (stamp_ns for stamp_ns in stamps_ns if 0 < stamp_ns < _FAR_FUTURE_NS)
+        start_ns = min(known_ns, default=_STAMP_WITHOUT_CLOCK_NS)
+        given = document.input
+        metadata = {"version": document.versions["multilica"], "status": document.status, "target": document.target}
+        metadata |= {"input_source": given.source, "input_sha256": given.sha256}
         end_ns = start_ns + len(self._lines) * _LINE_SPACING_NS
         profile = self._encoding.profile
         with atomic_file(path) as file, mcap_messages(file, profile, compression=compression) as messages:
-            messages.writer.add_metadata("multilica", _metadata(document))
+            messages.writer.add_metadata("multilica", metadata)
             self._write_scene(messages, snapshot, document.model_copy(update={"target": target}), start_ns)
             for index, line in enumerate(self._lines):
                 stamp_ns = start_ns + index * _LINE_SPACING_NS
@@ -247,18 +235,18 @@ class ResultMcap(AbstractContextManager["ResultMcap"]):
         self, messages: MessageWriter, snapshot: Snapshot, document: ResultDocument, stamp_ns: int
     ) -> None:
         """Write transforms first, so that a reader in time order can place every cloud."""
-        frames = cloud_frames(document)
+        state, frames = self._state, _cloud_frames(document)
         messages.write(self._encoding.transforms(_static_poses(document, frames), stamp_ns), stamp_ns)
         for lidar in snapshot.lidars:
-            preprocessed = self._state.clouds.get(lidar.name)
-            points_m = drawing.sample_points(
-                lidar.points_m if preprocessed is None else preprocessed.points_m, _MAX_CLOUD_POINTS
-            )
-            cloud = self._encoding.cloud(lidar.name, frames[lidar.name], points_m, stamp_ns)
+            points_m = state.clouds[lidar.name].points_m if lidar.name in state.clouds else lidar.points_m
+            shown_m = drawing.sample_points(points_m, _MAX_CLOUD_POINTS)
+            cloud = self._encoding.cloud(lidar.name, frames[lidar.name], shown_m, stamp_ns)
             self._cloud_topics[lidar.name] = cloud.topic
             messages.write(cloud, stamp_ns)
-        for topic, drawings in result_drawings(self._state, document).items():
-            messages.write(self._encoding.drawings(topic, drawings, stamp_ns), stamp_ns)
+        views, sigmas = _fields_of_view(state, frames), _uncertainty(state, document)
+        drawings = (_matches(state, frames), _merge_graph(state, document), views, sigmas)
+        for topic, found in zip(DRAWING_TOPICS, drawings, strict=True):
+            messages.write(self._encoding.drawings(topic, tuple(found), stamp_ns), stamp_ns)
 
     def _attachments(self, document: ResultDocument, target: str) -> dict[str, bytes]:
         return {
@@ -281,27 +269,12 @@ def _encoding(name: str) -> FoxgloveEncoding | Ros2Encoding:
     raise UnknownNameError("MCAP encoding", name, ("foxglove", "ros2"))
 
 
-def _first_stamp_ns(snapshot: Snapshot) -> int:
-    stamps_ns = [scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans]
-    return min((stamp_ns for stamp_ns in stamps_ns if 0 < stamp_ns < _FAR_FUTURE_NS), default=_STAMP_WITHOUT_CLOCK_NS)
-
-
 def _static_poses(document: ResultDocument, frames: Mapping[str, str]) -> list[RigidTransform]:
     """Return the base frame above the target, if there is one, then the frame of every LiDAR with a pose."""
     target, ground = document.target, document.ground
     base = [] if ground is None else [RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))]
     poses = (pose for name, pose in document.poses.items() if name != target)
     return [*base, *(RigidTransform(target, frames[pose.source], pose.matrix) for pose in poses)]
-
-
-def _metadata(document: ResultDocument) -> dict[str, str]:
-    return {
-        "version": document.versions["multilica"],
-        "status": document.status,
-        "target": document.target,
-        "input_source": document.input.source,
-        "input_sha256": document.input.sha256,
-    }
 
 
 def _metrics(document: ResultDocument) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from multilica.results import PairKey, PairRegistration, Registration
 from multilica.results.document import PairEntry, ResultDocument
 from multilica.sinks.drawing import sample_points
 from multilica.sinks.run_state import RunState
-from multilica.snapshot import LidarScans
 
 SAME_POSE = 1e-4
 """Metres and radians: a recording holds poses in single precision."""
@@ -109,18 +108,16 @@ def contents_of(state: RunState, ended_early: str = "") -> ReportContents:
     lidars = state.snapshot.lidars if state.snapshot is not None else ()
     return ReportContents(
         state.document,
-        clouds={lidar.name: _cloud(state, lidar) for lidar in lidars},
+        clouds={
+            lidar.name: state.clouds[lidar.name].points_m
+            if lidar.name in state.clouds
+            else sample_points(lidar.points_m, _RAW_SAMPLE).astype(np.float64)
+            for lidar in lidars
+        },
         scored={(pair.target, pair.source): _scored(state, pair) for pair in state.registrations.values()},
         level=None if state.result is None else state.result.level,
         ended_early=ended_early,
     )
-
-
-def _cloud(state: RunState, lidar: LidarScans) -> FloatArray:
-    """Return the preprocessed cloud; without one, a sample of the raw returns."""
-    if lidar.name in state.clouds:
-        return state.clouds[lidar.name].points_m
-    return sample_points(lidar.points_m, _RAW_SAMPLE).astype(np.float64)
 
 
 def _scored(state: RunState, pair: PairRegistration) -> tuple[ScoredPoints, ...]:

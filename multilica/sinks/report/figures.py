@@ -124,12 +124,6 @@ def fitted_height_px(points_m: FloatArray, width_px: int, least: float, most: fl
     return round(width_px * float(np.clip(height_m / width_m, least, most)))
 
 
-def is_upright(points_m: FloatArray) -> bool:
-    """Return whether nearly all points (N, 3) extend farther along y than along x."""
-    low_m, high_m = _extent_m(points_m)
-    return bool(high_m[1] - low_m[1] > high_m[0] - low_m[0])
-
-
 def side_view(points_m: FloatArray, width_px: int) -> View:
     """Return a view along y, x to the right, z up, of nearly all points (N, 3)."""
     low_m, high_m = _extent_m(points_m)
@@ -262,7 +256,8 @@ def rig_figures(
     after = _rig_layers(contents, level, colours, placed=True) if calibrated else before
     figures = {"oblique": _oblique_figure(after, "as placed" if calibrated else "as recorded")}
     axes = {"top": "Seen from above: x to the right, y up", "side": "Seen from the right: x to the right, z up"}
-    if is_upright(_all_points(after)):
+    low_m, high_m = _extent_m(_all_points(after))
+    if high_m[1] - low_m[1] > high_m[0] - low_m[0]:
         before, after = ([layer.moved(QUARTER_TURN) for layer in layers] for layers in (before, after))
         axes = {"top": "Seen from above: x up, y to the left", "side": "Seen from behind: y to the left, z up"}
     points_m = _all_points(after)

@@ -6,7 +6,6 @@ from collections.abc import Collection, Sequence
 from contextlib import AbstractContextManager
 from functools import cache, partial
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,9 +59,7 @@ class ReportFile(AbstractContextManager["ReportFile"]):
             case events.CalibrationFinished():
                 self._write()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         """Write the report of a run that started and has no result."""
         if self._state.snapshot is not None and not self._written:
             self._write(f"{error}" if error is not None and f"{error}" else "The run was stopped early.")

@@ -17,7 +17,9 @@ from multilica.sinks.rerun.tables import candidate_pairs, matrix_bounds
 from multilica.sinks.rerun.views import (
     Overrides,
     above_group,
+    around_lidar,
     around_rig,
+    beside_lidar,
     document_view,
     log_view,
     matches_view,
@@ -25,7 +27,6 @@ from multilica.sinks.rerun.views import (
     scene_view,
     scored_view,
     single_lidar_view,
-    summary_view,
     three_quarter,
     up_axis,
 )
@@ -106,10 +107,6 @@ def _pair_tabs(
     return rrb.Tabs(*tabs, *more, active_tab=_opened(state, pairs), name=name) if pairs else None
 
 
-def _correspond_tab(state: RunState) -> _Tab | None:
-    return _pair_tabs(state, state.matches, _matches_tab, "Correspond")
-
-
 def _matches_tab(state: RunState, pair: PairKey) -> rrb.Container:
     """Show the matches that the best hypothesis agrees with; the rejected ones are a tab further."""
     shown = (True, False) if kept_count(state, pair) else (False,)
@@ -154,11 +151,12 @@ def _before_and_after(state: RunState, pair: PairKey) -> rrb.Container:
     A pair that started from the pose that others imply has no hypothesis.
     """
     clouds = [scene.lidar_path(pair[0], "preprocessed"), scene.pair_path(*pair, "source")]
+    eye = around_lidar(state, pair[0])
     if starting_hypothesis(state, pair, state.registrations[pair]) is None:
-        after = pair_view(state, pair, "After GICP, which started from the implied pose", clouds)
+        after = pair_view(pair, "After GICP, which started from the implied pose", clouds, eye)
         return rrb.Horizontal(after, name=pair_label(*pair))
-    before = pair_view(state, pair, "Before GICP", [clouds[0], f"{scene.pair_path(*pair, 'before')}/**"])
-    return rrb.Horizontal(before, pair_view(state, pair, "After GICP", clouds), name=pair_label(*pair))
+    before = pair_view(pair, "Before GICP", [clouds[0], f"{scene.pair_path(*pair, 'before')}/**"], eye)
+    return rrb.Horizontal(before, pair_view(pair, "After GICP", clouds, eye), name=pair_label(*pair))
 
 
 def _merge_tab(state: RunState) -> _Tab | None:
@@ -185,7 +183,7 @@ _STAGE_TABS: Mapping[Stage, Callable[[RunState], _Tab | None]] = {
     "ingest": _input_tab,
     "preprocess": _preprocess_tab,
     "features": _features_tab,
-    "correspond": _correspond_tab,
+    "correspond": lambda state: _pair_tabs(state, state.matches, _matches_tab, "Correspond"),
     "coarse": _coarse_tab,
     "verify": _coarse_tab,
     "fine": _fine_tab,
@@ -196,7 +194,7 @@ _STAGE_TABS: Mapping[Stage, Callable[[RunState], _Tab | None]] = {
 def stage_blueprint(state: RunState) -> rrb.Blueprint:
     """Show the last finished stage, for a recording that ends there."""
     stage = state.stages[-1] if state.stages else "ingest"
-    side = rrb.Vertical(summary_view(), log_view(), row_shares=[1, 1])
+    side = rrb.Vertical(document_view(scene.SUMMARY, "Summary"), log_view(), row_shares=[1, 1])
     return _blueprint(rrb.Horizontal(stage_tab(state, stage), side, column_shares=[2, 1]))
 
 
@@ -222,7 +220,7 @@ def _failure_tab(state: RunState) -> rrb.Container | None:
     decisive = decisive_failure(state)
     if decisive is None or (decisive.pair is None and decisive.stage != "preprocess"):
         return None
-    side: _Tab = summary_view()
+    side: _Tab = document_view(scene.SUMMARY, "Summary")
     if decisive.stage == "merge":
         side = rrb.Vertical(side, document_view(scene.MERGE_STEPS, "Merge steps"), row_shares=[3, 2])
     elif decisive.stage == "fine" and decisive.pair is not None:
@@ -246,7 +244,7 @@ def _failed_scene(state: RunState, failure: Failure) -> rrb.Container | rrb.View
     if state.competing(pair) is None:
         return scored_view(state, pair)
     contents = [scene.lidar_path(pair[0], "preprocessed"), f"{scene.pair_path(*pair, 'competing')}/**"]
-    competing = pair_view(state, pair, f"{pair_label(*pair)}, competing pose", contents, wide=True)
+    competing = pair_view(pair, f"{pair_label(*pair)}, competing pose", contents, beside_lidar(state, pair[0]))
     return rrb.Vertical(scored_view(state, pair, wide=True), competing)
 
 
@@ -268,7 +266,7 @@ def _result_tab(state: RunState) -> rrb.Container | None:
     eye = three_quarter(centre_m, radius_m, up_axis(state, document.target))
     short_names = _short_names(state.lidars, uncertain)
     rig = scene_view("Rig", frame, [*sensors, *extents], eye, grid=True, overrides=short_names)
-    side = rrb.Vertical(summary_view(), rig, row_shares=[1, 1])
+    side = rrb.Vertical(document_view(scene.SUMMARY, "Summary"), rig, row_shares=[1, 1])
     return rrb.Horizontal(merged, side, column_shares=[3, 2], name="Result")
 
 

@@ -234,12 +234,7 @@ def log_registration(scene: RerunScene, event: events.PairRegistered | events.Lo
         return
     for scored in reversed(registration.registrations):
         _show_scored(scene, pair, scored)
-    _log_with_verdict(scene, pair, registration)
-
-
-def log_changed_verdict(scene: RerunScene, event: events.VerdictChanged) -> None:
-    """Log the pose of a registration with its new verdict."""
-    _log_with_verdict(scene, scene.state.pair_of(event.registration), event.registration)
+    log_verdict(scene, event)
 
 
 def log_group_registration(scene: RerunScene, event: events.GroupsRegistered) -> None:
@@ -271,8 +266,12 @@ def _log_curves(scene: RerunScene, registration: PairRegistration, start: str) -
     scene.advance(len(registration.steps) + 1)
 
 
-def _log_with_verdict(scene: RerunScene, pair: PairKey, registration: PairRegistration) -> None:
-    start = registration.start_label
+def log_verdict(
+    scene: RerunScene, event: events.PairRegistered | events.LoopRegistered | events.VerdictChanged
+) -> None:
+    """Log the pose of a registration with its verdict."""
+    registration = event.registration
+    pair, start = scene.state.pair_of(registration), registration.start_label
     _log_pose(scene, pair, start, registration.T_target_source.with_target(pair[0]))
     _log_before(scene, pair, registration)
     _log_verdict(scene, pair, start, registration)
@@ -281,20 +280,15 @@ def _log_with_verdict(scene: RerunScene, pair: PairKey, registration: PairRegist
 
 def show_best_poses(scene: RerunScene) -> None:
     """Move each pair's source cloud to its best pose."""
-    for pair in scene.state.pairs:
-        start = _best_start(scene, pair)
-        if start is not None:
-            _show_at(scene, pair, start)
-
-
-def _best_start(scene: RerunScene, pair: PairKey) -> str | None:
     state = scene.state
-    if pair in state.registrations:
-        return state.registrations[pair].start_label
-    if state.verified.get(pair):
-        return state.verified[pair][0].label
-    hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
-    return hypothesis_label(0, hypotheses[0].origin) if hypotheses else None
+    for pair in state.pairs:
+        hypotheses = state.coarse[pair].hypotheses if pair in state.coarse else ()
+        if pair in state.registrations:
+            _show_at(scene, pair, state.registrations[pair].start_label)
+        elif state.verified.get(pair):
+            _show_at(scene, pair, state.verified[pair][0].label)
+        elif hypotheses:
+            _show_at(scene, pair, hypothesis_label(0, hypotheses[0].origin))
 
 
 def _log_pose(scene: RerunScene, pair: PairKey, start: str, T_target_source: RigidTransform) -> None:

@@ -4,7 +4,6 @@
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import rerun as rr
@@ -55,11 +54,6 @@ def send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None
     made.disconnect()
 
 
-def end_threads() -> None:
-    """End the threads of streams that nothing refers to any more."""
-    bindings.flush_and_cleanup_orphaned_recordings()
-
-
 class RerunRecording(AbstractContextManager["RerunRecording"]):
     """A sink that writes every event to a `.rrd` file.
 
@@ -86,20 +80,22 @@ class RerunRecording(AbstractContextManager["RerunRecording"]):
         for handle in _HANDLERS.get(type(event), ()):
             handle(scene, event)
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         if self._scene.step < 0:
             return
         whole = self._scene.state.result is not None
         if not whole:
-            _log_end(self._scene, error)
+            self._scene.advance()
+            self._scene.log_line(log_end(error))
+            log_summary(self._scene, cause_of_end(error))
+            _send_properties(self._scene, "interrupted")
+            send_blueprint(self._stream, stage_blueprint(self._scene.state))
         _flush(self._scene)
         self._stream.disconnect()
         if whole:
             partial_path(self.path).replace(self.path)
         del self._stream, self._scene
-        end_threads()
+        bindings.flush_and_cleanup_orphaned_recordings()  # ends the threads of streams that nothing refers to
 
 
 def _flush(scene: RerunScene, _event: events.Event | None = None) -> None:
@@ -150,14 +146,6 @@ def _finish(scene: RerunScene, event: events.CalibrationFinished) -> None:
     _flush(scene)
 
 
-def _log_end(scene: RerunScene, error: BaseException | None) -> None:
-    scene.advance()
-    scene.log_line(log_end(error))
-    log_summary(scene, cause_of_end(error))
-    _send_properties(scene, "interrupted")
-    send_blueprint(scene.stream, stage_blueprint(scene.state))
-
-
 def _send_properties(scene: RerunScene, status: str) -> None:
     document = scene.state.document
     values = rr.AnyValues(
@@ -179,7 +167,7 @@ _HANDLERS: Mapping[type[events.Event], tuple[Callable[[RerunScene, Any], None], 
     events.HypothesesVerified: (pairs.log_verified, tables.log_verified),
     # All pairs are searched within one stage: each is written to disk.
     events.PairRegistered: (pairs.log_registration, _flush, tables.log_registration),
-    events.VerdictChanged: (pairs.log_changed_verdict, tables.log_registration),
+    events.VerdictChanged: (pairs.log_verdict, tables.log_registration),
     events.GroupsRegistered: (pairs.log_group_registration,),
     events.LoopRegistered: (pairs.log_registration, tables.log_registration),
     events.MergeStepTaken: (log_merge_step, tables.log_candidates),

@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -81,8 +82,7 @@ def pair_frame(target: str, source: str, name: str) -> str:
     return f"pair/{target}/{source}/{name}"
 
 
-@dataclass(frozen=True, slots=True)
-class RecordLimits:
+class RecordLimits(NamedTuple):
     """Maximum counts in a recording.
 
     Args:
@@ -104,10 +104,6 @@ class RecordLimits:
     matches: int
     match_rows: int
 
-    def thinned(self, share: float) -> RecordLimits:
-        """Return the limits multiplied by a share."""
-        return RecordLimits(*(int(share * getattr(self, each.name)) for each in fields(self)))
-
 
 NO_LIMITS = RecordLimits(*[_ALL] * 8)
 _LIMITS: Mapping[str, RecordLimits] = {
@@ -126,7 +122,7 @@ def limits_for(config: RecordConfig, snapshot: Snapshot) -> tuple[RecordLimits, 
     pairs = len(counts) * (len(counts) - 1) // 2
     budget = config.max_megabytes * 1e6 - _BYTES_OF_A_RUN - pairs * _BYTES_OF_A_PAIR
     share = min(1.0, max(_LEAST_SHARE, budget / _expected_bytes(limits, counts)))
-    return (limits.thinned(share) if share < 1.0 else limits), share
+    return RecordLimits(*(int(share * limit) for limit in limits)), share
 
 
 def _expected_bytes(limits: RecordLimits, counts: list[int]) -> float:

@@ -83,7 +83,7 @@ def log_matched(scene: RerunScene, event: events.CorrespondencesMatched) -> None
     """Log the number of matches of a pair, and the matches in their own frames; `--record full` keeps all."""
     matches = event.correspondences
     _log_scalars(scene, (matches.target, matches.source), "correspond", {"matches": len(matches)})
-    rows = _rows_of(scene, len(matches))
+    rows = sample_indices(len(matches), scene.limits.match_rows)
     values = rr.AnyValues(
         target_index=pa.array(matches.target_index[rows], pa.int32()),
         source_index=pa.array(matches.source_index[rows], pa.int32()),
@@ -100,7 +100,11 @@ def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
     figures = {"hypotheses": len(found), "agreeing_matches": found[0].score if found else 0.0}
     _log_scalars(scene, (event.coarse.target, event.coarse.source), "coarse", figures)
     told = [one.inliers if len(one.inliers) else np.zeros(len(matches), dtype=np.bool_) for one in found]
-    agree = np.array(told, dtype=np.bool_).reshape(len(told), len(matches)).T[_rows_of(scene, len(matches))]
+    agree = (
+        np.array(told, dtype=np.bool_)
+        .reshape(len(told), len(matches))
+        .T[sample_indices(len(matches), scene.limits.match_rows)]
+    )
     ends = np.concatenate([[0], np.cumsum(np.count_nonzero(agree, axis=1))])
     lists = pa.ListArray.from_arrays(pa.array(ends, pa.int32()), pa.array(np.nonzero(agree)[1], pa.int32()))
     scene.log(_data_path(matches), rr.AnyValues(agrees_with=lists))
@@ -156,16 +160,12 @@ def _log_scalars(scene: RerunScene, pair: PairKey, stage: str, figures: Mapping[
             scene.log(pair_path(*pair, stage, name), rr.Scalars(float(value)))
 
 
-def _rows_of(scene: RerunScene, count: int) -> npt.NDArray[np.intp]:
-    return np.sort(sample_indices(count, scene.limits.match_rows))
-
-
 def _log_residuals(scene: RerunScene, pair: PairKey, pose: RigidTransform) -> None:
     """Log the distance of the two points of each match at a pose."""
     matches = scene.state.matches.get(pair)
     if matches is None:
         return
-    rows = _rows_of(scene, len(matches))
+    rows = sample_indices(len(matches), scene.limits.match_rows)
     moved_m = pose.with_target(pair[0]).apply(matches.source_points_m[rows])
     residual_m = np.linalg.norm(moved_m - matches.target_points_m[rows], axis=1)
     scene.log(_data_path(matches), rr.AnyValues(residual_m=pa.array(residual_m, pa.float32())))
@@ -177,7 +177,7 @@ def log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> Non
     pair = scene.state.key_of(found.target, found.source)
     points = (found.target_points_m, found.source_points_m)
     of_target, of_source = points if found.target == pair[0] else points[::-1]
-    rows = _rows_of(scene, len(found))
+    rows = sample_indices(len(found), scene.limits.match_rows)
     values = rr.AnyValues(
         target_point_m=_points(of_target[rows]),
         source_point_m=_points(of_source[rows]),

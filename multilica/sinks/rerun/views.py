@@ -12,7 +12,7 @@ from multilica.geometry import FloatArray
 from multilica.results import PairKey
 from multilica.sinks.drawing import distinct_colours, kept_count, sample_points, shown_radius_m, slot_offsets_m
 from multilica.sinks.rerun.pairs import lift_m
-from multilica.sinks.rerun.scene import LOG, SUMMARY, lidar_frame, lidar_path, pair_path
+from multilica.sinks.rerun.scene import LOG, lidar_frame, lidar_path, pair_path
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import pair_label
 
@@ -142,7 +142,8 @@ def matches_view(state: RunState, pair: PairKey, *, kept_only: bool = False) -> 
     hidden = [f"- {pair_path(*pair, 'matches', 'rejected')}"] if kept_only else []
     name = _matches_legend(state, pair, kept_only=kept_only)
     raised_m = lift_m(state.matches[pair]) / 2.0 if state.matches.get(pair) else 0.0
-    return pair_view(state, pair, name, [*contents, *hidden], zoom=0.6, raised_m=raised_m)
+    eye = around_lidar(state, pair[0], zoom=0.6, raised_m=raised_m)
+    return pair_view(pair, name, [*contents, *hidden], eye)
 
 
 def _matches_legend(state: RunState, pair: PairKey, *, kept_only: bool) -> str:
@@ -166,22 +167,14 @@ def scored_view(state: RunState, pair: PairKey, *, wide: bool = False) -> rrb.Sp
         overrides[path] = rr.Points3D.from_fields(colors=[dimmed], radii=rr.Radius.ui_points(1.0))
     is_scored = state.verified.get(pair) or (found is not None and found.registrations)
     name = f"{pair_label(*pair)}{_SCORED_LEGEND if is_scored else ''}"
-    return pair_view(state, pair, name, contents, wide=wide, overrides=overrides)
+    eye = (beside_lidar if wide else around_lidar)(state, pair[0])
+    return pair_view(pair, name, contents, eye, overrides=overrides)
 
 
 def pair_view(
-    state: RunState,
-    pair: PairKey,
-    name: str,
-    contents: Sequence[str],
-    *,
-    zoom: float = 1.0,
-    raised_m: float = 0.0,
-    wide: bool = False,
-    overrides: Overrides | None = None,
+    pair: PairKey, name: str, contents: Sequence[str], eye: rrb.EyeControls3D, overrides: Overrides | None = None
 ) -> rrb.Spatial3DView:
-    """Show entities of a pair in the target's frame; from the side in a `wide` view."""
-    eye = beside_lidar(state, pair[0]) if wide else around_lidar(state, pair[0], zoom=zoom, raised_m=raised_m)
+    """Show entities of a pair in the target's frame."""
     sensor = lidar_path(pair[0], "sensor")
     return scene_view(name, lidar_frame(pair[0]), [sensor, *contents], eye, overrides=overrides)
 
@@ -199,8 +192,3 @@ def log_view(name: str = "Log", levels: Sequence[str] = ("INFO", "WARN", "ERROR"
 def document_view(path: str, name: str) -> rrb.TextDocumentView:
     """Show a markdown document."""
     return rrb.TextDocumentView(origin=path, contents=[path], name=name)
-
-
-def summary_view() -> rrb.TextDocumentView:
-    """Show the summary of the run."""
-    return document_view(SUMMARY, "Summary")

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from multilica import results
-from multilica.diagnosis import Explanation, Missing, explain
+from multilica.diagnosis import Explanation, explain
 from multilica.results.document import LidarEntry, ResultDocument
 from multilica.sinks.drawing import SIGMAS, ellipsoid_scale
 from multilica.sinks.run_state import RunState
@@ -214,24 +214,10 @@ def _explanation_parts(explanation: Explanation) -> Iterator[str]:
         yield "\n".join(f"- **Warning**: {warning}" for warning in explanation.warnings)
     if explanation.known:
         yield "\n".join(f"- {known}" for known in explanation.known)
-    for missing in explanation.missing:
-        yield _missing_part(missing)
-    for uncertain in explanation.uncertain:
-        yield "\n".join([f"- **{uncertain.headline}**", *_advice_lines(uncertain.advice)])
+    for each in explanation.unclear:
+        yield "\n".join([f"- **{each.headline}**", *(f"  - {detail}" for detail in each.details)])
     if explanation.advice:
         yield "\n".join(f"- What helps: {advice}." for advice in explanation.advice)
-
-
-def _missing_part(missing: Missing) -> str:
-    decisive = missing.decisive.sentence if missing.decisive is not None else ""
-    known = {"Decisive": decisive, "Next best": missing.next_best, "By snapshot": missing.by_snapshot}
-    lines = [f"  - {name}: {text}" for name, text in known.items() if text]
-    head = (f"- **{missing.headline}**", f"  - At stage {missing.step}.")
-    return "\n".join([*head, *lines, *_advice_lines(missing.advice)])
-
-
-def _advice_lines(advice: Sequence[str]) -> Iterator[str]:
-    return (f"  - What helps: {each}." for each in advice)
 
 
 def _result_parts(document: ResultDocument) -> Iterator[str]:
