@@ -80,7 +80,7 @@ TARGETS = {
         f"{SINKS}/mcap/test_result_drawings.py",
         f"{SINKS}/mcap/test_partial_mcap.py",
     ),
-    "multilica/results/prior_comparison.py": (f"{SINKS}/text/test_prior_comparison.py",),
+    "multilica/results/document/building.py": (f"{SINKS}/text/test_prior_comparison.py", AGREE, FILES),
     "multilica/sinks/text/*.py": (
         f"{SINKS}/text",
         NUMBERS,

@@ -11,7 +11,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from multilica.results.document.result import schema_text
+from pydantic.json_schema import GenerateJsonSchema
+
+from multilica.results.document import ResultDocument
 from multilica.sinks.text.markdown import markdown_table
 from multilica_cli.commands.config import configuration_page
 
@@ -34,6 +36,20 @@ def generated_pages() -> dict[str, str]:
         "result.md": result_page(json.loads(schema_text())),
         "result.schema.json": f"{schema_text()}\n",
     }
+
+
+class UntitledSchema(GenerateJsonSchema):
+    """A schema without titles of fields, which only repeat their names."""
+
+    def field_title_should_be_set(self, schema: object) -> bool:  # noqa: ARG002
+        """Leave out every title."""
+        return False
+
+
+def schema_text() -> str:
+    """Return the text of `docs/reference/result.schema.json`."""
+    schema = ResultDocument.model_json_schema(schema_generator=UntitledSchema)
+    return json.dumps({"$schema": UntitledSchema.schema_dialect, **schema}, indent=1, ensure_ascii=False)
 
 
 def cli_page() -> str:

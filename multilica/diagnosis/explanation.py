@@ -139,6 +139,11 @@ class DecisivePair:
     codes: tuple[str, ...]
     sentence: str
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Target and source."""
+        return self.target, self.source
+
 
 @dataclass(frozen=True, slots=True)
 class Placed:

@@ -81,11 +81,7 @@ _ALL = (
     ),
     ExchangeFormat(
         "ros2-launch",
-        {
-            ".py": "ros_launch:launch_python",
-            ".xml": "ros_launch:ros2_launch_xml",
-            ".yaml": "ros_launch:launch_yaml",
-        },
+        {".py": "ros_launch:launch_python", ".xml": "ros_launch:ros2_launch_xml", ".yaml": "ros_launch:launch_yaml"},
         {
             ".py": "ros_launch:read_launch_python",
             ".xml": "ros_launch:read_launch_xml",

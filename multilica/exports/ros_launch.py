@@ -219,10 +219,8 @@ def _pose_of_arguments(package: str, arguments: Sequence[str]) -> RigidTransform
     if len(words) not in (8, 9):
         raise ValueError(f"'{' '.join(arguments)}' has {len(arguments)} arguments; expected 6 or 7 numbers, two frames")
     *values, parent, child = words
-    xyz_m, turn = values[:3], numbers(values[3:], f"the rotation of '{child}'")
-    if len(turn) == 4:
-        return _pose(parent, child, xyz_m, xyzw=turn)
-    return _pose(parent, child, xyz_m, rpy_rad=turn[::-1])
+    turn = values[3:]
+    return _pose(parent, child, values[:3], turn if len(turn) == 4 else turn[::-1])
 
 
 def _named(words: Sequence[str]) -> RigidTransform:
@@ -235,29 +233,20 @@ def _named(words: Sequence[str]) -> RigidTransform:
     parent, child = given[_PARENT], given[_CHILD]
     xyz_m = [given.get(name, "0") for name in _TRANSLATION]
     if not any(name in given for name in _ANGLES):
-        turn = [given.get(name, "1" if name == "qw" else "0") for name in _QUATERNION]
-        return _pose(parent, child, xyz_m, xyzw=numbers(turn, f"the rotation of '{child}'"))
+        return _pose(parent, child, xyz_m, [given.get(name, "1" if name == "qw" else "0") for name in _QUATERNION])
     if any(name in given for name in _QUATERNION):
         raise ValueError(f"'{child}' has both angles and a quaternion")
-    turn = [given.get(name, "0") for name in _ANGLES]
-    return _pose(parent, child, xyz_m, rpy_rad=numbers(turn, f"the rotation of '{child}'"))
+    return _pose(parent, child, xyz_m, [given.get(name, "0") for name in _ANGLES])
 
 
-def _pose(
-    parent: str,
-    child: str,
-    xyz: Sequence[str],
-    *,
-    xyzw: Sequence[float] = (),
-    rpy_rad: Sequence[float] = (),
-) -> RigidTransform:
+def _pose(parent: str, child: str, xyz: Sequence[str], turn: Sequence[str]) -> RigidTransform:
+    """Return the pose that a quaternion, or roll, pitch and yaw, give."""
+    angles = numbers(turn, f"the rotation of '{child}'")
     parent, child = parent.removeprefix("/"), child.removeprefix("/")
     if not parent or not child:
         raise ValueError("a frame has no name")
     xyz_m = numbers(xyz, f"the translation of '{child}'")
-    if xyzw:
-        return pose_of_quaternion(parent, child, xyz_m, xyzw)
-    return pose_of_rpy(parent, child, xyz_m, rpy_rad)
+    return (pose_of_quaternion if len(angles) == 4 else pose_of_rpy)(parent, child, xyz_m, angles)
 
 
 def _frame(name: str) -> str:

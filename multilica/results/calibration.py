@@ -77,8 +77,7 @@ class SnapshotReport:
     )
     outliers: Annotated[tuple[str, ...], Field(description="LiDARs on which other snapshots outvoted this one.")] = ()
     disputed: Annotated[
-        tuple[str, ...],
-        Field(description="LiDARs on which it contradicts other snapshots without a majority."),
+        tuple[str, ...], Field(description="LiDARs on which it contradicts other snapshots without a majority.")
     ] = ()
     deviations: Annotated[tuple[SnapshotDeviation, ...], Field(description="Per LiDAR that it places.")] = ()
 

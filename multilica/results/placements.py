@@ -75,8 +75,7 @@ class Spread:
 
     snapshots: Annotated[int, Field(description="Number of snapshots that place the LiDAR.")]
     xyz_m: Annotated[
-        Vector3 | None,
-        Field(description="Sample sigma along the axes of the target; null below two snapshots."),
+        Vector3 | None, Field(description="Sample sigma along the axes of the target; null below two snapshots.")
     ] = None
     rotation_deg: Annotated[
         Vector3 | None, Field(description="Sample sigma about these axes; null below two snapshots.")
@@ -225,8 +224,7 @@ class MergeCandidate:
         False
     )
     of_groups: Annotated[
-        bool,
-        Field(description="True if the merged clouds of two groups were registered; the names are their roots."),
+        bool, Field(description="True if the merged clouds of two groups were registered; the names are their roots.")
     ] = False
 
     @property

@@ -7,6 +7,7 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 from multilica import events
@@ -145,6 +146,7 @@ def _holds_result(directory: Path) -> bool:
     return isinstance(document, dict) and document.get("refusal") is None
 
 
+@dataclass(slots=True, eq=False)
 class RunDirectory:
     """An observer that passes each event to every sink.
 
@@ -153,19 +155,16 @@ class RunDirectory:
         place: where the sinks write: the directory itself, or `unfinished` in it while it holds an earlier result.
         config: written as `config.toml` before the first event.
         sinks: called in this order.
-
-    Attributes:
         started: whether anything of this run is on disk.
         has_result: whether the calibration finished and the snapshot was not refused.
     """
 
-    def __init__(self, directory: Path, place: Path, config: CalibrationConfig, sinks: Sequence[Observer]) -> None:
-        self.directory = directory
-        self.place = place
-        self.started = False
-        self.has_result = False
-        self._config = config
-        self._sinks = tuple(sinks)
+    directory: Path
+    place: Path
+    config: CalibrationConfig
+    sinks: Sequence[Observer]
+    started: bool = False
+    has_result: bool = False
 
     def __call__(self, event: events.Event) -> None:
         """Pass the event to every sink."""
@@ -173,7 +172,7 @@ class RunDirectory:
             self.start()
         if isinstance(event, events.CalibrationFinished):
             self.has_result = event.result.refusal is None
-        for sink in self._sinks:
+        for sink in self.sinks:
             sink(event)
 
     def start(self) -> None:
@@ -182,7 +181,7 @@ class RunDirectory:
             for left in (path, *begun_files(path)):
                 left.unlink(missing_ok=True)
         self.place.mkdir(exist_ok=True)
-        write_text_atomically(self.place / CONFIG_TOML, CONFIG_HEADER + config_toml(self._config))
+        write_text_atomically(self.place / CONFIG_TOML, CONFIG_HEADER + config_toml(self.config))
         self.started = True
 
     @property

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from multilica import events, results
 from multilica.config import CalibrationConfig, Stage
-from multilica.diagnosis import DecisivePair, Missing, explain
+from multilica.diagnosis import Missing, explain
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results.document import ResultDocument
 from multilica.results.document import stages as figures
@@ -286,15 +286,13 @@ def _failure(state: RunState, missing: Missing) -> Failure:
         return Failure(missing.lidar, "preprocess", None)
     if missing.decisive is not None:
         stage: Stage = "fine" if missing.decisive.codes else "merge"
-        return Failure(missing.lidar, stage, *(_as_matched(state, at) for at in (missing.decisive, missing.elsewhere)))
+        # None of a joint result is in the state.
+        known = {frozenset(key): key for key in state.registrations}
+        given = (missing.decisive, missing.elsewhere)
+        pairs = (None if each is None else known.get(frozenset(each.key)) for each in given)
+        return Failure(missing.lidar, stage, *pairs)
     if not state.matches:
         return Failure(missing.lidar, "merge", None)
     own = [pair for pair in state.pairs if missing.lidar in pair]
     pair = max(own, key=lambda pair: (state.progress_of(pair), pair), default=None)
     return Failure(missing.lidar, "coarse" if pair is not None and state.matches.get(pair) else "correspond", pair)
-
-
-def _as_matched(state: RunState, pair: DecisivePair | None) -> results.PairKey | None:
-    """Return None for a pair that is not in the state, as in a joint result."""
-    sides = {pair.target, pair.source} if pair is not None else set()
-    return next((key for key in state.registrations if set(key) == sides), None)

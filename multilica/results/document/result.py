@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The document that `result.json` holds."""
 
-import json
 import math
 from collections.abc import Mapping
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, ValidationError, WithJsonSchema, model_validator
-from pydantic.json_schema import GenerateJsonSchema
 
 from multilica.config import CalibrationConfig, Stage
 from multilica.documents import DocumentError, first_problem, parse_json, shown
@@ -134,8 +132,7 @@ class RegistrationEntry(Entry):
     hypothesis: int = Field(description="Index of its hypothesis; -1 if the pose came from other pairs.")
     origin: str = Field(description="Solver of that hypothesis, or `prior`; empty if the pose came from other pairs.")
     derivation: str = Field(
-        "",
-        description="Relation of the pose to its hypothesis, or the LiDARs that imply it; else empty.",
+        "", description="Relation of the pose to its hypothesis, or the LiDARs that imply it; else empty."
     )
     T_target_source: Matrix4 = Field(description="Rows of the homogeneous matrix, lengths.")
     agree: int = Field(description="Points on a surface that the other LiDAR measured.")
@@ -299,17 +296,3 @@ def _problem(source: object, error: ValidationError) -> str:
     where, what, _ = first_problem(error)
     where = where or "the document"
     return f"{source} is not a whole result: {where}: {what}. Calibrate again with this version of multilica."
-
-
-class UntitledSchema(GenerateJsonSchema):
-    """A schema without titles of fields, which only repeat their names."""
-
-    def field_title_should_be_set(self, schema: object) -> bool:  # noqa: ARG002
-        """Leave out every title."""
-        return False
-
-
-def schema_text() -> str:
-    """Return the text of `docs/reference/result.schema.json`."""
-    schema = ResultDocument.model_json_schema(schema_generator=UntitledSchema)
-    return json.dumps({"$schema": UntitledSchema.schema_dialect, **schema}, indent=1, ensure_ascii=False)

@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -123,17 +124,17 @@ def matrix_text(extrinsics: Extrinsics) -> str:
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class ResultFiles:
     """A sink that writes `result.json` and `calibration.toml` into a directory once the calibration has finished."""
 
-    def __init__(self, directory: Path, state: RunState | None = None) -> None:
-        self.directory = directory
-        self._state = state or RunState()
+    directory: Path
+    state: RunState = field(default_factory=RunState)
 
     def __call__(self, event: events.Event) -> None:
         """Take in an event; write at the last one."""
-        self._state(event)
+        self.state(event)
         if isinstance(event, events.CalibrationFinished):
-            document = self._state.document
+            document = self.state.document
             write_text_atomically(self.directory / RESULT_JSON, f"{document.model_dump_json(indent=2)}\n")
             write_text_atomically(self.directory / CALIBRATION_TOML, calibration_toml(document))

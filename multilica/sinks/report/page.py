@@ -16,7 +16,7 @@ from multilica import events
 from multilica.diagnosis import Missing
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import LEVEL_FRAME, PairKey, SnapshotReport
+from multilica.results import LEVEL_FRAME, SnapshotReport
 from multilica.results.document import PairEntry, ResultDocument
 from multilica.sinks.drawing import AGREE, EDGE_LABEL_SHARE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
 from multilica.sinks.files.atomic import write_text_atomically
@@ -126,20 +126,15 @@ def _pair_figures(
 ) -> dict[str, list[Figure]]:
     """Draw the decisive pair of each unplaced LiDAR, of a large rig only the first ones, each pair once."""
     colours = distinct_colours(contents.document.lidars)
-    first = {pair: each.lidar for each in reversed(missing) if (pair := _decisive(each)) is not None}
+    first = {each.decisive.key: each.lidar for each in reversed(missing) if each.decisive is not None}
     shown = list(reversed(first.items()))[:_MAX_PICTURED]
     return {lidar: pair_figures(contents, pair, level, colours) for pair, lidar in shown}
-
-
-def _decisive(missing: Missing) -> PairKey | None:
-    """Return the decisive pair of an unplaced LiDAR as it was registered."""
-    return None if missing.decisive is None else (missing.decisive.target, missing.decisive.source)
 
 
 def opponents(missing: Missing) -> tuple[str, ...]:
     """Return the other LiDAR of the decisive pair, and the one that puts the unplaced LiDAR elsewhere, if any."""
     pairs = [pair for pair in (missing.decisive, missing.elsewhere) if pair is not None]
-    others = tuple(name for pair in pairs for name in (pair.target, pair.source) if name != missing.lidar)
+    others = tuple(name for pair in pairs for name in pair.key if name != missing.lidar)
     return others if missing.elsewhere else others[:1]
 
 
@@ -193,22 +188,19 @@ def extrinsics_texts(document: ResultDocument) -> list[ExtrinsicsText]:
 @cache
 def _template() -> Template:
     filters = {
-        "figure": _figure,
-        "decisive": _decisive,
+        "figure": lambda value, scale, digits: (
+            "-" if value is None or math.isnan(value) else f"{scale * value:z.{digits}f}"
+        ),
         "grouped": _grouped,
         "opponents": opponents,
         "sentences": _sentences,
         "short": partial(short_name, letters=_MAX_NAME),
         "snapshot_verdict": _snapshot_verdict,
-        "times": _times,
+        "times": lambda enlarged: "true to size" if enlarged == 1 else f"{enlarged:,} times enlarged",
         "with_code": _with_code,
     }
     script = own_text(_PACKAGE, "page_actions.js") + own_text(_PACKAGE, "rig_view.js")
     return page_template(_PACKAGE, own_text(_PACKAGE, "page.css"), script, filters)
-
-
-def _figure(value: float | None, scale: float, digits: int) -> str:
-    return "-" if value is None or math.isnan(value) else f"{scale * value:z.{digits}f}"
 
 
 def _grouped(groups: Sequence[Sequence[str]]) -> str:
@@ -223,10 +215,6 @@ def _grouped(groups: Sequence[Sequence[str]]) -> str:
 def _sentences(text: str) -> str:
     """Begin with a capital letter and end with a full stop."""
     return f"{text[:1].upper()}{text[1:].rstrip('.')}." if text else ""
-
-
-def _times(enlarged: int) -> str:
-    return "true to size" if enlarged == 1 else f"{enlarged:,} times enlarged"
 
 
 def _snapshot_verdict(snapshot: SnapshotReport) -> str:

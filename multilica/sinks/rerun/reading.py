@@ -90,14 +90,11 @@ def read_recorded_scores(path: Path, pairs: Sequence[PairKey]) -> dict[PairKey, 
 
 
 def _scores(found: Mapping[str, list[Any]], target: str, source: str) -> RecordedScores:
-    ends = [found[pair_path(target, source, "scored", end)] for end in ("source", "target")]
-    competing_pose = _competing(found, target, source)
-    if not ends[0]:
-        ends = [found[pair_path(source, target, "scored", end)] for end in ("target", "source")]
-        reverse = _competing(found, source, target)
-        competing_pose = None if reverse is None else reverse.inverse()
-    (points_m, labels), (target_points_m, target_labels) = map(_labelled, ends)
-    return RecordedScores(points_m, labels, target_points_m, target_labels, competing_pose)
+    key = (target, source) if found[pair_path(target, source, "scored", "source")] else (source, target)
+    ends = zip(key, ("target", "source"), strict=True)
+    scored = {lidar: _labelled(found[pair_path(*key, "scored", end)]) for lidar, end in ends}
+    pose = _competing(found, *key)
+    return RecordedScores(*scored[source], *scored[target], None if pose is None else pose.with_target(target))
 
 
 def _labelled(scored: list[Any]) -> tuple[npt.NDArray[np.float32], tuple[npt.NDArray[np.uint8], ...]]:
