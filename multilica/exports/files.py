@@ -52,12 +52,7 @@ class RunExport:
         return not self.missing and not self.uncertain
 
 
-def read_extrinsics(
-    path: str | Path,
-    format: str | None = None,  # noqa: A002 - the word of the command line
-    *,
-    with_uncertain: bool = False,
-) -> Extrinsics:
+def read_extrinsics(path: str | Path, format: str | None = None, *, with_uncertain: bool = False) -> Extrinsics:  # noqa: A002 - the word of the command line
     """Read extrinsics from a file of any format of `multilica.exports.FORMATS`, or from a recording's `/tf_static`.
 
     If a file holds a tree of frames, the common frame is its root, and every frame is a member.
@@ -112,11 +107,7 @@ def _told_yaml(path: Path) -> str:
     return "kalibr" if any(KALIBR_MATRIX in entry for entry in entries) else "autoware"
 
 
-def export_extrinsics(
-    extrinsics: Extrinsics,
-    path: str | Path,
-    format: str,  # noqa: A002 - the word of the command line
-) -> Path:
+def export_extrinsics(extrinsics: Extrinsics, path: str | Path, format: str) -> Path:  # noqa: A002 - the word of the command line
     """Write extrinsics into a file; in an existing URDF or Autoware file, only the poses of these frames change.
 
     Raises:

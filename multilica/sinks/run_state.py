@@ -22,6 +22,7 @@ from multilica.sinks.text.log_lines import pair_label
 from multilica.snapshot import Snapshot
 
 _DIGEST_CHARACTERS = 16
+_OfPair = results.PairRegistration | results.MergeCandidate | results.PairResidual | results.SurfaceMatches
 
 
 @dataclass(slots=True, eq=False)
@@ -107,14 +108,10 @@ class RunState:
         """All pairs that were matched or registered, in name order."""
         return tuple(sorted({*self.matches, *self.coarse, *self.registrations}))
 
-    def pair_of(self, registration: results.PairRegistration) -> results.PairKey:
-        """Return the pair in the order in which it was matched."""
-        target, source = registration.target, registration.source
-        return (source, target) if (source, target) in self.matches else (target, source)
-
-    def key_of(self, target: str, source: str) -> results.PairKey:
-        """Return the order in which two LiDARs are in `pairs`; the given one if they are not."""
-        return (source, target) if {(source, target)} & {*self.matches, *self.registrations} else (target, source)
+    def pair_of(self, found: _OfPair) -> results.PairKey:
+        """Return the two LiDARs in the order that `pairs` has, in which they were matched; else in their own."""
+        key, reverse = (found.target, found.source), (found.source, found.target)
+        return reverse if reverse in self.matches or reverse in self.registrations else key
 
     def progress_of(self, pair: results.PairKey) -> tuple[bool, float, int]:
         """Return an order of pairs by how close they came to being merged."""

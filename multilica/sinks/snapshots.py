@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from mcap.well_known import MessageEncoding, Profile
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
@@ -43,8 +43,17 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
         if snapshot.static_transforms:
             time_ns = min((time_ns for time_ns, _, _ in _frames(snapshot)), default=0)
             messages.write(_static_transforms(snapshot.static_transforms, _ros_stamp_ns(time_ns)), time_ns)
-        _write_scans(messages.writer, snapshot)
-        messages.writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
+        cloud_schema, writer = ros2.schema_of(ros2.POINT_CLOUD), messages.writer
+        schema = int(writer.register_schema(cloud_schema.name, cloud_schema.encoding, cloud_schema.data))
+        channels = {}
+        for lidar in snapshot.lidars:
+            given = {LIDAR_NAME_KEY: lidar.name, **ros2.offered_qos(latched=False)}
+            channels[lidar.name] = writer.register_channel(_topic(lidar), MessageEncoding.CDR, schema, given)
+        for time_ns, lidar, index in sorted(_frames(snapshot), key=lambda frame: frame[0]):
+            scan = lidar.scans[index]
+            cloud = ros2.point_cloud(lidar.frame_id, _ros_stamp_ns(scan.stamp_ns), scan.points_m, scan.intensity)
+            writer.add_message(channels[lidar.name], time_ns, ros2.serialised(cloud), time_ns, index)
+        writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
 
 
 def window_metadata(config: IngestConfig, vehicle: str = "") -> dict[str, str]:
@@ -75,19 +84,6 @@ def _origin(snapshot: Snapshot) -> dict[str, str]:
 def _static_transforms(poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:
     data = ros2.serialised(ros2.transforms(poses, stamp_ns))
     return McapMessage("/tf_static", ros2.schema_of(ros2.TRANSFORMS), data, ros2.offered_qos(latched=True))
-
-
-def _write_scans(writer: Writer, snapshot: Snapshot) -> None:
-    cloud_schema = ros2.schema_of(ros2.POINT_CLOUD)
-    schema = int(writer.register_schema(cloud_schema.name, cloud_schema.encoding, cloud_schema.data))
-    channels = {}
-    for lidar in snapshot.lidars:
-        metadata = {LIDAR_NAME_KEY: lidar.name, **ros2.offered_qos(latched=False)}
-        channels[lidar.name] = writer.register_channel(_topic(lidar), MessageEncoding.CDR, schema, metadata)
-    for time_ns, lidar, index in sorted(_frames(snapshot), key=lambda frame: frame[0]):
-        scan = lidar.scans[index]
-        cloud = ros2.point_cloud(lidar.frame_id, _ros_stamp_ns(scan.stamp_ns), scan.points_m, scan.intensity)
-        writer.add_message(channels[lidar.name], time_ns, ros2.serialised(cloud), time_ns, index)
 
 
 def _topic(lidar: LidarScans) -> str:

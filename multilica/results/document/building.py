@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -89,19 +88,14 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
     )
 
 
-def _pose(T_target_source: RigidTransform | None) -> dict[str, Any]:
-    names = ("xyz_m", "rpy_deg", "quaternion_xyzw")
-    matrix = None if T_target_source is None else T_target_source.matrix
-    return {"T_target_source": matrix, **{name: getattr(T_target_source, name, None) for name in names}}
-
-
 def _lidar(
     placement: LidarPlacement, health: SensorHealth | None, target: str, exchanged: tuple[str, str] | None
 ) -> LidarEntry:
-    prior = placement.T_target_source_prior
+    pose, prior = placement.T_target_source, placement.T_target_source_prior
     return LidarEntry.of(
         placement,
-        **_pose(placement.T_target_source),
+        T_target_source=None if pose is None else pose.matrix,
+        **{name: getattr(pose, name, None) for name in ("xyz_m", "rpy_deg", "quaternion_xyzw")},
         prior=None if prior is None else _prior(prior, placement, target, exchanged),
         health=health,
     )
@@ -113,7 +107,7 @@ def _prior(
     off_m, off_rad = placement.prior_deviation or (math.nan, math.nan)
     off_deg = math.degrees(off_rad)
     text = surprise(placement, target, exchanged)
-    return PriorEntry(**_pose(prior), deviation_m=off_m, deviation_deg=off_deg, surprise=text)
+    return PriorEntry.of(prior, T_target_source=prior.matrix, deviation_m=off_m, deviation_deg=off_deg, surprise=text)
 
 
 def pair_entry(pair: PairRegistration) -> PairEntry:
@@ -122,7 +116,8 @@ def pair_entry(pair: PairRegistration) -> PairEntry:
         RegistrationEntry.of(found.visibility, found, T_target_source=found.T_target_source.matrix)
         for found in pair.registrations
     ]
-    return PairEntry.of(pair, **_pose(pair.T_target_source), registrations=registrations)
+    pose = pair.T_target_source
+    return PairEntry.of(pose, pair, T_target_source=pose.matrix, registrations=registrations)
 
 
 def _ground(ground: GroundPlane) -> GroundEntry:

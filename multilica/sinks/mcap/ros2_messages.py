@@ -38,7 +38,7 @@ class Ros2Encoding:
     def cloud(self, lidar: str, frame_id: str, points_m: Float32Array, stamp_ns: int) -> McapMessage:
         """Encode ``sensor_msgs/msg/PointCloud2`` of little-endian float32 on a valid ROS 2 topic."""
         topic = f"/lidar/{self._topic_token(lidar)}/points"
-        return _message(topic, ros2.point_cloud(frame_id, stamp_ns, points_m), {LIDAR_NAME_KEY: lidar})
+        return _message(topic, ros2.point_cloud(frame_id, stamp_ns, points_m), lidar=lidar)
 
     def drawings(self, topic: str, drawings: Sequence[Drawing], stamp_ns: int) -> McapMessage:
         """Encode ``visualization_msgs/msg/MarkerArray``, a namespace per drawing, latched for late subscribers."""
@@ -78,14 +78,8 @@ class Ros2Encoding:
         return self._tokens[lidar]
 
 
-def _message(
-    topic: str,
-    message: Any,  # noqa: ANN401 - the classes are made by rosbags at run time
-    metadata: Mapping[str, str] | None = None,
-    *,
-    latched: bool = False,
-) -> McapMessage:
-    channel = {**ros2.offered_qos(latched=latched), **(metadata or {})}
+def _message(topic: str, message: Any, *, latched: bool = False, lidar: str = "") -> McapMessage:  # noqa: ANN401 - the classes are made by rosbags at run time
+    channel = ros2.offered_qos(latched=latched) | ({LIDAR_NAME_KEY: lidar} if lidar else {})
     return McapMessage(topic, ros2.schema_of(message.__msgtype__), ros2.serialised(message), channel)
 
 

@@ -127,7 +127,7 @@ class SigmaMark(NamedTuple):
         forward: end of the line along the axis that the fan is about.
         ellipse: half axes in pixels, then the angle of the first one in degrees; None without a covariance.
         fan: SVG path of the sector of the rotation; empty without a covariance.
-        label, leader_end: where its text begins and where the line to it ends.
+        label: where its text begins.
         anchor: `start` or `end`, as SVG aligns texts.
     """
 
@@ -137,7 +137,6 @@ class SigmaMark(NamedTuple):
     ellipse: tuple[float, float, float] | None
     fan: str
     label: tuple[float, float]
-    leader_end: tuple[float, float]
     anchor: str
 
 
@@ -278,16 +277,8 @@ def _mark(
         half_rad = turned * SIGMAS * math.sqrt(max(float(each.rotation[normal, normal]), 0.0))
         fan = _sector(at, direction, half_rad)
     x, y, anchor = label
-    return SigmaMark(
-        each.pose.source,
-        _rounded(at),
-        _rounded(at + _on_fan(direction)),
-        ellipse,
-        fan,
-        (round(x, 1), round(y, 1)),
-        (round(x + (6.0 if anchor == "end" else -6.0), 1), round(y, 1)),
-        anchor,
-    )
+    tip = _rounded(at + _on_fan(direction))
+    return SigmaMark(each.pose.source, _rounded(at), tip, ellipse, fan, (round(x, 1), round(y, 1)), anchor)
 
 
 def _forward(pose: RigidTransform, axes: tuple[int, int]) -> float:

@@ -131,7 +131,7 @@ def log_registration(
 def candidate_pairs(state: RunState) -> tuple[PairKey, ...]:
     """Return the pairs of two LiDARs that a merge step could have chosen, in name order."""
     candidates = [one for decision in state.decisions for one in decision.candidates if not one.of_groups]
-    return tuple(sorted({state.key_of(one.target, one.source) for one in candidates}))
+    return tuple(sorted({state.pair_of(one) for one in candidates}))
 
 
 def log_candidates(scene: RerunScene, event: events.MergeStepTaken) -> None:
@@ -144,14 +144,14 @@ def log_candidates(scene: RerunScene, event: events.MergeStepTaken) -> None:
     for one in event.decision.candidates:
         figures = {"evidence": one.evidence, "fitness": one.fitness, "rmse_m": one.rmse_m}
         stage = "merge_groups" if one.of_groups else "merge"
-        _log_scalars(scene, scene.state.key_of(one.target, one.source), stage, figures)
+        _log_scalars(scene, scene.state.pair_of(one), stage, figures)
 
 
 def log_refined(scene: RerunScene, event: events.RigRefined) -> None:
     """Log how far the poses are from each registered pair."""
     for each in event.refinement.pairs:
         figures = {"residual_m": each.after_m, "residual_deg": each.after_deg, "weight": each.weight}
-        _log_scalars(scene, scene.state.key_of(each.target, each.source), "refine", figures)
+        _log_scalars(scene, scene.state.pair_of(each), "refine", figures)
 
 
 def _log_scalars(scene: RerunScene, pair: PairKey, stage: str, figures: Mapping[str, float | None]) -> None:
@@ -174,7 +174,7 @@ def _log_residuals(scene: RerunScene, pair: PairKey, pose: RigidTransform) -> No
 def log_surface_matches(scene: RerunScene, event: events.SurfacesMatched) -> None:
     """Log the matches of surfaces at the final pose."""
     found = event.matches
-    pair = scene.state.key_of(found.target, found.source)
+    pair = scene.state.pair_of(found)
     points = (found.target_points_m, found.source_points_m)
     of_target, of_source = points if found.target == pair[0] else points[::-1]
     rows = sample_indices(len(found), scene.limits.match_rows)
@@ -201,7 +201,7 @@ def log_data_tables(scene: RerunScene) -> None:
     state = scene.state
     if state.pairs:
         refined = () if state.document.refinement is None else state.document.refinement.pairs
-        residuals = {state.key_of(each.target, each.source): each for each in refined}
+        residuals = {state.pair_of(each): each for each in refined}
         rows = [_pair_row(state, pair, residuals.get(pair)) for pair in state.pairs]
         _log_rows(scene, PAIR_TABLE, PAIR_COLUMNS, rows)
     if state.decisions:
