@@ -36,11 +36,6 @@ class ExchangeFormat:
     writers: Mapping[str, str]
     readers: Mapping[str, str]
 
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        """Suffixes of the files that it writes."""
-        return tuple(self.writers)
-
     def content(self, extrinsics: Extrinsics, path: Path) -> bytes:
         """Return the content of a file."""
         write: Writer = _function(self.writers[self.suffix_of(path)])
@@ -55,10 +50,10 @@ class ExchangeFormat:
 
     def suffix_of(self, path: Path) -> str:
         """Return the suffix of a file to write; raise UsageError if it is not one of the format."""
-        if path.suffix not in self.suffixes:
+        if path.suffix not in self.writers:
             raise UsageError(
                 f"Found --out {path} for the format {self.name}; expected a name that ends in "
-                f"{' or '.join(self.suffixes)}."
+                f"{' or '.join(self.writers)}."
             )
         return path.suffix
 

@@ -19,7 +19,7 @@ from tests.exports.test_conventions import ROS1_NODE, joint
 from tests.ingest.support.mutations import mutated
 from tests.ingest.support.structured import structured
 
-KINDS = sorted((name, suffix) for name, each in FORMATS.items() for suffix in each.suffixes)
+KINDS = sorted((name, suffix) for name, each in FORMATS.items() for suffix in each.writers)
 MUTATIONS = 60
 
 

@@ -17,7 +17,7 @@ from multilica.geometry import RigidTransform
 from tests.exports.independent_readers import READERS
 from tests.exports.made_rigs import HARD_ANGLES, XYZ_M, assert_same, made_rig
 
-KINDS = sorted((name, suffix) for name, each in FORMATS.items() for suffix in each.suffixes)
+KINDS = sorted((name, suffix) for name, each in FORMATS.items() for suffix in each.writers)
 ROS = [kind for kind in KINDS if kind[0] in ("ros1-launch", "ros2-launch", "ros2-static")]
 
 

@@ -93,10 +93,6 @@ class ReportContents:
         priors = (lidar.prior for lidar in self.document.lidars.values())
         return (*self.document.input.notes, *(prior.surprise for prior in priors if prior and prior.surprise))
 
-    def is_uncertain(self, lidar: str) -> bool:
-        """Return whether the LiDAR's standard deviation is above the limit."""
-        return self.document.lidars[lidar].status == "uncertain"
-
 
 def finalists(pair: PairEntry) -> list[RigidTransform]:
     """Return the poses that the pair's own search scored last, by evidence."""

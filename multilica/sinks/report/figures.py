@@ -307,7 +307,7 @@ def _rig_layers(
             colours[name],
             dot_px=_RIG_DOT_PX,
             sensor=pose,
-            label=f"{name} (uncertain)" if placed and contents.is_uncertain(name) else name,
+            label=f"{name} (uncertain)" if placed and contents.document.lidars[name].status == "uncertain" else name,
         )
         for name, pose in ((name, level @ pose) for name, pose in poses.items())
         if len(contents.clouds.get(name, ()))

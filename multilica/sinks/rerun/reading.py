@@ -58,12 +58,9 @@ def read_recorded_document(path: Path) -> ResultDocument:
             f"{path} has no {RESULT}, which `multilica calibrate` writes when its first stage ends; give the recording "
             "of a run."
         )
-    return max((parse_result(path, text[0]) for text in reversed(texts)), key=_progress)
-
-
-def _progress(document: ResultDocument) -> tuple[bool, int]:
-    """Order the documents of a run; several may be logged at one step."""
-    return document.status != "unfinished", len(document.progress.finished) if document.progress is not None else 0
+    found = (parse_result(path, text[0]) for text in reversed(texts))
+    # Several may be logged at one step.
+    return max(found, key=lambda one: (one.status != "unfinished", len(one.progress.finished if one.progress else ())))
 
 
 def read_recorded_clouds(path: Path, lidars: Sequence[str]) -> dict[str, npt.NDArray[np.float32]]:
