@@ -3,14 +3,11 @@
 
 import base64
 import hashlib
-import os
-import sys
 from collections.abc import Mapping
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined, Template
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from multilica.errors import escape_controls
@@ -34,8 +31,7 @@ def page_template(
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=_without_controls if one_line else None,
-        bytecode_cache=_bytecode_cache(package),
+        finalize=(lambda value: escape_controls(value) if type(value) is str else value) if one_line else None,
     )
     environment.filters |= filters
     environment.globals |= {
@@ -45,18 +41,6 @@ def page_template(
         "script_hash": _hash(script),
     }
     return environment.get_template("page.html")
-
-
-def _bytecode_cache(package: str) -> FileSystemBytecodeCache | None:
-    """Keep the compiled page beside the compiled modules of its package, where these may be written."""
-    folder = Path(str(files(package))) / "__pycache__"
-    if sys.dont_write_bytecode or not os.access(folder, os.W_OK):
-        return None
-    return FileSystemBytecodeCache(str(folder), "%s.html.cache")
-
-
-def _without_controls(value: object) -> object:
-    return escape_controls(value) if type(value) is str else value
 
 
 def _hash(text: str) -> str:

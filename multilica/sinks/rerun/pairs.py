@@ -62,14 +62,6 @@ def log_matches(scene: RerunScene, event: events.CorrespondencesMatched) -> None
     _log_lines(scene, matches, pose, undecided=np.ones(len(matches), dtype=np.bool_))
 
 
-def _log_verdict_on_matches(scene: RerunScene, matches: Correspondences, best: Hypothesis | None) -> None:
-    """Log which matches the best hypothesis keeps; without one, all are rejected."""
-    identity = RigidTransform.identity(matches.target, matches.source)
-    pose = _lifted(scene, matches, best.T_target_source if best else identity)
-    kept = kept_matches(scene.state, matches, best) if best else np.zeros(len(matches), dtype=np.bool_)
-    _log_lines(scene, matches, pose, undecided=np.zeros_like(kept), rejected=~kept, kept=kept)
-
-
 def lift_m(matches: Correspondences) -> float:
     """Return how far the source is moved along the target's z axis."""
     return _LIFT_PER_RADIUS * shown_radius_m(matches.target_points_m)
@@ -205,7 +197,7 @@ def _log_slide(scene: RerunScene, pair: PairKey, registration: PairRegistration,
 
 
 def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
-    """Log every hypothesis of a pair, one step each, the best last; then the matches that it keeps."""
+    """Log every hypothesis of a pair, one step each, the best last; then the matches that it keeps, if there is one."""
     pair = (event.coarse.target, event.coarse.source)
     hypotheses = event.coarse.hypotheses
     for index, one in reversed([*enumerate(hypotheses)]):
@@ -213,7 +205,10 @@ def log_hypotheses(scene: RerunScene, event: events.HypothesesFound) -> None:
         scene.shown_at[one] = scene.step
         _log_pose(scene, pair, hypothesis_label(index, one.origin), one.T_target_source)
     best = hypotheses[0] if hypotheses else None
-    _log_verdict_on_matches(scene, event.correspondences, best)
+    matches = event.correspondences
+    pose = _lifted(scene, matches, best.T_target_source if best else RigidTransform.identity(*pair))
+    kept = kept_matches(scene.state, matches, best) if best else np.zeros(len(matches), dtype=np.bool_)
+    _log_lines(scene, matches, pose, undecided=np.zeros_like(kept), rejected=~kept, kept=kept)
     _log_scores(scene, pair, best)
 
 

@@ -274,7 +274,11 @@ def log_pair_tables(scene: RerunScene) -> None:
         cells = dict(sorted(found.items(), key=lambda each: each[0]))
         _log_shares(scene, FITNESS, cells, [pair.fitness for pair in cells.values()])
         _log_shares(scene, COVERAGE, cells, [pair.coverage for pair in cells.values()])
-        _log_verdicts(scene, cells)
+        outcomes = [pair.verdict.outcome for pair in cells.values()]
+        colours = heat_colours(np.full((len(index),) * 2, np.nan))
+        for cell, outcome in zip(cells, outcomes, strict=True):
+            colours[cell] = VERDICT_COLOURS[outcome]
+        _log_picture(scene, VERDICTS, colours, cells, outcomes)
 
 
 def matrix_bounds(lidars: int) -> FloatArray:
@@ -288,14 +292,6 @@ def _log_shares(scene: RerunScene, path: str, cells: Cells, shares: list[float])
     values[tuple(zip(*cells, strict=True))] = shares
     scene.log(path, rr.Tensor(values.astype(np.float32), dim_names=("target", "source")))
     _log_picture(scene, path, heat_colours(values), cells, [f"{share:.2f}" for share in shares])
-
-
-def _log_verdicts(scene: RerunScene, cells: Cells) -> None:
-    colours = heat_colours(np.full((len(scene.state.lidars),) * 2, np.nan))
-    outcomes = [pair.verdict.outcome for pair in cells.values()]
-    for cell, outcome in zip(cells, outcomes, strict=True):
-        colours[cell] = VERDICT_COLOURS[outcome]
-    _log_picture(scene, VERDICTS, colours, cells, outcomes)
 
 
 def _log_picture(

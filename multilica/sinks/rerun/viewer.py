@@ -83,10 +83,12 @@ def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:
     try:
         with _headless_viewer(size_px) as viewer:
             viewer.open(str(recording.resolve()))
-            _await_loaded(viewer, recording)
-            return _settled_picture(viewer, recording)
+            for _ in _polls(0.1):
+                if any(one.timelines for one in viewer.get_state().recordings):
+                    return _settled_picture(viewer, recording)
     except (ConnectionError, RuntimeError, TimeoutError) as error:
         raise ViewerError(f"Rerun's viewer does not answer ({error}); {_NO_DRIVER}.") from error
+    raise ViewerError(f"Rerun's viewer did not load {recording} within {_TIMEOUT_S:.0f} s; is it a recording?")
 
 
 @contextmanager
@@ -135,13 +137,6 @@ def _connect(process: subprocess.Popen[bytes], port: int, output: IO[bytes]) -> 
     lines = output.read().decode(errors="replace").split("\n")
     last_line = next((line.strip() for line in reversed(lines) if line.strip()), "nothing")
     raise ViewerError(f"Rerun's viewer does not start without a screen (last line: {last_line}); {_NO_DRIVER}.")
-
-
-def _await_loaded(viewer: ViewerClient, recording: Path) -> None:
-    for _ in _polls(0.1):
-        if any(one.timelines for one in viewer.get_state().recordings):
-            return
-    raise ViewerError(f"Rerun's viewer did not load {recording} within {_TIMEOUT_S:.0f} s; is it a recording?")
 
 
 def _settled_picture(viewer: ViewerClient, recording: Path) -> bytes:
