@@ -80,7 +80,7 @@ TARGETS = {
         f"{SINKS}/mcap/test_result_drawings.py",
         f"{SINKS}/mcap/test_partial_mcap.py",
     ),
-    "multilica/results/document/building.py": (f"{SINKS}/text/test_prior_comparison.py", AGREE, FILES),
+    "multilica/results/building.py": (f"{SINKS}/text/test_prior_comparison.py", AGREE, FILES),
     "multilica/sinks/text/*.py": (
         f"{SINKS}/text",
         NUMBERS,
@@ -88,7 +88,7 @@ TARGETS = {
         f"{SINKS}/test_unplaced.py",
         f"{SINKS}/rerun/test_pairs.py",
     ),
-    "multilica/results/document/*.py": (AGREE, FILES, "tests/unit/test_documents.py", "tests/diagnosis"),
+    "multilica/results/document.py": (AGREE, FILES, "tests/unit/test_documents.py", "tests/diagnosis"),
     "multilica/exports/*.py": ("tests/exports/test_formats.py", "tests/exports/test_conventions.py", "tests/exports"),
     "multilica/checks/tolerances.py": ("tests/checks/test_tolerances.py", "tests/unit/project/test_models.py"),
     "multilica/checks/*.py": ("tests/checks/test_comparison.py", "tests/checks/test_ci_reports.py", CHECK),

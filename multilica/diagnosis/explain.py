@@ -20,7 +20,7 @@ from multilica.diagnosis.explanation import (
     step_of,
 )
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
-from multilica.results.document.stages import VerifyFigures
+from multilica.results.stages import VerifyFigures
 
 _RANK = {"accept": 0, "uncertain": 1, "undecided": 2, "reject": 3}
 

@@ -27,8 +27,7 @@ from multilica.extrinsics import Extrinsics, read_extrinsics_table, require_metr
 from multilica.geometry import RigidTransform
 from multilica.ingest.remote.address import local_output
 from multilica.ingest.transforms import parse_xml
-from multilica.results.document import ResultDocument
-from multilica.results.document.result import GroundEntry
+from multilica.results.document import GroundEntry, ResultDocument
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.files.atomic import atomic_file
 

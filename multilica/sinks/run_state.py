@@ -13,10 +13,9 @@ from multilica import events, results
 from multilica.config import CalibrationConfig, Stage
 from multilica.diagnosis import Missing, explain
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results.document import ResultDocument
-from multilica.results.document import stages as figures
-from multilica.results.document.building import Provenance, provenance_of, result_document
-from multilica.results.document.result import ProgressEntry
+from multilica.results import stages as figures
+from multilica.results.building import Provenance, provenance_of, result_document
+from multilica.results.document import ProgressEntry, ResultDocument
 from multilica.results.values import Entry
 from multilica.sinks.text.log_lines import pair_label
 from multilica.snapshot import Snapshot

@@ -14,7 +14,7 @@ import pytest
 from multilica.geometry import Float32Array
 from multilica.ingest import read_snapshot
 from multilica.ingest.plausibility import plausibility_notes
-from multilica.results.document.building import provenance_of
+from multilica.results.building import provenance_of
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot

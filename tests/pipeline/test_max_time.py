@@ -7,7 +7,7 @@ from multilica.config import CalibrationConfig, with_overrides
 from multilica.diagnosis import explain
 from multilica.orchestration.state import CalibrationState
 from multilica.results import TimeLimit
-from multilica.results.document.building import provenance_of, result_document
+from multilica.results.building import provenance_of, result_document
 from tests.pipeline.watched import assert_true, only, sides, watched
 
 pytestmark = pytest.mark.slow

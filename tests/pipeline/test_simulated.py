@@ -10,7 +10,7 @@ from multilica import events
 from multilica.config import STAGES, CalibrationConfig, preset, with_overrides
 from multilica.orchestration.pairs import PAIR_STAGES
 from multilica.pipeline import calibrate
-from multilica.results.document.building import provenance_of, result_document
+from multilica.results.building import provenance_of, result_document
 from multilica.simulate import simulate_snapshot
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from tests.pipeline.watched import GOOD_M, GOOD_RAD, assert_true, of, only, sides, watched

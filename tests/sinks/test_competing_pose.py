@@ -93,8 +93,7 @@ def test_the_report_draws_both_poses(hall):
     chosen, other = contents.scored["hall", "back"]
     assert chosen.T_target_source.rpy_deg[2] == pytest.approx(180.0)
     assert other.T_target_source.rpy_deg[2] == pytest.approx(0.0)
-    level = RigidTransform.identity("level", "hall")
-    figures = pair_figures(contents, ("hall", "back"), level, dict.fromkeys(hall.lidars, (200, 100, 50)))
+    figures = pair_figures(contents, ("hall", "back"))
     assert [figure.caption.split(",")[0] for figure in figures] == [
         "back on hall at the best pose",
         "back on hall at a competing pose that other pairs imply",
@@ -112,8 +111,7 @@ def test_the_picture_of_lidars_without_common_view_says_so(hall):
     )
     unseen = replace(chosen, labels=np.zeros(5, np.uint8), points_m=wall(10.0)[:5])
     contents = replace(contents, scored={("hall", "back"): (chosen, unseen)})
-    level = RigidTransform.identity("level", "hall")
-    figures = pair_figures(contents, ("hall", "back"), level, dict.fromkeys(hall.lidars, (200, 100, 50)))
+    figures = pair_figures(contents, ("hall", "back"))
     assert figures[0].caption.endswith("each in its colour.")
     assert figures[1].caption.endswith("neither LiDAR sees a point of the other, so nothing contradicts this pose.")
 

@@ -113,13 +113,7 @@ def test_the_report_names_both_others_and_draws_both_places(state):
     (failure,) = contents.explanation.missing
     assert failure.step.startswith("merge")
     assert set(opponents(failure)) == {"top", OTHER}
-    level = RigidTransform.identity("level", contents.target)
-    figures = pair_figures(
-        contents,
-        (failure.decisive.target, failure.decisive.source),
-        level,
-        dict.fromkeys(contents.document.lidars, (200, 100, 50)),
-    )
+    figures = pair_figures(contents, failure.decisive.key)
     assert [
         "at the pose of this pair" in figures[0].caption,
         "another accepted pair implies" in figures[1].caption,

@@ -16,8 +16,7 @@ from multilica import events
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics, extrinsics_table, pose_values
 from multilica.geometry import RigidTransform
-from multilica.results.document import LidarEntry, ResultDocument
-from multilica.results.document.result import GroundEntry
+from multilica.results.document import GroundEntry, LidarEntry, ResultDocument
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.run_state import RunState
 

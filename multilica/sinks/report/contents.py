@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from multilica.diagnosis import Explanation, explain
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results import PairKey, PairRegistration, Registration
+from multilica.results import LEVEL_FRAME, PairKey, PairRegistration, Registration
 from multilica.results.document import PairEntry, ResultDocument
-from multilica.sinks.drawing import sample_points
+from multilica.sinks.drawing import Rgb, distinct_colours, sample_points
 from multilica.sinks.run_state import RunState
 
 SAME_POSE = 1e-4
@@ -64,6 +64,16 @@ class ReportContents:
     def target(self) -> str:
         """Return the target LiDAR; the first LiDAR until the target is chosen."""
         return self.document.target or next(iter(self.document.lidars))
+
+    @property
+    def shown_level(self) -> RigidTransform:
+        """Pose of the target in the frame of the pictures, which has the target's axes where no level is known."""
+        return self.level or RigidTransform.identity(LEVEL_FRAME, self.target)
+
+    @property
+    def colours(self) -> dict[str, Rgb]:
+        """Colour per LiDAR."""
+        return distinct_colours(self.document.lidars)
 
     @property
     def explanation(self) -> Explanation:

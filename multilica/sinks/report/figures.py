@@ -3,7 +3,7 @@
 
 import base64
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
@@ -248,12 +248,10 @@ class Figure(NamedTuple):
         return f"data:image/png;base64,{base64.b64encode(self.png).decode('ascii')}"
 
 
-def rig_figures(
-    contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], *, calibrated: bool
-) -> dict[str, Figure]:
+def rig_figures(contents: ReportContents, *, calibrated: bool) -> dict[str, Figure]:
     """Draw all clouds before and, if calibrated, after: `top_before`, `top_after`, `side_...`, and `oblique`."""
-    before = _rig_layers(contents, level, colours, placed=False)
-    after = _rig_layers(contents, level, colours, placed=True) if calibrated else before
+    before = _rig_layers(contents, placed=False)
+    after = _rig_layers(contents, placed=True) if calibrated else before
     figures = {"oblique": _oblique_figure(after, "as placed" if calibrated else "as recorded")}
     axes = {"top": "Seen from above: x to the right, y up", "side": "Seen from the right: x to the right, z up"}
     low_m, high_m = _extent_m(_all_points(after))
@@ -294,9 +292,7 @@ def _labels(layers: Sequence[Layer]) -> str:
     return ", ".join(layer.label for layer in layers) or "no LiDAR"
 
 
-def _rig_layers(
-    contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], *, placed: bool
-) -> list[Layer]:
+def _rig_layers(contents: ReportContents, *, placed: bool) -> list[Layer]:
     """Return a layer per LiDAR with returns, in the level frame; if `placed`, without unplaced LiDARs."""
     same = {name: RigidTransform.identity(contents.target, name) for name in contents.document.lidars}
     poses = contents.document.poses if placed else same
@@ -304,19 +300,17 @@ def _rig_layers(
     return [
         Layer(
             pose.apply(every_nth(contents.clouds[name], enough)),
-            colours[name],
+            contents.colours[name],
             dot_px=_RIG_DOT_PX,
             sensor=pose,
             label=f"{name} (uncertain)" if placed and contents.document.lidars[name].status == "uncertain" else name,
         )
-        for name, pose in ((name, level @ pose) for name, pose in poses.items())
+        for name, pose in ((name, contents.shown_level @ pose) for name, pose in poses.items())
         if len(contents.clouds.get(name, ()))
     ]
 
 
-def pair_figures(
-    contents: ReportContents, pair: PairKey, level: RigidTransform, colours: Mapping[str, Rgb]
-) -> list[Figure]:
+def pair_figures(contents: ReportContents, pair: PairKey) -> list[Figure]:
     """Draw a pair from above: the best pose, then the competing one, if any."""
     scored = contents.scored.get(pair, ())
     entry = next((one for one in contents.document.pairs if one.key == pair), None)
@@ -325,15 +319,13 @@ def pair_figures(
     words = ("at the best pose", "at the next best pose" if next_best else "at a competing pose that other pairs imply")
     if entry is not None and entry.verdict.accepted:
         words = ("at the pose of this pair", "at the pose that another accepted pair implies")
-    return [_pair_figure(contents, one, level, colours, how) for one, how in zip(scored, words, strict=False)]
+    return [_pair_figure(contents, one, how) for one, how in zip(scored, words, strict=False)]
 
 
-def _pair_figure(
-    contents: ReportContents, scored: ScoredPoints, level: RigidTransform, colours: Mapping[str, Rgb], words: str
-) -> Figure:
+def _pair_figure(contents: ReportContents, scored: ScoredPoints, words: str) -> Figure:
     """Draw both clouds, dimmed below their scored points."""
     target, source = scored.T_target_source.target, scored.T_target_source.source
-    T_level_target = _levelled(contents, scored.T_target_source, level)
+    T_level_target, colours = _levelled(contents, scored.T_target_source), contents.colours
     T_level_source = T_level_target @ scored.T_target_source
     points_m = np.concatenate([T_level_source.apply(scored.points_m), T_level_target.apply(scored.target_points_m)])
     labels = np.concatenate([scored.labels, scored.target_labels])
@@ -357,9 +349,9 @@ def _pair_figure(
     return _figure(view, layers, text, f"{text} Large points are those of both LiDARs, scored by visibility.")
 
 
-def _levelled(contents: ReportContents, T_target_source: RigidTransform, level: RigidTransform) -> RigidTransform:
+def _levelled(contents: ReportContents, T_target_source: RigidTransform) -> RigidTransform:
     """Return the pose of the pair's target in the level frame; its own axes if neither LiDAR is placed."""
-    placed, target = contents.document.poses, T_target_source.target
+    placed, target, level = contents.document.poses, T_target_source.target, contents.shown_level
     if target in placed:
         return level @ placed[target]
     if T_target_source.source in placed:

@@ -16,9 +16,9 @@ from multilica import events
 from multilica.diagnosis import Missing
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import LEVEL_FRAME, SnapshotReport
+from multilica.results import SnapshotReport
 from multilica.results.document import PairEntry, ResultDocument
-from multilica.sinks.drawing import AGREE, EDGE_LABEL_SHARE, OCCLUDED, VIOLATE, distinct_colours, hex_colour
+from multilica.sinks.drawing import AGREE, EDGE_LABEL_SHARE, OCCLUDED, VIOLATE, hex_colour
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.result_files import REPORT_HTML, calibration_toml, config_toml, matrix_text, urdf_text
 from multilica.sinks.report.contents import ReportContents, contents_of
@@ -71,12 +71,10 @@ class ReportFile(AbstractContextManager["ReportFile"]):
 
 def report_html(contents: ReportContents) -> str:
     """Render the report as one self-contained page of at most `MAX_BYTES` bytes."""
-    frame = contents.level or RigidTransform.identity(LEVEL_FRAME, contents.target)
-    colours = distinct_colours(contents.document.lidars)
-    context = _context(contents, frame)
+    context = _context(contents)
 
     def page(max_points: int) -> str:
-        return _template().render(context | {"scene": rig_scene(contents, frame, colours, max_points)})
+        return _template().render(context | {"scene": rig_scene(contents, max_points)})
 
     whole = page(MAX_POINTS)
     if len(whole.encode()) <= MAX_BYTES:
@@ -85,9 +83,8 @@ def report_html(contents: ReportContents) -> str:
     return page(max(0, min(MAX_POINTS, spare_points)))
 
 
-def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
+def _context(contents: ReportContents) -> dict[str, Any]:
     """Return the variables of the template, except the clouds of the 3-D view."""
-    colours = distinct_colours(contents.document.lidars)
     document, explanation = contents.document, contents.explanation
     calibrated = len(contents.document.poses) > 1
     merged = {decision.chosen.names for decision in document.decisions if decision.chosen is not None}
@@ -95,10 +92,10 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
         "contents": contents,
         "document": document,
         "explanation": explanation,
-        "pair_figures": _pair_figures(contents, explanation.missing, level),
-        "figures": rig_figures(contents, level, colours, calibrated=calibrated),
+        "pair_figures": _pair_figures(contents, explanation.missing),
+        "figures": rig_figures(contents, calibrated=calibrated),
         "calibrated": calibrated,
-        "colours": {name: hex_colour(colour) for name, colour in colours.items()},
+        "colours": {name: hex_colour(colour) for name, colour in contents.colours.items()},
         "label_colours": {
             "agree": hex_colour(AGREE),
             "lie in proven-empty space": hex_colour(VIOLATE),
@@ -114,21 +111,18 @@ def _context(contents: ReportContents, level: RigidTransform) -> dict[str, Any]:
         "by_evidence": document.accepted_by == "evidence",
         "fitness_distance": f"{document.config.fine.fitness_distance_m:g}",
         "texts": extrinsics_texts(document),
-        "rig": rig_drawing(contents, level),
+        "rig": rig_drawing(contents),
         "matrix": {pair.key: pair for pair in document.pairs},
         "seconds": {stage: seconds for stage, seconds in document.timing_s.items() if seconds is not None},
         "config_toml": config_toml(document.config),
     }
 
 
-def _pair_figures(
-    contents: ReportContents, missing: Sequence[Missing], level: RigidTransform
-) -> dict[str, list[Figure]]:
+def _pair_figures(contents: ReportContents, missing: Sequence[Missing]) -> dict[str, list[Figure]]:
     """Draw the decisive pair of each unplaced LiDAR, of a large rig only the first ones, each pair once."""
-    colours = distinct_colours(contents.document.lidars)
     first = {each.decisive.key: each.lidar for each in reversed(missing) if each.decisive is not None}
     shown = list(reversed(first.items()))[:_MAX_PICTURED]
-    return {lidar: pair_figures(contents, pair, level, colours) for pair, lidar in shown}
+    return {lidar: pair_figures(contents, pair) for pair, lidar in shown}
 
 
 def opponents(missing: Missing) -> tuple[str, ...]:

@@ -3,14 +3,14 @@
 
 import base64
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import LEVEL_FRAME
-from multilica.sinks.drawing import SIGMAS, Rgb, every_nth, sample_points
+from multilica.sinks.drawing import SIGMAS, every_nth, sample_points
 from multilica.sinks.report.contents import ReportContents
 
 MAX_POINTS = 300_000
@@ -46,13 +46,10 @@ _ALONG = ("From above: x to the right, y up.", "From the right: x to the right, 
 _ACROSS = ("From above: x up, y to the left.", "From behind: y to the left, z up.")
 
 
-def rig_scene(
-    contents: ReportContents, level: RigidTransform, colours: Mapping[str, Rgb], max_points: int
-) -> dict[str, Any]:
+def rig_scene(contents: ReportContents, max_points: int) -> dict[str, Any]:
     """Return the data of the view's script, JSON-ready.
 
     Args:
-        level: the target LiDAR's pose in the frame of the view, z up.
         max_points: over all clouds; each is thinned at random to its share.
 
     Returns:
@@ -61,7 +58,7 @@ def rig_scene(
     """
     clouds = {name: cloud for name, cloud in contents.clouds.items() if len(cloud)}
     share = max_points // max(1, len(clouds))
-    placed = contents.document.poses
+    placed, level, colours = contents.document.poses, contents.shown_level, contents.colours
     posed = refused_poses(contents) | placed
     recorded = {name: RigidTransform.identity(contents.target, name) for name in contents.document.lidars}
     seen_first = {name: pose for name, pose in (placed or recorded).items() if name in clouds}
@@ -166,10 +163,11 @@ class _Pose(NamedTuple):
     rotation: FloatArray | None = None
 
 
-def rig_drawing(contents: ReportContents, level: RigidTransform) -> RigDrawing | None:
+def rig_drawing(contents: ReportContents) -> RigDrawing | None:
     """Lay out the rig from above and from the side; None if no LiDAR has a covariance."""
     if all(contents.document.lidars[name].covariance is None for name in contents.document.poses):
         return None
+    level = contents.shown_level
     placed_m = np.array([(level @ pose).xyz_m for pose in contents.document.poses.values()])
     is_wide = bool(np.ptp(placed_m[:, 1]) > np.ptp(placed_m[:, 0]))
     poses = [_levelled(contents, name, QUARTER_TURN @ level if is_wide else level) for name in contents.document.poses]

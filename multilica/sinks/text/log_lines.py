@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 
 from multilica import events, results
 from multilica.errors import MultilicaError
-from multilica.results.document.building import surprises
+from multilica.results.building import surprises
 
 LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
 

@@ -10,9 +10,8 @@ from scipy.spatial.transform import Rotation
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult, LidarPlacement
-from multilica.results.document import ResultDocument
-from multilica.results.document.building import Provenance, result_document
-from multilica.results.document.result import InputEntry
+from multilica.results.building import Provenance, result_document
+from multilica.results.document import InputEntry, ResultDocument
 from multilica.sinks.drawing import ellipsoid_scale, field_of_view, uncertainty_ellipsoid
 
 

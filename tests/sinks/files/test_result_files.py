@@ -15,8 +15,8 @@ import pytest
 from multilica import events, read_extrinsics
 from multilica.config import STAGES
 from multilica.errors import UnreadableSourceError
+from multilica.results.building import collect_versions, provenance_of, result_document
 from multilica.results.document import parse_result
-from multilica.results.document.building import collect_versions, provenance_of, result_document
 from multilica.sinks.files.result_files import ResultFiles, toml_text
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 import base64
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.sinks.drawing import distinct_colours
 from multilica.sinks.report.contents import contents_of
 from multilica.sinks.report.page import opponents, report_html
 from multilica.sinks.report.rig import refused_poses, rig_scene
@@ -168,7 +168,7 @@ def test_the_graph_marks_the_pairs_of_the_merge(partial):
 
 
 def test_the_scene_gives_the_points_back(partial):
-    scene = rig_scene(partial, LEVEL, distinct_colours(partial.document.lidars), max_points=3000)
+    scene = rig_scene(replace(partial, level=LEVEL), max_points=3000)
     for cloud in scene["clouds"]:
         steps = np.frombuffer(base64.b64decode(cloud["points"]), dtype="<u2").reshape(-1, 3)
         points_m = np.array(cloud["low"]) + np.array(cloud["span"]) * steps / 65_535

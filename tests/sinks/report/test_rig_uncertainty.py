@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def contents_with(sigma_xyz_m: tuple[float, float, float], sigma_deg: tuple[floa
 
 
 def marks_of(contents: ReportContents, level: RigidTransform = LEVEL):
-    drawing = rig_drawing(contents, level)
+    drawing = rig_drawing(replace(contents, level=level))
     return drawing, [{mark.name: mark for mark in view.marks} for view in drawing.views]
 
 
@@ -84,8 +85,8 @@ def test_without_any_covariance_there_is_no_drawing():
     lidars = contents.document.model_dump(mode="json")["lidars"]
     for entry in lidars.values():
         entry["covariance"] = None
-    assert rig_drawing(with_values(contents, lidars=lidars), LEVEL) is None
-    assert rig_drawing(made_contents("complete", until="coarse"), LEVEL) is None
+    assert rig_drawing(with_values(contents, lidars=lidars)) is None
+    assert rig_drawing(made_contents("complete", until="coarse")) is None
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from multilica import events
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import PRIOR, CalibrationResult, CoarseResult, LidarPlacement
-from multilica.results.document.building import provenance_of, result_document, surprises
+from multilica.results.building import provenance_of, result_document, surprises
 from multilica.sinks.run_state import RunState
 from multilica.sinks.text.log_lines import log_lines
 from multilica.sinks.text.markdown import hypotheses_markdown, summary_markdown

@@ -14,7 +14,6 @@ from multilica.errors import UnreadableSourceError
 from multilica.geometry import FloatArray, RigidTransform, largest_index, read_only
 from multilica.results.calibration import Refusal, SnapshotReport, TimeLimit
 from multilica.results.clouds import SensorHealth
-from multilica.results.document.stages import StageFigures
 from multilica.results.placements import (
     ContestedPlace,
     LidarPlacement,
@@ -25,6 +24,7 @@ from multilica.results.placements import (
     Spread,
 )
 from multilica.results.registrations import Stability, Verdict
+from multilica.results.stages import StageFigures
 from multilica.results.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry, Quaternion, Vector3
 
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"

@@ -16,7 +16,7 @@ import multilica
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad
 from multilica.results import CalibrationResult, GroundPlane, LidarPlacement, PairRegistration, SensorHealth
-from multilica.results.document.result import (
+from multilica.results.document import (
     RESULT_SCHEMA,
     GroundEntry,
     InputEntry,
