@@ -7,8 +7,7 @@ import pickle
 import struct
 import traceback
 from array import array
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from itertools import accumulate
+from collections.abc import Callable, Collection, Iterable, Sequence
 from mmap import ACCESS_READ, mmap
 from typing import Any, NamedTuple
 
@@ -104,8 +103,8 @@ def pack(value: object) -> int:
     descriptor = os.memfd_create("multilica")
     with open(descriptor, "wb", closefd=False) as memory:
         memory.write(array("Q", [0, len(sections)]).tobytes() + lengths.tobytes())
-        for start, section in zip(_starts(lengths), sections, strict=True):
-            memory.seek(start)
+        for section in sections:
+            memory.seek(_aligned(memory.tell()))
             memory.write(section)
     return descriptor
 
@@ -114,21 +113,19 @@ def unpack(descriptor: int) -> object:
     """Read the value that `pack` wrote; its arrays are read-only views of the shared memory."""
     memory = memoryview(mmap(descriptor, 0, access=ACCESS_READ))
     (count,) = _COUNTER.unpack_from(memory, _COUNTER.size)
-    lengths = memory[_LENGTHS_AT : _LENGTHS_AT + count * _COUNTER.size].cast("Q")
-    spans = zip(_starts(lengths), lengths, strict=True)
-    head, *buffers = (memory[start : start + length] for start, length in spans)
+    place = _LENGTHS_AT + count * _COUNTER.size
+    sections = []
+    for length in memory[_LENGTHS_AT:place].cast("Q"):
+        place = _aligned(place) + length
+        sections.append(memory[place - length : place])
+    head, *buffers = sections
     value: object = pickle.loads(head, buffers=buffers)  # noqa: S301 - written by a process of ours
     return value
 
 
-def _starts(lengths: Sequence[int]) -> Iterator[int]:
-    """Yield the start of each section, aligned for the fastest instructions."""
-    first = _aligned(_LENGTHS_AT + len(lengths) * _COUNTER.size)
-    return accumulate((_aligned(length) for length in lengths[:-1]), initial=first)
-
-
-def _aligned(size: int) -> int:
-    return -(-size // _ALIGNMENT) * _ALIGNMENT
+def _aligned(place: int) -> int:
+    """Return the next place that suits the fastest instructions."""
+    return -(-place // _ALIGNMENT) * _ALIGNMENT
 
 
 def claim_next(descriptor: int, *, ends: bool = False) -> int:
