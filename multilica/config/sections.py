@@ -4,7 +4,7 @@
 from datetime import datetime
 from typing import Annotated, Literal, get_args
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict, field_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict
 
 from multilica.documents import require_length
 
@@ -19,6 +19,8 @@ PositiveMetres = Annotated[float, Strict(), Field(gt=0.0), AfterValidator(requir
 Metres = Annotated[float, Strict(), Field(ge=0.0), AfterValidator(require_length)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
 Count = Annotated[int, Strict(), Field(ge=1)]
+TimeText = Annotated[str, BeforeValidator(lambda time: str(time) if isinstance(time, datetime | int | float) else time)]
+"""A text, or a time or number of TOML."""
 
 
 class Section(BaseModel):
@@ -34,9 +36,8 @@ class IngestConfig(Section):
         10, description="frames accumulated per LiDAR; a recorded snapshot uses all its frames unless this is given"
     )
     start_s: float = Field(0.0, ge=0.0, description="start of the window, in seconds after the first frame")
-    start_at: str = Field(
-        "",
-        description="start of the window as a time: ISO 8601 (UTC by default), or s or ns since the epoch",
+    start_at: TimeText = Field(
+        "", description="start of the window as a time: ISO 8601 (UTC by default), or s or ns since the epoch"
     )
     window: Literal["start", "auto"] = Field(
         "start", description="auto: the longest standstill after start_s; start: the frames right after start_s"
@@ -55,12 +56,6 @@ class IngestConfig(Section):
         2000.0, description="memory that reading may take; a source that needs more is refused"
     )
     timeout_s: Positive = Field(30.0, description="seconds after which reading from a live source stops")
-
-    @field_validator("start_at", mode="before")
-    @classmethod
-    def _as_text(cls, value: object) -> object:
-        """Accept the times and numbers of TOML as well."""
-        return str(value) if isinstance(value, datetime | int | float) else value
 
 
 class StillnessConfig(Section):
