@@ -62,21 +62,14 @@ def print_json(document: object) -> None:
 
 def wrapped(text: str, width: int) -> str:
     """Break the lines of a text between words; what follows the first line of one that is too long is indented."""
-    return "\n".join(_wrapped_line(line, width) for line in text.split("\n"))
-
-
-def _wrapped_line(line: str, width: int) -> str:
-    indent = line[: len(line) - len(line.lstrip())]
-    parts = textwrap.wrap(
-        line,
-        max(width, 20),
-        subsequent_indent=f"{indent}  ",
-        break_long_words=False,
-        break_on_hyphens=False,
-        replace_whitespace=False,
-        drop_whitespace=True,
-    )
-    return "\n".join(parts) if len(line) > width else line
+    lines = []
+    for line in text.split("\n"):
+        wrapper = textwrap.TextWrapper(
+            max(width, 20), break_long_words=False, break_on_hyphens=False, replace_whitespace=False
+        )
+        wrapper.subsequent_indent = f"{line[: len(line) - len(line.lstrip())]}  "
+        lines.append("\n".join(wrapper.wrap(line)) if len(line) > width else line)
+    return "\n".join(lines)
 
 
 def _console(*, stderr: bool, quiet: bool = False) -> Console:

@@ -102,7 +102,11 @@ class LidarSeries:
             return np.empty((0, 6))
         xyz_m = np.array([pose.xyz_m for pose in self.T_target_lidar])
         rotations = Rotation.from_matrix([pose.rotation for pose in self.T_target_lidar])
-        turns_rad = (rotations * _middle(rotations).inv()).as_rotvec()
+        # The middle rotation is the one closest to all others, which no few outliers move.
+        quaternions = rotations.as_quat()[:: 1 + len(self) // _MOST_COMPARED]
+        angles_rad = np.arccos(np.abs(quaternions @ quaternions.T).clip(max=1.0))
+        middle = Rotation.from_quat(quaternions[int(np.argmin(angles_rad.sum(axis=0)))])
+        turns_rad = (rotations * middle.inv()).as_rotvec()
         turns_rad -= np.median(turns_rad, axis=0)
         return np.hstack([1e3 * (xyz_m - np.median(xyz_m, axis=0)), np.rad2deg(turns_rad)])
 
@@ -142,11 +146,3 @@ def _series(vehicle: str, lidar: str, target: str, rows: Sequence[tuple[Any, ...
         np.array([row[0] for row in dated if row[5][0] is None], dtype=np.int64),
         len(rows) - len(dated),
     )
-
-
-def _middle(rotations: Rotation) -> Rotation:
-    """Return the rotation that is closest to all others, which no few outliers move."""
-    quaternions = rotations.as_quat()
-    some = quaternions[:: 1 + len(quaternions) // _MOST_COMPARED]
-    cosines = np.abs(some @ some.T).clip(max=1.0)
-    return Rotation.from_quat(some[int(np.argmin(np.arccos(cosines).sum(axis=0)))])

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Report of a saved run, and its picture."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
 from multilica.errors import SourceNotFoundError, UsageError
-from multilica.geometry import FloatArray, RigidTransform
+from multilica.geometry import RigidTransform
 from multilica.results import LEVEL_FRAME
-from multilica.results.document import PairEntry, ResultDocument
+from multilica.results.document import PairEntry
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.report.contents import SAME_POSE, ReportContents, ScoredPoints, finalists
 from multilica.sinks.rerun.reading import RecordedScores, read_recorded_clouds, read_recorded_scores
@@ -38,14 +37,13 @@ def contents_of_run(path: Path) -> ReportContents:
     shown = {pair.key: pair for pair in document.pairs if not pair.verdict.accepted}
     scores = read_recorded_scores(run.recording, list(shown))
     scored = {pair.key: _scored(scores[pair.key], pair) if pair.key in shown else () for pair in document.pairs}
-    return ReportContents(document, clouds, scored, _level(document, clouds))
-
-
-def _level(document: ResultDocument, clouds: Mapping[str, FloatArray]) -> RigidTransform | None:
     target = document.target or next(iter(document.lidars))
-    if document.ground is not None:
-        return RigidTransform(LEVEL_FRAME, target, np.asarray(document.ground.T_base_target, dtype=np.float64))
-    return estimate_level(target, clouds, document.poses, document.config)
+    level = (
+        estimate_level(target, clouds, document.poses, document.config)
+        if document.ground is None
+        else RigidTransform(LEVEL_FRAME, target, np.asarray(document.ground.T_base_target, dtype=np.float64))
+    )
+    return ReportContents(document, clouds, scored, level)
 
 
 def _scored(found: RecordedScores, pair: PairEntry) -> tuple[ScoredPoints, ...]:

@@ -28,7 +28,7 @@ from multilica_cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from multilica.runs.difference import Change, RunDifference
+    from multilica.runs.difference import RunDifference
 
 _MOST_CHANGES = 8
 _MOST_CHARACTERS = 60
@@ -141,17 +141,13 @@ def _print_stage_differences(difference: RunDifference, console: Console) -> Non
     (first, changes), *later = difference.differences.items()
     console.print(f"The runs first differ at: {first}")
     for change in changes[:_MOST_CHANGES]:
-        console.print(f"  {change.what}: {_shown(change)}")
+        texts = ("none" if value is None else str(value) for value in (change.before, change.after))
+        cut = (text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..." for text in texts)
+        console.print(f"  {change.what}: {' -> '.join(cut)}")
     if len(changes) > _MOST_CHANGES:
         console.print(f"  and {len(changes) - _MOST_CHANGES} more, see --json")
     if later:
         console.print(f"after it: {', '.join(step for step, _ in later)}")
-
-
-def _shown(change: Change) -> str:
-    texts = ("none" if value is None else str(value) for value in (change.before, change.after))
-    cut = (text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..." for text in texts)
-    return " -> ".join(cut)
 
 
 def _verdict(difference: RunDifference) -> str:
