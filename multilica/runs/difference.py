@@ -114,11 +114,11 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
         for name in sorted(common - {first.target})
         if first.target in common
     }
-    statuses = [
-        StatusChange(lidar=name, before=status, after=later, why=_why((second, first), name))
+    statuses = {
+        name: StatusChange(lidar=name, before=status, after=later, why=_why((second, first), name))
         for name, (status, later) in found.items()
         if status != later
-    ]
+    }
     neither = {
         name: PlacedByNeither(lidar=name, before=_why((first,), name), after=_why((second,), name))
         for name, both in found.items()
@@ -132,7 +132,7 @@ def compare_runs(before: RunDocument, after: RunDocument, *, within_m: float, wi
         targets=(first.target, second.target),
         moves=moves,
         placed_by_neither=neither,
-        statuses={change.lidar: change for change in statuses},
+        statuses=statuses,
         first_difference=next(iter(differences), None),
         differences=differences,
         notes=_notes(before, after),

@@ -97,12 +97,8 @@ def store_report(store: Store, page: Path) -> str:
         vehicle: tuple(own) for vehicle, own in groupby(series, key=lambda each: each.vehicle) if vehicle in drawn
     }
     vehicles = [
-        replace(
-            PageVehicle(*row[:-1]),
-            not_placed_last=tuple(row[-1].split(", ")) if row[-1] else (),
-            histories=histories.get(row[0], ()),
-        )
-        for row in rows
+        PageVehicle(*(*row, tuple(lacking.split(", ")) if lacking else (), histories.get(row[0], ())))
+        for *row, lacking in rows
     ]
     return fleet_page(store.name, vehicles, events, failures, _files_seen_from(page, store))
 
