@@ -2,6 +2,7 @@
 """Pairs are searched until accepted pairs link all LiDARs; what they imply is tested instead."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -22,6 +23,11 @@ pytestmark = pytest.mark.slow
 _PAIRS = {frozenset(pair) for pair in (("left", "right"), ("left", "top"), ("right", "top"))}
 
 
+@cache
+def _half():
+    return only(sides().snapshot, "left", "right", "top", every=2)
+
+
 def _searched(seen):
     return [frozenset((each.coarse.target, each.coarse.source)) for each in of(events.HypothesesFound, seen)]
 
@@ -31,7 +37,7 @@ def _registered_as_loops(seen):
 
 
 def test_a_pair_that_others_link_is_registered_without_a_search():
-    result, seen = watched(sides().snapshot)
+    result, seen = watched(_half())
     searched, loops = _searched(seen), _registered_as_loops(seen)
     assert len(searched) == 2
     assert {*searched, *loops} == _PAIRS
@@ -51,7 +57,7 @@ def test_a_pair_whose_implied_pose_beams_contradict_is_searched(monkeypatch):
         return replace(scored, visibility=replace(scored.visibility, violate=100))
 
     monkeypatch.setattr(search, "score_implied", contradicted)
-    _, seen = watched(sides().snapshot, "until=fine")
+    _, seen = watched(_half(), "until=fine")
     assert {*_searched(seen)} == _PAIRS
     assert _registered_as_loops(seen) == []
 
@@ -62,7 +68,7 @@ def test_a_pair_that_leaves_its_implied_pose_is_searched(monkeypatch):
         return replace(found, T_target_source=_shifted(found.T_target_source))
 
     monkeypatch.setattr(search, "register_implied", carried_away)
-    result, seen = watched(sides().snapshot)
+    result, seen = watched(_half())
     assert _registered_as_loops(seen) == []
     assert {*_searched(seen)} == _PAIRS
     assert_true(result, sides().truth)
@@ -70,7 +76,7 @@ def test_a_pair_that_leaves_its_implied_pose_is_searched(monkeypatch):
 
 def test_without_links_all_pairs_are_searched(monkeypatch):
     monkeypatch.setattr(pair_steps, "accept", lambda *_: Verdict("undecided", (Reason("ambiguous", 0.0, 1.0, "made"),)))
-    result, seen = watched(sides().snapshot, "features.retry_voxel_sizes_m=[]")
+    result, seen = watched(_half(), "features.retry_voxel_sizes_m=[]")
     assert sorted(map(sorted, _searched(seen))) == sorted(map(sorted, _PAIRS))
     assert result.status == "failed"
 
@@ -91,7 +97,7 @@ def test_a_pair_that_the_search_missed_is_registered_as_a_loop(monkeypatch):
         return replace(found, hypotheses=()) if missed else found
 
     monkeypatch.setattr(pair_steps, "find_hypotheses", without_left_and_top)
-    result, seen = watched(sides().snapshot)
+    result, seen = watched(_half())
     assert frozenset(("left", "top")) in _registered_as_loops(seen)
     assert len(result.refinement.pairs) == 3
     assert_true(result, sides().truth)
@@ -108,7 +114,7 @@ def test_unconnected_lidars_are_searched_again(monkeypatch, further):
         return replace(found, hypotheses=()) if missed else found
 
     monkeypatch.setattr(pair_steps, "find_hypotheses", without_right_at_first)
-    result, seen = watched(sides().snapshot, f"features.retry_voxel_sizes_m={[0.3] if further else []}")
+    result, seen = watched(_half(), f"features.retry_voxel_sizes_m={[0.3] if further else []}")
     assert {frozenset(pair) for pair in calls[:3]} == _PAIRS
     widened = of(events.SearchWidened, seen)
     if not further:
@@ -152,28 +158,28 @@ def test_an_accepted_pair_constrains_the_registration_of_groups(monkeypatch, cod
 
     monkeypatch.setattr(pair_steps, "accept", doubtful_in_groups)
     settings = "acceptance.min_well_constrained_eigenvalue=1e6", "merge.mode=algorithm1"
-    result, _ = watched(sides().snapshot, *settings)
+    result, _ = watched(_half(), *settings)
     assert (result.status == "complete") is placed
     if placed:
         assert_true(result, sides().truth)
 
 
 def test_a_pose_with_a_sigma_above_the_limit_is_uncertain():
-    strict, _ = watched(sides().snapshot, "acceptance.max_sigma_m=0.0004")
+    strict, _ = watched(_half(), "acceptance.max_sigma_m=0.0004")
     assert strict.status == "partial"
     others = [place for place in strict.placements if place.lidar != strict.target]
     assert [place.status for place in others] == ["uncertain", "uncertain"]
     assert all("limit 0.4 mm" in place.reason for place in others)
     assert all(place.covariance is not None for place in others)
     assert_true(strict, sides().truth)
-    lenient, _ = watched(sides().snapshot, "acceptance.max_sigma_m=0.005")
+    lenient, _ = watched(_half(), "acceptance.max_sigma_m=0.005")
     assert lenient.status == "complete"
     assert [place.status for place in lenient.placements] == ["placed"] * 3
 
 
 def test_six_spinning_lidars_that_see_everything_are_placed():
     simulation = simulate_snapshot("ring6", "street", 12, frames=1)
-    result, seen = watched(simulation.snapshot)
+    result, seen = watched(only(simulation.snapshot, *simulation.snapshot.names, every=2))
     assert result.status == "complete"
     assert_true(result, simulation.truth)
     assert len(_searched(seen)) < 8
@@ -181,7 +187,7 @@ def test_six_spinning_lidars_that_see_everything_are_placed():
 
 
 def test_two_workers_give_the_same_bits_as_one():
-    snapshot = only(sides().snapshot, "left", "right", "top", every=2)
+    snapshot = _half()
     runs = [calibrate(snapshot, CalibrationConfig(runtime={"workers": workers})) for workers in (1, 2)]
     for one, other in zip(*(run.pairs for run in runs), strict=True):
         assert (one.target, one.source) == (other.target, other.source)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from multilica import read_snapshot
+
 ROOT = Path(__file__).parents[3]
 SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
 HEAVY = {
@@ -66,7 +68,8 @@ def test_a_run_until_ingest_takes_no_open3d(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_calibration_takes_no_open3d(tmp_path: Path) -> None:
-    options = ["--out", str(tmp_path), "--until", "fine", "--workers", "1", "--quiet"]
+    topics = [f"--topic={lidar.topic}" for lidar in read_snapshot(SAMPLE).lidars[:2]]
+    options = [*topics, "--out", str(tmp_path), "--until", "fine", "--workers", "1", "--quiet"]
     loaded = imported_by(f"from multilica_cli.main import run; run({['calibrate', str(SAMPLE), *options]!r})")
     assert "small_gicp" in loaded
     assert "open3d" not in loaded
