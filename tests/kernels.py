@@ -20,6 +20,8 @@ NUMERIC = (
     *(f"tests/pipeline/test_{name}.py" for name in ("prior", "real_scans", "simulated")),
 )
 PUSH_KERNEL = "Prescott"
+# What no kernel changes: two runs of the same kernel, and the stages that ran.
+SAME_WITH_ANY_KERNEL = "not same_bits and not stopping_after_any_stage"
 # The rules of the house, and what is drawn by a viewer or a browser.
 SAME_ON_ANY_CPU = (
     "tests/unit/project",
@@ -79,7 +81,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--push", action="store_true", help=f"only {PUSH_KERNEL}, and only tests of numbers")
     given, others = parser.parse_known_args()
-    kernels, folders = ([PUSH_KERNEL], NUMERIC) if given.push else (ALLOWED, FOLDERS)
+    kernels, folders = ([PUSH_KERNEL], (*NUMERIC, "-k", SAME_WITH_ANY_KERNEL)) if given.push else (ALLOWED, FOLDERS)
     outcomes = {kernel: run_tests(kernel, [*folders, *others], beside_others=given.push) for kernel in kernels}
     print("", *(f"{kernel}: {outcome}" for kernel, outcome in outcomes.items()), sep="\n")
     return int(any(outcome.startswith("failed") for outcome in outcomes.values()))
