@@ -17,5 +17,5 @@ def settings_of(path: Path) -> list[dict[str, object]]:
 
 def test_models_are_frozen() -> None:
     settings = {path: settings_of(path) for path in PRODUCT.rglob("*.py")}
-    assert sum(map(len, settings.values())) >= 10
+    assert sum(map(len, settings.values())) >= 8
     assert [path for path, models in settings.items() for model in models if model.get("frozen") is not True] == []
