@@ -18,6 +18,7 @@ from multilica.config import preset, with_overrides
 from multilica.fleet.fleet_run import FleetOutcome
 from multilica.fleet.store.records import LogRow
 from multilica.run import run_calibration
+from multilica.runs import run_report
 from multilica.sinks.report import page
 from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.commands.fleet import fleet
@@ -179,7 +180,7 @@ def _once(function):
 def test_commands_on_runs_fit(shown, calibrated, arguments, monkeypatch):
     """The work of a command is done once for all widths."""
     given = [calibrated.directory if each == "RUN" else each for each in arguments]
-    for module, name in ((checks, "verify_snapshot"), (page, "report_html")):
+    for module, name in ((checks, "verify_snapshot"), (run_report, "contents_of_run"), (page, "report_html")):
         monkeypatch.setattr(module, name, _once(getattr(module, name)))
     if arguments[0] == "accept":
         shown(80, *given)  # it compares with the file that it wrote before
