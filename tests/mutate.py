@@ -90,7 +90,6 @@ TARGETS = {
     ),
     "multilica/results/document.py": (AGREE, FILES, "tests/unit/test_documents.py", "tests/diagnosis"),
     "multilica/exports/*.py": ("tests/exports/test_formats.py", "tests/exports/test_conventions.py", "tests/exports"),
-    "multilica/checks/tolerances.py": ("tests/checks/test_tolerances.py", "tests/unit/project/test_models.py"),
     "multilica/checks/*.py": ("tests/checks/test_comparison.py", "tests/checks/test_ci_reports.py", CHECK),
     "multilica/verification.py": ("tests/unit/test_verification.py", CHECK),
 }
