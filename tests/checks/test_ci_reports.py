@@ -147,6 +147,9 @@ def test_the_picture_has_a_row_per_lidar(rigs):
     ink = (0x22, 0x22, 0x22)
     tolerance = image.crop((572, rows[0], 584, rows[2] + 44))
     assert all(any(tolerance.getpixel((x, y)) == ink for x in range(12)) for y in range(tolerance.height))
+    assert ink in image.crop((0, rows[-1] + 44 + 4, 960, image.height)).getdata()
+    above_the_bars = [image.getpixel((x, rows[0] + 1)) for x in range(image.width)]
+    assert [above_the_bars.count(colour) for colour in (ink, (0xBB, 0xBB, 0xBB))] == [2, 2]
 
 
 def test_the_picture_has_sigmas_where_they_are_known():

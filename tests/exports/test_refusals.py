@@ -22,6 +22,16 @@ JSON = '{{"a-to-b-extrinsic": {{"param": {{"sensor_calib": {{"data": {}}}}}}}}}'
 HEAD = "target,source,x_m,y_m,z_m,qx,qy,qz,qw\n"
 BAD: Mapping[str, tuple[str, str, str]] = {
     "two roots": ("a.urdf", ROBOT.format(TWO_ROOTS), "2 roots, 'a', 'c'; expected one"),
+    "five roots": (
+        "a.csv",
+        HEAD + "".join(f"{name},{name}0,0,0,0,0,0,0,1\n" for name in "abcde"),
+        "5 roots, 'a', 'b', 'c' and 2 more; expected one",
+    ),
+    "three roots": (
+        "a.csv",
+        HEAD + "".join(f"{name},{name}0,0,0,0,0,0,0,1\n" for name in "abc"),
+        "3 roots, 'a', 'b', 'c'; expected one",
+    ),
     "a cycle": ("a.urdf", ROBOT.format(CYCLE), "cycle through"),
     "a cycle beside a tree": ("a.urdf", ROBOT.format(HANGING_CYCLE), "cycle through"),
     "two parents": ("a.yaml", f"a: {{c: {AT}}}\nb: {{c: {AT}}}\na0: {{a: {AT}, b: {AT}}}", "two parents, 'a' and 'b'"),
@@ -70,6 +80,7 @@ BAD: Mapping[str, tuple[str, str, str]] = {
     "a long way": ("a.yaml", f"a: {{b: {AT.replace('x: 0', 'x: 1e12')}}}", "expected metres up to"),
     "not XML": ("a.launch", "<launch>", "not a valid XML file"),
     "other XML": ("a.launch", "<html/>", "expected <launch>"),
+    "a robot": ("a.launch", "<robot/>", "expected <launch>"),
     "entities": ("a.launch", '<!DOCTYPE a [<!ENTITY b "c">]><launch>&b;</launch>', "defines XML entities"),
     "not UTF-8": ("a.txt", "\udcff", "not a UTF-8 text file"),
     "nothing": ("a.txt", "", "no transforms"),

@@ -15,7 +15,7 @@ from mcap.writer import Writer
 
 import multilica
 from multilica.config import CalibrationConfig, load_config, with_overrides
-from multilica.documents import DocumentError, parse_json, parse_toml, parse_yaml
+from multilica.documents import DocumentError, parse_json, parse_toml, parse_yaml, shown
 from multilica.errors import MultilicaError, UnreadableSourceError, UsageError
 from multilica.extrinsics import EXTRINSICS_SCHEMA, read_extrinsics_table
 from multilica.ingest.transforms import read_urdf
@@ -252,3 +252,25 @@ def test_a_pose_metres_without_end_away_is_no_result(axis):
     values["lidars"]["rear"]["T_target_source"][axis][3] = 1e12
     with pytest.raises(UnreadableSourceError, match="is not a whole result: lidars"):
         parse_result("result.json", json.dumps(values))
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("x" * 60, f"'{'x' * 60}'"),
+        ("x" * 100, f"'{'x' * 60}...'"),
+        ("\n" * 61, "'" + r"\n" * 29 + "\\..."),
+        ([1] * 40, repr([1] * 40)),
+        ([1] * 50, f"{repr([1] * 50)[:60]}..."),
+        (2**63, repr(2**63)),
+        (-(2**64), "an integer of more than 18 digits"),
+        (True, "True"),
+    ],
+)
+def test_a_value_is_shown_in_a_few_characters(value, expected):
+    assert shown(value) == expected
+
+
+def test_a_target_that_is_no_lidar_is_no_result():
+    with pytest.raises(UnreadableSourceError, match="`lidars` lacks the target 'roof'"):
+        parse_result("result.json", json.dumps(made_document() | {"target": "roof"}))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from multilica.errors import InputError, UnknownNameError, UnreadableSourceError
-from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, extrinsics_table, read_extrinsics_table
+from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, extrinsics_table, read_extrinsics_table, require_metres
 from multilica.geometry import RigidTransform
 
 HEAD = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\n'
@@ -71,6 +71,18 @@ def test_only_joints_between_two_frames_count():
     wheel = "'steering', a revolute joint"
     found = Extrinsics("base", poses, {"a": frozenset({wheel}), "b": frozenset({wheel})})
     assert found.between("a", "b").source == "b"
+    twice = Extrinsics("base", poses, {"a": frozenset({wheel, "'mast', a prismatic joint"})})
+    with pytest.raises(InputError, match="through 'mast', a prismatic joint; expected"):
+        twice.between("base", "a")
     for target, source in (("base", "a"), ("c", "b"), ("a", "base")):
         with pytest.raises(InputError, match="through 'steering', a revolute joint; expected fixed joints only"):
             found.between(target, source)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_millimetres_are_told_by_lidar_and_target(axis):
+    for length_m in (100.0, -100.0):
+        require_metres(RigidTransform.from_xyz_rpy("base", "left", np.eye(3)[axis] * length_m, [0.0] * 3), "It")
+    far = RigidTransform.from_xyz_rpy("base", "left", np.eye(3)[axis] * -101.0, [0.0] * 3)
+    with pytest.raises(InputError, match=r"^The rig file has 'left' at .*-101\.0.* in 'base'; expected metres\.$"):
+        require_metres(far, "The rig file")

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from multilica import read_extrinsics, read_snapshot
+from multilica.config import CalibrationConfig
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
 from multilica.results import CalibrationResult
-from multilica.verification import register_from_known
+from multilica.verification import _trusting, register_from_known
 from multilica_cli.commands.calibrate import find_sample
 
 MOVED, MISSING = "left", "rear"
@@ -51,6 +52,12 @@ def test_lidars_without_a_pose_have_the_reason(found: CalibrationResult) -> None
     assert said.startswith(("no pose near the known one fits front: ", "no pose near the known one fits right: "))
     assert "that the other sensor's beams passed through" in said
     assert [each.lidar for each in found.placements if each.contradicts_prior] == [MOVED]
+
+
+def test_a_known_pose_needs_a_tenth_of_the_evidence() -> None:
+    config = CalibrationConfig(acceptance={"min_evidence": 5.0})
+    expected = config.acceptance.model_copy(update={"min_evidence": pytest.approx(5.0 - np.log(10.0), abs=0.01)})
+    assert _trusting(config) == config.model_copy(update={"acceptance": expected})
 
 
 def test_poses_of_other_lidars_are_refused() -> None:

@@ -15,9 +15,10 @@ import pytest
 from multilica import events, read_extrinsics
 from multilica.config import STAGES
 from multilica.errors import UnreadableSourceError
+from multilica.extrinsics import Extrinsics
 from multilica.results.building import collect_versions, provenance_of, result_document
 from multilica.results.document import parse_result
-from multilica.sinks.files.result_files import ResultFiles, toml_text
+from multilica.sinks.files.result_files import ResultFiles, matrix_text, toml_text
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 
@@ -168,3 +169,12 @@ def test_toml_rows_of_numbers_stand_on_one_line():
     text = toml_text(document)
     assert "row = [1.5, -2e-09, 3]" in text
     assert tomllib.loads(text) == document
+
+
+def test_matrices_stand_below_the_names_of_their_frames():
+    lines = matrix_text(Extrinsics(TARGET, TRUTH)).splitlines()[1:]
+    names = sorted({*TRUTH} - {TARGET})
+    assert lines[::5] == [f"# T_target_source {TARGET} {'rear' if name == 'rear' else repr(name)}" for name in names]
+    for index, name in enumerate(names):
+        rows = [[float(number) for number in line.split()] for line in lines[5 * index + 1 : 5 * index + 5]]
+        np.testing.assert_allclose(rows, TRUTH[name].matrix, atol=1e-12)

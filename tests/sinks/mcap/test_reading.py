@@ -6,10 +6,11 @@ from __future__ import annotations
 import json
 
 import pytest
+from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from multilica.errors import UnreadableSourceError
-from multilica.sinks.mcap.messages import read_attached_document
+from multilica.sinks.mcap.messages import McapMessage, MessageSchema, mcap_messages, read_attached_document
 from tests.sinks.made_documents import made_document
 
 
@@ -55,3 +56,22 @@ def test_damage_is_told_by_its_text_or_its_name(tmp_path, monkeypatch, error, to
     path = write_mcap(tmp_path / "result.mcap", {})
     with pytest.raises(UnreadableSourceError, match=rf"not a whole MCAP file that can be read: {told}\.$"):
         read_attached_document(path)
+
+
+def test_schemas_and_channels_are_registered_once(tmp_path):
+    schema, other = (MessageSchema(name, "jsonschema", b"{}", "json") for name in ("a", "b"))
+    with (tmp_path / "a.mcap").open("wb") as file, mcap_messages(file, "made") as messages:
+        for stamp_ns, (topic, kind) in enumerate((("/x", schema), ("/y", schema), ("/x", schema), ("/z", other))):
+            messages.write(McapMessage(topic, kind, b"1", {"of": topic}), stamp_ns)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "made"
+        summary, found = reader.get_summary(), list(reader.iter_messages())
+    assert sorted(each.name for each in summary.schemas.values()) == ["a", "b"]
+    assert sorted((each.topic, each.metadata["of"]) for each in summary.channels.values()) == [
+        (topic, topic) for topic in ("/x", "/y", "/z")
+    ]
+    assert [(kind.name, channel.topic) for kind, channel, _ in found] == [
+        ("a", "/x"), ("a", "/y"), ("a", "/x"), ("b", "/z")
+    ]  # fmt: skip
+    assert [(each.sequence, each.log_time, each.publish_time) for _, _, each in found] == [(n, n, n) for n in range(4)]

@@ -16,6 +16,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import QosDurability
 
+from multilica.sinks.drawing import VIOLATE
 from multilica.sinks.mcap.result_mcap import DRAWING_TOPICS, ResultMcap, foxglove_layout
 from tests.sinks.made_events import TARGET, TRUTH, made_events
 
@@ -75,6 +76,12 @@ def test_the_merge_graph_stands_on_the_rig(scenes):
     start = edge.lines[0].points[0]
     np.testing.assert_allclose((start.x, start.y, start.z), TRUTH["front left/1"].xyz_m)
     assert [text.text for text in graph["rear"].texts] == ["rear: not placed"]
+    for name, entity in graph.items():
+        colours = [
+            tuple(round(255 * getattr(one.color, band)) for band in "rgb") for one in (*entity.texts, *entity.lines)
+        ]
+        assert len({*colours}) == 1
+        assert (colours[0] == VIOLATE) is ("rear" in name)
 
 
 def test_ellipsoids_have_diameters(scenes):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from tests.sinks.made_events import TRUTH
+from tests.sinks.made_events import TRUTH, made_events
 from tests.sinks.numbers import made_numbers as made
 from tests.sinks.numbers.expected import (
     LARGEST_AFTER_DEG,
@@ -85,6 +85,19 @@ def test_messages_are_numbered_in_order(numbered_mcap):
     with numbered_mcap("foxglove").open("rb") as file:
         sequences = [message.sequence for _, _, message in make_reader(file).iter_messages()]
     assert sequences == [*range(len(sequences))]
+
+
+def test_clouds_have_their_points_where_their_fields_say(messages):
+    expected = {each.cloud.lidar: each.cloud.points_m for each in made_events() if hasattr(each, "cloud")}
+    clouds = {topic: each for topic, (each, *_) in messages.items() if topic.startswith("/lidar/")}
+    assert len(clouds) == len(expected)
+    for topic, cloud in clouds.items():
+        step = cloud.point_stride if hasattr(cloud, "point_stride") else cloud.point_step
+        offsets = {field.name: field.offset for field in cloud.fields}
+        assert (step, offsets) == (12, {"x": 0, "y": 4, "z": 8})
+        points_m = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)
+        name = next(name for name in expected if name.replace(" ", "_")[:4] in topic)
+        np.testing.assert_array_equal(points_m, expected[name].astype("<f4"))
 
 
 def ellipsoids_of(messages):

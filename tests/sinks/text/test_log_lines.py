@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 
 from multilica import events
-from multilica.results import CoarseResult, MergeCandidate, MergeDecision
+from multilica.results import CoarseResult, MergeCandidate, MergeDecision, SnapshotReport
 from multilica.sinks.run_state import RunState
-from multilica.sinks.text.log_lines import log_lines
+from multilica.sinks.text.log_lines import log_lines, pair_label
 from multilica.sinks.text.markdown import candidate_label, decisions_markdown, hypotheses_markdown, summary_markdown
 from tests.sinks.made_events import LIDARS, UNPLACED, made_events
 
@@ -181,3 +181,35 @@ def test_the_summary_says_what_was_next_best():
     assert "Next best: " not in summary("complete")
     assert "Ellipsoids of the rig: 3 sigma" in summary("complete")
     assert "Ellipsoids" not in summary("failed")
+
+
+def test_without_verification_the_hypotheses_have_no_evidence():
+    state, (pair, registered) = RunState(), next(iter(state_of().registrations.items()))
+    for event in made_events(until="correspond"):
+        state(event)
+    found = next(each for each in made_events() if isinstance(each, events.HypothesesFound))
+    hypotheses = tuple(replace(each, index=index) for index, each in enumerate(found.coarse.hypotheses))
+    state(replace(found, coarse=CoarseResult(*pair, hypotheses)))
+    label = pair_label(*pair)
+    first, second = (f"| {label} | clique {index} | {count} | - | - | - |" for index, count in ((0, 20), (1, 5)))
+    table = hypotheses_markdown(state)
+    assert f"{first} - | - | - |" in table
+    assert f"{second} - | - | - |" in table
+    state(events.PairRegistered(replace(registered, registrations=())))
+    table = hypotheses_markdown(state)
+    assert f"{first} 0.800 | 0.060 | accept |" in table
+    assert f"{second} - | - | - |" in table
+
+
+def test_a_snapshot_that_others_contradict_is_a_warning():
+    *_, last = made_events()
+    agrees = SnapshotReport("agrees", "a.mcap", "c0ffee")
+    reports = (
+        agrees,
+        replace(agrees, name="outvoted", outliers=("top",)),
+        replace(agrees, name="disputed", disputed=("top",)),
+        replace(agrees, name="refused", refusal="no returns"),
+    )
+    lines = log_lines(events.CalibrationFinished(replace(last.result, snapshots=reports)))
+    levels = {line.text.split()[1][:-1]: line.level for line in lines if line.text.startswith("snapshot ")}
+    assert levels == {"agrees": "INFO", "outvoted": "WARN", "disputed": "WARN", "refused": "WARN"}

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses at which the plans of the walls coincide after a turn."""
+
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from multilica.stages.verify import symmetric_poses
+from tests.unit.made_pairs import pose
+
+_UP = np.array([0.0, 0.0, 1.0])
+_POSE = pose("t", "s", (1.25, 0.75, 0.0), 0.3)
+_FAR_M = 30.0
+
+
+def _walls(*lines_m, height_m=2.0):
+    """Sample vertical walls over lines in the target's frame, closer than the cells of a plan."""
+    points = []
+    for start_m, end_m in np.asarray(lines_m, dtype=float):
+        shares = np.linspace(0.0, 1.0, int(20.0 * np.linalg.norm(end_m - start_m)))[:, None]
+        points.append(np.column_stack([start_m + shares * (end_m - start_m), np.full(len(shares), height_m)]))
+    return np.concatenate(points)
+
+
+def _rectangle(low_m, high_m):
+    (left, near), (right, far) = low_m, high_m
+    corners = [(left, near), (right, near), (right, far), (left, far)]
+    return list(zip(corners, [*corners[1:], corners[0]], strict=True))
+
+
+def _found(walls_m, normal=(1.0, 0.0, 0.0), max_baseline_m=_FAR_M, most=6):
+    """Let both LiDARs see the same surfaces."""
+    normals = np.broadcast_to(normal, walls_m.shape)
+    target = SimpleNamespace(probes_m=walls_m, normals=normals)
+    source = SimpleNamespace(probes_m=_POSE.inverse().apply(walls_m), normals=_POSE.inverse().rotate(normals))
+    return symmetric_poses(target, source, _POSE, _UP, max_baseline_m, most)
+
+
+# The centre is (1.5, 1): half a turn takes x to 3 - x and y to 2 - y.
+_HALL = _walls(*_rectangle((-6.5, -4.0), (9.5, 6.0)))
+_TURNED = pose("t", "t", (3.0, 2.0, 0.0), np.pi) @ _POSE
+
+
+def test_a_hall_looks_the_same_from_its_other_end():
+    """A plan does not tell poses apart that are off by a cell."""
+    best, *_ = _found(_HALL)
+    metres, radians = best.distance_to(_TURNED)
+    assert radians < 1e-9
+    assert metres < 0.75 * np.sqrt(2.0) + 1e-9
+
+
+def test_a_square_hall_looks_the_same_from_four_sides():
+    turns = [found.distance_to(_POSE)[1] for found in _found(_walls(*_rectangle((-4.0, -4.5), (7.0, 6.5))))]
+    np.testing.assert_allclose(sorted(turns), [np.pi / 2, np.pi / 2, np.pi], atol=1e-9)
+
+
+def test_poses_beyond_the_baseline_are_none():
+    found_m = [float(np.linalg.norm(found.xyz_m)) for found in _found(_HALL)]
+    least_m, most_m = min(found_m), max(found_m)
+    assert len(_found(_HALL, max_baseline_m=most_m + 0.01)) == len(found_m)
+    assert 0 < len(_found(_HALL, max_baseline_m=most_m - 0.01)) < len(found_m)
+    assert _found(_HALL, max_baseline_m=least_m - 0.01) == []
+
+
+@pytest.mark.parametrize(("angle_deg", "is_wall"), [(30.0, True), (60.0, False), (90.0, False)])
+def test_only_steep_surfaces_are_walls(angle_deg, is_wall):
+    angle = np.deg2rad(angle_deg)
+    assert (len(_found(_HALL, normal=(np.cos(angle), 0.0, np.sin(angle)))) > 0) is is_wall
+
+
+def test_surfaces_without_a_normal_and_few_points_make_no_plan():
+    assert _found(_HALL, normal=(0.0, 0.0, 0.0)) == []
+    few = _HALL[::20]
+    assert len(few) > 50
+    assert _found(few) != []
+    assert _found(_HALL[::24]) == []
+
+
+@pytest.mark.parametrize(("places_m", "is_found"), [((0, 2, 6), True), ((0, 2, 8, 20, 24, 34), False)])
+def test_half_of_the_walls_must_coincide(places_m, is_found):
+    """No two of these walls are as far from each other as two others, so half a turn takes two of them to others."""
+    walls = _walls(*(((-20.0, y_m - 17.0), (20.0, y_m - 17.0)) for y_m in places_m))
+    assert (_found(walls) != []) is is_found
+
+
+def test_near_maxima_are_one_pose():
+    """Pillars every 1.5 m fit after each shift by that."""
+    sides_m = (-3.0, 5.0)
+    pillars = _walls(*(((x_m, y_m - 0.2), (x_m, y_m + 0.2)) for y_m in sides_m for x_m in np.arange(-15.0, 16.0, 1.5)))
+    found = _found(pillars)
+    assert len(found) == 6
+    assert all(one.distance_to(other)[0] >= 2.0 for one, other in combinations(found, 2))
+    assert any(one.distance_to(other)[0] < 3.5 for one, other in combinations(found, 2))
+    assert len(_found(pillars, most=2)) == 2
