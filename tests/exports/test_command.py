@@ -10,13 +10,16 @@ import pytest
 import tomli_w
 
 from multilica import RigidTransform, read_extrinsics
+from multilica.errors import InputError
 from multilica.exports import CLOUD_FORMATS, FORMATS
+from multilica.exports.files import rig_of_run
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.geometry import FloatArray
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence
 from tests.exports.made_rigs import made_run, name_frames
 from tests.runs.made_runs import made_truth
+from tests.sinks.made_documents import made_document, parsed
 
 MOUNT = RigidTransform.from_xyz_rpy("base_link", "front", [1.2, 0.1, 1.9], [0.01, 0.2, -0.3])
 
@@ -63,6 +66,16 @@ def test_uncertain_lidars_are_exported_when_asked_for(invoke: Invoke) -> None:
     outcome = invoke("export", run, "--to", "csv", "--out", "rig.csv", "--with-uncertain")
     assert (outcome.code, outcome.err) == (ExitCode.NOT_PLACED, "multilica: With left, rear, which are uncertain.\n")
     assert_pose("rig.csv", "front", "rear", truth("front", "rear"))
+
+
+def test_an_uncertain_base_is_exported_when_asked_for() -> None:
+    values = made_document()
+    document = parsed(values | {"ground": values["ground"] | {"doubt": "it is seen on one side only"}})
+    with pytest.raises(InputError, match="The base frame 'base' of the run is uncertain: it is seen on one side only"):
+        rig_of_run(document, base="base")
+    for found in (rig_of_run(parsed(values), base="base"), rig_of_run(document, base="base", with_uncertain=True)):
+        assert (found[0].target, found[0].between("base", "top").xyz_m.tolist()) == ("base", [0.0, 0.0, 2.0])
+    assert rig_of_run(document)[0].target == "top"
 
 
 def test_a_base_is_another_name_of_the_target(invoke: Invoke) -> None:

@@ -55,6 +55,7 @@ FILES: Mapping[str, tuple[str, str]] = {
             f"  --x 1 --y 2 --z 3 --roll 0.1 --pitch -0.2 --yaw 1.3 {NAMED} &\nwait\n"
         ),
     ),
+    "a comment": ("start.sh", "static_transform_publisher 1 2 3 1.3 -0.2 0.1 base top # the roof"),
     "rosrun": ("start.sh", "rosrun tf static_transform_publisher 1 2 3 1.3 -0.2 0.1 base top 10\n"),
     "URDF": (
         "a.xml",

@@ -49,6 +49,11 @@ BAD: Mapping[str, tuple[str, str, str]] = {
     "a short quaternion": ("a.csv", HEAD + "a,b,0,0,0,0,0,0.5,0.5\n", "a quaternion of length 0.707; expected 1"),
     "a quaternion of zeros": ("a.xml", ROS2_NODE.format("0 0 0 0 0 0 0 a b"), "a quaternion of length 0; expected 1"),
     "a scaled matrix": ("a.txt", "# T_target_source a b\n2 0 0 0\n0 2 0 0\n0 0 2 0\n0 0 0 1\n", "is not a rotation"),
+    "a sensor without a name": (
+        "a.json",
+        '{"roof": {"sensor_name": "a", "target_sensor_name": 1, "param": {"sensor_calib": {"data": [[1]]}}}}',
+        "names no two sensors",
+    ),
     "a mirror": ("a.json", JSON.format("[[1,0,0,0],[0,1,0,0],[0,0,-1,0],[0,0,0,1]]"), "is not a rotation"),
     "a projection": ("a.json", JSON.format("[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,1,0]]"), "expected 0 0 0 1"),
     "five numbers": ("a.json", JSON.format("[[1,0,0,0,0]]"), "rows with 4 numbers"),

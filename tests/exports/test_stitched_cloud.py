@@ -58,6 +58,7 @@ def test_laspy_reads_points_and_colours(run: Path, tmp_path: Path) -> None:
     points_m, colours = expected(run)
     np.testing.assert_allclose(las.xyz, points_m, rtol=0, atol=6e-5)
     np.testing.assert_array_equal(np.column_stack([las.red, las.green, las.blue]) // 257, colours)
+    assert (las.header.point_format.id, str(las.header.version)) == (2, "1.2")
     assert set(las.point_source_id) == {LIDARS.index(name) + 1 for name in LIDARS if name != UNPLACED}
 
 

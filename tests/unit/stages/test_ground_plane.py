@@ -84,6 +84,14 @@ def test_what_is_beside_the_vehicle_is_no_ground(scene, seed):
     assert np.all(plane.sigma_roll_pitch_deg < 0.2)
 
 
+@pytest.mark.parametrize(("along", "known", "wheel_m"), [(1.0, KNOWN, 1.4), (0.0, KNOWN, 0.8), (1.0, None, 1.1)])
+def test_the_height_is_that_of_the_wheels(along, known, wheel_m):
+    """A car stands in a dip of 2 mm at 1 m."""
+    dip_m = _scatter(np.random.default_rng(0), lambda x, y: 0.002 * (along * x**2 + (1.0 - along) * y**2), 8.0)
+    plane, _ = estimate_ground("top", KNOWN.inverse().apply(dip_m), CalibrationConfig(), KNOWN.inverse().xyz_m, known)
+    assert plane.T_base_target.xyz_m[2] == pytest.approx(1.9 - 0.002 * wheel_m**2, abs=3e-4)
+
+
 def test_x_y_and_yaw_are_those_of_the_rig_file():
     drawn = RigidTransform.from_xyz_rpy("base_link", "top", [0.4, -0.7, 1.83], np.deg2rad([4.0, 14.0, -80.0]))
     points_m = KNOWN.inverse().apply(_scene("flat"))

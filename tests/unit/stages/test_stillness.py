@@ -10,8 +10,8 @@ from multilica.config import StillnessConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.snapshot import Scan
 from multilica.stages import stillness
-from multilica.stages.preprocess import drop_moving
-from multilica.stages.stillness import Motion, detect_motion, explain_motion
+from multilica.stages.preprocess import _grid, drop_moving
+from multilica.stages.stillness import Motion, Structure, detect_motion, explain_motion
 
 _ROOM_M = (9.0, 6.0, 4.0)
 _CORRIDOR_M = (np.inf, 3.0, 2.5)
@@ -170,3 +170,55 @@ def test_a_standing_person_is_kept() -> None:
     visited = [_with_visitor(scan, 0.0) for scan in _drive(_ROOM_M, 0.0)]
     _, dropped_m = drop_moving([scan for scan, _ in visited], _CONFIG)
     assert len(dropped_m) < 0.05 * sum(int(mask.sum()) for _, mask in visited)
+
+
+def test_cells_of_directions_are_as_wide_as_they_are_high():
+    yaw, pitch = (each.ravel() for each in np.meshgrid(np.arange(0.0, 2.0 * np.pi, 0.01), np.arange(-0.3, 0.2, 0.01)))
+    points_m = 10.0 * np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch)], axis=1)
+    grid = _grid([(points_m, np.full(len(points_m), 10.0))])
+    cells = grid.cells(points_m, np.full(len(points_m), 10.0))
+    for angle, index, count in ((yaw, cells % grid.columns, grid.columns), (pitch, cells // grid.columns, grid.rows)):
+        assert index.max() == count - 1
+        for cell in range(0, count, 7):
+            assert np.ptp(angle[index == cell]) <= grid.cell_rad
+    assert grid.cell_rad < 0.03
+
+
+def test_what_is_near_or_far_or_dense_is_left_out() -> None:
+    """The body of the vehicle moves with the LiDAR, and beams far off are too sparse."""
+    along_m = np.arange(0.125, 60.0, 0.25)
+    kept_m = stillness._surroundings(Scan(np.outer(along_m, [0.0, 1.0, 0.0]).astype(np.float32)))[:, 1]
+    assert 2.5 < kept_m.min() < 3.0
+    assert 39.5 < kept_m.max() < 40.0
+    assert len(kept_m) == 2 * (40.0 - 2.5)
+
+
+@pytest.fixture(scope="module")
+def frames() -> list[Structure]:
+    """Frames of a hall, from where a LiDAR is, and from 3.2 m aside turned by 50 degrees, out of the reach of GICP."""
+    poses = (_pose((0.0, -1.6, 0.0)), _pose((0.0, 1.6, 0.0), 50.0))
+    return [Structure(stillness._surroundings(_scan((5.0, 12.0, 4.0), seed, pose))) for seed, pose in enumerate(poses)]
+
+
+_TURNED = _pose((0.0, 0.0, 0.0), 50.0).matrix
+
+
+def test_starts_are_those_that_explain_the_most(frames: list[Structure]) -> None:
+    starts = stillness._starts(*frames, _TURNED, np.array([0.0, 1.0, 0.0]))
+    shifts_m = [start[:3, 3] for start in starts]
+    assert len(starts) == 4
+    np.testing.assert_allclose(shifts_m[0], [0.0, 3.2, 0.0], atol=0.01)
+    assert all(np.array_equal(start[:3, :3], _TURNED[:3, :3]) for start in starts)
+
+
+def test_a_step_beyond_reach_is_found_where_the_last_one_turned(
+    frames: list[Structure], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directions, starts = [], stillness._starts
+    monkeypatch.setattr(stillness, "_starts", lambda *given: directions.append(given[-1]) or starts(*given))
+    near = stillness.register_frames(*frames, _TURNED)
+    assert np.linalg.norm(near.T_target_source[:3, 3]) < 2.0
+    found = stillness._find_step(*frames, _TURNED)
+    assert found is not None
+    np.testing.assert_allclose(found.T_target_source[:3, 3], [0.0, 3.2, 0.0], atol=0.05)
+    np.testing.assert_allclose(np.abs(directions), [[0.0, 1.0, 0.0]], atol=0.05)
