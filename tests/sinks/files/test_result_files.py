@@ -11,6 +11,7 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
+from defusedxml import ElementTree
 
 from multilica import events, read_extrinsics
 from multilica.config import STAGES
@@ -18,7 +19,7 @@ from multilica.errors import UnreadableSourceError
 from multilica.extrinsics import Extrinsics
 from multilica.results.building import collect_versions, provenance_of, result_document
 from multilica.results.document import parse_result
-from multilica.sinks.files.result_files import ResultFiles, matrix_text, toml_text
+from multilica.sinks.files.result_files import ResultFiles, matrix_text, toml_text, urdf_text
 from multilica.sinks.run_state import RunState
 from tests.sinks.made_events import LIDARS, TARGET, TRUTH, UNPLACED, made_events
 
@@ -169,6 +170,17 @@ def test_toml_rows_of_numbers_stand_on_one_line():
     text = toml_text(document)
     assert "row = [1.5, -2e-09, 3]" in text
     assert tomllib.loads(text) == document
+
+
+def test_a_urdf_has_a_joint_per_frame():
+    robot = ElementTree.fromstring(urdf_text(Extrinsics(TARGET, TRUTH)))
+    names = sorted({*TRUTH} - {TARGET})
+    assert [link.get("name") for link in robot.iter("link")] == [TARGET, *names]
+    joints = [
+        (joint.get("name"), joint.find("parent").get("link"), joint.find("child").get("link"))
+        for joint in robot.iter("joint")
+    ]
+    assert joints == [(f"{name}_joint", TARGET, name) for name in names]
 
 
 def test_matrices_stand_below_the_names_of_their_frames():

@@ -77,6 +77,7 @@ def test_the_merge_graph_stands_on_the_rig(scenes):
     np.testing.assert_allclose((start.x, start.y, start.z), TRUTH["front left/1"].xyz_m)
     assert [text.text for text in graph["rear"].texts] == ["rear: not placed"]
     for name, entity in graph.items():
+        assert all(text.billboard for text in entity.texts)
         colours = [
             tuple(round(255 * getattr(one.color, band)) for band in "rgb") for one in (*entity.texts, *entity.lines)
         ]

@@ -11,6 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from tests.sinks.made_events import TRUTH, made_events
+from tests.sinks.made_scans import STAMP_NS
 from tests.sinks.numbers import made_numbers as made
 from tests.sinks.numbers.expected import (
     LARGEST_AFTER_DEG,
@@ -96,6 +97,13 @@ def test_clouds_have_their_points_where_their_fields_say(messages):
         offsets = {field.name: field.offset for field in cloud.fields}
         assert (step, offsets) == (12, {"x": 0, "y": 4, "z": 8})
         points_m = np.frombuffer(bytes(cloud.data), "<f4").reshape(-1, 3)
+        stamp = (
+            (cloud.timestamp.seconds, cloud.timestamp.nanos)
+            if hasattr(cloud, "timestamp")
+            else (cloud.header.stamp.sec, cloud.header.stamp.nanosec)
+        )
+        assert stamp == divmod(STAMP_NS, 10**9)
+        assert getattr(cloud, "is_dense", True)
         name = next(name for name in expected if name.replace(" ", "_")[:4] in topic)
         np.testing.assert_array_equal(points_m, expected[name].astype("<f4"))
 

@@ -150,7 +150,7 @@ def test_the_table_of_hypotheses_has_the_best_of_every_pair():
     state = state_of("failed")
     table = hypotheses_markdown(state)
     evidence = state.registrations["front left/1", "top"].evidence
-    assert "| rear <- top | none | 0 of 80 |" in table
+    assert f"| rear <- top | none | 0 of 80 |{6 * ' - |'}\n" in f"{table}\n"
     assert f"| front left/1 <- top | clique 0 | 20 | 90 | 1 | {evidence:z.1f} | 0.100 | 0.060 | reject |" in table
 
 
@@ -213,3 +213,40 @@ def test_a_snapshot_that_others_contradict_is_a_warning():
     lines = log_lines(events.CalibrationFinished(replace(last.result, snapshots=reports)))
     levels = {line.text.split()[1][:-1]: line.level for line in lines if line.text.startswith("snapshot ")}
     assert levels == {"agrees": "INFO", "outvoted": "WARN", "disputed": "WARN", "refused": "WARN"}
+
+
+FIRST_LINES = {
+    events.CalibrationStarted: "INFO calibrating 3 LiDARs of drive.mcap: front left/1 with 1,200 points in 2 frame(s), "
+    "rear with 1,200 points in 2 frame(s), top with 1,200 points in 2 frame(s)",
+    events.StageStarted: "DEBUG stage ingest started",
+    events.StageFinished: "INFO stage ingest finished",
+    events.CloudPreprocessed: "INFO front left/1: 600 points after cleaning and thinning; "
+    "dropped: 4 too_far, 9 too_near",
+    events.FeaturesComputed: "INFO front left/1: 400 descriptors",
+    events.CorrespondencesMatched: "INFO front left/1 <- rear: 80 matches",
+    events.HypothesesFound: "INFO front left/1 <- rear: 2 hypotheses, 20 of 80 matches agree with the best",
+    events.HypothesesVerified: "INFO front left/1 <- rear: 2 distinct poses, clique 0 has the most evidence: -2.0; "
+    "90 points agree, 1 lie in proven-empty space, 5 are occluded",
+    events.PairRegistered: "INFO rear <- front left/1 from clique 0: fitness 0.800, RMSE 0.060 m "
+    "after 12 iterations; accept",
+    events.TargetChosen: "INFO target: top (set by --target)",
+    events.MergeStepTaken: "INFO merge step 1: merged front left/1 into top; groups: front left/1 + top; rear",
+    events.RigRefined: "INFO refined over 1 pairs: largest disagreement 4.0 mm, 0.020 deg before, "
+    "1.0 mm, 0.010 deg after",
+    events.SurfacesMatched: "DEBUG rear <- front left/1: 30 points on surfaces of both at the final pose",
+    events.ResidualsMeasured: "INFO front left/1: 30 points on surfaces of other LiDARs, 50 mm off (median)",
+    events.GroundEstimated: "INFO the target is 2.000 m above ground: 120 m2 of ground are seen",
+    events.CalibrationFinished: "INFO calibration complete: 3 of 3 LiDARs placed",
+}
+
+
+def test_each_line_says_what_happened():
+    told = {type(event): log_lines(event)[0] for event in reversed([*made_events()])}
+    lines = {kind: f"{told[kind].level} {told[kind].text}" for kind in FIRST_LINES}
+    assert lines == FIRST_LINES
+
+
+def test_a_cloud_of_which_nothing_is_dropped_says_so():
+    event = next(event for event in made_events() if isinstance(event, events.CloudPreprocessed))
+    (line,) = log_lines(events.CloudPreprocessed(replace(event.cloud, dropped_m={})))
+    assert line.text == "front left/1: 600 points after cleaning and thinning; dropped: none"
