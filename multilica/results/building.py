@@ -6,6 +6,7 @@ import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from itertools import combinations
 
@@ -61,12 +62,16 @@ def provenance_of(snapshot: Snapshot) -> Provenance:
     return Provenance(collect_versions(), source, platform.platform())
 
 
+# Packages do not change under a process, and their metadata takes milliseconds to read.
+_version = cache(version)
+
+
 def collect_versions() -> dict[str, str]:
     """Return the versions of multilica, of Python and of the packages that a result depends on."""
     versions = {"multilica": multilica.__version__, "python": platform.python_version()}
     for distribution in _DISTRIBUTIONS:
         with suppress(PackageNotFoundError):
-            versions.setdefault(_PACKAGES.get(distribution, distribution), version(distribution))
+            versions.setdefault(_PACKAGES.get(distribution, distribution), _version(distribution))
     return versions
 
 

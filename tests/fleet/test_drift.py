@@ -26,11 +26,11 @@ def _weekly(count):
 
 @cache
 def _others(lidars):
-    return made_fleet(_rng(100), 10, 10, lidars=lidars)
+    return made_fleet(_rng(100), 6, 10, lidars=lidars)
 
 
 def _events(vehicle, lidars=("left",)):
-    """Of one vehicle in a fleet of ten more that do not change."""
+    """Of one vehicle in a fleet of six more that do not change."""
     events = find_drift([*_others(lidars), *vehicle])
     assert {event.vehicle for event in events} <= {"v01"}
     return events

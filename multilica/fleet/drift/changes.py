@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtrc, fdtri
 
 from multilica.fleet.drift.dispersion import SHARED_COVARIANCE, ScatteredPoses
 from multilica.fleet.drift.findings import ChangeKind
@@ -56,11 +56,11 @@ class Thresholds:
 
     def least(self, *, creep: bool) -> float:
         """Return the limit for a creep, or for a jump at the best split."""
-        return 6.0 * float(f_distribution.isf(self.false_alarm_rate / self._tests(creep=creep), 6, self.dof))
+        return 6.0 * float(fdtri(6, self.dof, 1.0 - self.false_alarm_rate / self._tests(creep=creep)))
 
     def p_value(self, squared: float, *, creep: bool) -> float:
         """Return the share of series without any change in which the best jump, or the creep, is as large."""
-        return min(1.0, self._tests(creep=creep) * float(f_distribution.sf(squared / 6.0, 6, self.dof)))
+        return min(1.0, self._tests(creep=creep) * float(fdtrc(6, self.dof, squared / 6.0)))
 
     def _tests(self, *, creep: bool) -> float:
         return _CREEP_TESTS if creep else _SPLIT_TESTS * max(1, self.logs - 2 * _MIN_LOGS + 1)

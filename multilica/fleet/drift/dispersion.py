@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from multilica.fleet.lidar_series import TO_LENGTHS, IndexArray, LidarSeries
 from multilica.geometry import FloatArray
@@ -32,9 +32,9 @@ SHARED_COVARIANCE = np.diag((np.array([0.005 * _DEG] * 3 + [0.0005] * 3) * TO_LE
 _PRIOR_RATIO = 2.0
 """Ratio of true to reported sigma in the absence of data: figures between 1 and 3 are usual."""
 _PRIOR_RATIO_LOGS = 4.0
-_MEDIAN = float(chi2.median(6))
+_MEDIAN = float(chdtri(6, 0.5))
 # A log that differs from both neighbours by so much is wrong itself; a jump differs from one of them only.
-_CONTRADICTED = float(chi2.isf(0.01, 6))
+_CONTRADICTED = float(chdtri(6, 0.01))
 _T_DOF = 4.0
 # Among fewer logs, chance makes the differences of successive ones by far the larger too often.
 _MIN_CREEP_LOGS = 8

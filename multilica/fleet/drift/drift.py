@@ -8,8 +8,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
-from scipy.stats import f as f_distribution
+from scipy.special import chdtrc, fdtrc
 
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
@@ -183,7 +182,7 @@ def _find_moved_part(seen: Mapping[str, _Seen], changed: Collection[str]) -> tup
         return "lidar or target", common
     as_target = sum(_chi_squared(each, jacobians[name] @ common) for name, each in seen.items())
     as_lidars = sum(_chi_squared(each, np.zeros(6)) for name, each in seen.items() if name not in changed)
-    if chi2.sf(as_target, 6 * (len(seen) - 1)) < _LEAST_P_VALUE:
+    if chdtrc(6 * (len(seen) - 1), as_target) < _LEAST_P_VALUE:
         return "lidar", common
     if len(changed) > 1 or as_target < as_lidars - _DECIDING:
         return "target", common
@@ -307,4 +306,4 @@ def _robust_mean(offsets_m: FloatArray, covariances: FloatArray, start_m: FloatA
 
 def _p_value(offset_m: FloatArray, covariance: FloatArray, dof: float, tests: int) -> float:
     squared = float(offset_m @ np.linalg.solve(covariance, offset_m))
-    return min(1.0, tests * float(f_distribution.sf(squared / 6.0, 6, dof)))
+    return min(1.0, tests * float(fdtrc(6, dof, squared / 6.0)))

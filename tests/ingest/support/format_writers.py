@@ -7,6 +7,7 @@ import base64
 import json
 import struct
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +113,7 @@ def write_mcap_ros1(snapshot: Snapshot, path: Path) -> None:
         writer.finish()
 
 
+@cache
 def livox_types(driver: str, encoding: str) -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
     store.register(get_types_from_msg(_LIVOX_POINT, f"{driver}/msg/CustomPoint"))
@@ -175,6 +177,7 @@ def vlp16_packet(number: int, range_m: float) -> bytes:
     return blocks + struct.pack("<IBB", number * 1330, 0x37, 0x22)
 
 
+@cache
 def velodyne_types(encoding: str) -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_HUMBLE)
     time = "time" if encoding == "ros1" else "builtin_interfaces/Time"

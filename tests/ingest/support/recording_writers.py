@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -63,10 +64,12 @@ def assert_same_times(found: Snapshot, expected: Snapshot) -> None:
         assert (ours.frame_id, ours.topic) == (theirs.frame_id, theirs.topic)
 
 
+@cache
 def ros2_types() -> Typestore:
     return get_typestore(Stores.ROS2_HUMBLE)
 
 
+@cache
 def ros1_types() -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", TRANSFORMS))

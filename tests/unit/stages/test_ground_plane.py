@@ -11,8 +11,8 @@ from tests.selection import some_of
 def _street(seed=0):
     """Flat ground and one facade, in the base frame."""
     rng = np.random.default_rng(seed)
-    ground = np.stack([*rng.uniform(-15, 15, (2, 20_000)), rng.normal(0, 0.01, 20_000)], axis=1)
-    facade = np.stack([rng.uniform(-15, 15, 30_000), np.full(30_000, 8.0), rng.uniform(0, 10, 30_000)], axis=1)
+    ground = np.stack([*rng.uniform(-15, 15, (2, 10_000)), rng.normal(0, 0.01, 10_000)], axis=1)
+    facade = np.stack([rng.uniform(-15, 15, 15_000), np.full(15_000, 8.0), rng.uniform(0, 10, 15_000)], axis=1)
     return np.concatenate([ground, facade])
 
 
@@ -33,14 +33,14 @@ KNOWN = RigidTransform.from_xyz_rpy("base_link", "top", [0.4, -0.7, 1.9], np.deg
 
 def _scatter(rng, height_m, reach_m=15.0):
     """Ground of a height that depends on x and y, seen from 2 m outside the middle of a vehicle on."""
-    x, y = rng.uniform(-reach_m, reach_m, (2, 60_000))
+    x, y = rng.uniform(-reach_m, reach_m, (2, 30_000))
     seen = np.hypot(x, y) > 2.0
     return np.stack([x, y, height_m(x, y) + rng.normal(0, 0.006, len(x))], axis=1)[seen]
 
 
 def _box(rng, low, high):
     """Points on the sides and the top of a box."""
-    points = rng.uniform(low, high, (6_000, 3))
+    points = rng.uniform(low, high, (3_000, 3))
     axis = rng.integers(0, 3, len(points))
     points[np.arange(len(points)), axis] = np.where(axis == 0, low[0], np.where(axis == 1, low[1], high[2]))
     return points
