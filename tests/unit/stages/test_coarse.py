@@ -36,6 +36,7 @@ def _found(matches, config=_CONFIG, max_baseline_m=15.0, prior=None):
 
 def test_both_poses_of_an_ambiguous_scene_are_kept():
     coarse = _found(_matches((_TRUTH, 60), (_TURNED, 90)))
+    assert (coarse.target, coarse.source) == ("t", "s")
     first, second = coarse.hypotheses[:2]
     assert first.T_target_source.distance_to(_TURNED)[0] < 0.01
     assert second.T_target_source.distance_to(_TRUTH)[0] < 0.01
@@ -46,6 +47,12 @@ def test_both_poses_of_an_ambiguous_scene_are_kept():
 def test_poses_with_fewer_than_three_matches_are_dropped():
     coarse = _found(_matches((_TRUTH, 150), (_TURNED, 40)))
     assert all(hypothesis.score >= 3 for hypothesis in coarse.hypotheses)
+
+
+def test_two_matches_determine_no_pose():
+    config = CoarseConfig(min_agreeing_matches=1)
+    assert _found(_matches((_TRUTH, 2)), config).hypotheses == ()
+    assert _found(_matches((_TRUTH, 3)), config).hypotheses != ()
 
 
 def test_a_smaller_structure_is_found_beside_a_much_larger_one():

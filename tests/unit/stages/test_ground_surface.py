@@ -31,6 +31,7 @@ def test_a_slope_is_the_tilt_of_the_plane():
         found.normal, np.array([-0.02, 0.01, 1.0]) / np.linalg.norm([0.02, 0.01, 1.0]), atol=5e-4
     )
     assert found.offset_m == pytest.approx(2.0, abs=2e-3)
+    assert found.residual_m == pytest.approx(0.005, abs=1e-3)
 
 
 def test_the_plane_goes_through_the_wheels_on_a_curve():

@@ -95,3 +95,8 @@ def test_the_larger_group_keeps_its_root():
     steps = _run(pairs, register=lambda *_: None)
     assert [step.grown.root for step in steps[:3]] == ["A", "A", "A"]
     assert steps[2].groups[1].members == tuple("ABCD")
+
+
+def test_larger_groups_come_first_behind_that_of_the_target():
+    step, *_ = _run([_pair("B", "C")], "TABC", register=lambda *_: None)
+    assert step.decision.groups == (("T",), ("B", "C"), ("A",))
