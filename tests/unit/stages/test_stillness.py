@@ -85,7 +85,8 @@ def test_frames_that_are_alike_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> 
     motion = detect_motion(_drive(_ROOM_M, 0.0), _CONFIG)
     assert not motion.moving
     assert motion.shift_m < 0.01
-    assert detect_motion(_drive(_ROOM_M, 3.0), _CONFIG).moving
+    lost = detect_motion(_drive(_ROOM_M, 3.0), _CONFIG)
+    assert (lost.moving, lost.observable, lost.at_least) == (True, True, True)
 
 
 def test_turning_on_the_spot_is_measured() -> None:
@@ -110,7 +111,7 @@ def test_the_limit_of_the_shift_is_configured() -> None:
 @pytest.mark.parametrize("count", [0, 1])
 def test_a_single_frame_shows_no_motion(count: int) -> None:
     scans = _drive(_ROOM_M, 0.3)[:count]
-    assert detect_motion(scans, _CONFIG) == Motion()
+    assert detect_motion(scans, _CONFIG) == Motion(0.0, 0.0, 0.0, observable=False, moving=False, at_least=False)
     kept, dropped_m = drop_moving(scans, _CONFIG)
     assert len(kept) == count
     assert len(dropped_m) == 0
