@@ -56,8 +56,7 @@ TARGETS = {
     "multilica/stages/stillness.py": ("tests/unit/test_derivatives.py", f"{STAGES}/test_stillness.py"),
     "multilica/stages/known_poses.py": (f"{STAGES}/test_base_frame.py", "tests/pipeline/test_prior.py"),
     "multilica/stages/pair_choice.py": (
-        f"{STAGES}/test_search_order.py",
-        f"{STAGES}/test_loops.py",
+        f"{STAGES}/test_pair_choice.py",
         f"{STAGES}/test_target.py",
     ),
     "multilica/stages/preprocess.py": (f"{STAGES}/test_preprocess.py", f"{STAGES}/test_stillness.py"),
