@@ -26,7 +26,8 @@ TRUTH = {
         ("right", [-0.03, -0.56, -0.43], [-0.5, 45.8, -86.1]),
     )
 }
-_TOLERANCE_M = 0.02 + 1e-9
+# Their spread, and the range bias of a good LiDAR, which none of the four estimates.
+_TOLERANCE_M = 0.02 + 0.01
 _TOLERANCE_DEG = np.array([0.3, 0.3, 0.4])
 
 

@@ -231,6 +231,16 @@ class RefineConfig(Section):
 
     enabled: bool = Field(default=True, description="off: poses stay as merged")
     outlier_sigma: Positive = Field(3.0, description="a pair off by this many sigma keeps half its weight")
+    range_bias_sigma_m: PositiveMetres = Field(
+        0.01, description="range accuracy of the LiDARs, one standard deviation; datasheets state two or three of them"
+    )
+    range_bias_sigmas_m: dict[str, PositiveMetres] = Field(
+        default_factory=dict, description="the same of single LiDARs, by name"
+    )
+    elevation_bias_sigma_deg: Positive = Field(
+        0.005, description="error of a LiDAR's elevation angles that they have in common, one standard deviation"
+    )
+    azimuth_bias_sigma_deg: Positive = Field(0.005, description="the same of its azimuth angles")
 
 
 class JointConfig(Section):

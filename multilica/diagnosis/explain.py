@@ -92,7 +92,6 @@ def next_best_sentence(pairs: Sequence[PairEntry]) -> str:
 
 
 _BEFORE_PLACES = STAGES[: STAGES.index("merge")]
-_OUTLIER_WEIGHT = 0.5
 
 
 def explain(document: ResultDocument) -> Explanation:
@@ -320,8 +319,9 @@ def _warnings(document: ResultDocument) -> Iterator[str]:
         if entry.prior is not None and entry.prior.surprise:
             yield entry.prior.surprise
     for pair in document.refinement.pairs if document.refinement is not None else ():
-        if pair.weight < _OUTLIER_WEIGHT:
+        if pair.contradicts:
             yield (
                 f"the pair {pair.source} against {pair.target} contradicts the others by "
-                f"{pair.after_m or 0.0:.3f} m, {pair.after_deg or 0.0:.2f} deg. One of the two LiDARs may be misplaced."
+                f"{pair.after_m or 0.0:.3f} m, {pair.after_deg or 0.0:.2f} deg, which happens to a correct pair with a "
+                f"probability of {pair.probability:.1g}. One of the two LiDARs may be misplaced."
             )

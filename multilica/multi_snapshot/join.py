@@ -157,12 +157,12 @@ def _rig(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> Refine
     weighted = [(name, pair) for name, own in pairs.items() for pair in own if pair.information is not None]
     registrations = [pair for _, pair in weighted]
     poses = chained(target, registrations)
-    rig = refine(target, poses, registrations, config.refine, [name for name, _ in weighted])
+    rig = refine(target, poses, registrations, config.refine)
     used = [name for name, pair in weighted if pair.lidars <= {*poses}]
     residuals = tuple(
         replace(residual, snapshot=name) for name, residual in zip(used, rig.refinement.pairs, strict=False)
     )
-    return replace(rig, refinement=Refinement.of(residuals))
+    return replace(rig, refinement=Refinement.of(residuals, rig.refinement.biases))
 
 
 def _estimates(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> dict[str, Mapping[str, Estimate]]:
@@ -210,6 +210,7 @@ class _JointRig:
             self.rig.covariances[lidar] * np.outer(ratio, ratio),
             self.limits,
             _placed_by(len(estimates), len(self.results)),
+            repeatability=self.rig.repeatability.get(lidar),
             fitness=best.fitness,
             rmse_m=best.rmse_m,
             sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",

@@ -67,7 +67,8 @@ def replay(
         if config.ground.enabled and config.until == STAGES[-1]:
             with _stage("ground", observe):
                 points_m = {cloud.lidar: cloud.points_m for cloud in clouds}
-                ground, reason = ground_under(shown, result.target, points_m, result.poses, config, rig)
+                biases = () if result.refinement is None else result.refinement.biases
+                ground, reason = ground_under(shown, result.target, points_m, result.poses, config, rig, biases)
                 refusal = "" if ground else reason
                 observe(events.GroundEstimated(ground, reason))
     level = estimate_level(result.target, {cloud.lidar: cloud.points_m for cloud in clouds}, result.poses, config)

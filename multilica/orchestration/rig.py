@@ -24,6 +24,7 @@ from multilica.results import (
     PairRegistration,
     PreprocessedCloud,
     Refusal,
+    SensorBias,
     TimeLimit,
 )
 from multilica.snapshot import Snapshot
@@ -144,7 +145,7 @@ def refine_rig(state: CalibrationState) -> None:
     trusted = trusted_pairs(state.registrations.values(), state.merges)
     rig = refine(state.target, state.group.poses, trusted, state.config.refine)
     state.group = Group(state.target, rig.poses)
-    state.covariances, state.refinement = rig.covariances, rig.refinement
+    state.covariances, state.repeatability, state.refinement = rig.covariances, rig.repeatability, rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
 
@@ -184,7 +185,10 @@ def fit_ground(state: CalibrationState) -> None:
     if not state.config.ground.enabled or state.group is None:
         return
     clouds = {name: cloud.points_m for name, cloud in state.clouds.items()}
-    state.ground, reason = ground_under(state.snapshot, state.target, clouds, state.poses, state.config, state.rig)
+    biases = () if state.refinement is None else state.refinement.biases
+    state.ground, reason = ground_under(
+        state.snapshot, state.target, clouds, state.poses, state.config, state.rig, biases
+    )
     state.ground_refusal = "" if state.ground else reason
     state.observe(events.GroundEstimated(state.ground, reason))
 
@@ -196,6 +200,7 @@ def ground_under(
     poses: Mapping[str, RigidTransform],
     config: CalibrationConfig,
     rig: Extrinsics | None,
+    biases: Sequence[SensorBias] = (),
 ) -> tuple[GroundPlane | None, str]:
     """Estimate the ground from the clouds of the placed LiDARs, as `estimate_ground`.
 
@@ -203,6 +208,7 @@ def ground_under(
         clouds: per LiDAR (N, 3) in its own frame.
         poses: ``T_target_lidar`` of the placed LiDARs.
         rig: has the pose of the target in the base frame.
+        biases: of the LiDARs, if they were estimated.
     """
     known = None
     if rig is not None:
@@ -210,7 +216,7 @@ def ground_under(
         if known is None:
             return None, f"the rig file has no pose of the target {target}"
     points_m = np.concatenate([pose.apply(clouds[name]) for name, pose in sorted(poses.items()) if name in clouds])
-    return estimate_ground(target, points_m, config, middle_of(poses), known)
+    return estimate_ground(target, points_m, config, middle_of(poses), known, biases)
 
 
 def result_of(state: CalibrationState) -> CalibrationResult:
@@ -278,6 +284,7 @@ def placement_of(name: str, target: str, state: CalibrationState) -> LidarPlacem
         poses[name],
         state.covariances.get(name),
         state.config.acceptance,
+        repeatability=state.repeatability.get(name),
         fitness=merged.fitness,
         rmse_m=merged.rmse_m,
         T_target_source_prior=claimed,

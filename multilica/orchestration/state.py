@@ -56,6 +56,7 @@ class CalibrationState:
     group: Group | None = None
     merges: list[PairRegistration] = field(default_factory=list)
     covariances: Mapping[str, FloatArray] = field(default_factory=dict)
+    repeatability: Mapping[str, FloatArray] = field(default_factory=dict)
     refinement: Refinement | None = None
     rig: Extrinsics | None = None
     ground: GroundPlane | None = None

@@ -1,14 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Point-to-plane fit of a registered pose, with the information of the result."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import csc_array
 
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import GicpCloud
 from multilica.registration.neighbours import MovedPoints
 from multilica.registration.poses import arc_between_m, moved
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, shifts_per_bias
+from multilica.results import BiasInformation, IndexArray
 
 # Three matches per degree of freedom, rounded up.
 _MIN_MATCHES = 20
@@ -22,38 +25,75 @@ _MIN_SIGMA_M = 0.005
 # A tenth of a millimetre is below the sigma of every placed LiDAR.
 _SETTLED_M = 1e-4
 _ITERATIONS = 15
+# Matches follow their points, so a step of Gauss and Newton goes about half of the way.
+_RELAXATION = 1.5
 
 # Least range noise of vehicle LiDARs: no smaller residual is an outlier.
 _NOISE_M = 0.01
 _MAD_TO_SIGMA = 1.4826
 # Half the weight at about twice the usual residual (Geman-McClure).
 _OUTLIER_SIGMAS = 3.0
-# Size of a car door, a window, a kerb stone: one plane with one common error.
+# Size of a car door, a window, a kerb stone: random errors of its points are not independent.
 _PATCH_M = 1.0
+# Size of a facade, a hedge, a piece of road: one surface of one material, at one angle to the beams.
+_SURFACE_M = 6.0
+# A surface is not known better: paint, gaps between slabs, reflectivity.
+_SURFACE_SIGMA_M = 0.001
+# Finer than the rings of most LiDARs; where they are closer, neighbours count as one.
+_RING_DEG = 0.5
 # Below this share, what remains is noise of the matches.
 _LEAST_REAL = 0.02
 
 _SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
+# A radian of a bias moves points as a rotation does.
+_SCALE_WITH_BIASES = np.concatenate([_SCALE, np.tile([1.0, 1.0 / LEVER_ARM_M, 1.0 / LEVER_ARM_M], 2)])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaneFit:
+    """A fitted pose.
+
+    Args:
+        information: (6, 6) inverse covariance, order rotation (rad), translation (m), both along the target's axes, the
+            rotation about the source's origin; the biases of both LiDARs are marginalised. None where too few points
+            match.
+        biases: of both LiDARs, for a joint estimate.
+    """
+
+    pose: RigidTransform
+    information: FloatArray | None = None
+    biases: BiasInformation | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Overlap:
     """Points of the source near the target: all that can match at or near the registered pose.
 
-    `placed` finds their neighbours in the target.
+    Args:
+        points_m, normals: (N, 3) of the source.
+        placed: finds their neighbours in the target.
+        shifts: (3, N, 3) how biases move them.
+        surfaces, rings: (N,) number of the surface and of the ring that a point is of; points with one number share
+            their errors.
+        target_rings: (T,) the same of the target.
     """
 
     target: GicpCloud
     points_m: FloatArray
     normals: FloatArray
     placed: MovedPoints
+    shifts: FloatArray
+    surfaces: IndexArray
+    rings: IndexArray
+    target_rings: IndexArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Residuals:
     """Distance of M matches to the target's plane, weight, (M, 3) normal, and position in the target's frame.
 
-    `arms` are the positions from the source's origin, and `sigma_m` is the usual residual.
+    `rows` and `index` (M,) are the points of source and target, `arms` the positions from the source's origin, and
+    `sigma_m` is the usual residual.
     """
 
     residual_m: FloatArray
@@ -61,82 +101,147 @@ class _Residuals:
     normals: FloatArray
     arms: FloatArray
     points_m: FloatArray
+    rows: IndexArray
+    index: IndexArray
     sigma_m: float
 
     @property
-    def jacobian(self) -> FloatArray:
-        """(M, 6) derivative of the residuals."""
-        return np.concatenate([np.cross(self.arms, self.normals), self.normals], axis=1)
-
-    @property
     def gradient(self) -> FloatArray:
-        """(6,); the sum of cross products is the antisymmetric part of one matrix product."""
+        """(6,) by the pose; the sum of cross products is the antisymmetric part of one matrix product."""
         pulls = self.normals * (self.weight * self.residual_m)[:, None]
         product = self.arms.T @ pulls
         turn = (product - product.T)[[1, 2, 0], [2, 0, 1]]
         return np.concatenate([turn, pulls.sum(axis=0)])
 
-    @property
-    def hessian(self) -> FloatArray:
-        """Gauss-Newton Hessian for fixed matches."""
-        jacobian = self.jacobian
-        return np.asarray(jacobian.T @ (jacobian * self.weight[:, None]))
+    def jacobian(self, overlap: _Overlap, pose: RigidTransform) -> FloatArray:
+        """(M, 12) derivative of the residuals by pose and biases."""
+        in_source = self.normals @ pose.rotation
+        by_target = np.einsum("ij,kij->ik", self.normals, shifts_per_bias(overlap.target.points_m[self.index]))
+        by_source = -np.einsum("ij,kij->ik", in_source, overlap.shifts[:, self.rows])
+        (x, y, z), (a, b, c) = self.arms.T, self.normals.T
+        turn = np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
+        return np.concatenate([turn, self.normals, by_target, by_source], axis=1)
 
 
 def fit_planes(
-    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform
-) -> tuple[RigidTransform, FloatArray | None]:
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, bias_sigmas: FloatArray
+) -> PlaneFit:
     """Refine a pose by point-to-plane registration (Chen and Medioni, 1992) on planar surroundings only.
 
     GICP gives every match the same weight, so bushes, edges and single scan lines pull as much as walls. Here a
     match is weighted by the flatness of the target, by the agreement of both normals, and by its residual (Geman and
-    McClure, 1985, with the scale from the median residual).
+    McClure, 1985, with the scale from the median residual). The biases of both LiDARs in range, elevation and azimuth
+    are estimated with the pose, with a prior.
+
+    Args:
+        bias_sigmas: (6,) standard deviations of range (m), elevation and azimuth bias (rad) of target and source.
 
     Returns:
-        The pose and its information. If too few points match, the given pose and None; if the fit moves the pose
-        by more than 0.2 m, the given one.
+        If too few points match, the given pose alone; if the fit moves the pose by more than 0.2 m, the given one.
     """
     overlap = _overlap(target, source, T_target_source)
-    pose = T_target_source
+    pose, biases = T_target_source, np.zeros(2 * BIAS_COUNT)
     for _ in range(_ITERATIONS):
-        residuals = _residuals(overlap, pose)
+        residuals = _residuals(overlap, pose, biases)
         if residuals is None:
-            return T_target_source, None
-        step = _solved(residuals.hessian, -residuals.gradient)
-        pose = moved(pose, step[:3], step[3:])
-        if np.abs(step / _SCALE).max() < _SETTLED_M:
+            return PlaneFit(T_target_source)
+        jacobian = residuals.jacobian(overlap, pose)
+        weighted = jacobian * residuals.weight[:, None]
+        hessian, spread = _floored(jacobian.T @ weighted, _spreads(overlap, residuals, weighted)[0])
+        variance = _usual_variance(hessian, spread)
+        gradient = weighted.T @ residuals.residual_m
+        step = posterior(hessian / variance, gradient / variance, biases, bias_sigmas).step * _RELAXATION
+        pose, biases = moved(pose, step[:3], step[3:6]), biases + step[6:]
+        if np.abs(step[:6] / _SCALE).max() < _SETTLED_M:
             break
     if arc_between_m(pose, T_target_source) > _DISTANCE_M:
-        pose = T_target_source
-    return pose, _information(overlap, pose)
+        return pose_information(target, source, T_target_source, bias_sigmas)
+    return _with_information(overlap, pose, biases, bias_sigmas)
 
 
-def pose_information(target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform) -> FloatArray | None:
+def pose_information(
+    target: GicpCloud, source: GicpCloud, T_target_source: RigidTransform, bias_sigmas: FloatArray
+) -> PlaneFit:
     """Compute the information (inverse covariance) of a registered pose.
 
-    The covariance is the sandwich H^-1 B H^-1 (White, Econometrica 1980). B sums gradients per patch of surface,
-    since the residuals of a patch are correlated (Liang and Zeger, Biometrika 1986). H is the Gauss-Newton Hessian,
-    reduced to what remains of it when the pose moves by the noise and the points are matched again: matches follow
-    their points, so the plain Hessian claims too much.
+    The covariance is the sandwich H^-1 B H^-1 (White, Econometrica 1980), with B clustered several ways (Cameron,
+    Gelbach and Miller, JBES 2011): points of one surface, of one ring of the target and of one ring of the source
+    share their systematic errors. For the random part alone, B sums over patches of a metre (Liang and Zeger,
+    Biometrika 1986). H is the Gauss-Newton Hessian, reduced to what remains of it when the pose moves by the noise and
+    the points are matched again: matches follow their points, so the plain Hessian claims too much.
+
+    Args:
+        bias_sigmas: as for `fit_planes`.
 
     Returns:
-        (6, 6), order rotation (rad), translation (m), both along the target's axes, the rotation about the source's
-        origin; None where too few points match.
+        The given pose, without biases, as these are estimated together with a pose only.
     """
-    return _information(_overlap(target, source, T_target_source), T_target_source)
+    overlap = _overlap(target, source, T_target_source)
+    found = _with_information(overlap, T_target_source, np.zeros(2 * BIAS_COUNT), bias_sigmas)
+    return replace(found, biases=None)
 
 
-def _information(overlap: _Overlap, pose: RigidTransform) -> FloatArray | None:
-    residuals = _residuals(overlap, pose)
+def _with_information(overlap: _Overlap, pose: RigidTransform, biases: FloatArray, bias_sigmas: FloatArray) -> PlaneFit:
+    residuals = _residuals(overlap, pose, biases)
     if residuals is None:
-        return None
-    jacobian = residuals.jacobian
-    pulls = jacobian * (residuals.weight * residuals.residual_m)[:, None]
-    noise = jacobian * (residuals.weight * _MIN_SIGMA_M)[:, None]
-    per_patch = _summed_by_patch(residuals.points_m, pulls)
-    hessian = _remaining_hessian(overlap, pose, residuals)
-    floored, spread = _floored(hessian, per_patch.T @ per_patch + noise.T @ noise)
-    return np.asarray(floored @ np.linalg.pinv(spread, hermitian=True) @ floored)
+        return PlaneFit(pose)
+    jacobian = residuals.jacobian(overlap, pose)
+    weighted = jacobian * residuals.weight[:, None]
+    hessian = _remaining_hessian(overlap, pose, biases, residuals, jacobian.T @ weighted)
+    systematic, random = _spreads(overlap, residuals, weighted)
+    hessian, spread = _floored(hessian, systematic)
+    random += spread - systematic
+    variance = _usual_variance(hessian, spread)
+    of_biases = BiasInformation(
+        hessian / variance,
+        weighted.T @ residuals.residual_m / variance,
+        spread / variance**2,
+        random / variance**2,
+        biases,
+    )
+    known = posterior(of_biases.information, of_biases.gradient, biases, bias_sigmas, of_biases.spread)
+    return PlaneFit(pose, np.asarray(np.linalg.pinv(known.covariance, hermitian=True)), of_biases)
+
+
+def _usual_variance(hessian: FloatArray, spread: FloatArray) -> float:
+    """Return the variance of a residual with which the Hessian of the pose would be its information, the median of six.
+
+    Weights by direction would follow the chance with which few surfaces agree.
+    """
+    values, directions = np.linalg.eigh(hessian[:6, :6] * np.outer(_SCALE, _SCALE))
+    whitened = _SCALE[:, None] * directions / np.sqrt(np.maximum(values, 1e-9))
+    return float(np.median(np.linalg.eigvalsh(whitened.T @ spread[:6, :6] @ whitened)))
+
+
+def _spreads(overlap: _Overlap, residuals: _Residuals, weighted: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the covariance (12, 12) of the sum of scores, and the part of it that random errors cause.
+
+    Surfaces, rings of the target and rings of the source share their errors. Random errors are in all three sums, and
+    count once (Cameron, Gelbach and Miller, JBES 2011).
+
+    Args:
+        weighted: (M, 12) Jacobian, times the weights.
+    """
+    surfaces = overlap.surfaces[residuals.rows]
+    pulls = weighted * residuals.residual_m[:, None]
+    patches = _summed(_numbered(np.floor(residuals.points_m / _PATCH_M)), pulls)
+    random = patches.T @ patches
+    spread = -2.0 * random
+    for labels in (surfaces, overlap.target_rings[residuals.index], overlap.rings[residuals.rows]):
+        scores = _summed(labels, pulls)
+        spread += scores.T @ scores
+    uneven = _SURFACE_SIGMA_M * _summed(surfaces, weighted)
+    noise = _MIN_SIGMA_M**2 * (weighted.T @ weighted)
+    return _at_least(spread, random) + uneven.T @ uneven + noise, random + noise
+
+
+def _at_least(spread: FloatArray, least: FloatArray) -> FloatArray:
+    """Raise a covariance (N, N) to another one in the directions in which it is smaller."""
+    values, directions = np.linalg.eigh(least)
+    root = directions * np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+    inverse = np.linalg.pinv(root)
+    values, directions = np.linalg.eigh(inverse @ spread @ inverse.T)
+    return np.asarray(root @ (directions * np.maximum(values, 1.0)) @ directions.T @ root.T)
 
 
 def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Overlap:
@@ -146,11 +251,25 @@ def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Ove
         near = near[np.linspace(0, len(near) - 1, _MAX_POINTS).astype(np.intp)]
     normals, _ = source.surface.at(near)
     points_m = source.points_m[near]
-    return _Overlap(target, points_m, normals, MovedPoints(target.tree, pose.apply(points_m)))
+    placed_m, turned = pose.apply(points_m), pose.rotate(normals)
+    surfaces = np.column_stack([np.floor(placed_m / _SURFACE_M), np.argmax(np.abs(turned), axis=1)])
+    return _Overlap(
+        target,
+        points_m,
+        normals,
+        MovedPoints(target.tree, placed_m),
+        shifts_per_bias(points_m),
+        _numbered(surfaces),
+        _rings(points_m),
+        _rings(target.points_m),
+    )
 
 
-def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = None) -> _Residuals | None:
-    arms = pose.rotate(overlap.points_m)
+def _residuals(
+    overlap: _Overlap, pose: RigidTransform, biases: FloatArray, sigma_m: float | None = None
+) -> _Residuals | None:
+    of_target, of_source = biases[:BIAS_COUNT], biases[BIAS_COUNT:]
+    arms = pose.rotate(overlap.points_m - np.tensordot(of_source, overlap.shifts, 1))
     points_m = arms + pose.xyz_m
     distance_m, index = overlap.placed.nearest(points_m)
     matched = np.flatnonzero(distance_m <= _DISTANCE_M)
@@ -158,53 +277,72 @@ def _residuals(overlap: _Overlap, pose: RigidTransform, sigma_m: float | None = 
         return None
     arms, points_m, index = arms[matched], points_m[matched], index[matched]
     normals, flatness = overlap.target.surface.at(index)
-    residual_m = np.einsum("ij,ij->i", normals, points_m - overlap.target.points_m[index])
+    found_m = overlap.target.points_m[index]
+    away_m = points_m - found_m
+    if np.any(of_target):
+        away_m += np.tensordot(of_target, shifts_per_bias(found_m), 1)
+    residual_m = np.einsum("ij,ij->i", normals, away_m)
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
     if sigma_m is None:
         sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))
     # If the normals of both clouds differ by 20 degrees, a quarter of the weight is lost; at 33 degrees, half.
     root = flatness * agreement**2 / (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2)
-    return _Residuals(residual_m, root**2, normals, arms, points_m, sigma_m)
+    return _Residuals(residual_m, root**2, normals, arms, points_m, matched, index, sigma_m)
 
 
-def _summed_by_patch(points_m: FloatArray, pulls: FloatArray) -> FloatArray:
-    x, y, z = np.floor(points_m / _PATCH_M).astype(np.int64).T
-    _, patch = np.unique((x << 40) + (y << 20) + z, return_inverse=True)
-    return np.stack([np.bincount(patch, weights=column) for column in pulls.T], axis=1)
+def _rings(points_m: FloatArray) -> IndexArray:
+    """Return the band of elevation (N,) of each point, from 0."""
+    elevation_rad = np.arctan2(points_m[:, 2], np.hypot(points_m[:, 0], points_m[:, 1]))
+    return np.asarray((np.rad2deg(elevation_rad) + 90.0) / _RING_DEG, dtype=np.int64)
 
 
-def _remaining_hessian(overlap: _Overlap, pose: RigidTransform, residuals: _Residuals) -> FloatArray:
-    """Scale the Hessian by the share of it that remains along its principal directions, from 2 % to all.
+def _numbered(columns: FloatArray) -> IndexArray:
+    """Number the distinct rows of small whole numbers (N, C), from 0."""
+    label = np.zeros(len(columns), dtype=np.int64)
+    for column in columns.T:
+        label = (label << 16) + column.astype(np.int64)
+    return np.asarray(np.unique(label, return_inverse=True)[1])
 
-    Each step is as long as the usual residual: over shorter ones, single points that change their match dominate.
+
+def _summed(labels: IndexArray, rows: FloatArray) -> FloatArray:
+    """Sum the rows (M, C) of each label."""
+    count = len(labels)
+    members = csc_array((np.ones(count), labels, np.arange(count + 1)), shape=(int(labels.max()) + 1, count))
+    return np.asarray(members @ rows)
+
+
+def _remaining_hessian(
+    overlap: _Overlap, pose: RigidTransform, biases: FloatArray, residuals: _Residuals, hessian: FloatArray
+) -> FloatArray:
+    """Scale the Hessian by the share of it that remains along the principal directions of the pose, from 2 % to all.
+
+    Each step is as long as the usual residual: over shorter ones, single points that change their match dominate. All
+    directions lose what the best constrained one loses: the weights of residuals fall as these grow. The residuals have
+    that already.
     """
-    lengths = np.outer(_SCALE, _SCALE)
-    values, directions = np.linalg.eigh(residuals.hessian * lengths)
+    values, directions = np.linalg.eigh(hessian[:6, :6] * np.outer(_SCALE, _SCALE))
     roots = np.sqrt(np.maximum(values, 1e-9))
     left = np.empty((6, 6))
     for axis, direction in enumerate(directions.T):
         step = residuals.sigma_m * _SCALE * direction
         poses = (moved(pose, sign * step[:3], sign * step[3:]) for sign in (1.0, -1.0))
-        around = (_residuals(overlap, each, residuals.sigma_m) for each in poses)
+        around = (_residuals(overlap, each, biases, residuals.sigma_m) for each in poses)
         ahead, behind = (np.zeros(6) if each is None else each.gradient for each in around)
         slope = directions.T @ (_SCALE * (ahead - behind)) / (2.0 * residuals.sigma_m)
         left[:, axis] = slope / (roots * roots[axis])
     shares, mixed = np.linalg.eigh(0.5 * (left + left.T))
-    root = directions * roots @ mixed
-    return np.asarray((root * np.clip(shares, _LEAST_REAL, 1.0)) @ root.T / lengths)
+    shares = np.clip(shares / max(shares[-1], _LEAST_REAL), _LEAST_REAL, 1.0)
+    kept = (mixed * np.sqrt(shares)) @ mixed.T
+    scaled = np.eye(len(hessian))
+    scaled[:6, :6] = ((directions * roots) @ kept @ (directions / roots).T) * np.outer(1.0 / _SCALE, _SCALE)
+    return np.asarray(scaled @ hessian @ scaled.T)
 
 
 def _floored(hessian: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return H and B with a floor: where H is below one point, one point with the largest match distance counts."""
-    lengths = np.outer(_SCALE, _SCALE)
+    scale = _SCALE_WITH_BIASES[: len(hessian)]
+    lengths = np.outer(scale, scale)
     values, directions = np.linalg.eigh(hessian * lengths)
     loose = directions[:, values < 1.0]
     floored = (directions * np.maximum(values, 1.0)) @ directions.T
     return floored / lengths, spread + _DISTANCE_M**2 * (loose @ loose.T) / lengths
-
-
-def _solved(hessian: FloatArray, pull: FloatArray) -> FloatArray:
-    """Solve for a Gauss-Newton step, bounded in unconstrained directions."""
-    values, directions = np.linalg.eigh(hessian * np.outer(_SCALE, _SCALE))
-    values = np.maximum(values, 1e-6 * max(values[-1], 1e-6))
-    return np.asarray(_SCALE * (directions @ ((directions.T @ (_SCALE * pull)) / values)))

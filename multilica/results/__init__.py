@@ -32,9 +32,11 @@ from multilica.results.placements import (
     PlacementStatus,
     PoseConflict,
     Refinement,
+    SensorBias,
     Spread,
 )
 from multilica.results.registrations import (
+    BiasInformation,
     GicpStep,
     PairRegistration,
     Reason,
@@ -49,6 +51,7 @@ __all__ = [
     "LEVEL_FRAME",
     "PRIOR",
     "BeamLabel",
+    "BiasInformation",
     "BoolArray",
     "CalibrationResult",
     "CoarseResult",
@@ -73,6 +76,7 @@ __all__ = [
     "Refinement",
     "Refusal",
     "Registration",
+    "SensorBias",
     "SensorHealth",
     "SnapshotDeviation",
     "SnapshotReport",

@@ -103,7 +103,15 @@ class LidarEntry(Entry):
     rmse_m: Number = Field(description="RMS distance of those points to their nearest target point.")
     sigma_xyz_m: Vector3 | None = Field(description="Standard deviation along the axes of the target.")
     sigma_rotation_deg: Vector3 | None = Field(description="Standard deviation about the axes of the target.")
-    sigma_from: SigmaOrigin = Field(description="Source of the covariance: residuals, or their widening to the spread.")
+    repeatability_xyz_m: Vector3 | None = Field(
+        None,
+        description="Part of the standard deviation that random errors cause: how far results in one place differ.",
+    )
+    repeatability_deg: Vector3 | None = Field(None, description="The same of the rotation.")
+    sigma_from: SigmaOrigin = Field(
+        description="Source of the covariance: residuals by surface and ring with the biases of the LiDARs, or its "
+        "widening to the spread over snapshots."
+    )
     covariance: Matrix6 | None = Field(description="Order: rotation (rad), translation (m), along the target's axes.")
     prior: PriorEntry | None = Field(description="The pose that the prior gives; null without a prior.")
     spread: Spread | None = Field(description="Scatter over snapshots; null for a single snapshot.")

@@ -20,6 +20,9 @@ SigmaOrigin = Literal["residuals", "snapshots"]
 """Basis of a covariance: the residuals of the registrations, or these widened to the spread over snapshots."""
 
 
+_LEAST_PROBABILITY = 0.001
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GroundPlane:
     """The ground seen from the target LiDAR; `GroundEntry` describes further fields.
@@ -128,6 +131,7 @@ class LidarPlacement:
     Args:
         status: both `placed` and `uncertain` LiDARs have a pose.
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
+        repeatability: (6, 6) the part of it that random errors cause: by so much do results differ in one place.
         T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
         contradicts_prior: whether the beams of a LiDAR without a pose contradict the prior, so that it moved far.
     """
@@ -139,6 +143,7 @@ class LidarPlacement:
     fitness: float = 0.0
     rmse_m: float = float("inf")
     covariance: FloatArray | None = None
+    repeatability: FloatArray | None = None
     T_target_source_prior: RigidTransform | None = None
     sigma_from: SigmaOrigin = "residuals"
     spread: Spread | None = None
@@ -161,6 +166,16 @@ class LidarPlacement:
         if self.T_target_source is None or self.T_target_source_prior is None:
             return None
         return self.T_target_source_prior.distance_to(self.T_target_source)
+
+    @property
+    def repeatability_xyz_m(self) -> FloatArray | None:
+        """(3,) standard deviation of the position by random errors alone; None where it is not known."""
+        return None if self.repeatability is None else np.sqrt(np.diag(self.repeatability)[3:])
+
+    @property
+    def repeatability_deg(self) -> FloatArray | None:
+        """(3,) the same of the rotation."""
+        return None if self.repeatability is None else np.rad2deg(np.sqrt(np.diag(self.repeatability)[:3]))
 
     @property
     def sigma_xyz_m(self) -> FloatArray | None:
@@ -261,7 +276,36 @@ class PairResidual:
     after_m: Annotated[Figure, Field(description="Distance after.")]
     after_deg: Annotated[Figure, Field(description="Angle after.")]
     weight: Annotated[float, Field(description="Final weight of the pair: 1 for full trust, 0 for an outlier.")]
+    probability: Annotated[
+        float,
+        Field(
+            description="Probability that a correct pair disagrees with the poses as much or more, by its covariance: "
+            "chi squared with 6 degrees of freedom."
+        ),
+    ] = 1.0
     snapshot: Annotated[str, Field(description="Snapshot of the pair; empty for a single snapshot.")] = ""
+
+    @property
+    def contradicts(self) -> bool:
+        """True if the pair disagrees with the others more than one correct pair of a thousand."""
+        return self.probability < _LEAST_PROBABILITY
+
+
+@dataclass(frozen=True, slots=True)
+class SensorBias:
+    """Systematic errors of one LiDAR, as estimated with the poses; the points are not corrected by them.
+
+    Only differences between LiDARs are seen in most scenes. A standard deviation close to that of the prior means that
+    the scene does not show the bias.
+    """
+
+    lidar: Annotated[str, Field(description="Name of the LiDAR.")]
+    range_m: Annotated[float, Field(description="Measured minus true range.")]
+    range_sigma_m: Annotated[float, Field(description="Standard deviation of it.")]
+    elevation_deg: Annotated[float, Field(description="Measured minus true elevation angle.")]
+    elevation_sigma_deg: Annotated[float, Field(description="Standard deviation of it.")]
+    azimuth_deg: Annotated[float, Field(description="Measured minus true azimuth angle.")]
+    azimuth_sigma_deg: Annotated[float, Field(description="Standard deviation of it.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +323,11 @@ class Refinement:
     cycle_error_before: Annotated[CycleError, Field(description="Largest disagreement before.")]
     cycle_error_after: Annotated[CycleError, Field(description="Largest disagreement after.")]
     pairs: Annotated[tuple[PairResidual, ...], Field(description="Disagreement per pair.")]
+    biases: Annotated[tuple[SensorBias, ...], Field(description="Systematic errors per LiDAR, in name order.")] = ()
 
     @classmethod
-    def of(cls, pairs: tuple[PairResidual, ...] = ()) -> "Refinement":
+    def of(cls, pairs: tuple[PairResidual, ...] = (), biases: tuple[SensorBias, ...] = ()) -> "Refinement":
         """Create from the residuals of the pairs; without loops there are none, and nothing to adjust."""
         figures = [(pair.before_m, pair.before_deg, pair.after_m, pair.after_deg) for pair in pairs]
         before_m, before_deg, after_m, after_deg = map(max, zip((0.0,) * 4, *figures, strict=True))
-        return cls(CycleError(before_m, before_deg), CycleError(after_m, after_deg), pairs)
+        return cls(CycleError(before_m, before_deg), CycleError(after_m, after_deg), pairs, biases)

@@ -150,6 +150,28 @@ class GicpStep:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BiasInformation:
+    """Information of a pair about its pose and about the systematic errors of both LiDARs.
+
+    The order is rotation (rad), translation (m), then range (m), elevation and azimuth bias (rad) of the target and of
+    the source.
+
+    Args:
+        information: (12, 12) of the data alone, without a prior of the biases.
+        gradient: (12,) of the negative log likelihood at the pose and the biases of this registration.
+        spread: (12, 12) covariance of the gradient.
+        random_spread: (12, 12) the part of it that random errors cause.
+        biases: (6,) of the target, then of the source.
+    """
+
+    information: FloatArray
+    gradient: FloatArray
+    spread: FloatArray
+    random_spread: FloatArray
+    biases: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PairRegistration:
     """The result of registering two LiDARs, or two groups of them.
 
@@ -164,6 +186,7 @@ class PairRegistration:
             engine does not report it.
         information: (6, 6) inverse covariance of the pose, order rotation (rad), translation (m) along the target's
             axes, the rotation about the source's origin; None where too few points match.
+        bias_information: None where the biases are not estimated.
         hypothesis: index of the pair's hypothesis that this started from; -1 if the pose came from other pairs.
         steps: progress, for the recording.
         registrations: the distinct finalists, the chosen one first; empty where verification is off.
@@ -181,6 +204,7 @@ class PairRegistration:
     hypothesis: int = 0
     hessian: FloatArray | None = None
     information: FloatArray | None = None
+    bias_information: BiasInformation | None = None
     steps: tuple[GicpStep, ...] = ()
     registrations: tuple[Registration, ...] = ()
     verdict: Verdict = Verdict("accept")

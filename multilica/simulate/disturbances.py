@@ -2,7 +2,7 @@
 """Disturbances of a snapshot, by name."""
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,7 +63,7 @@ def add_dirt(directions: FloatArray, ranges_m: FloatArray, axis: FloatArray, rng
 
 def mask_ego(hits: Hits, of_vehicle: Hits) -> Hits:
     """Take the hits off the beams that meet the own vehicle first."""
-    return Hits(np.where(of_vehicle.ranges_m <= hits.ranges_m, np.inf, hits.ranges_m), hits.cosines)
+    return replace(hits, ranges_m=np.where(of_vehicle.ranges_m <= hits.ranges_m, np.inf, hits.ranges_m))
 
 
 def blocked_beams(directions: FloatArray, axis: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:

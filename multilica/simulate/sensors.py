@@ -13,6 +13,10 @@ from multilica.simulate.shapes.mesh import Mesh
 
 o3d = LazyOpen3d("A simulation")
 
+RingArray = npt.NDArray[np.int64]
+# Share of the light that most surfaces of a road scene send back.
+USUAL_REFLECTIVITY = 0.3
+
 
 def unit_directions(azimuth_rad: FloatArray, elevation_rad: FloatArray) -> FloatArray:
     """Compute unit vectors (N, 3) from angles of a common shape."""
@@ -37,6 +41,11 @@ class SpinningPattern:
         elevation = np.deg2rad(np.linspace(*self.elevation_deg, self.channels))
         return unit_directions(azimuth[:, None], elevation[None, :])
 
+    @property
+    def rings(self) -> RingArray:
+        """(columns * channels,) channel of each beam."""
+        return np.tile(np.arange(self.channels), self.columns)
+
 
 @dataclass(frozen=True, slots=True)
 class RasterPattern:
@@ -55,6 +64,11 @@ class RasterPattern:
         azimuth = np.deg2rad(self.horizontal_fov_deg) * column
         elevation = np.deg2rad(self.vertical_fov_deg) * row
         return unit_directions(azimuth[None, :], elevation[:, None])
+
+    @property
+    def rings(self) -> RingArray:
+        """(rows * columns,) row of each beam."""
+        return np.repeat(np.arange(self.rows), self.columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +97,38 @@ class RosettePattern:
         elevation = np.deg2rad(swing_deg * upwards[:, None] + stack_deg[None, :])
         return unit_directions(azimuth[:, None], elevation)
 
+    @property
+    def rings(self) -> RingArray:
+        """(beams,) laser of each beam."""
+        return np.tile(np.arange(self.lasers), self.beams // self.lasers)
+
 
 BeamPattern = SpinningPattern | RasterPattern | RosettePattern
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Errors of a LiDAR that do not change from frame to frame: standard deviations over the units of a model.
+
+    The usual values are those of rotating LiDARs with a datasheet that states a range accuracy of 3 cm, read as three
+    standard deviations.
+
+    Args:
+        range_m: of all ranges.
+        ring_range_m: of the ranges of each ring, on top.
+        range_scale: of the ranges, relative.
+        glancing_m: of a range on a surface that the beam just grazes, against one that it meets head-on.
+        reflectivity_m: of a range on a white surface against one on a black one.
+        ring_elevation_deg, ring_azimuth_deg: of the direction of each ring.
+    """
+
+    range_m: float = 0.010
+    ring_range_m: float = 0.008
+    range_scale: float = 2e-4
+    glancing_m: float = 0.005
+    reflectivity_m: float = 0.005
+    ring_elevation_deg: float = 0.03
+    ring_azimuth_deg: float = 0.03
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +139,9 @@ class SensorModel:
         range_noise_m: standard deviation of a range.
         dropout: probability that a beam on a surface facing it does not return.
         grazing_cosine: cosine of the incidence angle at which 63 % of the beams return; below, they fade away.
+        range_step_m: resolution of the reported ranges.
+        beam_deg: full angle of the diverging beam.
+        dark_range_m: range at which 90 % of the beams return from a surface of 10 % reflectivity.
     """
 
     pattern: BeamPattern
@@ -103,22 +150,40 @@ class SensorModel:
     range_noise_m: float = 0.018
     dropout: float = 0.02
     grazing_cosine: float = 0.05
+    range_step_m: float = 0.002
+    beam_deg: float = 0.18
+    dark_range_m: float = 80.0
+    accuracy: Accuracy = Accuracy()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hits:
-    """Ranges (N,) to the first surfaces, inf where there is none, and cosines (N,) of the incidence angles."""
+    """First surfaces that N beams meet.
+
+    Args:
+        ranges_m: (N,), inf where there is none.
+        cosines: (N,) of the incidence angles.
+        reflectivities: (N,) share of the light that a white, matt surface would send back; above 1: a retroreflector.
+    """
 
     ranges_m: FloatArray
     cosines: FloatArray
+    reflectivities: FloatArray
 
 
 class Surroundings:
-    """A mesh that beams can be cast into, in the frame in which the LiDAR's pose is given."""
+    """A mesh that beams can be cast into, in the frame in which the LiDAR's pose is given.
 
-    def __init__(self, mesh: Mesh) -> None:
+    Args:
+        reflectivities: per triangle; None: all the usual one.
+    """
+
+    def __init__(self, mesh: Mesh, reflectivities: FloatArray | None = None) -> None:
         self._scene = o3d.t.geometry.RaycastingScene()
         self._tensor = o3d.core.Tensor
+        if reflectivities is None:
+            reflectivities = np.full(len(mesh.triangles), USUAL_REFLECTIVITY)
+        self._reflectivities = np.append(reflectivities, USUAL_REFLECTIVITY)
         if len(mesh.triangles):
             vertices = self._tensor(mesh.vertices_m.astype(np.float32))
             self._scene.add_triangles(vertices, self._tensor(mesh.triangles.astype(np.uint32)))
@@ -130,13 +195,24 @@ class Surroundings:
         found = self._scene.cast_rays(self._tensor(np.hstack([origins, turned])))
         ranges = found["t_hit"].numpy().astype(np.float64)
         normals = found["primitive_normals"].numpy()
-        return Hits(ranges, np.abs(np.einsum("ij,ij->i", normals, turned)).astype(np.float64))
+        cosines = np.abs(np.einsum("ij,ij->i", normals, turned)).astype(np.float64)
+        triangles = np.minimum(found["primitive_ids"].numpy(), len(self._reflectivities) - 1)
+        return Hits(ranges, cosines, self._reflectivities[triangles])
 
 
 def nearer(first: Hits, second: Hits) -> Hits:
     """Return the nearer hit of each beam."""
     closer = second.ranges_m < first.ranges_m
-    return Hits(np.where(closer, second.ranges_m, first.ranges_m), np.where(closer, second.cosines, first.cosines))
+    return chosen(closer, second, first)
+
+
+def chosen(mask: npt.NDArray[np.bool_], hits: Hits, others: Hits) -> Hits:
+    """Return the hits where the mask (N,) says so, and the others elsewhere."""
+    return Hits(
+        np.where(mask, hits.ranges_m, others.ranges_m),
+        np.where(mask, hits.cosines, others.cosines),
+        np.where(mask, hits.reflectivities, others.reflectivities),
+    )
 
 
 def measure(sensor: SensorModel, hits: Hits, rng: np.random.Generator) -> FloatArray:

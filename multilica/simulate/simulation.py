@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Simulation of a snapshot of a rig in a scene."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
@@ -21,14 +22,16 @@ from multilica.simulate.disturbances import (
 )
 from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, chain_rig, with_drawing_error
 from multilica.simulate.scenes import SCENES
-from multilica.simulate.sensors import Surroundings, measure, nearer, returned_points
+from multilica.simulate.sensors import Hits, Surroundings, measure, nearer, returned_points
 from multilica.simulate.shapes.mesh import merged
+from multilica.simulate.units import LidarUnit, draw_reflectivities, draw_unit
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
 _FIRST_STAMP_NS = 1_767_225_600_000_000_000
 _FRAME_S = 0.1
 _SPEED_M_S = 3.0
 _LOW_OVERLAP_DEG = 9.0
+Sensors = Literal["real", "ideal"]
 _UNMOVED: Mapping[str, RigidTransform] = MappingProxyType({})
 
 
@@ -53,11 +56,12 @@ def simulate_snapshot(
     build_seed: int | None = None,
     moved: Mapping[str, RigidTransform] = _UNMOVED,
     start_ns: int = _FIRST_STAMP_NS,
+    sensors: Sensors = "real",
 ) -> Simulation:
     """Simulate what a rig sees in a scene; the same arguments give the same bits.
 
     The surroundings depend on scene and seed only, but for what would stand in a large vehicle's place; the mounting
-    depends on rig and build seed only.
+    and the LiDARs' own errors depend on rig and build seed only.
 
     Args:
         frames: per LiDAR, at 10 Hz.
@@ -67,6 +71,7 @@ def simulate_snapshot(
         moved: LiDARs that are no longer as built, each with its pose in its own frame as built. The truth is where
             they are; the static transforms stay those of the vehicle as built.
         start_ns: stamp of the first frames.
+        sensors: "ideal": the ranges have white noise only, and intensities are missing.
 
     Raises:
         UnknownNameError: no such rig, scene, disturbance, or LiDAR of a disturbance or motion.
@@ -86,12 +91,18 @@ def simulate_snapshot(
     original = as_built(chosen, random_stream(rig, "mounting", built))
     poses = _moved(original, moved, rig)
     world = _World(chosen, scene, seed, poses, disturbances, start_ns)
-    scans = tuple(world.scans(mount, frames) for mount in chosen.mounts)
+    units = {
+        mount.name: draw_unit(mount.sensor, random_stream(rig, mount.name, "unit", built))
+        if sensors == "real"
+        else None
+        for mount in chosen.mounts
+    }
+    scans = tuple(world.scans(mount, units[mount.name], frames) for mount in chosen.mounts)
     priors = random_stream(rig, "prior", built)
     static = tuple(with_drawing_error(pose, priors) for pose in original.values())
     vehicle = "" if build_seed is None else f", vehicle {build_seed}"
     description = f"simulation {world.label}{vehicle}" + (f" with {', '.join(disturbances)}" if disturbances else "")
-    return Simulation(Snapshot(scans, description, static_transforms=static), Extrinsics(BASE, poses))
+    return Simulation(Snapshot(tuple(scans), description, static_transforms=static), Extrinsics(BASE, poses))
 
 
 def true_extrinsics(rig: str, build_seed: int, moved: Mapping[str, RigidTransform] = _UNMOVED) -> Extrinsics:
@@ -134,19 +145,26 @@ class _World:
             lorries = random_stream("truck", rig.name, scene, seed)
             mount = rig.mounts[int(lorries.integers(len(rig.mounts)))]
             meshes.append(truck_beside(self._scene, rig, mount, poses[mount.name], lorries))
-        self._fixed = Surroundings(merged(meshes))
+        lengths_m = np.array([mesh.length_m for mesh in meshes])
+        drawn = draw_reflectivities(lengths_m, random_stream(scene, seed, "reflectivity"))
+        self._fixed = Surroundings(merged(meshes), np.repeat(drawn, [len(mesh.triangles) for mesh in meshes]))
         self._vehicle = Surroundings(rig.body)
         walkers = random_stream("pedestrians", scene, seed)
         self._walkers = random_walkers(self._scene, rig, self._fixed, walkers) if "pedestrians" in disturbances else ()
 
-    def scans(self, mount: Mount, frames: int) -> LidarScans:
-        """Take the scans of one LiDAR."""
+    def scans(self, mount: Mount, unit: LidarUnit | None, frames: int) -> LidarScans:
+        """Take the scans of one LiDAR; without a unit, of an ideal one."""
         dirt_axis = random_stream(self.label, mount.name, "dirt").normal(size=3)
         scans = []
         for frame in range(frames):
             rng = random_stream(self.label, mount.name, frame)
             directions = mount.sensor.pattern.directions(frame, rng)
-            ranges = self._ranges(mount, directions, frame * _FRAME_S, rng)
+            cast = self._caster(mount, frame * _FRAME_S)
+            if unit is None:
+                ranges, intensity = measure(mount.sensor, cast(directions), rng), None
+            else:
+                optics = random_stream(self.label, mount.name, frame, "optics")
+                ranges, intensity = unit.measure(directions, cast, rng, optics)
             weather = random_stream(self.label, mount.name, frame, "weather")
             if "rain" in self._disturbances:
                 ranges = add_rain(mount.sensor, ranges, weather)
@@ -155,20 +173,24 @@ class _World:
             if f"dead:{mount.name}" in self._disturbances:
                 ranges = np.full_like(ranges, np.nan)
             stamp_ns = self._start_ns + round(frame * _FRAME_S * 1e9)
-            scans.append(Scan(returned_points(directions, ranges), stamp_ns))
+            returned = None if intensity is None else intensity[np.isfinite(ranges)].astype(np.float32)
+            scans.append(Scan(returned_points(directions, ranges), stamp_ns, returned))
         return LidarScans(mount.name, tuple(scans), topic=f"/lidar/{mount.name}/points")
 
-    def _ranges(self, mount: Mount, directions: FloatArray, time_s: float, rng: np.random.Generator) -> FloatArray:
+    def _caster(self, mount: Mount, time_s: float) -> Callable[[FloatArray], Hits]:
+        """Return what casts the beams of a LiDAR at a time after the first frame."""
         T_base_lidar = self._poses[mount.name]
         T_world_lidar = self._pose(time_s) @ T_base_lidar
-        of_vehicle = self._vehicle.cast(T_base_lidar, directions)
-        hits = nearer(self._fixed.cast(T_world_lidar, directions), of_vehicle)
-        if self._walkers:
-            people = Surroundings(pedestrians(self._scene, self._walkers, time_s))
-            hits = nearer(hits, people.cast(T_world_lidar, directions))
-        if "ego_masked" in self._disturbances:
-            hits = mask_ego(hits, of_vehicle)
-        return measure(mount.sensor, hits, rng)
+        people = Surroundings(pedestrians(self._scene, self._walkers, time_s)) if self._walkers else None
+
+        def cast(directions: FloatArray) -> Hits:
+            of_vehicle = self._vehicle.cast(T_base_lidar, directions)
+            hits = nearer(self._fixed.cast(T_world_lidar, directions), of_vehicle)
+            if people is not None:
+                hits = nearer(hits, people.cast(T_world_lidar, directions))
+            return mask_ego(hits, of_vehicle) if "ego_masked" in self._disturbances else hits
+
+        return cast
 
     def _pose(self, time_s: float) -> RigidTransform:
         """Return ``T_world_base`` at a time after the first frame."""
@@ -187,9 +209,10 @@ def thinned(snapshot: Snapshot, keep_every: int) -> Snapshot:
     """Keep only every Nth return; the first one differs from frame to frame, so that together they cover all beams."""
     lidars = []
     for lidar in snapshot.lidars:
-        kept = (
-            replace(scan, points_m=scan.points_m[index % keep_every :: keep_every])
-            for index, scan in enumerate(lidar.scans)
-        )
-        lidars.append(replace(lidar, scans=tuple(kept)))
+        scans = []
+        for index, scan in enumerate(lidar.scans):
+            kept = slice(index % keep_every, None, keep_every)
+            intensity = None if scan.intensity is None else scan.intensity[kept]
+            scans.append(replace(scan, points_m=scan.points_m[kept], intensity=intensity))
+        lidars.append(replace(lidar, scans=tuple(scans)))
     return replace(snapshot, lidars=tuple(lidars))

@@ -18,9 +18,10 @@ from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, fitness_and_rmse, prepare_gicp_cloud, register
-from multilica.registration.plane_fit import fit_planes, pose_information
+from multilica.registration.plane_fit import PlaneFit, fit_planes, pose_information
 from multilica.registration.poses import arc_between_m, is_distinct, moved, slid_hypotheses, within_baseline
-from multilica.results import Hypothesis, PairRegistration, Registration, Stability
+from multilica.registration.sensor_biases import prior_sigmas
+from multilica.results import BiasInformation, Hypothesis, PairRegistration, Registration, Stability
 from multilica.results.registrations import weakest_sigmas
 from multilica.visibility.sensor_view import (
     FINE_TOLERANCES,
@@ -139,10 +140,23 @@ def _register_first(
 ) -> PairRegistration:
     """Register the first hypothesis only, as the paper does."""
     found = register(target.cloud, source.cloud, first.T_target_source, config.fine)
-    information = None
     if config.refine.enabled:
-        information = pose_information(target.cloud, source.cloud, found.T_target_source)
-    return replace(found, information=information, hypothesis=first.index)
+        sigmas = _bias_sigmas(target, source, config)
+        found = _with_fit(found, pose_information(target.cloud, source.cloud, found.T_target_source, sigmas))
+    return replace(found, hypothesis=first.index)
+
+
+def _bias_sigmas(target: RegistrationCloud, source: RegistrationCloud, config: CalibrationConfig) -> FloatArray:
+    return np.concatenate([prior_sigmas(side.cloud.name, config.refine) for side in (target, source)])
+
+
+def _with_fit(found: PairRegistration, fit: PlaneFit) -> PairRegistration:
+    return replace(
+        found,
+        T_target_source=fit.pose,
+        information=fit.information,
+        bias_information=fit.biases,
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,11 +247,13 @@ class _Pair:
 
     def _fitted(self, found: PairRegistration) -> PairRegistration:
         """Fit the pose to planes, score it again, and add its information."""
-        pose, information = fit_planes(*self.clouds, found.T_target_source)
+        sigmas = _bias_sigmas(self.target, self.source, self.config)
+        fitted = _with_fit(found, fit_planes(*self.clouds, found.T_target_source, sigmas))
+        pose = fitted.T_target_source
         fitness, rmse_m, inliers = fitness_and_rmse(*self.clouds, pose, self.config.fine.fitness_distance_m)
-        fitted = replace(
-            found, T_target_source=pose, fitness=fitness, rmse_m=rmse_m, inliers=inliers, information=information
-        )
+        fitted = replace(fitted, fitness=fitness, rmse_m=rmse_m, inliers=inliers)
+        if max(len(self.target.views), len(self.source.views)) > 1:
+            fitted = replace(fitted, bias_information=None)  # a group has several LiDARs
         return self._scored(fitted, replace(_start_of(found.registrations[0]), T_target_source=pose))
 
     def _needs_stability(self, found: PairRegistration, best: Registration, others: Sequence[Registration]) -> bool:
@@ -268,11 +284,16 @@ class _Pair:
             if further.evidence < best.evidence:
                 break
             by_gicp, fitted = further, self._fitted(further) if self.fit else further
-        information = widened(fitted.information, best.visibility.weakest_direction, stability.perturbed_offset_m)
+        off_m, direction = stability.perturbed_offset_m, best.visibility.weakest_direction
+        information, of_biases = fitted.information, fitted.bias_information
+        if information is not None:
+            information = widened(information, direction, off_m)
+        if of_biases is not None:
+            of_biases = _widened_with_biases(of_biases, direction, off_m)
         sigma_m, sigma_rad = weakest_sigmas(information)
         stability = replace(stability, sigma_m=sigma_m, sigma_rad=sigma_rad)
         scored = replace(fitted.registrations[0], stability=stability)
-        return replace(fitted, information=information, registrations=(scored,))
+        return replace(fitted, information=information, bias_information=of_biases, registrations=(scored,))
 
     def _scored(self, found: PairRegistration, hypothesis: Hypothesis) -> PairRegistration:
         scored = score_registration(found, hypothesis, self.target.views, self.source.views, *FINE_TOLERANCES)
@@ -320,15 +341,29 @@ def check_stability(
     )
 
 
-def widened(information: FloatArray | None, direction: FloatArray, off_m: float) -> FloatArray | None:
+def widened(information: FloatArray, direction: FloatArray, off_m: float) -> FloatArray:
     """Return the information of a pose from its offset along a direction after a perturbation.
 
     Args:
-        information: of `pose_information`, or None.
+        information: of the pose, and perhaps of biases after it.
         direction: (6,) as `VisibilityScore.weakest_direction`.
     """
-    if information is None:
-        return None
-    step = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
+    step = np.zeros(len(information))
+    step[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
     pulled = information @ step
     return np.asarray(information - np.outer(pulled, pulled) / (1.0 + step @ pulled))
+
+
+def _widened_with_biases(found: BiasInformation, direction: FloatArray, off_m: float) -> BiasInformation:
+    """Widen information and spread alike: both covariances grow by the offset."""
+    information = widened(found.information, direction, off_m)
+    kept = information @ np.linalg.pinv(found.information, hermitian=True)
+    pulled = np.zeros(len(information))
+    pulled[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
+    pulled = information @ pulled
+    return replace(
+        found,
+        information=information,
+        spread=kept @ found.spread @ kept.T + np.outer(pulled, pulled),
+        random_spread=kept @ found.random_spread @ kept.T,
+    )

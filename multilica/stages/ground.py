@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ground that the vehicle stands on, as a smooth surface."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from multilica.acceptance.placement import imprecision
-from multilica.config import AcceptanceConfig, CalibrationConfig, GroundConfig
+from multilica.config import AcceptanceConfig, CalibrationConfig, GroundConfig, RefineConfig
 from multilica.geometry import FloatArray, RigidTransform, lengths, read_only
 from multilica.registration.neighbours import thin
-from multilica.results import LEVEL_FRAME, GroundPlane
+from multilica.results import LEVEL_FRAME, GroundPlane, SensorBias
 
 # At this distance a point counts half, or a quarter: what is near is more likely to be what the wheels stand on.
 NEAR_M = 5.0
@@ -27,6 +27,8 @@ _FITS = 15
 _HIGHEST_M = 0.5
 _MIN_NOISE_M = 0.003
 _TUKEY = 4.685
+# The LiDARs stand about as high over the middle of the vehicle.
+_SENSOR_HEIGHT_M = 1.5
 # Points this near to each other share errors: of the ground, and of the pose of the LiDAR that saw them.
 _TILE_M = 2.0
 
@@ -97,17 +99,20 @@ def fit_surface(
     height_m: float,
     wheels_m: tuple[float, float],
     distance_m: float,
+    bias_sigmas: FloatArray,
 ) -> GroundSurface:
     """Fit a polynomial of third degree to the points (N, 3) near a plane, robustly (Tukey's biweight).
 
     The ground under the vehicle is extrapolated from the ground around it, which is smooth. Its curvature and the
     change of curvature are unknowns with a standard deviation each, and widen the covariance if they matter. So do
-    errors that neighbours share: it is the sandwich of scores that are summed over tiles (Liang and Zeger, 1986).
+    errors that neighbours share: it is the sandwich of scores that are summed over tiles (Liang and Zeger, 1986), with
+    the biases in range and elevation of one LiDAR over the middle. The shape of the ground hardly shows these.
 
     Args:
         points_m, target_m: the latter (3,); relative to the middle of the vehicle.
         axes: (3, 3), rows; the last one is the normal of the plane.
         height_m: of the middle over the plane.
+        bias_sigmas: (2,) standard deviations of range (m) and elevation (rad).
     """
     points_m, target_m = points_m @ axes.T, target_m @ axes.T
     all_nearness = nearness_of(points_m).sum()
@@ -134,7 +139,8 @@ def fit_surface(
     scores = np.zeros((tiles.max() + 1, len(expected)))
     np.add.at(scores, tiles, terms * (weights * residuals_m)[:, None])
     spread = np.linalg.inv(information)
-    covariance = spread @ (prior + scores.T @ scores) @ spread
+    by_biases = terms.T @ (weights[:, None] * _by_biases(places_m, height_m) * bias_sigmas)
+    covariance = spread @ (prior + scores.T @ scores + by_biases @ by_biases.T) @ spread
     wheels = np.array([[x, y] for x in (-wheels_m[0], wheels_m[0]) for y in (-wheels_m[1], wheels_m[1])])
     under_wheels = np.column_stack([np.ones(4), wheels])
     to_plane = np.linalg.pinv(under_wheels) @ _terms(wheels)
@@ -171,6 +177,12 @@ def _terms(places_m: FloatArray) -> FloatArray:
     return np.stack([np.ones_like(x), x, y, *second, *third], axis=1)
 
 
+def _by_biases(places_m: FloatArray, height_m: float) -> FloatArray:
+    """Return (N, 2) how far ground at places (N, 2) appears too high, per metre of range and radian of elevation."""
+    flat_m = lengths(places_m)
+    return np.stack([-height_m / np.hypot(flat_m, max(height_m, _SENSOR_HEIGHT_M)), flat_m], axis=1)
+
+
 def _unevenness_m2(residuals_m: FloatArray, tiles: npt.NDArray[np.intp]) -> float:
     """Return the mean square of how far tiles are from the surface, without what noise within them explains."""
     counts = np.bincount(tiles)
@@ -189,6 +201,7 @@ def estimate_ground(
     config: CalibrationConfig,
     middle_m: FloatArray | None = None,
     known: RigidTransform | None = None,
+    biases: Sequence[SensorBias] = (),
 ) -> tuple[GroundPlane | None, str]:
     """Find the plane on which the vehicle stands, and from it roll, pitch and z of the target LiDAR (LiDAR-to-ground).
 
@@ -203,6 +216,7 @@ def estimate_ground(
         target: name of the target LiDAR, whose frame `points_m` (N, 3) are in.
         middle_m: (3,) of the vehicle; by default the target.
         known: ``T_base_target`` as a rig file has it; without it x, y and yaw are zero.
+        biases: of the LiDARs, if they were estimated.
 
     Returns:
         The plane, or None, and a sentence that describes it or says why there is none.
@@ -211,10 +225,13 @@ def estimate_ground(
     points_m = thin(points_m[lengths(points_m - middle_m) <= config.ground.max_range_m], _CELL_M)
     if len(points_m) < _MIN_CELLS:
         return None, f"{len(points_m)} points are too few for a plane, which needs {_MIN_CELLS}"
+    bias_sigmas = _bias_sigmas(biases, config.refine)
     forward = np.array([1.0, 0.0, 0.0]) if known is None else known.rotation[0]
     wheels_m = _WHEELS_OF_ANY_HEADING_M if known is None else _WHEELS_M
     fitted = (
-        fit_surface(points_m - middle_m, -middle_m, axes_of(normal, forward), height_m, wheels_m, _DISTANCE_M)
+        fit_surface(
+            points_m - middle_m, -middle_m, axes_of(normal, forward), height_m, wheels_m, _DISTANCE_M, bias_sigmas
+        )
         for normal, height_m in _planes(points_m - middle_m, config.ground, config.runtime.seed)
     )
     surfaces = [each for each in fitted if each.below <= _MAX_SHARE_BELOW]
@@ -244,6 +261,15 @@ def estimate_ground(
         T_base_target_rig=known,
     )
     return plane, f"{plane.area_m2:.0f} m2 of ground are seen" + (f"; {plane.doubt}" if plane.doubt else "")
+
+
+def _bias_sigmas(biases: Sequence[SensorBias], config: RefineConfig) -> FloatArray:
+    """Return (2,) how far ranges (m) and elevations (rad) may be off: estimated biases are not taken off the points."""
+    if not biases:
+        return np.array([config.range_bias_sigma_m, np.deg2rad(config.elevation_bias_sigma_deg)])
+    range_m = max(np.hypot(each.range_m, each.range_sigma_m) for each in biases)
+    elevation_deg = max(np.hypot(each.elevation_deg, each.elevation_sigma_deg) for each in biases)
+    return np.array([range_m, np.deg2rad(elevation_deg)])
 
 
 def _doubt(found: GroundSurface, limits: AcceptanceConfig) -> str:

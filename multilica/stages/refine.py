@@ -6,15 +6,20 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.registration.poses import moved
-from multilica.results import PairRegistration, PairResidual, Refinement, connected
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
+from multilica.results import PairRegistration, PairResidual, Refinement, SensorBias, connected
 
 _ITERATIONS = 20
 # Converged when no pose moves by more, rad and m.
 _EPSILON = 1e-9
+_POSE_FREEDOM = 6
+# Metres and degrees.
+_DISPLAYED = np.array([1.0, np.rad2deg(1.0), np.rad2deg(1.0)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,11 +29,13 @@ class RefinedRig:
     Args:
         poses: per LiDAR ``T_root_lidar``, the root with the identity.
         covariances: per LiDAR other than the root (6, 6), order rotation (rad), translation (m) along the root's axes.
-        refinement: residuals of the pairs before and after.
+        repeatability: per LiDAR the (6, 6) part of it that random errors cause.
+        refinement: residuals of the pairs before and after, with the biases of the LiDARs.
     """
 
     poses: Mapping[str, RigidTransform]
     covariances: Mapping[str, FloatArray]
+    repeatability: Mapping[str, FloatArray]
     refinement: Refinement
 
 
@@ -37,51 +44,80 @@ def refine(
     poses: Mapping[str, RigidTransform],
     pairs: Sequence[PairRegistration],
     config: RefineConfig,
-    snapshots: Sequence[str] = (),
 ) -> RefinedRig:
     """Optimise the pose graph over all accepted pairs, loops included (the paper's future work).
 
-    Gauss-Newton on the pairs' residuals, each weighted with its information. A pair whose residual is much larger than
-    its information allows loses its weight (Cauchy), so that one bad pair does not bend the rig.
+    Gauss-Newton on the pairs' residuals, each weighted with its information. The biases of each LiDAR in range,
+    elevation and azimuth are unknowns that its pairs share, with a prior. A pair whose residual is much larger than its
+    information allows, after the biases, loses its weight (Cauchy), so that one bad pair does not bend the rig.
 
     Args:
         root: the LiDAR whose pose is fixed.
         poses: initial ``T_root_lidar`` of every placed LiDAR.
-        pairs: registrations; those without `information` or with a LiDAR that is not placed are left out.
-        snapshots: name of the snapshot of each pair, since noise is shared within one; empty if there is only one.
+        pairs: registrations, of one or more snapshots; those without `information` or with a LiDAR that is not placed
+            are left out.
     """
-    used = [
-        (pair, snapshot)
-        for pair, snapshot in zip(pairs, snapshots or [""] * len(pairs), strict=True)
-        if pair.information is not None and pair.lidars <= set(poses)
-    ]
-    used_pairs = [pair for pair, _ in used]
+    used_pairs = [pair for pair in pairs if pair.information is not None and pair.lidars <= set(poses)]
     free = sorted((set(poses) & connected(root, used_pairs)) - {root})
-    current = dict(poses)
     if not free:
-        return RefinedRig(current, {}, Refinement.of())
-    before = [_residual(pair, current) for pair in used_pairs]
+        return RefinedRig(dict(poses), {}, {}, Refinement.of())
+    lidars = sorted({name for pair in used_pairs if pair.bias_information is not None for name in pair.lidars})
+    sigmas = np.concatenate([prior_sigmas(name, config) for name in lidars]) if lidars else np.empty(0)
+    state = _State(dict(poses), np.zeros(len(sigmas)), free, lidars)
+    before = [_offset(pair, state.poses) for pair in used_pairs]
     for _ in range(_ITERATIONS):
-        normal_matrix, gradient = _normal_equations(used_pairs, current, free, config)
-        step = np.asarray(-np.linalg.solve(normal_matrix, gradient), dtype=np.float64)
-        current = _move(current, free, step)
+        equations = _normal_equations(used_pairs, state, config)
+        step = posterior(equations.information, equations.gradient, state.biases, sigmas).step
+        state = state.moved(step)
         if np.abs(step).max() < _EPSILON:
             break
-    # The noise of a scan is the same in all pairs of which it is the source: they share its information.
-    count = Counter((pair.source, snapshot) for pair, snapshot in used)
-    shared = [
-        replace(pair, information=np.asarray(pair.information) / count[pair.source, snapshot])
-        for pair, snapshot in used
-    ]
-    normal_matrix, _ = _normal_equations(shared, current, free, config)
-    joint = np.asarray(np.linalg.inv(normal_matrix), dtype=np.float64)
-    covariances = {name: joint[6 * i : 6 * i + 6, 6 * i : 6 * i + 6] for i, name in enumerate(free)}
-    after = [_residual(pair, current) for pair in used_pairs]
-    residuals = tuple(
-        PairResidual(pair.target, pair.source, *_sizes(start), *_sizes(end), _weight(pair, end, config))
-        for pair, start, end in zip(used_pairs, before, after, strict=True)
+    equations = _normal_equations(used_pairs, state, config)
+    known = posterior(
+        equations.information,
+        equations.gradient,
+        state.biases,
+        sigmas,
+        equations.spread,
+        equations.random_spread,
     )
-    return RefinedRig(current, covariances, Refinement.of(residuals))
+    residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used_pairs, before, strict=True))
+    blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
+    return RefinedRig(
+        state.poses,
+        {name: known.covariance[block, block] for name, block in blocks.items()},
+        {name: known.repeatability[block, block] for name, block in blocks.items()},
+        Refinement.of(residuals, _sensor_biases(state, known.bias_sigmas)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Equations:
+    """Information (N, N), gradient (N,) and covariance of the gradient of all poses, then all biases."""
+
+    information: FloatArray
+    gradient: FloatArray
+    spread: FloatArray
+    random_spread: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """Poses and biases during the refinement: `free` LiDARs have a pose to find, `lidars` have three biases each."""
+
+    poses: Mapping[str, RigidTransform]
+    biases: FloatArray
+    free: Sequence[str]
+    lidars: Sequence[str]
+
+    def moved(self, step: FloatArray) -> "_State":
+        after = dict(self.poses)
+        for i, name in enumerate(self.free):
+            after[name] = moved(self.poses[name], step[6 * i : 6 * i + 3], step[6 * i + 3 : 6 * i + 6])
+        return replace(self, poses=after, biases=self.biases + step[6 * len(self.free) :])
+
+    def bias_columns(self, lidar: str) -> slice:
+        start = BIAS_COUNT * self.lidars.index(lidar)
+        return slice(start, start + BIAS_COUNT)
 
 
 def trusted_pairs(
@@ -95,35 +131,81 @@ def trusted_pairs(
     return trusted
 
 
-def _residual(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> FloatArray:
+def _offset(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> FloatArray:
     """Return the offset (6,) of the poses from the pair: rotation, translation along the target's axes."""
     return (poses[pair.target].inverse() @ poses[pair.source]).offset_from(pair.T_target_source)
+
+
+def _residual_of(pair: PairRegistration, start: FloatArray, state: _State, config: RefineConfig) -> PairResidual:
+    end, squared = _offset(pair, state.poses), _squared(pair, state)
+    probability = float(chdtrc(_POSE_FREEDOM, squared))
+    return PairResidual(
+        pair.target, pair.source, *_sizes(start), *_sizes(end), _weight(squared, config), probability=probability
+    )
+
+
+def _squared(pair: PairRegistration, state: _State) -> float:
+    """Return the squared Mahalanobis distance of the poses from the pair, by its covariance with biases and all."""
+    offset = _offset(pair, state.poses)
+    return float(offset @ pair.information @ offset)  # type: ignore[operator]
 
 
 def _sizes(residual: FloatArray) -> tuple[float, float]:
     return float(np.linalg.norm(residual[3:])), float(np.rad2deg(np.linalg.norm(residual[:3])))
 
 
-def _weight(pair: PairRegistration, residual: FloatArray, config: RefineConfig) -> float:
-    squared = float(residual @ pair.information @ residual)  # type: ignore[operator]
-    return 1.0 / (1.0 + squared / (6.0 * config.outlier_sigma**2))
+def _weight(squared: float, config: RefineConfig) -> float:
+    return 1.0 / (1.0 + squared / (_POSE_FREEDOM * config.outlier_sigma**2))
 
 
-def _normal_equations(
-    pairs: Sequence[PairRegistration], poses: Mapping[str, RigidTransform], free: Sequence[str], config: RefineConfig
-) -> tuple[FloatArray, FloatArray]:
-    normal_matrix, gradient = np.zeros((6 * len(free), 6 * len(free))), np.zeros(6 * len(free))
+def _normal_equations(pairs: Sequence[PairRegistration], state: _State, config: RefineConfig) -> _Equations:
+    """Sum over the pairs, each with its robust weight.
+
+    A LiDAR has the same errors in all pairs of which it is the source, in all snapshots: those of its rings do not
+    average out. Its pairs therefore have the spread of one that counts as often. Random errors do average out.
+    """
+    poses = 6 * len(state.free)
+    size = poses + len(state.biases)
+    information, gradient = np.zeros((size, size)), np.zeros(size)
+    spread, random_spread = np.zeros((size, size)), np.zeros((size, size))
+    count = Counter(pair.source for pair in pairs)
     for pair in pairs:
-        residual = _residual(pair, poses)
-        information = pair.information * _weight(pair, residual, config)  # type: ignore[operator]
-        jacobian = np.zeros((6, 6 * len(free)))
-        for name, block in zip((pair.target, pair.source), _jacobians(pair, poses), strict=True):
-            if name in free:
-                start = 6 * free.index(name)
-                jacobian[:, start : start + 6] = block
-        normal_matrix += jacobian.T @ information @ jacobian
-        gradient += jacobian.T @ information @ residual
-    return normal_matrix, gradient
+        weight = _weight(_squared(pair, state), config)
+        jacobian = np.zeros((6 if pair.bias_information is None else 6 + 2 * BIAS_COUNT, size))
+        ends = zip((pair.target, pair.source), _jacobians(pair, state.poses), strict=True)
+        for end, (name, block) in enumerate(ends):
+            if name in state.free:
+                start = 6 * state.free.index(name)
+                jacobian[:6, start : start + 6] = block
+            if pair.bias_information is not None:
+                columns = state.bias_columns(name)
+                rows = slice(6 + BIAS_COUNT * end, 6 + BIAS_COUNT * (end + 1))
+                jacobian[rows, poses + columns.start : poses + columns.stop] = np.eye(BIAS_COUNT)
+        of_pair = _equations_of(pair, state)
+        information += weight * jacobian.T @ of_pair.information @ jacobian
+        gradient += weight * jacobian.T @ of_pair.gradient
+        spread += weight**2 * count[pair.source] * jacobian.T @ of_pair.spread @ jacobian
+        random_spread += weight**2 * jacobian.T @ of_pair.random_spread @ jacobian
+    return _Equations(information, gradient, spread, random_spread)
+
+
+def _equations_of(pair: PairRegistration, state: _State) -> _Equations:
+    """Return those of one pair, of its pose and perhaps of the biases of target and source."""
+    offset, found = _offset(pair, state.poses), pair.bias_information
+    if found is None:
+        information = np.asarray(pair.information)
+        return _Equations(information, information @ offset, information, information)
+    biases = np.concatenate([state.biases[state.bias_columns(name)] for name in (pair.target, pair.source)])
+    gradient = found.gradient + found.information @ np.concatenate([offset, biases - found.biases])
+    return _Equations(found.information, gradient, found.spread, found.random_spread)
+
+
+def _sensor_biases(state: _State, sigmas: FloatArray) -> tuple[SensorBias, ...]:
+    found = zip(state.lidars, state.biases.reshape(-1, BIAS_COUNT), sigmas.reshape(-1, BIAS_COUNT), strict=True)
+    return tuple(
+        SensorBias(name, *np.column_stack([bias * _DISPLAYED, sigma * _DISPLAYED]).ravel().tolist())
+        for name, bias, sigma in found
+    )
 
 
 def _jacobians(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> tuple[FloatArray, FloatArray]:
@@ -135,10 +217,3 @@ def _jacobians(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> t
     by_target = np.block([[-to_target, zero], [to_target @ apart, -to_target]])
     by_source = np.block([[to_target, zero], [zero, to_target]])
     return by_target, by_source
-
-
-def _move(poses: Mapping[str, RigidTransform], free: Sequence[str], step: FloatArray) -> dict[str, RigidTransform]:
-    after = dict(poses)
-    for i, name in enumerate(free):
-        after[name] = moved(poses[name], step[6 * i : 6 * i + 3], step[6 * i + 3 : 6 * i + 6])
-    return after

@@ -10,6 +10,7 @@ from importlib import import_module
 MEASUREMENTS = (
     "real_scans",
     "simulated",
+    "certainty",
     "large_rigs",
     "blind",
     "speed",
@@ -27,7 +28,7 @@ MEASUREMENTS = (
     "recording",
 )
 ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale")
-ROBUSTNESS = ("crash", "fuzz", "soak")
+ROBUSTNESS = ("crash", "fuzz", "longest", "soak")
 FLEET = ("fleet_drift", "fleet_scale", "fleet_year")
 
 

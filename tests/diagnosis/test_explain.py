@@ -185,12 +185,12 @@ def test_a_lidar_mounted_against_its_prior_is_a_warning():
 def test_a_pair_that_contradicts_the_others_is_a_warning():
     document = made_document("complete")
     errors = {"before_m": 0.5, "before_deg": 1.5, "after_m": 0.5, "after_deg": 1.5}
-    pair = {"target": "top", "source": "rear", "weight": 0.1, "snapshot": "", **errors}
+    pair = {"target": "top", "source": "rear", "weight": 0.1, "probability": 1e-5, "snapshot": "", **errors}
     largest = {"m": 0.5, "deg": 1.5}
     document["refinement"] = {
         "cycle_error_before": largest,
         "cycle_error_after": largest,
-        "pairs": [pair, pair | {"weight": 0.9}],
+        "pairs": [pair, pair | {"weight": 0.9, "probability": 0.01}],
     }
     assert len(explain(document).warnings) == 1
     assert "contradicts the others by 0.500 m, 1.50 deg" in explain(document).warnings[0]

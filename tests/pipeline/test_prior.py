@@ -21,7 +21,7 @@ _SAME_M, _SAME_RAD = 0.002, np.deg2rad(0.02)
 
 @cache
 def _rig(name):
-    return simulate_snapshot(name, "garage", 101, frames=1)
+    return simulate_snapshot(name, "garage", 101, frames=1, sensors="ideal")
 
 
 def _two(rig, *names):

@@ -46,8 +46,11 @@ HALL = [
 """A hall with a pillar and two crates: no pose but the true one fits it."""
 
 
-def scan(name, T_world_sensor, objects, *, seed=0, rings=48, columns=720):
-    """The preprocessed cloud of a sensor that sees 35 degrees up and down, in its own frame."""
+def scan(name, T_world_sensor, objects, *, seed=0, rings=48, columns=720, range_bias_m=0.0, elevation_bias_rad=0.0):
+    """The preprocessed cloud of a sensor that sees 35 degrees up and down, in its own frame.
+
+    Biases (measured minus true) are of all rings, or of each.
+    """
     rng = np.random.default_rng(seed)
     elevation, azimuth = np.meshgrid(
         np.deg2rad(np.linspace(-35, 35, rings)), np.linspace(-np.pi, np.pi, columns, endpoint=False), indexing="ij"
@@ -58,8 +61,16 @@ def scan(name, T_world_sensor, objects, *, seed=0, rings=48, columns=720):
     origin, directions = T_world_sensor.xyz_m, T_world_sensor.rotate(beams)
     ranges = np.min([_ranges(each, origin, directions, rng) for each in objects], axis=0)
     hit = np.isfinite(ranges)
-    points = beams[hit] * (ranges[hit] + rng.normal(0, _NOISE_M, hit.sum()))[:, None]
+    ranges = ranges + np.repeat(np.broadcast_to(range_bias_m, rings), columns)
+    reported = _raised(beams, np.repeat(np.broadcast_to(elevation_bias_rad, rings), columns))
+    points = reported[hit] * (ranges[hit] + rng.normal(0, _NOISE_M, hit.sum()))[:, None]
     return preprocess(LidarScans(name, (Scan(points),)), PreprocessConfig())
+
+
+def _raised(beams, angle_rad):
+    flat = np.hypot(beams[:, 0], beams[:, 1])
+    elevation = np.arctan2(beams[:, 2], flat) + angle_rad
+    return np.column_stack([beams[:, :2] * (np.cos(elevation) / flat)[:, None], np.sin(elevation)])
 
 
 def _ranges(each, origin, directions, rng):

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each derivative against central differences, at large rotations and levers of metres."""
 
+from collections import Counter
+from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.optimize import approx_fprime
+from scipy.linalg import eigh
 from scipy.spatial.transform import Rotation
 
 from multilica.config import FineConfig, RefineConfig, StillnessConfig
@@ -14,13 +16,15 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration import plane_fit
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.poses import arc_between_m, moved
-from multilica.results import PairRegistration
+from multilica.registration.sensor_biases import posterior, prior_sigmas
+from multilica.results import BiasInformation, PairRegistration
 from multilica.results.visibility_score import VisibilityScore
 from multilica.stages import refine, stillness
 
 _STEP = 1e-5
 _TURNS_RAD = (0.1, 1.0, 2.0, 3.0)
 _CONFIG = RefineConfig()
+_BIAS_SIGMAS = np.tile(prior_sigmas("", _CONFIG), 2)
 
 
 @pytest.fixture(autouse=True)
@@ -29,9 +33,9 @@ def wide_matching(monkeypatch):
     monkeypatch.setattr(plane_fit, "_DISTANCE_M", 0.3)
 
 
-def _derivative(function):
-    """(N, 6) of a function (N,) of a motion (6,), at rest."""
-    columns = [(function(step) - function(-step)) / (2.0 * _STEP) for step in _STEP * np.eye(6)]
+def _derivative(function, count=6):
+    """(N, count) of a function (N,) of a motion (6,), or of more, at rest."""
+    columns = [(function(step) - function(-step)) / (2.0 * _STEP) for step in _STEP * np.eye(count)]
     return np.stack(columns, axis=-1)
 
 
@@ -45,8 +49,8 @@ def _pose(target, source, turn_rad, rng, lever_m=4.0):
     return RigidTransform.from_rotation_translation(target, source, turn, rng.normal(scale=lever_m, size=3))
 
 
-def _symmetric(rng, scale=1.0):
-    root = rng.normal(size=(6, 6)) * np.repeat([scale, 1.0], 3)[:, None]
+def _symmetric(rng, scale=1.0, size=6):
+    root = rng.normal(size=(size, size)) * np.repeat([scale, 1.0], [3, size - 3])[:, None]
     return root @ root.T
 
 
@@ -76,9 +80,28 @@ def test_residuals_of_the_refinement_by_motions_of_either_lidar(turn_rad, side):
         name = (pair.target, pair.source)[side]
 
         def residual(motion, pair=pair, name=name):
-            return refine._residual(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
+            return refine._offset(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
 
         _assert_alike(refine._jacobians(pair, poses)[side], _derivative(residual))
+
+
+def _state(poses, biases=()):
+    lidars = ("A", "B", "C", "T") if len(biases) else ()
+    return refine._State(poses, np.array(biases), ["A", "B", "C"], lidars)
+
+
+def _with_biases(pair, rng):
+    """The same pair, with any information about pose and biases, and a gradient that this allows."""
+    root = rng.normal(size=(12, 12)) * np.repeat([100.0, 1.0, 30.0], [3, 3, 6])[:, None]
+    information = root @ root.T
+    best, biases = rng.normal(size=12), rng.normal(size=6)
+    spread, random = (_symmetric(rng, 100.0, 12) for _ in range(2))
+    return replace(pair, bias_information=BiasInformation(information, -information @ best, spread, random, biases))
+
+
+def _off(pairs, rng):
+    """The same pairs, off by shifts that their weights show."""
+    return [replace(p, T_target_source=moved(p.T_target_source, np.zeros(3), rng.normal(size=3))) for p in pairs]
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
@@ -86,43 +109,75 @@ def test_the_gradient_of_the_refinement_is_of_its_robust_cost(turn_rad):
     """Half the squared errors, each through the logarithm of Cauchy; at residuals without a rotation."""
     poses, pairs = _rig(turn_rad)
     rng = np.random.default_rng(1)
-    shifted = [
-        _pair(p.target, p.source, moved(p.T_target_source, np.zeros(3), rng.normal(size=3)), p.information)
-        for p in pairs
-    ]
-    free, scale = ["A", "B", "C"], 6.0 * _CONFIG.outlier_sigma**2
+    pairs, state, scale = _off(pairs, rng), _state(poses), 6.0 * _CONFIG.outlier_sigma**2
 
     def cost(step):
-        after = refine._move(poses, free, step)
-        residuals = ((refine._residual(pair, after), pair.information) for pair in shifted)
-        return sum(0.5 * scale * np.log1p(residual @ weight @ residual / scale) for residual, weight in residuals)
+        squared = np.array([refine._squared(pair, state.moved(step)) for pair in pairs])
+        return np.sum(0.5 * scale * np.log1p(squared / scale), keepdims=True)
 
-    _, gradient = refine._normal_equations(shifted, poses, free, _CONFIG)
-    forth, back = (approx_fprime(np.zeros(18), lambda x, sign=sign: cost(sign * x), 1e-6) for sign in (1.0, -1.0))
-    _assert_alike(gradient, 0.5 * (forth - back))
+    gradient = refine._normal_equations(pairs, state, _CONFIG).gradient
+    ways = rng.normal(size=(6, len(gradient)))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    _assert_alike(ways @ gradient, _derivative(lambda step: cost(step @ ways))[0])
+
+
+def _residual(pair, state):
+    """Of the pose and of the biases of both LiDARs (12,)."""
+    biases = np.concatenate([state.biases[state.bias_columns(name)] for name in (pair.target, pair.source)])
+    return np.concatenate([refine._offset(pair, state.poses), biases - pair.bias_information.biases])
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
-def test_covariances_are_the_inverse_of_all_information(turn_rad):
+def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
+    """Sums over the pairs of J' g, J' I J and J' S J by their weights, with J by all poses and biases.
+
+    Pairs of one source have its systematic errors in common: a pair's spread counts as often as its source.
+    """
     poses, pairs = _rig(turn_rad)
+    rng = np.random.default_rng(7)
+    pairs = [_with_biases(pair, rng) for pair in _off(pairs, rng)]
+    state, count = _state(poses, rng.normal(size=12)), Counter(pair.source for pair in pairs)
+    gradient, (information, spread, random) = np.zeros(30), np.zeros((3, 30, 30))
+    weights = [1.0 / (1.0 + refine._squared(p, state) / (6.0 * _CONFIG.outlier_sigma**2)) for p in pairs]
+    assert min(weights) < 0.85 * max(weights)
+    for pair, weight in zip(pairs, weights, strict=True):
+        found, jacobian = pair.bias_information, _derivative(lambda step, p=pair: _residual(p, state.moved(step)), 30)
+        gradient += weight * jacobian.T @ (found.gradient + found.information @ _residual(pair, state))
+        information += weight * jacobian.T @ found.information @ jacobian
+        spread += weight**2 * count[pair.source] * jacobian.T @ found.spread @ jacobian
+        random += weight**2 * jacobian.T @ found.random_spread @ jacobian
+    found = refine._normal_equations(pairs, state, _CONFIG)
+    _assert_alike(found.gradient, gradient)
+    _assert_alike(found.information, information)
+    _assert_alike(found.spread, spread)
+    _assert_alike(found.random_spread, random)
+
+
+@pytest.mark.parametrize("turn_rad", _TURNS_RAD)
+def test_covariances_are_a_sandwich_of_all_information(turn_rad):
+    """Pairs of one source have its errors in common; random errors average out."""
+    poses, pairs = _rig(turn_rad)
+    count = Counter(pair.source for pair in pairs)
     free = ["A", "B", "C"]
-    normal_matrix = np.zeros((18, 18))
+    normal_matrix, spread = np.zeros((2, 18, 18))
     for pair in pairs:
         columns = []
         for name in free:
 
             def residual(motion, name=name, pair=pair):
-                return refine._residual(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
+                return refine._offset(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
 
             columns.append(_derivative(residual))
         jacobian = np.concatenate(columns, axis=1)
         normal_matrix += jacobian.T @ pair.information @ jacobian
-    expected = np.linalg.inv(normal_matrix)
-    # Each in a snapshot of its own, so that no noise is shared.
-    found = refine.refine("T", poses, pairs, _CONFIG, [str(index) for index in range(len(pairs))]).covariances
+        spread += count[pair.source] * jacobian.T @ pair.information @ jacobian
+    random = np.linalg.inv(normal_matrix)
+    expected = random @ spread @ random
+    found = refine.refine("T", poses, pairs, _CONFIG)
     for index, name in enumerate(free):
         block = slice(6 * index, 6 * index + 6)
-        _assert_alike(found[name], expected[block, block], 1e-5)
+        _assert_alike(found.covariances[name], expected[block, block], 1e-5)
+        _assert_alike(found.repeatability[name], random[block, block], 1e-5)
 
 
 def _rooms(turn_rad, seed=0):
@@ -141,51 +196,135 @@ def _rooms(turn_rad, seed=0):
     return target, source, truth
 
 
+def _motions(pose, biases):
+    """Return the residuals of the plane fit by a motion of the source, then by the biases of target and source."""
+    rest = np.zeros(6) if biases is None else biases
+
+    def residuals(overlap, step):
+        step = np.concatenate([step, np.zeros(12 - len(step))])
+        return plane_fit._residuals(overlap, moved(pose, step[:3], step[3:6]), rest + step[6:])
+
+    return residuals
+
+
+_BIASES = np.array([0.015, 2e-3, -1e-3, -0.01, -1e-3, 3e-3])
+
+
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
-def test_residuals_of_the_plane_fit_by_motions_of_the_source(turn_rad):
+@pytest.mark.parametrize("biases", [None, _BIASES], ids=["unbiased", "biased"])
+def test_residuals_of_the_plane_fit_by_motions_of_the_source(turn_rad, biases):
+    """They are linear in the biases, but for the turned points of the source."""
     target, source, pose = _rooms(turn_rad)
     overlap = plane_fit._overlap(target, source, pose)
-    here = plane_fit._residuals(overlap, pose)
-
-    def residual_m(motion):
-        return plane_fit._residuals(overlap, moved(pose, motion[:3], motion[3:])).residual_m
-
-    jacobian = _derivative(residual_m)
-    _assert_alike(here.jacobian, jacobian)
-    _assert_alike(here.hessian, jacobian.T @ (here.weight[:, None] * jacobian))
+    residuals = _motions(pose, biases)
+    here = residuals(overlap, np.zeros(12))
+    jacobian = _derivative(lambda step: residuals(overlap, step).residual_m, 12)
+    _assert_alike(here.jacobian(overlap, pose), jacobian)
 
     def cost(motion):
-        return 0.5 * np.sum(here.weight * residual_m(motion) ** 2, keepdims=True)
+        return 0.5 * np.sum(here.weight * residuals(overlap, motion).residual_m ** 2, keepdims=True)
 
     _assert_alike(here.gradient, _derivative(cost)[0])
 
 
+def _clusters(rows):
+    members = {}
+    for index, row in enumerate(rows):
+        members.setdefault(tuple(np.atleast_1d(row)), []).append(index)
+    return members.values()
+
+
+def _summed(rows, clusters):
+    return np.array([np.sum(rows[members], axis=0) for members in clusters])
+
+
+def _noise(pulls):
+    return (plane_fit._MIN_SIGMA_M * pulls).T @ (plane_fit._MIN_SIGMA_M * pulls)
+
+
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
-def test_information_of_a_pose_is_that_of_its_gradients_by_patch(turn_rad):
-    """H B^-1 H, with B the sum over patches of 1 m of the outer products of the gradients, and the least noise."""
+def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
+    """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
+
+    B is over cells of 6 m with the main axis, and over rings of both LiDARs; its random part, over patches of 1 m,
+    is in all three and counts once.
+    """
     target, source, pose = _rooms(turn_rad)
     overlap = plane_fit._overlap(target, source, pose)
-    here = plane_fit._residuals(overlap, pose)
-    jacobian = _derivative(lambda motion: plane_fit._residuals(overlap, moved(pose, motion[:3], motion[3:])).residual_m)
-    patches = {}
-    for index, point_m in enumerate(np.floor(here.points_m)):
-        patches.setdefault(tuple(point_m), []).append(index)
+    here = plane_fit._residuals(overlap, pose, _BIASES)
+    jacobian = _derivative(lambda step: _motions(pose, _BIASES)(overlap, step).residual_m, 12)
     pulls = here.weight[:, None] * jacobian
-    spread = (plane_fit._MIN_SIGMA_M * pulls).T @ (plane_fit._MIN_SIGMA_M * pulls)
-    for members in patches.values():
-        gradient = np.sum(here.residual_m[members, None] * pulls[members], axis=0)
-        spread += np.outer(gradient, gradient)
-    remaining = plane_fit._remaining_hessian(overlap, pose, here)
-    found = plane_fit.pose_information(target, source, pose)
-    _assert_alike(found, remaining @ np.linalg.inv(spread) @ remaining, 1e-5)
-    assert np.linalg.eigvalsh(here.hessian - remaining).min() > -1e-6 * np.abs(here.hessian).max()
+    # The surfaces are those at the pose that the fit began with.
+    placed_m, normals = pose.apply(overlap.points_m), pose.rotate(overlap.normals)
+    surfaces = np.column_stack([np.floor(placed_m / 6.0), np.argmax(np.abs(normals), axis=1)])
+    matched_m = (target.points_m[here.index], overlap.points_m[here.rows])
+    rings = [np.floor(2.0 * np.rad2deg(np.arcsin(xyz[:, 2] / np.linalg.norm(xyz, axis=1)))) for xyz in matched_m]
+    surfaces = _clusters(surfaces[here.rows])
+
+    def squared(clusters):
+        sums = _summed(here.residual_m[:, None] * pulls, clusters)
+        return sums.T @ sums
+
+    random = squared(_clusters(np.floor(here.points_m)))
+    spread = squared(surfaces) + sum(squared(_clusters(each)) for each in rings) - 2.0 * random
+    uneven = plane_fit._SURFACE_SIGMA_M * _summed(pulls, surfaces)
+    spread = plane_fit._at_least(spread, random) + uneven.T @ uneven + _noise(pulls)
+    hessian = jacobian.T @ pulls
+    remaining = plane_fit._remaining_hessian(overlap, pose, _BIASES, here, hessian)
+    assert np.linalg.eigvalsh(hessian[:6, :6] - remaining[:6, :6]).min() > -1e-6 * np.abs(hessian).max()
+    # An azimuth bias of the source is a rotation about its axis.
+    remaining, floored = plane_fit._floored(remaining, spread)
+    random = random + _noise(pulls) + floored - spread
+    variance = np.median(eigh(floored[:6, :6], remaining[:6, :6], eigvals_only=True))
+    found = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS)
+    _assert_alike(found.biases.information, remaining / variance, 1e-5)
+    _assert_alike(found.biases.gradient, pulls.T @ here.residual_m / variance, 1e-5)
+    _assert_alike(found.biases.spread, floored / variance**2, 1e-5)
+    _assert_alike(found.biases.random_spread, random / variance**2, 1e-5)
+    assert np.array_equal(found.biases.biases, _BIASES)
+    known = posterior(
+        found.biases.information,
+        found.biases.gradient,
+        _BIASES,
+        _BIAS_SIGMAS,
+        found.biases.spread,
+        found.biases.random_spread,
+    )
+    _assert_alike(np.linalg.inv(found.information), known.covariance, 1e-5)
+    assert np.linalg.eigvalsh(known.covariance - known.repeatability).min() > -1e-9
+
+
+def test_a_covariance_is_raised_where_it_is_less_than_another():
+    """By the eigenvalues of one in units of the other."""
+    rng = np.random.default_rng(9)
+    spread, least = (_symmetric(rng, 10.0) for _ in range(2))
+    values, vectors = eigh(spread, least)
+    assert values[0] < 1.0 < values[-1]
+    back = np.linalg.inv(vectors)
+    raised = plane_fit._at_least(spread, least)
+    _assert_alike(raised, (back.T * np.maximum(values, 1.0)) @ back, 1e-8)
+    _assert_alike(plane_fit._at_least(-spread, least), least, 1e-8)
+
+
+def test_a_direction_that_nothing_constrains_counts_as_one_point():
+    """Of the scaled Hessian diag(9, 0.25, ...): the second direction becomes 1, with the largest match distance."""
+    rng = np.random.default_rng(8)
+    directions = np.linalg.qr(rng.normal(size=(12, 12)))[0]
+    values = np.array([9.0, 0.25, 0.0, *range(4, 13)])
+    lengths_m = np.array([10.0] * 3 + [1.0] * 4 + [10.0] * 2 + [1.0] + [10.0] * 2)
+    hessian = (directions * values) @ directions.T * np.outer(lengths_m, lengths_m)
+    floored, spread = plane_fit._floored(hessian, np.zeros((12, 12)))
+    floored, spread = (each / np.outer(lengths_m, lengths_m) for each in (floored, spread))
+    _assert_alike(floored, (directions * np.maximum(values, 1.0)) @ directions.T, 1e-9)
+    _assert_alike(spread, 0.3**2 * directions[:, 1:3] @ directions[:, 1:3].T, 1e-9)
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
-def test_a_step_of_the_plane_fit_is_that_of_newton(turn_rad):
+def test_a_step_without_biases_is_that_of_newton(turn_rad):
     rng = np.random.default_rng(2)
     hessian, pull = _symmetric(rng, 10.0 * turn_rad), rng.normal(size=6)
-    _assert_alike(plane_fit._solved(hessian, pull), np.linalg.solve(hessian, pull))
+    step = posterior(hessian, -pull, np.empty(0), np.empty(0)).step
+    _assert_alike(step, np.linalg.solve(hessian, pull))
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from multilica.errors import UsageError
 from multilica_cli.options import local_path, mcap_name, option
@@ -48,6 +48,14 @@ def simulate(
             "dead:LIDAR, dirty:LIDAR. Repeatable.",
         ),
     ] = None,
+    sensors: Annotated[
+        Literal["real", "ideal"] | None,
+        _one(
+            "--sensors KIND",
+            "real: LiDARs with the systematic errors that datasheets allow; ideal: with white noise only.",
+            "real",
+        ),
+    ] = None,
     fleet: Annotated[
         Path | None,
         _many(
@@ -70,7 +78,14 @@ def simulate(
     ] = None,
 ) -> None:
     """Simulate a recording, or with --fleet the logs of many vehicles, by ray casting, with exact ground truth."""
-    one = {"--rig": rig, "--scene": scene, "--out": out, "--build-seed": build_seed, "--disturb": disturb or None}
+    one = {
+        "--rig": rig,
+        "--scene": scene,
+        "--out": out,
+        "--build-seed": build_seed,
+        "--disturb": disturb or None,
+        "--sensors": sensors,
+    }
     many = {"--vehicles": vehicles, "--logs": logs, "--workers": workers}
     if fleet is not None:
         _refuse(one, "is for a single recording; leave it out with --fleet")
@@ -85,7 +100,15 @@ def simulate(
     from multilica.simulate import simulate_snapshot, thinned
 
     count = _FRAMES if frames is None else frames
-    made = simulate_snapshot(rig, scene, seed, frames=count, disturbances=tuple(disturb or ()), build_seed=build_seed)
+    made = simulate_snapshot(
+        rig,
+        scene,
+        seed,
+        frames=count,
+        disturbances=tuple(disturb or ()),
+        build_seed=build_seed,
+        sensors=sensors or "real",
+    )
     _write_recording(thinned(made.snapshot, keep_every or 1), made.truth, out)
 
 

@@ -150,7 +150,12 @@ def log_candidates(scene: RerunScene, event: events.MergeStepTaken) -> None:
 def log_refined(scene: RerunScene, event: events.RigRefined) -> None:
     """Log how far the poses are from each registered pair."""
     for each in event.refinement.pairs:
-        figures = {"residual_m": each.after_m, "residual_deg": each.after_deg, "weight": each.weight}
+        figures = {
+            "residual_m": each.after_m,
+            "residual_deg": each.after_deg,
+            "weight": each.weight,
+            "probability": each.probability,
+        }
         _log_scalars(scene, scene.state.pair_of(each), "refine", figures)
 
 

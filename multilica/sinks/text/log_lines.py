@@ -10,8 +10,6 @@ from multilica.results.building import surprises
 
 LogLevel = Literal["DEBUG", "INFO", "WARN", "ERROR"]
 
-_OUTLIER_WEIGHT = 0.5
-
 
 class LogLine(NamedTuple):
     """A sentence of the log, without times, so that equal runs have equal logs."""
@@ -160,7 +158,7 @@ def _refined(refinement: results.Refinement) -> tuple[LogLine, ...]:
     if not refinement.pairs:
         return _line("nothing to refine: no accepted pair with a known uncertainty connects to the target")
     before, after = refinement.cycle_error_before, refinement.cycle_error_after
-    outliers = [pair for pair in refinement.pairs if pair.weight < _OUTLIER_WEIGHT]
+    outliers = [pair for pair in refinement.pairs if pair.contradicts]
     return (
         *_line(
             f"refined over {len(refinement.pairs)} pairs: largest disagreement {before.m * 1e3:.1f} mm, "

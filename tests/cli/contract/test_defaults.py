@@ -65,7 +65,9 @@ DEFAULTS = {
     "report": {"RUN": None, "--out": None, "--quiet": False},
     "config": {**RESOLVING, "--json": False, "--toml": False, "--markdown": False},
     "simulate": {
-        **dict.fromkeys(("--rig", "--scene", "--out", "--build-seed", "--disturb", "--frames", "--keep-every")),
+        **dict.fromkeys(
+            ("--rig", "--scene", "--out", "--build-seed", "--disturb", "--sensors", "--frames", "--keep-every")
+        ),
         **dict.fromkeys(("--fleet", "--vehicles", "--logs", "--workers")),
         "--seed": 0,
     },

@@ -97,7 +97,15 @@ def covariance_of(lidar: str) -> np.ndarray:
 def refinement() -> Refinement:
     return Refinement.of(
         tuple(
-            PairResidual(*pair, before_mm / 1000.0, before_deg, after_mm / 1000.0, after_deg, weight)
+            PairResidual(
+                *pair,
+                before_mm / 1000.0,
+                before_deg,
+                after_mm / 1000.0,
+                after_deg,
+                weight,
+                1e-6 if weight < 0.5 else 0.4,
+            )
             for pair, (before_mm, before_deg, after_mm, after_deg, weight) in RESIDUALS.items()
         )
     )

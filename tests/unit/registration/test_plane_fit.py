@@ -3,12 +3,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from multilica.config import FineConfig
+from multilica.config import FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration import plane_fit
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
+from multilica.registration.sensor_biases import posterior, prior_sigmas
 
+_SIGMAS = np.tile(prior_sigmas("", RefineConfig()), 2)
+_UNBIASED = 1e-3 * _SIGMAS
+# Of the sensors in the room.
+_PLACE_M = np.array([5.0, 5.2, 1.5])
 _HERE = RigidTransform.identity("t", "s")
 
 
@@ -26,7 +31,7 @@ def _room(name, seed, roughness_m=(0.01, 0.01, 0.01), count=4000, clutter=0):
         points = rng.uniform(0.0, 6.0, (count, 3))
         points[:, axis] = rng.normal(0.0, rough_m, count)
         walls.append(points)
-    return _cloud(name, np.concatenate([*walls, rng.uniform(2.0, 4.0, (clutter, 3))]))
+    return _cloud(name, np.concatenate([*walls, rng.uniform(2.0, 4.0, (clutter, 3))]) - _PLACE_M)
 
 
 def _cloud(name, points_m):
@@ -34,11 +39,34 @@ def _cloud(name, points_m):
 
 
 def _information(target, source, pose=_HERE):
-    return pose_information(target, source, pose)
+    return pose_information(target, source, pose, _SIGMAS)
 
 
 def _sigma_m(information):
     return np.sqrt(np.diag(np.linalg.inv(information)))[3:]
+
+
+def _here(target, source):
+    """Where the pose is given: with biases, of which `pose_information` does not tell."""
+    overlap = plane_fit._overlap(target, source, _HERE)
+    found = plane_fit._with_information(overlap, _HERE, np.zeros(6), _UNBIASED)
+    assert np.array_equal(found.information, pose_information(target, source, _HERE, _UNBIASED).information)
+    return found
+
+
+def _random_covariance(found, bias_sigmas=_UNBIASED):
+    """Of the pose of a fit (6, 6): the part that random errors cause."""
+    of = found.biases
+    return posterior(of.information, of.gradient, of.biases, bias_sigmas, of.spread, of.random_spread).repeatability
+
+
+def _random_sigma_m(found, bias_sigmas=_UNBIASED):
+    return np.sqrt(np.diag(_random_covariance(found, bias_sigmas)))[3:]
+
+
+def _squared_error(found, truth=_HERE):
+    error = found.pose.offset_from(truth)
+    return error @ found.information @ error
 
 
 def _nudged(xyz_m, yaw_rad=0.0):
@@ -47,51 +75,67 @@ def _nudged(xyz_m, yaw_rad=0.0):
 
 def test_the_fit_ends_where_the_planes_are_in_common():
     target, source = _room("t", 0), _room("s", 1)
-    found, information = fit_planes(target, source, _nudged([0.04, -0.03, 0.05], 0.01))
-    metres, radians = found.distance_to(_HERE)
+    found = fit_planes(target, source, _nudged([0.04, -0.03, 0.05], 0.01), _UNBIASED)
+    metres, radians = found.pose.distance_to(_HERE)
     assert metres < 0.002
     assert radians < np.deg2rad(0.02)
-    assert np.allclose(information, _information(target, source, found))
+    again = pose_information(target, source, found.pose, _UNBIASED)
+    # The surfaces of the points are those at the pose that is given.
+    assert np.allclose(_sigma_m(found.information), _sigma_m(again.information), rtol=0.05)
+    assert np.all(_random_sigma_m(found) <= _sigma_m(found.information))
+
+
+def test_biases_that_may_be_cost_certainty_only():
+    target, source = _room("t", 0), _room("s", 1)
+    found, unbiased = (fit_planes(target, source, _nudged([0.04, -0.03, 0.05]), each) for each in (_SIGMAS, _UNBIASED))
+    assert found.pose.distance_to(_HERE)[0] < 0.005
+    assert _squared_error(found) < 12.0
+    assert np.all(_sigma_m(found.information) > 2.0 * _sigma_m(unbiased.information))
+    assert np.all(_random_sigma_m(found, _SIGMAS) < _sigma_m(found.information))
 
 
 def test_bushes_do_not_pull_the_fit():
     """One side has shifted foliage that fits better elsewhere; planes outweigh it."""
     target, source = _room("t", 0, clutter=6000), _room("s", 1)
-    bush_m = target.points_m[np.all(target.points_m > 1.9, axis=1)] + [0.06, 0.06, 0.06]
+    bush_m = target.points_m[np.all(target.points_m + _PLACE_M > 1.9, axis=1)] + [0.06, 0.06, 0.06]
     source = _cloud("s", np.concatenate([source.points_m, bush_m]))
-    found, _ = fit_planes(target, source, _nudged([0.02, 0.0, 0.0]))
-    assert found.distance_to(_HERE)[0] < 0.002
+    found, unbiased = (fit_planes(target, source, _nudged([0.02, 0.0, 0.0]), each) for each in (_SIGMAS, _UNBIASED))
+    assert unbiased.pose.distance_to(_HERE)[0] < 0.002
+    assert found.pose.distance_to(_HERE)[0] < 0.015
+    assert _squared_error(found) < 20.0
 
 
 def test_few_points_in_common_leave_the_pose():
     target, source = _room("t", 0), _room("s", 1)
     away = _nudged([100.0, 0.0, 0.0])
-    found, information = fit_planes(target, source, away)
-    assert found is away
-    assert information is None
-    assert _information(target, source, away) is None
+    for found in (fit_planes(target, source, away, _SIGMAS), pose_information(target, source, away, _SIGMAS)):
+        assert found.pose is away
+        assert (found.information, found.biases) == (None, None)
 
 
 def test_a_fit_that_leads_away_is_not_taken(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
     off = _nudged([0.16, 0.16, 0.16])
-    assert fit_planes(target, source, off)[0].distance_to(_HERE)[0] < 0.01
+    assert fit_planes(target, source, off, _SIGMAS).pose.distance_to(_HERE)[0] < 0.01
     monkeypatch.setattr(plane_fit, "_DISTANCE_M", 0.2)
-    assert fit_planes(target, source, off)[0] is off
+    given = fit_planes(target, source, off, _SIGMAS)
+    assert given.pose is off
+    assert given.biases is None
+    assert np.array_equal(given.information, _information(target, source, off).information)
 
 
 def test_more_points_than_wanted_are_thinned_evenly(monkeypatch):
     target, source = _room("t", 0), _room("s", 1)
-    _, of_all = fit_planes(target, source, _HERE)
+    of_all = fit_planes(target, source, _HERE, _UNBIASED)
     monkeypatch.setattr(plane_fit, "_MAX_POINTS", 800)
-    found, of_fewer = fit_planes(target, source, _HERE)
-    assert found.distance_to(_HERE)[0] < 0.004
-    assert np.trace(of_fewer) < 0.6 * np.trace(of_all)
+    of_fewer = fit_planes(target, source, _HERE, _UNBIASED)
+    assert of_fewer.pose.distance_to(_HERE)[0] < 0.004
+    assert np.trace(_random_covariance(of_fewer)) > 1.7 * np.trace(_random_covariance(of_all))
 
 
 def test_rough_surfaces_constrain_a_direction_less():
     smooth, rough = (
-        _sigma_m(_information(_room("t", 0, roughness), _room("s", 1, roughness)))
+        _random_sigma_m(fit_planes(_room("t", 0, roughness), _room("s", 1, roughness), _HERE, _UNBIASED))
         for roughness in ((0.01, 0.01, 0.01), (0.08, 0.01, 0.01))
     )
     assert rough[0] > 2.0 * smooth[0]
@@ -106,7 +150,8 @@ def test_correlated_residuals_widen_the_covariance():
     patches = np.floor(together.points_m).astype(int)
     by_patch = rng.normal(0.0, 0.01, (8, 8, 8, 3))[tuple(np.clip(patches, -1, 6).T)]
     scattered, uneven = (
-        _sigma_m(_information(alike, _cloud("s", together.points_m + off))) for off in (by_point, by_patch)
+        _random_sigma_m(fit_planes(alike, _cloud("s", together.points_m + off), _HERE, _UNBIASED))
+        for off in (by_point, by_patch)
     )
     assert np.all(uneven > 1.25 * scattered)
 
@@ -115,12 +160,13 @@ def test_correlated_residuals_widen_the_covariance():
 def test_an_unconstrained_direction_has_no_information(noise_m):
     rng = np.random.default_rng(0)
     target, source = (
-        _cloud(name, np.column_stack([rng.uniform(-5.0, 5.0, (4000, 2)), rng.normal(0.0, noise_m, 4000)]))
+        _cloud(name, np.column_stack([rng.uniform(-5.0, 5.0, (4000, 2)), rng.normal(-2.0, noise_m, 4000)]))
         for name in "ts"
     )
-    sigma_m = _sigma_m(_information(target, source))
-    assert np.all(sigma_m[:2] > 0.05)
-    assert sigma_m[2] < 0.002
+    found = _here(target, source)
+    for sigma_m in (_sigma_m(found.information), _random_sigma_m(found)):
+        assert np.all(sigma_m[:2] > 0.05)
+        assert sigma_m[2] < 0.002
 
 
 def test_normals_that_are_mostly_noise_constrain_nothing():
@@ -131,12 +177,14 @@ def test_normals_that_are_mostly_noise_constrain_nothing():
 
     def rings(name, first_m):
         radii_m = first_m * 1.25 ** np.arange(10.0)
-        ground = np.concatenate([np.column_stack([radius_m * across, np.zeros(720)]) for radius_m in radii_m])
+        ground = np.concatenate([np.column_stack([radius_m * across, np.full(720, -2.0)]) for radius_m in radii_m])
         return _cloud(name, ground + rng.normal(0.0, 0.02, ground.shape))
 
-    sideways_m, height_m = np.split(_sigma_m(_information(rings("t", 3.0), rings("s", 3.1))), [2])
-    assert height_m < 0.01
-    assert np.all(sideways_m > 0.03)
+    target, source = rings("t", 3.0), rings("s", 3.1)
+    found = _here(target, source)
+    for sigma_m in (_sigma_m(found.information), _random_sigma_m(found)):
+        assert np.all(sigma_m[:2] > 0.03)
+        assert sigma_m[2] < 0.01
 
 
 @pytest.mark.slow
@@ -149,9 +197,6 @@ def test_the_truth_lies_as_far_off_as_the_covariance_says():
         truth = RigidTransform.from_rotation_translation("t", "s", turn, rng.normal(0.0, 0.5, 3))
         target, other = (_room(name, (seed, index), (0.015,) * 3, 1500) for index, name in enumerate("ts"))
         source = _cloud("s", truth.inverse().apply(other.points_m))
-        found, information = fit_planes(target, source, truth)
-        turned = Rotation.from_matrix(found.rotation @ truth.rotation.T).as_rotvec()
-        error = np.concatenate([turned, found.xyz_m - truth.xyz_m])
-        squared.append(error @ information @ error)
-    assert 1.0 < np.mean(squared) < 12.0
-    assert np.max(squared) < 30.0
+        squared.append(_squared_error(fit_planes(target, source, truth, _SIGMAS), truth))
+    assert 2.0 < np.mean(squared) < 9.0
+    assert np.max(squared) < 22.0

@@ -8,7 +8,9 @@ from multilica.config import AcceptanceConfig, CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.registration import poses
 from multilica.registration.gicp import register
-from multilica.results import Hypothesis
+from multilica.registration.plane_fit import PlaneFit
+from multilica.registration.sensor_biases import prior_sigmas
+from multilica.results import BiasInformation, Hypothesis
 from multilica.stages import fine
 from multilica.stages.fine import prepare_registration_cloud, register_best, select_finalists
 from multilica.visibility.sensor_view import prepare_sensor_view
@@ -141,11 +143,67 @@ def test_the_stability_is_tested_if_a_pose_competes(sides):
 def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
     elsewhere = _near(_TRUTH, (0.004, 0.0, 0.0), 0.0)
     information = np.diag([1e8] * 3 + [1e6] * 3)
-    monkeypatch.setattr(fine, "fit_planes", lambda *_: (elsewhere, information))
-    result = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
+    of_biases = BiasInformation(np.eye(12), np.zeros(12), np.eye(12), np.eye(12), np.zeros(6))
+    fitted = PlaneFit(elsewhere, information, of_biases)
+    allowed = []
+
+    def fit(_target, _source, _pose, bias_sigmas):
+        allowed.append(bias_sigmas)
+        return fitted
+
+    monkeypatch.setattr(fine, "fit_planes", fit)
+    angles = ["refine.elevation_bias_sigma_deg=0.1", "refine.azimuth_bias_sigma_deg=0.2"]
+    config = with_overrides(_CONFIG, ["refine.range_bias_sigmas_m.s=0.03", *angles])
+    result = register_best(*sides, [_hypothesis(_near(_TRUTH))], config)
     assert result.T_target_source is elsewhere
     assert result.registrations[0].T_target_source is elsewhere
     assert result.information is information
+    assert result.bias_information is fitted.biases
+    of_target, of_source = (prior_sigmas(name, config.refine) for name in "ts")
+    assert of_source[0] == 0.03 != of_target[0]
+    assert np.array_equal(allowed, [[*of_target, *of_source]])
+    assert np.allclose(of_target[1:], np.deg2rad([0.1, 0.2]))
+
+
+def test_a_group_has_no_biases_of_its_own(clouds, sides):
+    target, source = sides
+    both = [(RigidTransform.identity("t", "t"), target.views[0][1]), (_TRUTH, source.views[0][1])]
+    group = prepare_registration_cloud("t", clouds[0].points_m, both, _CONFIG)
+    result = register_best(group, source, [_hypothesis(_near(_TRUTH))], _CONFIG)
+    assert result.bias_information is None
+    assert result.information is not None
+
+
+@pytest.mark.slow
+def test_a_pushed_pose_is_less_certain_with_its_biases(sides, monkeypatch):
+    sure = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
+    monkeypatch.setattr(fine, "perturbed_ends", lambda *_: (_near(_TRUTH, (0.03, 0.0, 0.0)), _TRUTH))
+    unsure = register_best(*sides, [_hypothesis(_near(_TRUTH))], _NEVER_FIRM)
+    direction = np.zeros(12)
+    direction[:6] = unsure.registrations[0].visibility.weakest_direction / np.repeat([10.0, 1.0], 3)
+    for widened, before, along in (
+        (unsure.information, sure.information, direction[:6]),
+        (unsure.bias_information.information, sure.bias_information.information, direction),
+    ):
+        assert along @ widened @ along < 1.1 / unsure.registrations[0].stability.perturbed_offset_m ** 2
+        assert along @ before @ along > 1e3
+
+
+def test_an_offset_is_added_to_the_covariance_of_pose_and_biases():
+    """Not to what random errors cause of it."""
+    rng = np.random.default_rng(0)
+    roots = rng.normal(size=(3, 12, 12))
+    information, spread, random = roots @ roots.transpose(0, 2, 1) + np.eye(12)
+    found = BiasInformation(information, np.zeros(12), spread, random, np.zeros(6))
+    direction, off_m = rng.normal(size=6), 0.3
+    wide = fine._widened_with_biases(found, direction, off_m)
+    step = np.concatenate([off_m * direction / np.repeat([10.0, 1.0], 3), np.zeros(6)])
+    before, after = np.linalg.inv(information), np.linalg.inv(wide.information)
+    np.testing.assert_allclose(after, before + np.outer(step, step), atol=1e-9)
+    expected = before @ spread @ before + np.outer(step, step)
+    np.testing.assert_allclose(after @ wide.spread @ after, expected, atol=1e-9 * np.abs(expected).max())
+    expected = before @ random @ before
+    np.testing.assert_allclose(after @ wide.random_spread @ after, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_without_the_fit_there_is_no_information(sides, monkeypatch):

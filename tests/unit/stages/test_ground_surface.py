@@ -2,19 +2,21 @@
 import numpy as np
 import pytest
 
+from multilica.registration import sensor_biases
+from multilica.stages import ground
 from multilica.stages.ground import axes_of, fit_surface
 
 WHEELS_M = (1.4, 0.8)
 
 
-def _fitted(height_m, noise_m=0.005, nearest_m=2.0):
+def _fitted(height_m, noise_m=0.005, nearest_m=2.0, bias_sigmas=(1e-6, 1e-6)):
     """The surface of points around a vehicle whose middle is 2 m above the ground."""
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-12, 12, (2, 4_000))
     points_m = np.stack([x, y, height_m(x, y) - 2.0 + rng.normal(0, noise_m, len(x))], axis=1)
     points_m = points_m[np.hypot(x, y) > nearest_m]
     axes = axes_of(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.2, 0.3]))
-    return fit_surface(points_m, np.zeros(3), axes, 2.0, WHEELS_M, 0.05)
+    return fit_surface(points_m, np.zeros(3), axes, 2.0, WHEELS_M, 0.05, np.array(bias_sigmas))
 
 
 def test_axes_are_right_handed_and_in_the_plane():
@@ -51,3 +53,35 @@ def test_points_below_the_surface_count_against_it():
     assert holed.score < 0.8 * whole.score
     assert whole.below == 0.0
     assert holed.below > 0.02
+
+
+@pytest.mark.parametrize("lidar_m", [2.0, 1.2])
+def test_biases_of_range_and_elevation_lift_the_ground(lidar_m):
+    """By as much as the points of a LiDAR over the middle, or not far below it."""
+    places_m = np.random.default_rng(1).uniform(-12, 12, (200, 2))
+    points_m = np.column_stack([places_m, np.full(200, -lidar_m)])
+    shifts = sensor_biases.shifts_per_bias(points_m)[:2, :, 2].T
+    found = ground._by_biases(places_m, lidar_m)
+    beyond = np.hypot(*places_m.T) > (0.0 if lidar_m >= ground._SENSOR_HEIGHT_M else 3.0)
+    np.testing.assert_allclose(found[beyond], shifts[beyond], atol=1e-9 if np.all(beyond) else 0.05)
+
+
+def test_biases_that_may_be_widen_the_sigma():
+    unbiased, biased = (
+        _fitted(lambda x, _: 0.0 * x, bias_sigmas=sigmas) for sigmas in ((1e-9, 1e-9), (0.02, np.deg2rad(0.03)))
+    )
+    assert biased.sigma_z_m > 1.5 * unbiased.sigma_z_m
+    assert biased.offset_m == pytest.approx(2.0, abs=2.0 * biased.sigma_z_m)
+
+
+def test_ground_of_biased_ranges_is_within_its_sigma():
+    """All ranges of a LiDAR 2 m above it are 3 cm too long: the ground is up to 3 cm too low."""
+
+    def lowered(x, y):
+        return -0.03 * 2.0 / np.sqrt(x**2 + y**2 + 4.0)
+
+    known, unknown = (_fitted(lowered, bias_sigmas=sigmas) for sigmas in ((0.02, 3e-4), (1e-9, 1e-9)))
+    off_m = abs(known.offset_m - 2.0)
+    assert off_m < 3.0 * known.sigma_z_m
+    assert off_m > 3.0 * unknown.sigma_z_m
+    assert known.offset_m == unknown.offset_m

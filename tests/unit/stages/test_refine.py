@@ -8,7 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from multilica.config import RefineConfig
 from multilica.geometry import RigidTransform
-from multilica.results import PairRegistration, Verdict, connected
+from multilica.registration.poses import moved
+from multilica.registration.sensor_biases import posterior, prior_sigmas
+from multilica.results import BiasInformation, PairRegistration, Verdict, connected
 from multilica.stages.refine import refine, trusted_pairs
 
 _SIGMA_RAD, _SIGMA_M = 1e-4, 2e-3
@@ -92,10 +94,6 @@ def test_pairs_of_one_source_share_its_noise():
     alone = refine("T", _TRUTH, pairs[:1], RefineConfig()).covariances["C"]
     together = refine("T", _TRUTH, [*pairs, *certain], RefineConfig()).covariances["C"]
     assert np.allclose(np.diag(together)[3:], np.diag(alone)[3:], rtol=0.3)
-    apart = refine("T", _TRUTH, [*pairs, *certain], RefineConfig(), ["one", "two", "three", "one", "one"]).covariances[
-        "C"
-    ]
-    assert np.allclose(np.diag(apart)[3:], np.diag(alone)[3:] / 3, rtol=0.3)
     others = [_pair("C", name, _TRUTH["C"].inverse() @ _TRUTH[name]) for name in "AB"]
     better = refine("T", _TRUTH, [*pairs[:1], *others, *certain], RefineConfig()).covariances["C"]
     assert np.all(np.diag(better)[3:] < 0.6 * np.diag(alone)[3:])
@@ -138,3 +136,212 @@ def test_merges_are_trusted_where_no_pair_connects():
     accepted, open_pair = _pair("T", "A", _TRUTH["A"]), replace(_pair("T", "B", _TRUTH["B"]), verdict=Verdict("reject"))
     merges = [_pair("T", "A", _TRUTH["A"]), _pair("T", "B", _TRUTH["B"])]
     assert trusted_pairs([accepted, open_pair], merges) == [accepted, merges[1]]
+
+
+# Three LiDARs in a loop, whose systematic errors all their pairs share.
+_CONFIG = RefineConfig()
+_BIAS_SIGMAS = prior_sigmas("", _CONFIG)
+_LOOP = {
+    "T": RigidTransform.identity("T", "T"),
+    "A": RigidTransform.from_xyz_rpy("T", "A", [1.0, -0.5, 0.2], [0.1, 0.3, -0.7]),
+    "B": RigidTransform.from_xyz_rpy("T", "B", [-1.0, 0.8, -0.2], [-0.1, 0.2, 1.7]),
+}
+_BIASES = {"T": [0.02, 0.0, 0.0], "A": [-0.015, 1e-4, -1e-4], "B": [0.005, -2e-4, 1e-4]}
+_PAIRS = tuple(combinations("TAB", 2))
+# Of one of the 60 measurements that a pair consists of.
+_NOISE_M = 0.004
+
+
+def _biased_pair(rng, target, source, biases, noise=1.0):
+    """Measurements of a pair that each see a mix of pose and biases, as the points of surfaces do."""
+    levers_m = np.concatenate([np.full(3, 10.0), np.ones(3), np.tile([1.0, 10.0, 10.0], 2)])
+    jacobian = rng.normal(size=(60, 12)) * levers_m / _NOISE_M
+    truth = np.concatenate([np.zeros(6), biases[target], biases[source]])
+    information = jacobian.T @ jacobian
+    gradient = -jacobian.T @ (jacobian @ truth + noise * rng.normal(size=60))
+    alone = posterior(information, gradient, np.zeros(6), np.tile(_BIAS_SIGMAS, 2))
+    pose = moved(_LOOP[target].inverse() @ _LOOP[source], alone.step[:3], alone.step[3:6])
+    return PairRegistration(
+        target=target,
+        source=source,
+        T_target_source=pose,
+        fitness=0.9,
+        rmse_m=0.05,
+        inliers=1000,
+        converged=True,
+        iterations=5,
+        engine="test",
+        information=np.linalg.inv(alone.covariance),
+        bias_information=BiasInformation(
+            information, gradient + information @ alone.step, information, information, alone.step[6:]
+        ),
+    )
+
+
+def _loop(seed, biases=_BIASES, noise=1.0):
+    rng = np.random.default_rng(seed)
+    return [_biased_pair(rng, target, source, biases, noise) for target, source in _PAIRS]
+
+
+def _refined(pairs, config=_CONFIG, **options):
+    return refine("T", _LOOP, pairs, config, **options)
+
+
+def _shifted(pair, shift_m):
+    return replace(pair, T_target_source=moved(pair.T_target_source, np.zeros(3), np.array([shift_m, 0.0, 0.0])))
+
+
+def _offsets(rig):
+    return {name: rig.poses[name].offset_from(_LOOP[name]) for name in "AB"}
+
+
+def test_exact_pairs_give_exact_poses_and_biases():
+    config = RefineConfig(range_bias_sigma_m=20.0, elevation_bias_sigma_deg=100.0, azimuth_bias_sigma_deg=100.0)
+    rig = _refined(_loop(0, noise=0.0), config)
+    assert max(np.abs(error).max() for error in _offsets(rig).values()) < 1e-7
+    for bias in rig.refinement.biases:
+        found = [bias.range_m, np.deg2rad(bias.elevation_deg), np.deg2rad(bias.azimuth_deg)]
+        assert np.allclose(found, _BIASES[bias.lidar], atol=1e-7)
+    assert min(pair.probability for pair in rig.refinement.pairs) > 0.999
+
+
+def test_the_biases_of_a_loop_are_found():
+    biases = _refined(_loop(1)).refinement.biases
+    assert [bias.lidar for bias in biases] == ["A", "B", "T"]
+    for bias in biases:
+        assert bias.range_m == pytest.approx(_BIASES[bias.lidar][0], abs=0.004)
+        assert abs(bias.range_m - _BIASES[bias.lidar][0]) < 3.5 * bias.range_sigma_m
+        assert bias.range_sigma_m < 0.1 * _CONFIG.range_bias_sigma_m
+        assert abs(bias.elevation_deg) < 3.5 * _CONFIG.elevation_bias_sigma_deg
+        assert bias.elevation_sigma_deg < 1.1 * _CONFIG.elevation_bias_sigma_deg
+        assert bias.azimuth_sigma_deg < 1.1 * _CONFIG.azimuth_bias_sigma_deg
+
+
+def test_the_prior_of_a_lidar_is_its_own():
+    config = RefineConfig(range_bias_sigmas_m={"A": 1e-6})
+    biases = {bias.lidar: bias for bias in _refined(_loop(1), config).refinement.biases}
+    assert abs(biases["A"].range_m) < 1e-5
+    assert biases["A"].range_sigma_m < 2e-6
+    assert biases["T"].range_sigma_m > 1e-4
+
+
+def test_a_loop_knows_its_biases_better_than_a_pair():
+    pairs = _loop(2)
+    of_pair, of_loop = (
+        {bias.lidar: bias.range_sigma_m for bias in _refined(chosen).refinement.biases} for chosen in (pairs[:1], pairs)
+    )
+    assert set(of_pair) == {"T", "A"}
+    assert all(of_loop[name] < 0.9 * of_pair[name] for name in of_pair)
+
+
+def test_a_single_pair_keeps_its_pose_and_covariance():
+    pair = _loop(3)[0]
+    rig = _refined([pair])
+    assert np.allclose(rig.poses["A"].offset_from(pair.T_target_source), 0.0, atol=1e-6)
+    assert np.allclose(rig.covariances["A"], np.linalg.inv(pair.information), rtol=1e-3)
+    found = pair.bias_information
+    known = posterior(
+        found.information, found.gradient, found.biases, np.tile(_BIAS_SIGMAS, 2), found.spread, found.random_spread
+    )
+    assert np.allclose(rig.repeatability["A"], known.repeatability, rtol=1e-3)
+    assert rig.refinement.pairs[0].probability > 0.3
+
+
+def test_random_errors_are_a_part_of_all():
+    rig = _refined(_loop(4))
+    assert set(rig.repeatability) == {"A", "B"}
+    for name in "AB":
+        difference = rig.covariances[name] - rig.repeatability[name]
+        assert np.linalg.eigvalsh(difference).min() > -1e-3 * np.linalg.eigvalsh(rig.covariances[name]).max()
+        assert np.trace(rig.repeatability[name]) < np.trace(rig.covariances[name])
+
+
+def test_systematic_errors_do_not_make_random_errors_larger():
+    """A pair is off by two of its sigmas, which are twenty of its random ones."""
+    information = np.diag([1e8] * 3 + [0.005**-2] * 3 + [1e-6] * 6)
+    random = information * np.repeat([1.0, 0.01, 1.0], [3, 3, 6])
+    of_biases = BiasInformation(information, np.zeros(12), information, random, np.zeros(6))
+    pairs = [replace(pair, information=information[:6, :6], bias_information=of_biases) for pair in _loop(5, noise=0.0)]
+    even, uneven = (_refined([*pairs[:2], last]) for last in (pairs[2], _shifted(pairs[2], 0.02)))
+    for name in "AB":
+        assert np.allclose(np.diag(uneven.repeatability[name]), np.diag(even.repeatability[name]), rtol=0.3)
+        assert np.all(np.diag(uneven.repeatability[name])[3:] < 0.02 * np.diag(uneven.covariances[name])[3:])
+
+
+def test_all_errors_of_a_pair_without_biases_are_random():
+    pairs = [replace(pair, bias_information=None) for pair in _loop(6)]
+    alone, together = _refined(pairs[:1]), _refined(pairs)
+    assert np.allclose(alone.repeatability["A"], alone.covariances["A"], rtol=1e-6)
+    # B is the source of two pairs, which have its systematic errors in common.
+    assert np.trace(together.repeatability["B"]) < 0.9 * np.trace(together.covariances["B"])
+
+
+def test_consistent_pairs_are_probable():
+    """Each is about as likely as any other; six degrees of freedom are what a loop of three leaves, or a few less."""
+    probabilities = [[pair.probability for pair in _refined(_loop(seed)).refinement.pairs] for seed in range(12)]
+    assert np.min(probabilities) > 0.001
+    assert 0.3 < np.mean(probabilities) < 0.98
+    weights = [pair.weight for pair in _refined(_loop(7)).refinement.pairs]
+    assert min(weights) > 0.7
+
+
+def test_a_pair_that_is_wrong_is_improbable():
+    pairs = _loop(8)
+    pairs[2] = _shifted(pairs[2], 0.05)
+    residuals = _refined(pairs).refinement.pairs
+    assert residuals[2].probability < 1e-6
+    assert residuals[2].weight < min(residuals[0].weight, residuals[1].weight)
+
+
+def test_a_pair_that_is_wrong_does_not_bend_a_rig_of_four():
+    truth, biases = {**_LOOP, "C": _nudged_corner()}, {**_BIASES, "C": [0.0, 0.0, 0.0]}
+    rng = np.random.default_rng(9)
+    pairs = []
+    for target, source in combinations("TABC", 2):
+        pair = _biased_pair(rng, "T", "A", {"T": biases[target], "A": biases[source]})
+        offset = pair.T_target_source.offset_from(_LOOP["A"])
+        pose = moved(truth[target].inverse() @ truth[source], offset[:3], offset[3:])
+        pairs.append(replace(pair, target=target, source=source, T_target_source=pose))
+    pairs[3] = _shifted(pairs[3], 0.05)
+    rig = refine("T", truth, pairs, _CONFIG)
+    assert max(rig.poses[name].distance_to(truth[name])[0] for name in "ABC") < 0.004
+    probabilities = [pair.probability for pair in rig.refinement.pairs]
+    assert probabilities[3] < 1e-6
+    assert min(probabilities[:3] + probabilities[4:]) > 1e-3
+
+
+def _nudged_corner():
+    return RigidTransform.from_xyz_rpy("T", "C", [0.5, 1.5, 0.3], [0.0, -0.1, 2.9])
+
+
+def test_a_pair_of_groups_has_no_biases():
+    """Its pose counts; the biases come from the others."""
+    pairs = _loop(10)
+    rig = _refined([*pairs[:2], replace(pairs[2], bias_information=None)])
+    assert [bias.lidar for bias in rig.refinement.biases] == ["A", "B", "T"]
+    without = _refined([replace(pair, bias_information=None) for pair in pairs])
+    assert without.refinement.biases == ()
+    assert set(without.covariances) == {"A", "B"}
+
+
+def test_snapshots_share_biases():
+    """The same three LiDARs five times: each bias is told once, is not known worse, and is found better."""
+    snapshots = [_loop(seed) for seed in range(20, 25)]
+    off_m, sigmas_m = [], []
+    for chosen in (snapshots[0], [pair for pairs in snapshots for pair in pairs]):
+        biases = _refined(chosen).refinement.biases
+        assert [bias.lidar for bias in biases] == ["A", "B", "T"]
+        off_m.append(np.linalg.norm([bias.range_m - _BIASES[bias.lidar][0] for bias in biases]))
+        sigmas_m.append([bias.range_sigma_m for bias in biases])
+    assert off_m[1] < 0.7 * off_m[0]
+    assert np.all(np.array(sigmas_m[1]) < 1.1 * np.array(sigmas_m[0]))
+
+
+@pytest.mark.slow
+def test_the_covariance_of_a_loop_covers_its_errors():
+    squared = []
+    for seed in range(60):
+        rng = np.random.default_rng((seed, 1))
+        rig = _refined(_loop(seed, {name: rng.normal(size=3) * _BIAS_SIGMAS for name in "TAB"}))
+        squared += [error @ np.linalg.solve(rig.covariances[name], error) for name, error in _offsets(rig).items()]
+    assert 3.0 < np.mean(squared) < 9.0

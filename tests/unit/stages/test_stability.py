@@ -4,15 +4,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from multilica.config import AcceptanceConfig, FineConfig
+from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import pose_information
+from multilica.registration.sensor_biases import prior_sigmas
 from multilica.results.registrations import weakest_sigmas
 from multilica.stages.fine import check_stability, perturbed_ends, widened
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG, _FINE = AcceptanceConfig(), FineConfig()
+_BIAS_SIGMAS = np.tile(prior_sigmas("", RefineConfig()), 2)
 _TARGET = RigidTransform.from_xyz_rpy("world", "t", [-1.0, 0.0, 1.8], [0.03, 0.1, 0.4])
 _SOURCE = RigidTransform.from_xyz_rpy("world", "s", [1.0, 0.8, 1.6], [-0.1, 0.2, -1.2])
 _TRUTH = _TARGET.inverse() @ _SOURCE
@@ -26,7 +28,7 @@ def _registered(objects):
     fewer = _FINE.model_copy(update={"max_points": 2000})
     thinned = tuple(prepare_gicp_cloud(cloud.name, cloud.points_m, fewer) for cloud in ready)
     registration = register(*ready, _TRUTH, _FINE)
-    information = pose_information(*ready, registration.T_target_source)
+    information = pose_information(*ready, registration.T_target_source, _BIAS_SIGMAS).information
     return ready, thinned, replace(registration, information=information)
 
 
@@ -92,4 +94,11 @@ def test_a_pose_that_a_push_moves_is_less_certain(index, expected):
 def test_a_pose_that_returns_keeps_its_covariance():
     information = np.diag(1.0 / _SIGMAS**2)
     assert np.array_equal(widened(information, _direction(4), 0.0), information)
-    assert widened(None, _direction(4), 0.05) is None
+
+
+def test_a_push_leaves_what_is_known_of_biases():
+    root = np.random.default_rng(1).normal(size=(12, 12))
+    before = np.linalg.inv(root @ root.T)
+    after = np.linalg.inv(widened(root @ root.T, _direction(4), 0.05))
+    assert np.allclose(after[6:], before[6:], rtol=1e-6)
+    assert np.isclose(after[4, 4], before[4, 4] + 0.05**2)

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+import numpy as np
+import pytest
+
+from multilica.config import RefineConfig
+from multilica.registration import sensor_biases
+from multilica.registration.sensor_biases import posterior, prior_sigmas, shifts_per_bias
+
+_SIGMAS = np.array([0.02, 3e-4, 2e-4])
+
+
+def _points(spherical):
+    range_m, elevation, azimuth = spherical.T
+    flat_m = range_m * np.cos(elevation)
+    return np.column_stack([flat_m * np.cos(azimuth), flat_m * np.sin(azimuth), range_m * np.sin(elevation)])
+
+
+def test_shifts_are_the_derivatives_of_spherical_coordinates():
+    rng = np.random.default_rng(0)
+    spherical = np.column_stack([rng.uniform(1, 80, 500), rng.uniform(-1.4, 1.4, 500), rng.uniform(-3.1, 3.1, 500)])
+    found = shifts_per_bias(_points(spherical))
+    assert found.shape == (3, 500, 3)
+    for bias, step in enumerate(1e-6 * np.eye(3)):
+        expected = (_points(spherical + step) - _points(spherical - step)) / 2e-6
+        np.testing.assert_allclose(found[bias], expected, rtol=0, atol=1e-6)
+
+
+def test_shifts_of_points_on_the_axis_are_finite():
+    assert np.all(np.isfinite(shifts_per_bias(np.array([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0], [0.0, 0.0, 0.0]]))))
+
+
+def test_priors_are_those_of_the_configuration():
+    angles = {"elevation_bias_sigma_deg": 0.1, "azimuth_bias_sigma_deg": 0.2}
+    config = RefineConfig(range_bias_sigma_m=0.04, range_bias_sigmas_m={"left": 0.03}, **angles)
+    assert prior_sigmas("left", config) == pytest.approx([0.03, np.deg2rad(0.1), np.deg2rad(0.2)])
+    assert prior_sigmas("right", config)[0] == 0.04
+
+
+def _problem(rng, biases_of_data, poses=1, strength=1.0):
+    """Information of one coordinate of a pose and of the biases, and its gradient at a state away from the best."""
+    scale = strength / np.concatenate([np.full(poses, 0.01), _SIGMAS[: len(biases_of_data)]])
+    root = rng.normal(size=(len(scale), len(scale))) * scale[:, None]
+    information = root @ root.T
+    best = np.concatenate([rng.normal(scale=0.01, size=poses), biases_of_data])
+    biases = 0.5 * biases_of_data + 0.1 * _SIGMAS[: len(biases_of_data)]
+    state = np.concatenate([rng.normal(scale=0.01, size=poses), biases])
+    return information, information @ (state - best), state, best
+
+
+@pytest.fixture
+def many_shares(monkeypatch):
+    """Leave out the error of a coarse grid."""
+    monkeypatch.setattr(sensor_biases, "_SHARES", np.geomspace(1e-3, 1.0, 300))
+
+
+@pytest.mark.usefixtures("many_shares")
+@pytest.mark.parametrize("size", [0.1, 1.0, 2.5], ids=["smaller", "as allowed", "larger"])
+@pytest.mark.parametrize("strength", [0.5, 5.0], ids=["weak data", "strong data"])
+def test_the_posterior_is_that_of_an_integration(size, strength):
+    """Mean and spread of a coordinate and a bias, by a sum over a grid of them and of the share."""
+    sigma = _SIGMAS[:1]
+    information, gradient, state, best = _problem(np.random.default_rng(1), size * sigma, strength=strength)
+    found = posterior(information, gradient, state[1:], sigma)
+    spread = np.sqrt(np.diag(np.linalg.inv(information)))
+    shares = (np.arange(50) + 0.5) / 50
+    units = np.linspace(-6.0, 6.0, 150)
+    coordinate = best[0] + spread[0] * np.linspace(-6.0, 6.0, 60)
+    weights, moments = 0.0, np.zeros((3, 2))
+    for share in shares:
+        bias = share * sigma * units
+        off = np.stack(np.meshgrid(coordinate - best[0], bias - best[1], indexing="ij"), axis=-1)
+        density = np.exp(-0.5 * np.einsum("abi,ij,abj->ab", off, information, off) - 0.5 * units**2)
+        values = np.stack(np.broadcast_arrays(coordinate[:, None], bias[None, :]), axis=-1) - state
+        weights += density.sum()
+        moments[0] += np.einsum("ab,abi->i", density, values)
+        moments[1] += np.einsum("ab,abi->i", density, values**2)
+    mean = moments[0] / weights
+    deviation = np.sqrt(moments[1] / weights - mean**2)
+    assert np.all(np.abs(found.step - mean) < 0.03 * deviation)
+    np.testing.assert_allclose([np.sqrt(found.covariance[0, 0]), *found.bias_sigmas], deviation, rtol=0.02)
+
+
+def test_the_grid_of_shares_is_fine_enough():
+    """Against a uniform share from 0 to 1 in steps of 0.5 %: a fifth of a sigma, and a third wider at most."""
+    rng = np.random.default_rng(2)
+    for size in (0.02, 0.2, 0.5, 1.0, 2.0):
+        information, gradient, state, _ = _problem(rng, size * _SIGMAS * [1.0, 0.5, -0.8], strength=5.0)
+        found = posterior(information, gradient, state[1:], _SIGMAS)
+        of_poses, mixed = information[0, 0], information[0, 1:]
+        reduced = information[1:, 1:] - np.outer(mixed, mixed) / of_poses
+        best = np.linalg.solve(reduced, reduced @ state[1:] - (gradient[1:] - mixed * gradient[0] / of_poses))
+        weights, means, squares = [], [], []
+        for share in np.arange(0.0025, 1.0, 0.005):
+            prior = np.diag((share * _SIGMAS) ** 2)
+            evidence = np.linalg.inv(reduced) + prior
+            gain = prior @ np.linalg.inv(evidence)
+            log_weight = -0.5 * (np.linalg.slogdet(evidence)[1] + best @ np.linalg.solve(evidence, best))
+            weights.append(np.exp(log_weight))
+            means.append(gain @ best)
+            squares.append(prior - gain @ prior + np.outer(means[-1], means[-1]))
+        mean = np.average(means, axis=0, weights=weights)
+        sigmas = np.sqrt(np.diag(np.average(squares, axis=0, weights=weights) - np.outer(mean, mean)))
+        assert np.all(np.abs(state[1:] + found.step[1:] - mean) < 0.2 * sigmas)
+        mixed_mean, mixed_covariance = sensor_biases._mixture(reduced, reduced @ best, _SIGMAS)
+        mixed_sigmas = np.sqrt(np.diag(mixed_covariance))
+        np.testing.assert_allclose(state[1:] + found.step[1:], mixed_mean, rtol=1e-6)
+        assert np.all((mixed_sigmas > 0.9 * sigmas) & (mixed_sigmas < 1.35 * sigmas))
+        assert np.all((found.bias_sigmas > 0.9 * mixed_sigmas) & (found.bias_sigmas < 1.01 * mixed_sigmas))
+
+
+def test_a_wide_prior_gives_the_plain_solution():
+    rng = np.random.default_rng(3)
+    information, gradient, state, best = _problem(rng, _SIGMAS, poses=6, strength=10.0)
+    found = posterior(information, gradient, state[6:], 1e6 * _SIGMAS)
+    covariance = np.linalg.inv(information)
+    np.testing.assert_allclose(state + found.step, best, atol=1e-6 * np.sqrt(np.diag(covariance)).min())
+    np.testing.assert_allclose(found.covariance, covariance[:6, :6], rtol=1e-6)
+    np.testing.assert_allclose(found.bias_sigmas, np.sqrt(np.diag(covariance))[6:], rtol=1e-6)
+
+
+def test_a_narrow_prior_gives_the_solution_without_biases():
+    rng = np.random.default_rng(4)
+    information, gradient, _, _ = _problem(rng, _SIGMAS, poses=6)
+    found = posterior(information, gradient, np.zeros(3), 1e-4 * _SIGMAS)
+    expected = -np.linalg.solve(information[:6, :6], gradient[:6])
+    np.testing.assert_allclose(found.step, [*expected, 0.0, 0.0, 0.0], atol=1e-5 * np.abs(expected).max())
+    # The pseudo-inverse rounds at 1e-15 of a prior that is 1e10 times the information.
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(information[:6, :6]), rtol=1e-5)
+
+
+def test_the_solution_does_not_depend_on_the_linearisation():
+    rng = np.random.default_rng(5)
+    information, gradient, state, _ = _problem(rng, _SIGMAS, poses=6)
+    found = posterior(information, gradient, state[6:], _SIGMAS)
+    shift = rng.normal(size=9) * np.concatenate([np.full(6, 0.01), _SIGMAS])
+    elsewhere = posterior(information, gradient + information @ shift, state[6:] + shift[6:], _SIGMAS)
+    np.testing.assert_allclose(shift + elsewhere.step, found.step, rtol=1e-6, atol=1e-12)
+    np.testing.assert_allclose(elsewhere.covariance, found.covariance, rtol=1e-6)
+
+
+def test_biases_that_the_data_do_not_show_are_those_of_the_prior():
+    """No more than what datasheets allow, and in the mean over the shares less."""
+    information = np.diag([1e4, 1e-6, 1e-6, 1e-6])
+    found = posterior(information, np.zeros(4), np.zeros(3), _SIGMAS)
+    assert np.all(found.bias_sigmas < _SIGMAS)
+    np.testing.assert_allclose(found.bias_sigmas / _SIGMAS, np.sqrt(1.0 / 3.0), rtol=0.3)
+
+
+def test_lidars_that_agree_are_better_than_their_datasheets():
+    """Six biases that the data know to be nil tell that a seventh, which they do not show, is small."""
+    sigmas = np.full(7, 0.02)
+    information = np.diag([1.0, *np.full(6, 0.0005**-2), 1e-6])
+    agreeing, disagreeing = (
+        posterior(information, -information @ [0.0, *[bias_m, -bias_m] * 3, 0.0], np.zeros(7), sigmas)
+        for bias_m in (0.0, 0.02)
+    )
+    assert agreeing.bias_sigmas[-1] < 0.003
+    assert disagreeing.bias_sigmas[-1] > 0.01
+
+
+def test_the_covariance_is_that_of_draws_of_the_gradient():
+    """The gradient spreads otherwise than the information says, by random errors and by others."""
+    rng = np.random.default_rng(6)
+    information, *_ = _problem(rng, _SIGMAS, poses=2, strength=20.0)
+    root = 0.3 * np.linalg.cholesky(information) @ rng.normal(size=(5, 5))
+    spread, random = root @ root.T, root[:, :2] @ root[:, :2].T
+    found = posterior(information, np.zeros(5), np.zeros(3), 1e6 * _SIGMAS, spread, random)
+    draws, size = rng.normal(size=(20_000, 5)), np.sqrt(np.diag(found.covariance))
+    steps, random_steps = (
+        np.linalg.solve(information, (part @ draws[:, : part.shape[1]].T))[:2] for part in (root, root[:, :2])
+    )
+    correlated = np.outer(size, size)
+    np.testing.assert_allclose(np.cov(steps) / correlated, found.covariance / correlated, atol=0.05)
+    np.testing.assert_allclose(np.cov(random_steps) / correlated, found.repeatability / correlated, atol=0.05)
+
+
+def test_the_spread_does_not_move_the_solution():
+    information, gradient, state, _ = _problem(np.random.default_rng(7), _SIGMAS, poses=6)
+    plain = posterior(information, gradient, state[6:], _SIGMAS)
+    wide = posterior(information, gradient, state[6:], _SIGMAS, 4.0 * information, information)
+    assert np.array_equal(plain.step, wide.step)
+    assert np.linalg.eigvalsh(4.0 * plain.covariance - wide.covariance).min() > -1e-6 * np.trace(wide.covariance)
+    assert np.linalg.eigvalsh(wide.covariance - plain.covariance).min() > -1e-6 * np.trace(wide.covariance)
+    assert np.linalg.eigvalsh(plain.covariance - wide.repeatability).min() > -1e-6 * np.trace(wide.covariance)
