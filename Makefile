@@ -61,7 +61,7 @@ bench-tables: $(READY) ## Write docs/benchmark.md: the paper's tables on simulat
 	$(BIN)/python -m tests.bench tables
 
 sample: $(READY) ## Make the embedded sample anew.
-	$(BIN)/multilica simulate --rig edgar --scene street --seed 1 --frames 2 --keep-every 4 --out $(SAMPLE)
+	$(BIN)/multilica simulate --rig edgar --scene street --seed 1 --frames 2 --keep-every 4 --sensors ideal --out $(SAMPLE)
 
 docs: $(READY) ## Write the pages of docs/reference that are made from the code.
 	$(BIN)/python -m docs.site.generated_pages

@@ -14,9 +14,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-# Little of what is imported and collected is garbage.
-gc.set_threshold(20_000, 20, 20)
-
 
 def pytest_collection_finish():
     """Keep collected tests from the search for garbage, which would take a tenth of the time of quick tests."""
