@@ -340,8 +340,7 @@ def _remaining_hessian(
 
 def _floored(hessian: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return H and B with a floor: where H is below one point, one point with the largest match distance counts."""
-    scale = _SCALE_WITH_BIASES[: len(hessian)]
-    lengths = np.outer(scale, scale)
+    lengths = np.outer(_SCALE_WITH_BIASES, _SCALE_WITH_BIASES)
     values, directions = np.linalg.eigh(hessian * lengths)
     loose = directions[:, values < 1.0]
     floored = (directions * np.maximum(values, 1.0)) @ directions.T

@@ -31,7 +31,7 @@ class LidarUnit:
         range_bias_m: (rings,) is added to each range.
         range_scale: relative error of the ranges.
         glancing_m: is added to a range on a surface that the beam just grazes.
-        reflectivity_m: is added to a range on a white surface, and half of it is taken from one on a black one.
+        reflectivity_m: by how much a range on a white surface is longer than one on a black surface.
         elevation_rad, azimuth_rad: (rings,) true direction of a beam less the reported one.
     """
 
