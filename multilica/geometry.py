@@ -17,6 +17,8 @@ LEVER_ARM_M = 10.0
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
+Uint16Array = npt.NDArray[np.uint16]
+Uint32Array = npt.NDArray[np.uint32]
 ScalarT = TypeVar("ScalarT", bound=np.generic)
 
 _ORTHONORMAL_TOLERANCE = 1e-6

@@ -3,12 +3,13 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from multilica.geometry import Float32Array
+from multilica.geometry import Float32Array, Uint16Array, Uint32Array
+from multilica.snapshot import Scan
 
 DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """`PointField.datatype` -> NumPy type without its byte order."""
@@ -22,7 +23,10 @@ Column = npt.NDArray[Any]
 
 _COORDINATES = ("x", "y", "z")
 _INTENSITY = "intensity"
-_FLOAT32 = 7
+_RING = "ring"
+_RING_NAMES = (_RING, "channel", "line", "laser_id")
+"""Names of drivers for the number of a point's laser; the first that a cloud has is read."""
+_UINT16, _UINT32, _FLOAT32 = 4, 6, 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +63,26 @@ class PointCloud2:
     big_endian: bool = False
 
 
-def decode_points(cloud: PointCloud2) -> tuple[Float32Array, Float32Array | None]:
-    """Return finite points (N, 3) in the order of the data, with their intensities (N,) or None.
+class Points(NamedTuple):
+    """Finite points (N, 3) in the order of the data, with intensities (N,) and rings (N,), or None."""
+
+    points_m: Float32Array
+    intensity: Float32Array | None = None
+    rings: Uint16Array | None = None
+
+    def as_scan(self, stamp_ns: int) -> Scan:
+        """Return them as one frame."""
+        return Scan(self.points_m, stamp_ns, self.intensity, rings=self.rings)
+
+
+def decode_points(cloud: PointCloud2) -> Points:
+    """Return the finite points of a message.
 
     Raises:
         ValueError: the message contradicts itself; the text is a predicate, such as "has no field z".
     """
     if cloud.width * cloud.height == 0:
-        return np.empty((0, 3), np.float32), None
+        return Points(np.empty((0, 3), np.float32))
     row_step = _checked_row_step(cloud)
     dtype = point_dtype(cloud.fields, cloud.point_step, big_endian=cloud.big_endian)
     shape, strides = (cloud.height, cloud.width), (row_step, cloud.point_step)
@@ -75,27 +91,42 @@ def decode_points(cloud: PointCloud2) -> tuple[Float32Array, Float32Array | None
 
 @lru_cache(maxsize=64)
 def point_dtype(fields: tuple[PointField, ...], point_step: int, *, big_endian: bool) -> np.dtype[np.void]:
-    """Return the structured type with x, y, z and intensity, if there is one; all other fields are padding.
+    """Return the structured type of the fields of `read_fields`, by their names there; all others are padding.
 
     Raises:
         ValueError: a coordinate is missing, of unknown type, or outside the point.
     """
-    chosen = {field.name: field for field in reversed(fields) if field.name in (*_COORDINATES, _INTENSITY)}
-    missing = [name for name in _COORDINATES if name not in chosen]
-    if missing:
-        listed = ", ".join(field.name for field in fields) or "none"
-        raise ValueError(f"has no field {' or '.join(missing)}; its fields are: {listed}")
-    names = [name for name in (*_COORDINATES, _INTENSITY) if name in chosen]
-    if len({chosen[name].offset for name in _COORDINATES}) < len(_COORDINATES):
-        raise ValueError("has two coordinates at the same bytes of each point")
+    chosen = read_fields(fields, point_step)
     return np.dtype(
         {
-            "names": names,
-            "formats": [_format(chosen[name], point_step, big_endian=big_endian) for name in names],
-            "offsets": [chosen[name].offset for name in names],
+            "names": list(chosen),
+            "formats": [_format(field, point_step, big_endian=big_endian) for field in chosen.values()],
+            "offsets": [field.offset for field in chosen.values()],
             "itemsize": point_step,
         }
     )
+
+
+def read_fields(fields: tuple[PointField, ...], point_step: int) -> dict[str, PointField]:
+    """Return x, y, z and, if there are any, intensity and ring, by these names; errors as of `point_dtype`.
+
+    A ring that cannot be read counts as missing.
+    """
+    found = {field.name: field for field in reversed(fields)}
+    missing = [name for name in _COORDINATES if name not in found]
+    if missing:
+        listed = ", ".join(field.name for field in fields) or "none"
+        raise ValueError(f"has no field {' or '.join(missing)}; its fields are: {listed}")
+    if len({found[name].offset for name in _COORDINATES}) < len(_COORDINATES):
+        raise ValueError("has two coordinates at the same bytes of each point")
+    chosen = {name: found[name] for name in (*_COORDINATES, _INTENSITY) if name in found}
+    rings = [found[name] for name in _RING_NAMES if name in found and _is_inside(found[name], point_step)]
+    return chosen | dict(zip((_RING,), rings, strict=False))
+
+
+def _is_inside(field: PointField, point_step: int) -> bool:
+    size = np.dtype(DATATYPES[field.datatype]).itemsize if field.datatype in DATATYPES else point_step + 1
+    return field.offset + size <= point_step
 
 
 def _format(field: PointField, point_step: int, *, big_endian: bool) -> np.dtype[Any]:
@@ -123,15 +154,18 @@ def _checked_row_step(cloud: PointCloud2) -> int:
     return row_step
 
 
-def finite_records(records: npt.NDArray[np.void]) -> tuple[Float32Array, Float32Array | None]:
+def finite_records(records: npt.NDArray[np.void]) -> Points:
     """Return the finite points of records of any shape and of a type of `point_dtype`, as `finite_points` does."""
-    return finite_points(*(records[name].reshape(-1) for name in records.dtype.names or ()))
+    return finite_points(**{name: records[name].reshape(-1) for name in records.dtype.names or ()})
 
 
 def finite_points(
-    x: Column, y: Column, z: Column, intensity: Column | None = None
-) -> tuple[Float32Array, Float32Array | None]:
-    """Convert columns (N,) of any number type to read-only float32 points (K, 3), finite ones only, in order."""
+    x: Column, y: Column, z: Column, intensity: Column | None = None, ring: Column | None = None
+) -> Points:
+    """Convert columns (N,) of any number type to read-only points (K, 3), finite ones only, in order.
+
+    Rings that are no whole numbers from 0 to 65,535 are left out.
+    """
     points_m = np.empty((len(x), 3), np.float32)
     with np.errstate(over="ignore"):
         for axis, column in enumerate((x, y, z)):
@@ -146,19 +180,40 @@ def finite_points(
         finite = np.isfinite(points_m)
         keep = finite[:, 0] & finite[:, 1] & finite[:, 2]
         points_m, values = points_m[keep], None if values is None else values[keep]
-    for array in (points_m, values):
+        ring = None if ring is None else ring[keep]
+    rings = None if ring is None else _whole(ring)
+    for array in (points_m, values, rings):
         if array is not None:
             # A scan then keeps it without a copy.
             array.setflags(write=False)
-    return points_m, values
+    return Points(points_m, values, rings)
 
 
-def encode_points(points_m: Float32Array, intensity: Float32Array | None = None) -> PointCloud2:
-    """Pack points (N, 3), with intensities (N,) if there are any, as rows of little-endian float32."""
-    columns = [*np.asarray(points_m).T, *([] if intensity is None else [intensity])]
-    names = (*_COORDINATES, _INTENSITY)[: len(columns)]
-    packed = np.stack(columns, axis=1).astype("<f4", order="C")
-    fields = tuple(PointField(name, 4 * index, _FLOAT32) for index, name in enumerate(names))
-    point_step = 4 * len(names)
-    data = packed.reshape(-1).view(np.uint8)
-    return PointCloud2(fields, len(packed), 1, point_step, len(packed) * point_step, data)
+def _whole(numbers: Column) -> Uint16Array | None:
+    with np.errstate(invalid="ignore", over="ignore"):
+        whole = numbers.astype(np.uint16)
+    return whole if np.can_cast(numbers.dtype, np.uint16) or np.array_equal(whole, numbers) else None
+
+
+def encode_points(
+    points_m: Float32Array,
+    intensity: Float32Array | None = None,
+    *,
+    rings: Uint16Array | None = None,
+    times_ns: Uint32Array | None = None,
+) -> PointCloud2:
+    """Pack points (N, 3) without gaps: x, y, z and, if given, intensity as float32, `t` as uint32, `ring` as uint16.
+
+    Args:
+        intensity, rings, times_ns: (N,); `t` is the name of Ouster's driver for nanoseconds after the stamp.
+    """
+    columns = [*((name, values, _FLOAT32) for name, values in zip(_COORDINATES, np.asarray(points_m).T, strict=True))]
+    optional = ((_INTENSITY, intensity, _FLOAT32), ("t", times_ns, _UINT32), (_RING, rings, _UINT16))
+    columns += [(name, values, datatype) for name, values, datatype in optional if values is not None]
+    packed = np.empty(len(points_m), [(name, f"<{DATATYPES[datatype]}") for name, _, datatype in columns])
+    for name, values, _ in columns:
+        packed[name] = values
+    offsets = {name: offset for name, (_, offset, *_) in (packed.dtype.fields or {}).items()}
+    fields = tuple(PointField(name, offsets[name], datatype) for name, _, datatype in columns)
+    point_step = packed.dtype.itemsize
+    return PointCloud2(fields, len(packed), 1, point_step, len(packed) * point_step, packed.view(np.uint8))

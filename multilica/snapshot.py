@@ -1,12 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans of a rig that stands still."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from multilica.errors import UnknownNameError
-from multilica.geometry import Float32Array, FloatArray, RigidTransform, read_only
+from multilica.geometry import Float32Array, FloatArray, RigidTransform, Uint16Array, Uint32Array, read_only
+
+_PER_POINT: dict[str, type[Any]] = {"intensity": np.float32, "rings": np.uint16, "times_ns": np.uint32}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,23 +22,40 @@ class Scan:
         stamp_ns: nanoseconds since the epoch; 0 if the format has no time.
         intensity: (N,) or None.
         log_time_ns: when it was recorded, by the clock of the recorder; 0 if the format has no time.
+        rings: (N,) number of the laser or row that measured a point, by the driver's count, or None.
+        times_ns: (N,) time of each point after the stamp, or None. Readers leave it out.
     """
 
     points_m: Float32Array
     stamp_ns: int = 0
     intensity: Float32Array | None = None
     log_time_ns: int = 0
+    rings: Uint16Array | None = None
+    times_ns: Uint32Array | None = None
 
     def __post_init__(self) -> None:
         points_m = read_only(self.points_m, np.float32)
         if points_m.ndim != 2 or points_m.shape[1] != 3:
             raise ValueError(f"expected points of shape (N, 3), found {points_m.shape}")
         object.__setattr__(self, "points_m", points_m)
-        if self.intensity is not None:
-            intensity = read_only(self.intensity, np.float32)
-            if intensity.shape != (len(points_m),):
-                raise ValueError(f"expected {len(points_m)} intensities, found shape {intensity.shape}")
-            object.__setattr__(self, "intensity", intensity)
+        for name, dtype in _PER_POINT.items():
+            if getattr(self, name) is not None:
+                values = read_only(getattr(self, name), dtype)
+                if values.shape != (len(points_m),):
+                    raise ValueError(f"expected {name} of {len(points_m)} points, found shape {values.shape}")
+                object.__setattr__(self, name, values)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all arrays."""
+        arrays = [self.points_m, *(getattr(self, name) for name in _PER_POINT)]
+        return sum(array.nbytes for array in arrays if array is not None)
+
+    def selected(self, kept: npt.NDArray[np.bool_] | slice) -> "Scan":
+        """Return the scan with some of its points only."""
+        values = {name: getattr(self, name) for name in _PER_POINT}
+        selected = {name: array[kept] for name, array in values.items() if array is not None}
+        return replace(self, points_m=self.points_m[kept], **selected)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +85,13 @@ class LidarScans:
         if not self.scans:
             return np.empty((0, 3))
         return np.concatenate([scan.points_m for scan in self.scans]).astype(np.float64)
+
+    @property
+    def rings(self) -> Uint16Array | None:
+        """(N,) ring of each point of all frames; None if a frame with points has none."""
+        filled = [scan for scan in self.scans if len(scan.points_m)]
+        rings = [scan.rings for scan in filled if scan.rings is not None]
+        return np.concatenate(rings) if rings and len(rings) == len(filled) else None
 
     @property
     def points_count(self) -> int:

@@ -31,24 +31,25 @@ LAST_SHORT_AEVA_NS = 1_691_936_557_946_849_179
 _FARTHEST_M = 1e4
 _PLAUSIBLE_SHARE = 0.9
 """As for KITTI's files: of random bytes, seven in eight are no coordinates."""
-_FLOAT32, _UINT8 = 7, 2
+_FLOAT32, _UINT16, _UINT8 = 7, 4, 2
 _XYZ = tuple(PointField(axis, 4 * index, _FLOAT32) for index, axis in enumerate("xyz"))
 _REFLECTIVITY = PointField("intensity", 12, _FLOAT32)
-_LAYOUTS: Mapping[str, tuple[int, PointField]] = {
-    "Ouster": (26, _REFLECTIVITY),  # then t, reflectivity, ring, ambient
-    "Velodyne": (22, _REFLECTIVITY),  # then ring, time
-    "Avia": (19, PointField("intensity", 12, _UINT8)),  # then tag, line, offset_time
-    "Aeva": (25, _REFLECTIVITY),  # then velocity, time_offset_ns, line_index
+_LINE = PointField("ring", 24, _UINT8)
+_LAYOUTS: Mapping[str, tuple[int, tuple[PointField, ...]]] = {
+    "Ouster": (26, (_REFLECTIVITY, PointField("ring", 22, _UINT16))),  # between t, reflectivity and ambient
+    "Velodyne": (22, (_REFLECTIVITY, PointField("ring", 16, _UINT16))),  # then time
+    "Avia": (19, (PointField("intensity", 12, _UINT8), PointField("ring", 14, _UINT8))),  # between tag and offset_time
+    "Aeva": (25, (_REFLECTIVITY, _LINE)),  # between them velocity, time_offset_ns
 }
-_LONG_AEVA = (29, PointField("intensity", 25, _FLOAT32))
-"""Bytes of a point, and the place of its intensity; x, y and z begin each point."""
+_LONG_AEVA = (29, (PointField("intensity", 25, _FLOAT32), _LINE))
+"""Bytes of a point, and the places of its intensity and ring; x, y and z begin each point."""
 
 
 def point_layout(lidar: str, stamp_ns: int) -> PointTable:
     """Return the layout of the points of a LiDAR at a time, without a number of rows."""
     is_long = lidar == "Aeva" and stamp_ns > LAST_SHORT_AEVA_NS
-    point_bytes, intensity = _LONG_AEVA if is_long else _LAYOUTS[lidar]
-    return PointTable((*_XYZ, intensity), row_bytes=point_bytes)
+    point_bytes, fields = _LONG_AEVA if is_long else _LAYOUTS[lidar]
+    return PointTable((*_XYZ, *fields), row_bytes=point_bytes)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,10 +78,10 @@ class ScanFiles:
                 f"{self.lidar} has them at that time."
             )
         table = replace(layout, rows=len(data) // layout.row_bytes)
-        points_m, intensity = table.read_records(memoryview(data))
-        if np.count_nonzero(np.abs(points_m) < _FARTHEST_M) < _PLAUSIBLE_SHARE * 3 * table.rows:
+        points = table.read_records(memoryview(data))
+        if np.count_nonzero(np.abs(points.points_m) < _FARTHEST_M) < _PLAUSIBLE_SHARE * 3 * table.rows:
             raise UnreadableSourceError(f"{path} has no coordinates where HeLiPR's {self.lidar} has them.")
-        return Scan(points_m, stamp_ns, intensity, stamp_ns)
+        return replace(points.as_scan(stamp_ns), log_time_ns=stamp_ns)
 
     def read_from(self, start_ns: int, length_ns: int, frames: int) -> tuple[Scan, ...]:
         """Read the scans from a stamp on, for that long and at most as many as `frames`; errors as of `read`."""

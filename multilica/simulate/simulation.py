@@ -71,7 +71,8 @@ def simulate_snapshot(
         moved: LiDARs that are no longer as built, each with its pose in its own frame as built. The truth is where
             they are; the static transforms stay those of the vehicle as built.
         start_ns: stamp of the first frames.
-        sensors: "ideal": the ranges have white noise only, and intensities are missing.
+        sensors: "real": as real LiDARs measure, with intensity, ring and time per point. "ideal": the ranges have
+            white noise only, and points nothing but coordinates.
 
     Raises:
         UnknownNameError: no such rig, scene, disturbance, or LiDAR of a disturbance or motion.
@@ -173,8 +174,8 @@ class _World:
             if f"dead:{mount.name}" in self._disturbances:
                 ranges = np.full_like(ranges, np.nan)
             stamp_ns = self._start_ns + round(frame * _FRAME_S * 1e9)
-            returned = None if intensity is None else intensity[np.isfinite(ranges)].astype(np.float32)
-            scans.append(Scan(returned_points(directions, ranges), stamp_ns, returned))
+            scan = Scan(returned_points(directions, ranges), stamp_ns)
+            scans.append(scan if intensity is None else _as_driver_sends(scan, mount, ranges, intensity))
         return LidarScans(mount.name, tuple(scans), topic=f"/lidar/{mount.name}/points")
 
     def _caster(self, mount: Mount, time_s: float) -> Callable[[FloatArray], Hits]:
@@ -200,6 +201,16 @@ class _World:
         return scene.terrain.standing_pose(x_m, y_m, scene.vehicle_yaw_rad)
 
 
+def _as_driver_sends(scan: Scan, mount: Mount, ranges_m: FloatArray, intensity: FloatArray) -> Scan:
+    """Add intensity, ring and time of each return; beams are fired one after the other."""
+    returned = np.flatnonzero(np.isfinite(ranges_m))
+    times_ns = returned * round(_FRAME_S * 1e9) // len(ranges_m)
+    rings = mount.sensor.pattern.rings[returned].astype(np.uint16)
+    return replace(
+        scan, intensity=intensity[returned].astype(np.float32), rings=rings, times_ns=times_ns.astype(np.uint32)
+    )
+
+
 def random_stream(*keys: object) -> np.random.Generator:
     """Return random numbers for one purpose: another draw for one purpose does not change the others."""
     return np.random.default_rng(list("/".join(map(str, keys)).encode()))
@@ -209,10 +220,7 @@ def thinned(snapshot: Snapshot, keep_every: int) -> Snapshot:
     """Keep only every Nth return; the first one differs from frame to frame, so that together they cover all beams."""
     lidars = []
     for lidar in snapshot.lidars:
-        scans = []
-        for index, scan in enumerate(lidar.scans):
-            kept = slice(index % keep_every, None, keep_every)
-            intensity = None if scan.intensity is None else scan.intensity[kept]
-            scans.append(replace(scan, points_m=scan.points_m[kept], intensity=intensity))
-        lidars.append(replace(lidar, scans=tuple(scans)))
+        kept = [slice(index % keep_every, None, keep_every) for index in range(len(lidar.scans))]
+        scans = tuple(scan.selected(each) for scan, each in zip(lidar.scans, kept, strict=True))
+        lidars.append(replace(lidar, scans=scans))
     return replace(snapshot, lidars=tuple(lidars))

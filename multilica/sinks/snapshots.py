@@ -35,7 +35,7 @@ _ROS2_BAG_VERSION: Final = 9
 def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
     """Write a snapshot so that `read_snapshot` returns the same points, times, names, frames and static transforms.
 
-    ROS 2 profile, one ``sensor_msgs/PointCloud2`` of float32 per frame, zstd chunks with checksums, ``/tf_static``;
+    ROS 2 profile, one ``sensor_msgs/PointCloud2`` per frame, zstd chunks with checksums, ``/tf_static``;
     `metadata` adds entries to the metadata record, for instance of `window_metadata`.
     """
     zstd = {"chunk_size": _CHUNK_BYTES, "compression": CompressionType.ZSTD}
@@ -51,7 +51,7 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
             channels[lidar.name] = writer.register_channel(_topic(lidar), MessageEncoding.CDR, schema, given)
         for time_ns, lidar, index in sorted(_frames(snapshot), key=lambda frame: frame[0]):
             scan = lidar.scans[index]
-            cloud = ros2.point_cloud(lidar.frame_id, _ros_stamp_ns(scan.stamp_ns), scan.points_m, scan.intensity)
+            cloud = ros2.scan_cloud(lidar.frame_id, _ros_stamp_ns(scan.stamp_ns), scan)
             writer.add_message(channels[lidar.name], time_ns, ros2.serialised(cloud), time_ns, index)
         writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
 
@@ -168,7 +168,7 @@ def _clouds_in_order(snapshot: Snapshot) -> Iterator[tuple[str, Scan, Any]]:
     """Yield topic, scan and ROS 2 message of each frame, by stamp, then by name of the LiDAR."""
     frames = [(lidar, scan) for lidar in snapshot.lidars for scan in lidar.scans]
     for lidar, scan in sorted(frames, key=lambda frame: frame[1].stamp_ns):
-        yield _topic(lidar), scan, ros2.point_cloud(lidar.frame_id, scan.stamp_ns, scan.points_m, scan.intensity)
+        yield _topic(lidar), scan, ros2.scan_cloud(lidar.frame_id, scan.stamp_ns, scan)
 
 
 @contextmanager

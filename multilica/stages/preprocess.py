@@ -164,7 +164,4 @@ def _frame(usable: BoolArray, points_m: FloatArray, range_m: FloatArray, grid: _
 
 
 def _without(scan: Scan, gone: BoolArray) -> Scan:
-    if not np.any(gone):
-        return scan
-    intensity = None if scan.intensity is None else scan.intensity[~gone]
-    return replace(scan, points_m=scan.points_m[~gone], intensity=intensity)
+    return scan.selected(~gone) if np.any(gone) else scan

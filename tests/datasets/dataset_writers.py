@@ -34,8 +34,8 @@ LAYOUTS = {
 }
 
 
-def packed(lidar: str, stamp_ns: int, points_m: np.ndarray, intensity: float = 7.0) -> bytes:
-    """Points as HeLiPR's files have them; fields other than the coordinates and the intensity hold noise."""
+def packed(lidar: str, stamp_ns: int, points_m: np.ndarray, intensity: float = 7.0, ring: int = 5) -> bytes:
+    """Points as HeLiPR's files have them; fields other than the coordinates, the intensity and the ring hold noise."""
     late = lidar == "Aeva" and stamp_ns > 1691936557946849179
     columns = [entry.split() for entry in LAYOUTS["Aeva after" if late else lidar].split(",")]
     records = np.zeros(len(points_m), np.dtype([(name, kind) for kind, name in columns]))
@@ -45,6 +45,7 @@ def packed(lidar: str, stamp_ns: int, points_m: np.ndarray, intensity: float = 7
     for axis, name in enumerate("xyz"):
         records[name] = points_m[:, axis]
     records["intensity"] = intensity
+    records[next(name for name in ("ring", "line", "line_index") if name in records.dtype.names)] = ring
     return records.tobytes()
 
 

@@ -57,13 +57,14 @@ def damaged(sequence: Path, tmp_path: Path) -> Iterator[Path]:
 )
 def test_each_layout_is_read(lidar: str, stamp_ns: int, point_bytes: int, tmp_path: Path) -> None:
     points_m = np.random.default_rng(1).normal(scale=30.0, size=(500, 3)).astype(np.float32)
-    data = packed(lidar, stamp_ns, points_m, intensity=42.0)
+    data = packed(lidar, stamp_ns, points_m, intensity=42.0, ring=9)
     assert len(data) == 500 * point_bytes == 500 * point_layout(lidar, stamp_ns).row_bytes
     (tmp_path / f"{stamp_ns}.bin").write_bytes(data)
     scan = ScanFiles(lidar, tmp_path, np.array([stamp_ns])).read(stamp_ns)
     np.testing.assert_array_equal(scan.points_m, points_m)
     assert scan.intensity is not None
     assert set(scan.intensity.tolist()) == {42.0}
+    assert set(scan.rings.tolist()) == {9}
     assert scan.stamp_ns == stamp_ns
 
 

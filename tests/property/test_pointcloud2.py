@@ -72,15 +72,24 @@ def expected(case: Case) -> tuple[np.ndarray, np.ndarray | None]:
     return points, intensity
 
 
+def expected_rings(case: Case) -> np.ndarray | None:
+    """None if there is no such field, or one of its numbers is none of a ring."""
+    kept = [row for row in case.rows if all(np.isfinite(np.float32(row[axis])) for axis in "xyz")]
+    if not case.rows or "ring" not in case.rows[0] or not all(row["ring"] in range(2**16) for row in kept):
+        return None
+    return np.array([row["ring"] for row in kept], np.uint16)
+
+
 @pytest.mark.slow
 @settings(max_examples=300, deadline=None)
 @given(clouds())
 def test_any_layout_gives_its_points_back(case: Case) -> None:
-    points, intensity = decode_points(case.cloud)
+    points, intensity, rings = decode_points(case.cloud)
     expected_points, expected_intensity = expected(case)
     assert points.dtype == np.float32
     np.testing.assert_array_equal(points, expected_points)
     np.testing.assert_array_equal(intensity, expected_intensity)
+    np.testing.assert_array_equal(rings, expected_rings(case))
 
 
 @pytest.mark.slow
@@ -92,7 +101,7 @@ def test_lying_sizes_are_refused_or_read_inside_the_data(case: Case, data: st.Da
     cloud = replace(case.cloud, **{lie: size})
     sentence, points = "", np.empty((0, 3))
     try:
-        points, _ = decode_points(cloud)
+        points = decode_points(cloud).points_m
     except ValueError as error:
         sentence = str(error)
     assert "\n" not in sentence
@@ -105,7 +114,7 @@ def test_lying_sizes_are_refused_or_read_inside_the_data(case: Case, data: st.Da
 def test_encoding_and_decoding_is_exact(rows: list[tuple[float, ...]], with_intensity: bool) -> None:
     table = np.array(rows, np.float32).reshape(-1, 4)
     given_intensity = table[:, 3] if with_intensity else None
-    points, intensity = decode_points(encode_points(table[:, :3], given_intensity))
+    points, intensity, _ = decode_points(encode_points(table[:, :3], given_intensity))
     np.testing.assert_array_equal(points, table[:, :3])
     if with_intensity and len(table):
         np.testing.assert_array_equal(intensity, table[:, 3])
@@ -124,7 +133,7 @@ def test_large_clouds_are_as_small_ones(offsets: tuple[int, ...], point_step: in
     for axis, offset in enumerate(offsets):
         data[:, offset : offset + 4] = points[:, axis : axis + 1].copy().view(np.uint8)
     fields = tuple(PointField(name, offset, 7) for name, offset in zip("xyz", offsets, strict=True))
-    found, _ = decode_points(PointCloud2(fields, 8_000, 5, point_step, 0, data.reshape(-1)))
+    found, *_ = decode_points(PointCloud2(fields, 8_000, 5, point_step, 0, data.reshape(-1)))
     np.testing.assert_array_equal(found, points[np.isfinite(points).all(axis=1)])
 
 

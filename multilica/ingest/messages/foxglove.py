@@ -15,7 +15,6 @@ from google.protobuf.message import DecodeError
 from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage, sanitize_text
 from multilica.pointcloud2 import PointCloud2, PointField, decode_points
-from multilica.snapshot import Scan
 
 _DATATYPES = {1: 2, 2: 1, 3: 4, 4: 3, 5: 6, 6: 5, 7: 7, 8: 8}
 """Foxglove's number types -> those of `PointField`; Foxglove lists the unsigned ones first."""
@@ -32,9 +31,9 @@ def decode_cloud(message: RawMessage) -> Cloud:
     width, rest = divmod(len(data), stride) if stride else (0, len(data))
     if rest:
         raise ValueError(f"holds {len(data)} bytes of points of {stride} bytes each")
-    points_m, intensity = decode_points(PointCloud2(fields, width, 1, stride, len(data), data))
+    points = decode_points(PointCloud2(fields, width, 1, stride, len(data), data))
     frame_id = frame_id.strip("/")
-    scan = Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity)
+    scan = points.as_scan(stamp_ns if stamp_ns > 0 else message.log_time_ns)
     x, y, z, qx, qy, qz, qw = pose
     turned = max(abs(qx), abs(qy), abs(qz)) > _POSE_TOLERANCE * max(1.0, abs(qw))
     if math.hypot(x, y, z) <= _POSE_TOLERANCE and not turned:

@@ -17,7 +17,6 @@ from multilica.ingest.message_types import OTHER_PACKETS, OUSTER_TURN, Cloud
 from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import DamagedRecordingError, Messages, RawMessage, Recording, Span, Topic
 from multilica.pointcloud2 import finite_points
-from multilica.snapshot import Scan
 
 _FRAME_ID = "os_lidar"
 """Default frame of the driver's clouds, which is also in /tf_static."""
@@ -80,10 +79,10 @@ def decode_cloud(message: RawMessage) -> Cloud:
     x, y, z = ((in_sensor_m(frame) - T_sensor_lidar[:3, 3]) @ T_sensor_lidar[:3, :3])[seen].T
     signals = (core.ChanField.SIGNAL, core.ChanField.REFLECTIVITY, core.ChanField.RANGE)
     signal = frame.field(next(name for name in signals if frame.has_field(name)))
-    points_m, intensity = finite_points(x, y, z, signal[seen])
+    points = finite_points(x, y, z, signal[seen], np.nonzero(seen)[0])
     stamps_ns = frame.timestamp[frame.timestamp > 0]
     stamp_ns = int(stamps_ns[0]) if len(stamps_ns) else message.log_time_ns
-    return Cloud(Scan(points_m, stamp_ns, intensity), _FRAME_ID)
+    return Cloud(points.as_scan(stamp_ns), _FRAME_ID)
 
 
 def _frame(sensor: _Sensor, packets: memoryview) -> Any:  # noqa: ANN401 - the class is the library's

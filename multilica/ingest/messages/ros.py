@@ -9,16 +9,18 @@ from functools import cache
 
 import numpy as np
 
-from multilica.geometry import Float32Array
 from multilica.ingest.decompression import ZSTD_MAGIC, unpack_zstd_message
 from multilica.ingest.memory import require_decodable
 from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
-from multilica.pointcloud2 import PointCloud2, PointField, decode_points, finite_records, point_dtype
-from multilica.snapshot import Scan
+from multilica.pointcloud2 import PointCloud2, PointField, Points, decode_points, finite_records, point_dtype
 
 _MAX_FIELDS = 1024
-_LIVOX_FIELDS = (PointField("x", 4, 7), PointField("y", 8, 7), PointField("z", 12, 7), PointField("intensity", 16, 2))
+_LIVOX_FIELDS = (
+    *(PointField(name, 4 + 4 * index, 7) for index, name in enumerate("xyz")),
+    PointField("intensity", 16, 2),
+    PointField("line", 18, 2),
+)
 _LIVOX_BYTES = 19
 """offset_time, x, y, z, reflectivity, tag, line."""
 _layout = cache(struct.Struct)
@@ -31,10 +33,8 @@ def decode_cloud(message: RawMessage) -> Cloud:
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
     if message.message_type.endswith("/CustomMsg"):
-        timebase_ns, points_m, intensity = _livox_points(reader)
-        return Cloud(
-            Scan(points_m, stamp_ns if stamp_ns > 0 else timebase_ns or message.log_time_ns, intensity), frame_id
-        )
+        timebase_ns, points = _livox_points(reader)
+        return Cloud(points.as_scan(stamp_ns if stamp_ns > 0 else timebase_ns or message.log_time_ns), frame_id)
     reader.align(4)
     height, width = reader.numbers("II")
     count = reader.uint32()
@@ -45,12 +45,12 @@ def decode_cloud(message: RawMessage) -> Cloud:
     reader.align(4)
     point_step, row_step = reader.numbers("II")
     layout = PointCloud2(fields, width, height, point_step, row_step, reader.octets(), big_endian=bool(is_big_endian))
-    points_m, intensity = decode_points(layout)
-    return Cloud(Scan(points_m, stamp_ns if stamp_ns > 0 else message.log_time_ns, intensity), frame_id)
+    scan = decode_points(layout).as_scan(stamp_ns if stamp_ns > 0 else message.log_time_ns)
+    return Cloud(scan, frame_id)
 
 
-def _livox_points(reader: WireReader) -> tuple[int, Float32Array, Float32Array | None]:
-    """Read the time base in nanoseconds, then the points with their intensities."""
+def _livox_points(reader: WireReader) -> tuple[int, Points]:
+    """Read the time base in nanoseconds, then the points."""
     reader.align(8)
     (timebase_ns,) = reader.numbers("Q")
     reader.place += 8  # point_num, lidar_id, three reserved bytes
@@ -62,7 +62,7 @@ def _livox_points(reader: WireReader) -> tuple[int, Float32Array, Float32Array |
         raise ValueError(f"claims {count} points, which need {needed} bytes, but holds {reader.remaining}")
     dtype = point_dtype(_LIVOX_FIELDS, _LIVOX_BYTES, big_endian=reader.order == ">")
     points = np.ndarray((count,), dtype, reader.data, reader.place, (step,)) if count else np.empty(0, dtype)
-    return timebase_ns, *finite_records(points)
+    return timebase_ns, finite_records(points)
 
 
 def _field(reader: WireReader) -> PointField:

@@ -11,7 +11,6 @@ from multilica.ingest.message_types import Cloud
 from multilica.ingest.messages.ros import WireReader
 from multilica.ingest.recording import RawMessage, reason_of
 from multilica.pointcloud2 import finite_points
-from multilica.snapshot import Scan
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
@@ -23,14 +22,14 @@ def decode_cloud(message: RawMessage) -> Cloud:
         reader.align(4)
         seconds, nanoseconds = reader.numbers("II" if reader.alignment == 1 else "iI")
         packets.append(velodyne_decoder.VelodynePacket(seconds + nanoseconds * 1e-9, bytes(reader.raw(1206))))
-    points_m, intensity = finite_points(*_decoded(packets)[:, :4].T)
-    return Cloud(Scan(points_m, stamp_ns or message.log_time_ns, intensity), frame_id)
+    points = finite_points(*_decoded(packets)[:, [0, 1, 2, 3, 6]].T)
+    return Cloud(points.as_scan(stamp_ns or message.log_time_ns), frame_id)
 
 
 def _decoded(packets: list[Any]) -> Float32Array:
-    """Return x, y, z, intensity and more (N, 4+)."""
+    """Return x, y, z, intensity, time, column, ring and more (N, 7+)."""
     if not packets:
-        return np.empty((0, 4), np.float32)
+        return np.empty((0, 7), np.float32)
     # A decoder keeps the model of its first packet.
     decoder = velodyne_decoder.ScanDecoder(velodyne_decoder.Config())
     try:

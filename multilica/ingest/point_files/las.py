@@ -21,7 +21,6 @@ from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage, reason_of
 from multilica.optional_libraries import needed_for, require_library
 from multilica.pointcloud2 import finite_points
-from multilica.snapshot import Scan
 
 with needed_for("Reading LAS and LAZ files", "laspy"):
     import laspy
@@ -46,8 +45,7 @@ def decode_cloud(message: RawMessage) -> Cloud:
     points = laspy.PackedPointRecord.from_buffer(data, layout, count, start)
     with np.errstate(over="ignore", invalid="ignore"):
         x, y, z = (points[axis] * header.scales[index] + header.offsets[index] for index, axis in enumerate("XYZ"))
-    points_m, intensity = finite_points(x, y, z, points["intensity"])
-    return Cloud(Scan(points_m, message.log_time_ns, intensity))
+    return Cloud(finite_points(x, y, z, points["intensity"]).as_scan(message.log_time_ns))
 
 
 def _header(data: memoryview) -> Any:  # noqa: ANN401 - laspy has no types

@@ -14,11 +14,11 @@ from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
 from multilica.pointcloud2 import finite_points
-from multilica.snapshot import Scan
 
 Table: TypeAlias = npt.NDArray[Any]
 
 _COLUMNS = {"kitti": 4, "nuscenes": 5}
+_NAMES = ("x", "y", "z", "intensity", "ring")
 _MAX_SIZE = 1 << 40
 _NEAREST_M, _FARTHEST_M = 1e-6, 1e4
 _PLAUSIBLE_SHARE = 0.9
@@ -26,12 +26,12 @@ _PLAUSIBLE_SHARE = 0.9
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
-    """Decode rows of x, y, z in metres and, if there is one, intensity."""
+    """Decode rows of x, y, z in metres and, if there are any, intensity and ring."""
     data = memoryview(message.data)
     require_format(data, FORMATS[message.encoding])
     table = _npy(data) if message.encoding == "npy" else _rows(data, _COLUMNS[message.encoding])
-    points_m, intensity = finite_points(*_columns(table))
-    return Cloud(Scan(points_m, message.log_time_ns, intensity))
+    columns = _columns(table, _COLUMNS.get(message.encoding, 4))
+    return Cloud(finite_points(**columns).as_scan(message.log_time_ns))
 
 
 def _rows(data: memoryview, columns: int) -> Table:
@@ -65,15 +65,16 @@ def _npy(data: memoryview) -> Table:
     return flat.reshape(shape, order="F" if fortran_order else "C")
 
 
-def _columns(table: Table) -> list[Table]:
-    """Return x, y, z and perhaps intensity (N,), by name or by position."""
+def _columns(table: Table, count: int) -> dict[str, Table]:
+    """Return x, y, z and perhaps intensity and ring (N,), by name, or by position up to `count`."""
     if table.dtype.names is None:
         if table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "fiu":
             found = f"{' x '.join(map(str, table.shape)) or 'a single'} values of {table.dtype}"
             raise ValueError(f"holds {found}; expected N x 3 numbers or more")
-        return list(table.T[:4])
-    named = [name for name in ("x", "y", "z", "intensity") if name in table.dtype.names]
+        return dict(zip(_NAMES, table.T[:count], strict=False))
+    given = [name for name in table.dtype.names if name != "ring" or table.dtype[name].kind in "fiu"]
+    named = [name for name in _NAMES if name in given]
     kinds = {table.dtype[name].kind for name in named}
     if named[:3] != ["x", "y", "z"] or table.ndim != 1 or not kinds <= set("fiu"):
         raise ValueError(f"holds the fields {', '.join(table.dtype.names)}; expected numbers x, y, z")
-    return [table[name] for name in named]
+    return {name: table[name] for name in named}

@@ -18,16 +18,20 @@ import lzf
 import numpy as np
 import numpy.typing as npt
 
-from multilica.geometry import Float32Array
 from multilica.ingest.formats import FORMATS, require_format
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud
 from multilica.ingest.recording import RawMessage
-from multilica.pointcloud2 import DATATYPES, PointCloud2, PointField, decode_points, finite_points, point_dtype
-from multilica.snapshot import Scan
-
-Points = tuple[Float32Array, Float32Array | None]
-"""Finite points (N, 3), intensities (N,)."""
+from multilica.pointcloud2 import (
+    DATATYPES,
+    PointCloud2,
+    PointField,
+    Points,
+    decode_points,
+    finite_points,
+    point_dtype,
+    read_fields,
+)
 
 MAX_HEADER_BYTES = 1 << 16
 _MAX_LINE_BYTES = 1 << 16
@@ -47,7 +51,10 @@ _TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
     "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
-_ALIASES = {"scalar_Intensity": "intensity", "scalar_intensity": "intensity", "Intensity": "intensity"}
+_ALIASES = {
+    "scalar_Intensity": "intensity", "scalar_intensity": "intensity", "Intensity": "intensity",
+    "scalar_Ring": "ring", "scalar_ring": "ring",
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,38 +109,42 @@ class PointTable:
     def _read_text(self, body: memoryview) -> Points:
         """Read lines of numbers; empty ones do not count."""
         ends = accumulate(field.count for field in self.fields)
-        columns = {field.name: end - field.count for field, end in reversed([*zip(self.fields, ends, strict=True)])}
-        chosen = [columns[name] for name in point_dtype(self.fields, self.row_bytes, big_endian=False).names or ()]
+        columns = {field: end - field.count for field, end in zip(self.fields, ends, strict=True)}
+        chosen = self._chosen()
+        wanted = [columns[field] for field in chosen.values()]
         lines = islice(_filled_lines(body), self.skipped[0], self.skipped[0] + self.rows)
         try:
             with warnings.catch_warnings():
                 warnings.filterwarnings("ignore", message="loadtxt: input contained no data")
-                table = np.loadtxt(lines, np.float64, comments=None, usecols=chosen, ndmin=2, encoding="latin1")
+                table = np.loadtxt(lines, np.float64, comments=None, usecols=wanted, ndmin=2, encoding="latin1")
         except ValueError as error:
             reason = str(error).partition(";")[0].rstrip(".")[:200]
             raise ValueError(f"has text that is not a table of points: {reason}") from error
         if len(table) < self.rows:
             raise ValueError(f"ends after {len(table)} of its {self.rows} points")
-        return finite_points(*table.T)
+        return finite_points(**dict(zip(chosen, table.T, strict=True)))
 
     def _read_compressed(self, body: memoryview) -> Points:
         raw = _decompressed(self.rows, self.rows * self.row_bytes, body)
-        first = {field.name: field for field in reversed(self.fields)}
-        columns: list[npt.NDArray[Any]] = []
-        for field in (first[name] for name in point_dtype(self.fields, self.row_bytes, big_endian=False).names or ()):
+        columns: dict[str, npt.NDArray[Any]] = {}
+        for name, field in self._chosen().items():
             dtype = np.dtype(f"<{DATATYPES[field.datatype]}")
             # One field of all points after the other, not point after point.
             start, step = field.offset * self.rows, dtype.itemsize * field.count
-            columns.append(np.ndarray((self.rows,), dtype, raw, start, (step,)))
-        return finite_points(*columns)
+            columns[name] = np.ndarray((self.rows,), dtype, raw, start, (step,))
+        return finite_points(**columns)
+
+    def _chosen(self) -> dict[str, PointField]:
+        point_dtype(self.fields, self.row_bytes, big_endian=False)
+        return read_fields(self.fields, self.row_bytes)
 
 
 def decode_cloud(message: RawMessage) -> Cloud:
     """Decode a PCD file with ascii, binary or binary_compressed data, or the vertices of a PLY file."""
     data = memoryview(message.data)
     require_format(data, FORMATS[message.encoding])
-    points_m, intensity = _HEADERS[message.encoding](bytes(data[:MAX_HEADER_BYTES])).read(data)
-    return Cloud(Scan(points_m, message.log_time_ns, intensity))
+    points = _HEADERS[message.encoding](bytes(data[:MAX_HEADER_BYTES])).read(data)
+    return Cloud(points.as_scan(message.log_time_ns))
 
 
 def claimed_bytes(encoding: str, head: bytes) -> int | None:
@@ -217,6 +228,7 @@ def _pcd_table(entries: Mapping[str, list[str]]) -> PointTable:
     fields = tuple(
         PointField(name, offset, _DATATYPE_OF.get(f"{kind.lower()}{size}", 0), count)
         for name, offset, kind, size, count in zip(names, offsets, kinds, sizes, counts, strict=False)
+        if count
     )
     return PointTable(fields, _points(entries), offsets[-1])
 

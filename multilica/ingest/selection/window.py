@@ -278,7 +278,7 @@ class TopicFrames:
         if len(scan.points_m) and not scan.points_m.any():
             # Zeros mean that no beam returned.
             scan = Scan(np.empty((0, 3), np.float32), scan.stamp_ns)
-        memory_budget().take(scan.points_m.nbytes + (0 if scan.intensity is None else scan.intensity.nbytes))
+        memory_budget().take(scan.nbytes)
         self.clouds.append(replace(cloud, scan=replace(scan, log_time_ns=message.log_time_ns)))
 
     def faults(self) -> Iterator[str]:

@@ -11,8 +11,9 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from multilica.geometry import Float32Array, RigidTransform
-from multilica.pointcloud2 import encode_points
+from multilica.pointcloud2 import PointCloud2, encode_points
 from multilica.sinks.mcap.messages import MessageSchema
+from multilica.snapshot import Scan
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -106,14 +107,18 @@ def transforms(poses: Sequence[RigidTransform], stamp_ns: int) -> Any:  # noqa: 
     )
 
 
-def point_cloud(frame_id: str, stamp_ns: int, points_m: Float32Array, intensity: Float32Array | None = None) -> Any:  # noqa: ANN401 - see made
-    """Make a ``sensor_msgs/msg/PointCloud2`` of little-endian float32: x, y, z and, if given, intensity.
+def scan_cloud(frame_id: str, stamp_ns: int, scan: Scan) -> Any:  # noqa: ANN401 - see made
+    """Make a ``sensor_msgs/msg/PointCloud2`` with all that a scan has of its points."""
+    packed = encode_points(scan.points_m, scan.intensity, rings=scan.rings, times_ns=scan.times_ns)
+    return _cloud(frame_id, stamp_ns, packed)
 
-    Args:
-        points_m: (N, 3) in that frame.
-        intensity: (N,).
-    """
-    packed = encode_points(points_m, intensity)
+
+def point_cloud(frame_id: str, stamp_ns: int, points_m: Float32Array) -> Any:  # noqa: ANN401 - see made
+    """Make a ``sensor_msgs/msg/PointCloud2`` of points (N, 3) in that frame, as little-endian float32."""
+    return _cloud(frame_id, stamp_ns, encode_points(points_m))
+
+
+def _cloud(frame_id: str, stamp_ns: int, packed: PointCloud2) -> Any:  # noqa: ANN401 - see made
     return made(
         POINT_CLOUD,
         header=header(frame_id, stamp_ns),

@@ -21,7 +21,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from multilica.snapshot import Scan, Snapshot
-from tests.ingest.support.recording_writers import CLOUD, cloud_message, header, in_order, ros1_types
+from tests.ingest.support.recording_writers import CLOUD, cloud_message, header, in_order, rings_of, ros1_types
 
 LIVOX_DRIVERS = ("livox_ros_driver", "livox_ros_driver2")
 _LIVOX_POINT = "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\nuint8 reflectivity\nuint8 tag\nuint8 line"
@@ -135,7 +135,7 @@ def livox_messages(snapshot: Snapshot, driver: str, encoding: str) -> Iterator[t
             lidar_id=1,
             rsvd=np.zeros(3, np.uint8),
             points=[
-                point(index, *map(float, xyz), int(value), 16, 3)
+                point(index, *map(float, xyz), int(value), 16, index % 16)
                 for index, (xyz, value) in enumerate(zip(scan.points_m, scan.intensity, strict=True))
             ],
         )
@@ -206,7 +206,7 @@ def write_kitti(scan: Scan, path: Path) -> None:
 
 
 def write_nuscenes(scan: Scan, path: Path) -> None:
-    ring = np.zeros((len(scan.points_m), 1))
+    ring = rings_of(scan)[:, None]
     path.write_bytes(np.hstack([scan.points_m, scan.intensity[:, None], ring]).astype("<f4").tobytes())
 
 

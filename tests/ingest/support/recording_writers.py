@@ -86,8 +86,13 @@ def _has_seq(store: Typestore) -> bool:
     return any(name == "seq" for name, _ in store.fielddefs["std_msgs/msg/Header"][1])
 
 
+def rings_of(scan: Scan, lasers: int = 16) -> np.ndarray:
+    """One laser after the other, as drivers of most makes send them."""
+    return np.arange(len(scan.points_m), dtype=np.uint16) % lasers
+
+
 def cloud_message(store: Typestore, scan: Scan, frame_id: str) -> Any:
-    """Fields out of order and with gaps, so that no reader gets away with assuming x y z."""
+    """Fields out of order and with gaps, so that no reader gets away with assuming x y z; rings as of `rings_of`."""
     dtype = np.dtype(
         {
             "names": ["ring", "z", "y", "x", "intensity"],
@@ -99,6 +104,7 @@ def cloud_message(store: Typestore, scan: Scan, frame_id: str) -> Any:
     records = np.zeros(len(scan.points_m), dtype)
     records["x"], records["y"], records["z"] = scan.points_m.T
     records["intensity"] = scan.intensity
+    records["ring"] = rings_of(scan)
     field = store.types["sensor_msgs/msg/PointField"]
     codes = {"ring": 4}
     return store.types[CLOUD](

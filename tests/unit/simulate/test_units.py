@@ -285,7 +285,7 @@ def _scans_of(rig, mount, unit):
 
 
 def test_an_ideal_lidar_reports_what_it_measures():
-    """Bit for bit the noise of its own stream, and no intensity."""
+    """Bit for bit the noise of its own stream, and nothing but points."""
     mount = RIGS["blind"].mounts[0]
     world, scan = _scans_of("blind", mount, None)
     rng = random_stream(world.label, mount.name, 0)
@@ -293,7 +293,7 @@ def test_an_ideal_lidar_reports_what_it_measures():
     expected = returned_points(directions, measure(mount.sensor, world._caster(mount, 0.0)(directions), rng))
     assert len(expected) > 1000
     np.testing.assert_array_equal(scan.points_m, expected)
-    assert scan.intensity is None
+    assert (scan.intensity, scan.rings, scan.times_ns) == (None, None, None)
 
 
 def test_a_real_lidar_reports_an_intensity_per_point():
@@ -302,6 +302,22 @@ def test_a_real_lidar_reports_an_intensity_per_point():
     assert scan.intensity.shape == (len(scan.points_m),)
     assert len(np.unique(scan.intensity)) > 20
     assert 0.0 <= scan.intensity.min() <= scan.intensity.max() <= 255.0
+
+
+@pytest.mark.parametrize("rig", ["sides", "helipr"])
+def test_a_real_lidar_tells_ring_and_time_of_each_point(rig):
+    """Points of a ring lie at the elevation of their laser; the azimuth of a spinning LiDAR rises with time."""
+    mount = next(mount for mount in RIGS[rig].mounts if isinstance(mount.sensor.pattern, SpinningPattern))
+    _, scan = _scans_of(rig, mount, _exact_unit(mount.sensor))
+    assert len(scan.rings) == len(scan.times_ns) == len(scan.points_m)
+    elevation_deg = np.rad2deg(np.arcsin(scan.points_m[:, 2] / np.linalg.norm(scan.points_m, axis=1)))
+    pattern = mount.sensor.pattern
+    expected_deg = np.linspace(*pattern.elevation_deg, pattern.channels)[scan.rings]
+    np.testing.assert_allclose(elevation_deg, expected_deg, atol=1e-3)
+    assert np.all(np.diff(scan.times_ns.astype(np.int64)) >= 0)
+    assert scan.times_ns[-1] < 100_000_000
+    azimuth = np.arctan2(scan.points_m[:, 1], scan.points_m[:, 0]) / (2.0 * np.pi) % 1.0
+    np.testing.assert_allclose(scan.times_ns / 1e8, azimuth, atol=1.0 / pattern.columns + 1e-6)
 
 
 def test_a_real_lidar_sees_the_same_scene():

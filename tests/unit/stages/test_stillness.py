@@ -149,7 +149,7 @@ def _with_visitor(scan: Scan, azimuth_deg: float) -> tuple[Scan, np.ndarray[tupl
     on_person = np.abs(azimuth - azimuth_deg) < 10.0
     points_m = scan.points_m.copy()
     points_m[on_person] *= 3.0 / np.linalg.norm(points_m[on_person], axis=1, keepdims=True)
-    return Scan(points_m, intensity=on_person.astype(np.float32)), on_person
+    return Scan(points_m, intensity=on_person.astype(np.float32), rings=on_person), on_person
 
 
 def test_a_room_loses_hardly_anything() -> None:
@@ -158,12 +158,13 @@ def test_a_room_loses_hardly_anything() -> None:
     assert len(dropped_m) < 0.01 * sum(len(scan.points_m) for scan in scans)
 
 
-def test_pedestrians_are_dropped_with_their_intensities() -> None:
+def test_pedestrians_are_dropped_with_intensities_and_rings() -> None:
     visited = [_with_visitor(scan, 25.0 * frame - 50.0) for frame, scan in enumerate(_drive(_ROOM_M, 0.0))]
     kept, dropped_m = drop_moving([scan for scan, _ in visited], _CONFIG)
     on_people = sum(int(mask.sum()) for _, mask in visited)
     left = sum(int(scan.intensity.sum()) for scan in kept if scan.intensity is not None)
     assert left < 0.2 * on_people
+    assert all(np.array_equal(scan.rings, scan.intensity) for scan in kept)
     assert np.allclose(np.linalg.norm(dropped_m, axis=1), 3.0, atol=1e-3)
 
 
