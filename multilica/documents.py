@@ -34,6 +34,8 @@ _MAX_VALUES = 4_000_000
 _MAX_SHOWN = 60
 # Possessive, so that the search stays linear.
 _LONG_KEY = re.compile(rb"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % _MAX_DEPTH)
+# The YAML parser reads a thousand brackets ahead before it reports the first, in quadratic time.
+_DEEP_FLOW = re.compile(rf"(?:[\[{{]\s*+){{{_MAX_DEPTH + 1}}}")
 
 
 class DocumentError(ValueError):
@@ -86,6 +88,8 @@ def parse_yaml(data: bytes | str) -> Any:  # noqa: ANN401 - any YAML value
     with _clauses():
         text = data.decode("utf-8")
         try:
+            if _DEEP_FLOW.search(text):
+                raise _too_deep()
             _require_plain_events(YAML(typ="safe", pure=True).parse(text))
             value = YAML(typ="safe", pure=True).load(text)
         except YAMLError as error:

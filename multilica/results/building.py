@@ -11,11 +11,10 @@ from importlib.metadata import PackageNotFoundError, version
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import multilica
 from multilica.config import CalibrationConfig
-from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad
+from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad, rotation_vector
 from multilica.results import CalibrationResult, GroundPlane, LidarPlacement, PairRegistration, SensorHealth
 from multilica.results.document import (
     RESULT_SCHEMA,
@@ -198,6 +197,6 @@ def surprise(placement: LidarPlacement, target: str, exchanged: tuple[str, str] 
 
 def _main_axis(rotation: FloatArray) -> str:
     """Return the axis that the rotation is mainly about; "" if there is none."""
-    vector = Rotation.from_matrix(rotation).as_rotvec()
+    vector = rotation_vector(rotation)
     along = largest_index(vector)
     return "xyz"[along] if np.abs(vector[along]) >= _MAINLY * np.linalg.norm(vector) else ""

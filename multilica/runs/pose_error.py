@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.special import ndtri_exp
 
 from multilica.geometry import FloatArray, RigidTransform, read_only, rotation_angle_rad
@@ -79,8 +78,7 @@ def normalised_error(found: RigidTransform, true: RigidTransform, covariance: Fl
     Args:
         covariance: (6, 6) positive definite, order rotation (rad), translation (m), both along the target's axes.
     """
-    turn_rad = Rotation.from_matrix(found.rotation @ true.rotation.T).as_rotvec()
-    error = np.concatenate([turn_rad, found.xyz_m - true.xyz_m])
+    error = found.offset_from(true)
     return float(np.sqrt(error @ np.linalg.solve(covariance, error) / 6.0))
 
 

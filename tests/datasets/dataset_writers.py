@@ -122,9 +122,14 @@ def _write_poses(path: Path, name: str, times_ns: Sequence[int], poses: Sequence
     path.write_text("".join(lines))
 
 
+@cache
+def _sides() -> Simulation:
+    return simulate_snapshot("sides", "street", 2, frames=1)
+
+
 def write_opencalib(folder: Path, *, keep_every: int = 2) -> Extrinsics:
     """A scene of the `sides` rig as OpenCalib's example has it; returns its truth."""
-    simulation = simulate_snapshot("sides", "street", 2, frames=1)
+    simulation = _sides()
     lines = []
     for index, name in enumerate(("top", "left", "right")):
         file = f"{name}-2022-02-15-17-36-04-4{index}4.pcd"

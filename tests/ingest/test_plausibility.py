@@ -26,7 +26,7 @@ Change = Callable[[Float32Array], Float32Array]
 
 @cache
 def simulated(rig: str, scene: str) -> Snapshot:
-    return simulate_snapshot(rig, scene, 3, frames=1).snapshot
+    return simulate_snapshot(rig, scene, 3, frames=1, sensors="ideal").snapshot
 
 
 def changed(snapshot: Snapshot, change: Change, only: str = "") -> Snapshot:

@@ -11,7 +11,7 @@ from multilica.snapshot import LidarScans, Scan, Snapshot
 
 
 def _snapshot(*names, disturbances=()):
-    snapshot = simulate_snapshot("sides", "garage", 101, frames=1, disturbances=disturbances).snapshot
+    snapshot = simulate_snapshot("sides", "garage", 101, frames=1, disturbances=disturbances, sensors="ideal").snapshot
     return Snapshot(tuple(LidarScans(name, (Scan(snapshot[name].scans[0].points_m),)) for name in names), "made.mcap")
 
 

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from multilica.geometry import RigidTransform, fixed_sign, largest_index, read_only, skew
+from multilica.geometry import RigidTransform, fixed_sign, largest_index, read_only, rotation_vector, skew
 
 _coordinate = st.floats(-100.0, 100.0)
 _angle = st.floats(-np.pi, np.pi)
@@ -66,6 +66,15 @@ def test_an_offset_leads_from_one_pose_to_the_other(xyz_1, rpy_1, xyz_2, rpy_2):
     assert np.allclose(other.xyz_m + offset[3:], one.xyz_m, atol=1e-9)
 
 
+@given(_rpy, st.floats(-14.0, 0.5), st.booleans())
+def test_a_rotation_vector_is_that_of_scipy(rpy_rad, exponent, nearly_half):
+    turn_rad = np.array(rpy_rad) * 10.0**exponent
+    if nearly_half:
+        turn_rad *= (np.pi - 10.0**exponent) / max(np.linalg.norm(turn_rad), 1e-20)
+    turn = Rotation.from_rotvec(turn_rad)
+    np.testing.assert_allclose(rotation_vector(turn.as_matrix()), turn.as_rotvec(), rtol=1e-6, atol=1e-12)
+
+
 @given(_xyz, _xyz)
 def test_skew_is_the_cross_product(a, b):
     assert np.allclose(skew(np.array(a)) @ np.array(b), np.cross(a, b))
@@ -77,7 +86,16 @@ def test_chains_only_through_the_same_frame():
 
 
 @pytest.mark.parametrize(
-    "matrix", [np.eye(3), np.diag([1.0, 1.0, -1.0, 1.0]), 2.0 * np.eye(4), np.full((4, 4), np.nan)]
+    "matrix",
+    [
+        np.eye(3),
+        np.full((4, 4), np.nan),
+        np.diag([1.0, 1.0, 1.0, 2.0]),
+        *(np.diag([*np.roll([1.0, 1.0, size], axis), 1.0]) for axis in range(3) for size in (-1.0, 1.0 + 1e-5)),
+        *(np.eye(4) + 1e-5 * np.eye(4)[:, [place]] * np.eye(4)[(place + 1) % 3] for place in range(3)),
+        np.diag([1e200, -1e200, 1.0, 1.0]),
+        np.array([[1e200, 1e200, 0, 0], [1e200, -1e200, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]),
+    ],
 )
 def test_refuses_what_is_no_rigid_transform(matrix):
     with pytest.raises(ValueError, match="expected"):

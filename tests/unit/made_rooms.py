@@ -46,7 +46,7 @@ HALL = [
 """A hall with a pillar and two crates: no pose but the true one fits it."""
 
 
-def scan(name, T_world_sensor, objects, *, seed=0, rings=48, columns=720, range_bias_m=0.0, elevation_bias_rad=0.0):
+def scan(name, T_world_sensor, objects, *, seed=0, rings=48, columns=480, range_bias_m=0.0, elevation_bias_rad=0.0):
     """The preprocessed cloud of a sensor that sees 35 degrees up and down, in its own frame.
 
     Biases (measured minus true) are of all rings, or of each.

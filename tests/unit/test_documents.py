@@ -207,6 +207,7 @@ def test_depth_is_limited_whoever_reads_next() -> None:
         ("a: !!python/name:os.system", "it has the tag '.*python/name:os.system'"),
         ("a: 1\na: 2", "duplicate key"),
         ("[" * 65 + "]" * 65, "nested more than 64 levels deep"),
+        ("[1, " * 65 + "1]" * 65, "nested more than 64 levels deep"),
         ("".join(f"{' ' * level}a:\n" for level in range(70)), "nested more than 64 levels deep"),
         ("a: [1", "in line 1"),
         ("a: .inf", "a is inf"),
@@ -227,6 +228,7 @@ def test_what_is_allowed_is_read() -> None:
     value = {"a": [1, -2.5, True, None, "x", 2**62], "b": {"c": [[[]]]}}
     assert parse_json(json.dumps(value)) == value
     assert parse_yaml(json.dumps(value)) == value
+    assert parse_yaml("[" * 64 + "]" * 64) == parse_json("[" * 64 + "]" * 64)
     assert parse_yaml("a: [1, 1.5e-7]\nb: yes") == {"a": [1, 1.5e-7], "b": "yes"}
     assert parse_toml("a.b = [1, 1.5]\nc = true") == {"a": {"b": [1, 1.5]}, "c": True}
 

@@ -158,8 +158,8 @@ def test_impossible_fleets_are_refused(options, named):
 
 def test_a_moved_lidar_sees_from_its_new_place():
     motion = RigidTransform.from_xyz_rpy("left", "left", (0.05, 0.0, 0.0), (0.0, 0.0, 0.01))
-    still = simulate_snapshot("sides", "garage", 3, frames=1)
-    moved = simulate_snapshot("sides", "garage", 3, frames=1, moved={"left": motion}, start_ns=10**18)
+    still = simulate_snapshot("sides", "garage", 3, frames=1, sensors="ideal")
+    moved = simulate_snapshot("sides", "garage", 3, frames=1, moved={"left": motion}, start_ns=10**18, sensors="ideal")
     expected = still.truth.T_target_source["left"] @ motion
     np.testing.assert_array_equal(moved.truth.T_target_source["left"].matrix, expected.matrix)
     np.testing.assert_array_equal(moved.snapshot["top"].points_m, still.snapshot["top"].points_m)
@@ -179,7 +179,7 @@ def test_unknown_names_of_motions_are_refused():
 
 
 def test_thinned_frames_cover_different_beams():
-    snapshot = simulate_snapshot("sides", "garage", 3, frames=2).snapshot
+    snapshot = simulate_snapshot("sides", "garage", 3, frames=2, sensors="ideal").snapshot
     some = thinned(snapshot, 7)
     for lidar in snapshot.lidars:
         for index, (scan, kept) in enumerate(zip(lidar.scans, some[lidar.name].scans, strict=True)):

@@ -36,7 +36,7 @@ def _side(cloud, *, verified=True):
 
 @pytest.fixture(scope="module")
 def clouds():
-    return scan("t", _TARGET, HALL), scan("s", _SOURCE, HALL, seed=1, columns=480)
+    return scan("t", _TARGET, HALL, columns=720), scan("s", _SOURCE, HALL, seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -269,7 +269,7 @@ def test_a_registration_that_stopped_short_is_moved_on(sides, monkeypatch):
 def corridor():
     """Two sensors in a long corridor, where only a locker constrains the pose along it."""
     objects = [*box((-60.0, -2.0, 0.0), (60.0, 2.0, 3.0)), *box((3.0, 1.2, 0.0), (4.5, 2.0, 3.0))]
-    return tuple(_side(scan(name, pose, objects, seed=seed)) for seed, (name, pose) in enumerate(_PLACES))
+    return tuple(_side(scan(name, pose, objects, seed=seed, columns=720)) for seed, (name, pose) in enumerate(_PLACES))
 
 
 @pytest.mark.slow

@@ -78,6 +78,7 @@ def test_a_dead_sensor_is_reported(points):
 
 @pytest.mark.parametrize("rig", ["edgar", "sides"])
 def test_only_the_dirty_lidar_of_a_rig_is_reported(rig):
-    lidars = simulate_snapshot(rig, "street", 11, frames=1, disturbances=("dirty:left", "rain")).snapshot.lidars
+    simulation = simulate_snapshot(rig, "street", 11, frames=1, disturbances=("dirty:left", "rain"), sensors="ideal")
+    lidars = simulation.snapshot.lidars
     dirty = [lidar.name for lidar in lidars if examine_sensor(lidar, NEAR_M, CONFIG).reasons]
     assert dirty == ["left"]

@@ -27,8 +27,11 @@ def _near(pose, xyz_m=(0.3, -0.2, 0.1), yaw_rad=0.05):
     return RigidTransform.from_xyz_rpy("t", "t", xyz_m, [0.0, 0.0, yaw_rad]) @ pose
 
 
-def _prepared(objects):
-    clouds = [scan("t", _TARGET, objects), scan("s", _SOURCE, objects, seed=1)]
+def _prepared(objects, columns=480):
+    clouds = [
+        scan(name, pose, objects, seed=seed, columns=columns)
+        for seed, (name, pose) in enumerate([("t", _TARGET), ("s", _SOURCE)])
+    ]
     return [
         VerificationCloud(
             prepare_sensor_view(cloud),
@@ -175,7 +178,7 @@ def test_a_pose_that_slid_along_pillars_is_corrected():
     for x_m in np.arange(-16.0, 17.0, 3.0):
         aisle += box((x_m, 2.8, 0.0), (x_m + 0.5, 3.0, 3.0))
         aisle += box((x_m, -3.0, 0.0), (x_m + 0.5, -2.8, 3.0))
-    lidars = _prepared(aisle)
+    lidars = _prepared(aisle, columns=720)
     slid = _TARGET.inverse() @ RigidTransform.from_xyz_rpy("world", "world", [-3.0, 0, 0], [0, 0, 0]) @ _SOURCE
     best, *others = _verified(lidars, slid, limits=_NEVER_FIRM)
     assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
