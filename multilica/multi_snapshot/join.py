@@ -91,13 +91,15 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
     given: SnapshotPairs = {name: result.trusted for name, result in results.items()}
     kept, conflicts = resolve_conflicts(given, config)
     target, reason = choose_target(kept, lidars, config.target)
+    alone = _estimates(target, given, config)
+    changed = {name: own for name, own in kept.items() if own is not given[name]}
     joint = _JointRig(
         target,
         results,
         kept,
         _rig(target, kept, config),
-        _estimates(target, given, config),
-        _estimates(target, kept, config),
+        alone,
+        alone | _estimates(target, changed, config),
         {name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results},
         config.acceptance,
     )

@@ -26,9 +26,12 @@ def resolve_conflicts(
     the disputed LiDARs only through others drops all registrations connected to them.
     """
     conflicts: tuple[PoseConflict, ...] = ()
-    while found := tuple(_conflicts(pairs, config)):
+    estimates = {name: estimate_pairs(own, config.refine) for name, own in pairs.items()}
+    while found := tuple(_conflicts(estimates, config)):
         conflicts += found
-        pairs = {name: _without(own, [each for each in found if each.snapshot == name]) for name, own in pairs.items()}
+        left = {name: _without(own, [each for each in found if each.snapshot == name]) for name, own in pairs.items()}
+        estimates |= {name: estimate_pairs(own, config.refine) for name, own in left.items() if own is not pairs[name]}
+        pairs = left
     return pairs, conflicts
 
 
@@ -49,8 +52,9 @@ def inconsistent_lidars(conflicts: Sequence[PoseConflict], target: str) -> tuple
     return tuple(found)
 
 
-def _conflicts(pairs: SnapshotPairs, config: CalibrationConfig) -> Iterator[PoseConflict]:
-    estimates = {snapshot: estimate_pairs(own, config.refine) for snapshot, own in pairs.items()}
+def _conflicts(
+    estimates: Mapping[str, Mapping[PairKey, Estimate]], config: CalibrationConfig
+) -> Iterator[PoseConflict]:
     for lidars in sorted({pair for own in estimates.values() for pair in own}):
         yield from _vote(lidars, {name: own[lidars] for name, own in estimates.items() if lidars in own}, config)
 
