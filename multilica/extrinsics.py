@@ -19,12 +19,13 @@ from multilica.documents import (
     shown,
 )
 from multilica.errors import InputError, SourceNotFoundError, UnknownNameError, UnreadableSourceError
-from multilica.geometry import RigidTransform
+from multilica.geometry import FloatArray, RigidTransform, skew
 
 EXTRINSICS_SCHEMA: Literal["multilica/extrinsics/1"] = "multilica/extrinsics/1"
 Number = Annotated[float, Strict(), AfterValidator(require_length)]
 Three = tuple[Number, Number, Number]
 Four = tuple[Number, Number, Number, Number]
+Six = tuple[Number, Number, Number, Number, Number, Number]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,11 +34,14 @@ class Extrinsics:
 
     Args:
         moving: the joints between the common frame and a frame that are not fixed, by frame, for messages.
+        covariances: (6, 6) of the poses, order rotation (rad), translation (m), along the axes of the common frame, as
+            far as they are known; zeros for the LiDAR to which the others were calibrated.
     """
 
     target: str
     T_target_source: Mapping[str, RigidTransform]
     moving: Mapping[str, frozenset[str]] = field(default_factory=dict)
+    covariances: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def members(self) -> frozenset[str]:
@@ -57,10 +61,37 @@ class Extrinsics:
         return self._pose(target).inverse() @ self._pose(source)
 
     def seen_from(self, T_base_target: RigidTransform) -> "Extrinsics":
-        """Return the same poses in a base frame, where the target has a pose of its own."""
+        """Return the same poses in a base frame, where the target has a pose of its own.
+
+        The pose of the base counts as exact. If it is a LiDAR with a pose of its own, the covariances are left out.
+        """
         base = T_base_target.target
         poses = {frame: T_base_target @ self.between(self.target, frame) for frame in self.members if frame != base}
-        return Extrinsics(base, dict(sorted(poses.items())))
+        covariances = {}
+        if self.covariances and base not in self.T_target_source:
+            turn = np.kron(np.eye(2), T_base_target.rotation)
+            covariances = {
+                frame: turn @ known @ turn.T for frame in sorted(poses) if (known := self.covariance(frame)) is not None
+            }
+        return Extrinsics(base, dict(sorted(poses.items())), covariances=covariances)
+
+    def covariance(self, name: str) -> FloatArray | None:
+        """Return the (6, 6) covariance of a member's pose; None if it is not known."""
+        return np.zeros((6, 6)) if name == self.target else self.covariances.get(name)
+
+    def covariance_between(self, target: str, source: str) -> FloatArray | None:
+        """Return the (6, 6) covariance of ``T_target_source``, along the target's axes; None if it is not known.
+
+        It is the sum of those of both poses: an upper bound, as they may share errors.
+        """
+        root, pose = self._pose(target), self._pose(source)
+        of_root, of_pose = self.covariance(target), self.covariance(source)
+        if of_root is None or of_pose is None:
+            return None
+        moved_by_root = np.eye(6)
+        moved_by_root[3:, :3] = -skew(pose.xyz_m - root.xyz_m)
+        turn = np.kron(np.eye(2), root.rotation.T)
+        return np.asarray(turn @ (of_pose + moved_by_root @ of_root @ moved_by_root.T) @ turn.T)
 
     def _pose(self, name: str) -> RigidTransform:
         if name == self.target:
@@ -79,10 +110,15 @@ class PoseTable(BaseModel):
     rpy_deg: Three | None = None
     quaternion_xyzw: Four | None = None
     T_target_source: tuple[Four, Four, Four, Four] | None = None
+    covariance: tuple[Six, Six, Six, Six, Six, Six] | None = None
 
     @model_validator(mode="after")
     def _check_pose(self) -> Self:
         self.pose("", "")
+        if self.covariance is not None:
+            values = np.asarray(self.covariance)
+            if not np.allclose(values, values.T) or np.linalg.eigvalsh(values)[0] < -1e-9 * np.trace(values):
+                raise ValueError("'covariance' is not symmetric and positive")
         return self
 
     def pose(self, target: str, lidar: str) -> RigidTransform:
@@ -126,8 +162,13 @@ def require_metres(pose: RigidTransform, where: str) -> None:
 
 def extrinsics_table(extrinsics: Extrinsics) -> dict[str, Any]:
     """Return the extrinsics as values for TOML."""
-    lidars = {name: PoseTable(**pose_values(pose)) for name, pose in sorted(extrinsics.T_target_source.items())}
-    return ExtrinsicsTable(schema=EXTRINSICS_SCHEMA, target=extrinsics.target, lidars=lidars).model_dump(mode="json")
+    covariances = {name: covariance.tolist() for name, covariance in extrinsics.covariances.items()}
+    lidars = {
+        name: PoseTable(**pose_values(pose), covariance=covariances.get(name))
+        for name, pose in sorted(extrinsics.T_target_source.items())
+    }
+    table = ExtrinsicsTable(schema=EXTRINSICS_SCHEMA, target=extrinsics.target, lidars=lidars)
+    return table.model_dump(mode="json", exclude_none=True)
 
 
 def pose_values(pose: RigidTransform) -> dict[str, Any]:
@@ -169,4 +210,8 @@ def read_extrinsics_table(path: str | Path, *, with_uncertain: bool = False) -> 
         where, what, _ = first_problem(error)
         raise UnreadableSourceError(f"{path} is not a table of extrinsics: {where}: {what}.") from error
     entries = {**(table.uncertain if with_uncertain else {}), **table.lidars}
-    return Extrinsics(table.target, {name: entry.pose(table.target, name) for name, entry in entries.items()})
+    return Extrinsics(
+        table.target,
+        {name: entry.pose(table.target, name) for name, entry in entries.items()},
+        covariances={name: np.asarray(one.covariance) for name, one in entries.items() if one.covariance is not None},
+    )

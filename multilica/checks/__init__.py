@@ -4,17 +4,15 @@
 from multilica.checks.comparison import (
     LidarCheck,
     RigCheck,
-    RigTolerances,
-    Tolerance,
     check_document,
     check_found,
     check_rig,
     decide_unplaced,
-    read_tolerances,
     relative_covariance,
     verify_snapshot,
 )
 from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
+from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 
 __all__ = [
     "LidarCheck",

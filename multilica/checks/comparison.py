@@ -2,17 +2,17 @@
 """Comparison of a rig with its reference: which LiDARs are where they should be, and which have moved."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError, model_serializer
+from pydantic import Field, model_serializer
+from scipy.special import chdtrc
 
+from multilica.checks.tolerances import RigTolerances, Tolerance
 from multilica.config import CalibrationConfig
-from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited
-from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
+from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
-from multilica.geometry import FloatArray, RigidTransform, skew
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import CalibrationResult, LidarPlacement
 from multilica.results.values import Entry, Number, Vector3
 from multilica.runs.pose_error import PoseError
@@ -22,60 +22,10 @@ from multilica.verification import register_from_known
 
 CheckVerdict = Literal["within", "outside", "undecided"]
 
-# A difference of less is explained by the uncertainty of the result: with correct covariances, one in 370 is larger.
-_SIGMAS = 3.0
-_Metres = Annotated[float, Strict(), Field(gt=0.0, le=100.0)]
-_Degrees = Annotated[float, Strict(), Field(gt=0.0, le=180.0)]
-
-
-class Tolerance(BaseModel):
-    """Largest difference that does not count as drift."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    translation_m: _Metres = 0.03
-    rotation_deg: _Degrees = 0.3
-
-    def holds(self, error: PoseError) -> bool:
-        """Return whether an error is within it."""
-        return error.distance_m <= self.translation_m and error.angle_deg <= self.rotation_deg
-
-
-class RigTolerances(BaseModel):
-    """The tolerance of all LiDARs, and what differs for some."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    default: Tolerance = Tolerance()
-    lidars: Mapping[str, Tolerance] = Field(default_factory=dict)
-
-    def of(self, lidar: str) -> Tolerance:
-        """Return the tolerance of one LiDAR."""
-        own = self.lidars[lidar].model_dump(exclude_unset=True) if lidar in self.lidars else {}
-        return self.default.model_copy(update=own)
-
-
-def read_tolerances(path: Path, default: Tolerance) -> RigTolerances:
-    """Read a TOML file with ``[default]`` and ``[lidars.NAME]``; the default holds where the file has no value.
-
-    Raises:
-        SourceNotFoundError: there is no such file.
-        UnreadableSourceError: it is not TOML, or has other keys or values.
-    """
-    try:
-        values = parse_toml(read_limited(path, MAX_TOML_BYTES))
-        found = RigTolerances.model_validate(values)
-    except FileNotFoundError as error:
-        raise SourceNotFoundError(f"No file of tolerances at {path}.") from error
-    except (OSError, DocumentError) as error:
-        raise UnreadableSourceError(f"{path} is not a TOML file that can be read: {error}.") from error
-    except ValidationError as error:
-        where, what, _ = first_problem(error)
-        raise UnreadableSourceError(
-            f"{path} is not a file of tolerances: {where}: {what}; expected [default] and [lidars.NAME], each with "
-            "translation_m and rotation_deg."
-        ) from error
-    return found.model_copy(update={"default": default.model_copy(update=found.default.model_dump(exclude_unset=True))})
+# If more unmoved LiDARs differ as much by chance, the uncertainty of the two poses explains a difference.
+_LEAST_PROBABILITY = 1e-3
+_FREEDOM = 3
+"""Directions of a translation, and of a rotation."""
 
 
 class LidarCheck(Entry):
@@ -85,7 +35,11 @@ class LidarCheck(Entry):
         reason: of the verdict, for people.
         distance_m, angle_deg, translation_m, rotation_rad: found - reference pose, along the axes of the root; None
             where the LiDAR has no pose or no reference.
-        sigma_m, sigma_deg: largest standard deviation of the found pose; None where it is not known.
+        sigma_m, sigma_deg: largest standard deviation of the difference, if both poses have the same truth: of the
+            found pose and, where it is known, of the reference; None where that of the found pose is not known.
+        reference_sigma_m, reference_sigma_deg: the reference's part of it; None where it is not known.
+        translation_probability, rotation_probability: of as large a difference of a LiDAR that has not moved, by the
+            covariance of the difference: chi squared with 3 degrees of freedom each.
         max_translation_m, max_rotation_deg: the tolerance.
     """
 
@@ -98,6 +52,10 @@ class LidarCheck(Entry):
     rotation_rad: Vector3 | None = None
     sigma_m: Number = None
     sigma_deg: Number = None
+    reference_sigma_m: Number = None
+    reference_sigma_deg: Number = None
+    translation_probability: Number = None
+    rotation_probability: Number = None
     max_translation_m: float
     max_rotation_deg: float
 
@@ -171,8 +129,8 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
     """Compare the poses of a run with a reference.
 
     The LiDARs are compared to that one with which most others agree, so that a single moved LiDAR is named even if it
-    is the target. A difference counts only if it is larger than three standard deviations, and a standard deviation
-    above the tolerance decides nothing.
+    is the target. A difference counts only if the covariances of found pose and reference do not explain it: their sum,
+    as of two scenes that share no errors. A standard deviation above the tolerance decides nothing.
 
     Raises:
         UsageError: run and reference have fewer than two LiDARs in common, or a tolerance is for none of them.
@@ -188,6 +146,7 @@ def check_rig(found: SavedRun, reference: Extrinsics, tolerances: RigTolerances)
         for each in compared
         if each.lidar != root
     )
+    notes += _about_covariances(found, root, placed, reference)
     if extra := sorted(names - common):
         notes.append(f"the reference has no pose of {_and(extra)}")
     if absent := sorted(reference.members - common - {reference.target}):
@@ -237,6 +196,22 @@ def _poses(
     return found, reference.between(root.lidar, placement.lidar)
 
 
+def _about_covariances(
+    found: SavedRun, root: str, placed: Mapping[str, LidarPlacement], reference: Extrinsics
+) -> list[str]:
+    """Say of which LiDARs the reference has no covariance though the run has one."""
+    known = [
+        name
+        for name in placed
+        if name != root and relative_covariance(placed[root], placed[name], found.target) is not None
+    ]
+    without = [name for name in known if reference.covariance_between(root, name) is None]
+    if not without:
+        return []
+    of_some = f" of {_and(without)}" if len(without) < len(known) else ""
+    return [f"the reference has no covariance{of_some}, so its own errors do not count"]
+
+
 def _check(
     placement: LidarPlacement, root: LidarPlacement | None, target: str, reference: Extrinsics, tolerance: Tolerance
 ) -> LidarCheck:
@@ -245,15 +220,16 @@ def _check(
         reason = f"not placed: {placement.reason}"
         return LidarCheck(lidar=placement.lidar, verdict="undecided", reason=reason, **limits)
     error = PoseError.between(*_poses(root, placement, reference))
-    covariance = relative_covariance(root, placement, target)
-    if covariance is None:
-        of_translation = of_rotation = None
-    else:
-        of_translation = _sigmas(error.translation_m, covariance[3:, 3:])
-        of_rotation = _sigmas(np.rad2deg(error.rotation_rad), np.rad2deg(np.rad2deg(covariance[:3, :3])))
+    found, known = (
+        relative_covariance(root, placement, target),
+        reference.covariance_between(root.lidar, placement.lidar),
+    )
+    both = found if found is None or known is None else found + known
+    probabilities = _probabilities(error, both)
+    sigmas, reference_sigmas = _largest_sigmas(both), _largest_sigmas(known)
     verdicts = [
-        _decide(error.distance_m, tolerance.translation_m, of_translation, 1000.0, "mm"),
-        _decide(error.angle_deg, tolerance.rotation_deg, of_rotation, 1.0, "deg"),
+        _decide(error.distance_m, tolerance.translation_m, sigmas[0], probabilities[0], 1000.0, "mm"),
+        _decide(error.angle_deg, tolerance.rotation_deg, sigmas[1], probabilities[1], 1.0, "deg"),
     ]
     verdict = joint_verdict([one for one, _ in verdicts])
     return LidarCheck.of(
@@ -261,49 +237,56 @@ def _check(
         lidar=placement.lidar,
         verdict=verdict,
         reason="; ".join(text for one, text in verdicts if one == verdict),
-        sigma_m=of_translation and of_translation[1],
-        sigma_deg=of_rotation and of_rotation[1],
+        sigma_m=sigmas[0],
+        sigma_deg=sigmas[1],
+        reference_sigma_m=reference_sigmas[0],
+        reference_sigma_deg=reference_sigmas[1],
+        translation_probability=probabilities[0],
+        rotation_probability=probabilities[1],
         **limits,
     )
 
 
-def _sigmas(difference: FloatArray, covariance: FloatArray) -> tuple[float, float]:
-    """Return the standard deviations along a difference (3,), and in the weakest direction."""
-    largest, length = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1])), float(np.linalg.norm(difference))
-    if length == 0.0:
-        return largest, largest
-    direction = difference / length
-    return float(np.sqrt(direction @ covariance @ direction)), largest
+def _largest_sigmas(covariance: FloatArray | None) -> tuple[float | None, float | None]:
+    """Return the standard deviations of position (m) and rotation (deg) in their weakest directions."""
+    if covariance is None:
+        return None, None
+    of_rotation, of_translation = (np.linalg.eigvalsh(each)[-1] for each in (covariance[:3, :3], covariance[3:, 3:]))
+    return float(np.sqrt(of_translation)), float(np.rad2deg(np.sqrt(of_rotation)))
+
+
+def _probabilities(error: PoseError, covariance: FloatArray | None) -> tuple[float | None, float | None]:
+    """Return how often a LiDAR that has not moved differs as much, in translation and in rotation."""
+    if covariance is None:
+        return None, None
+    parts = ((error.translation_m, covariance[3:, 3:]), (error.rotation_rad, covariance[:3, :3]))
+    translation, rotation = (float(chdtrc(_FREEDOM, off @ np.linalg.solve(known, off))) for off, known in parts)
+    return translation, rotation
 
 
 def _decide(
-    off: float, limit: float, sigmas: tuple[float, float] | None, scale: float, unit: str
+    off: float, limit: float, sigma: float | None, probability: float | None, scale: float, unit: str
 ) -> tuple[CheckVerdict, str]:
     """Return the verdict on one of translation and rotation, with its reason."""
     size, most = f"{scale * off:.3g} {unit}", f"{scale * limit:.3g} {unit}"
-    along, largest = sigmas or (0.0, 0.0)
-    if limit < off <= _SIGMAS * along:
-        return "undecided", f"{size} is above {most}, but within three sigma ({scale * along:.2g} {unit})"
     if off > limit:
-        return "outside", f"{size} is above {most}"
-    if largest > limit:
-        return "undecided", f"its sigma of {scale * largest:.2g} {unit} is above the tolerance of {most}"
+        if probability is None or probability < _LEAST_PROBABILITY:
+            return "outside", f"{size} is above {most}"
+        chance = (
+            f"{100.0 * probability:.2g} % of unmoved LiDARs differ as much (sigma {scale * (sigma or 0.0):.2g} {unit})"
+        )
+        return "undecided", f"{size} is above {most}, but {chance}"
+    if sigma is not None and sigma > limit:
+        return "undecided", f"its sigma of {scale * sigma:.2g} {unit} is above the tolerance of {most}"
     return "within", f"{size} of {most}"
 
 
 def relative_covariance(root: LidarPlacement, placement: LidarPlacement, target: str) -> FloatArray | None:
     """Return the (6, 6) covariance of a pose in the frame of the root; an upper bound, as both may share errors."""
-    assert root.T_target_source is not None and placement.T_target_source is not None  # noqa: S101, PT018
-    moved_by_root = np.eye(6)
-    moved_by_root[3:, :3] = -skew(placement.T_target_source.xyz_m - root.T_target_source.xyz_m)
-    total = np.zeros((6, 6))
-    for each, motion in ((placement, np.eye(6)), (root, moved_by_root)):
-        if each.covariance is not None:
-            total += motion @ each.covariance @ motion.T
-        elif each.lidar != target:
-            return None
-    turn = np.kron(np.eye(2), root.T_target_source.rotation.T)
-    return np.asarray(turn @ total @ turn.T)
+    both = [(each.lidar, each.T_target_source, each.covariance) for each in (root, placement)]
+    poses = {name: pose for name, pose, _ in both if pose is not None}
+    covariances = {name: covariance for name, _, covariance in both if covariance is not None}
+    return Extrinsics(target, poses, covariances=covariances).covariance_between(root.lidar, placement.lidar)
 
 
 def _and(names: Sequence[str]) -> str:

@@ -4,13 +4,14 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from multilica.checks.comparison import RigCheck, RigTolerances, check_rig
+from multilica.checks.comparison import RigCheck, check_rig
+from multilica.checks.tolerances import RigTolerances
 from multilica.documents import MAX_TOML_BYTES, read_limited
 from multilica.errors import SourceNotFoundError, UnfitRunError, UnreadableSourceError, UsageError
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, read_extrinsics_table
 from multilica.geometry import RigidTransform
-from multilica.runs.run_documents import is_run, read_run, read_run_document
+from multilica.runs.run_documents import is_run, read_run, read_run_document, saved_run
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.result_files import CALIBRATION_TOML
 
@@ -31,11 +32,13 @@ def poses_of(path: Path) -> Extrinsics:
     require_reference(path)
     if not is_run(path):
         return read_extrinsics(path)
-    document = read_run_document(path).document
+    run = read_run_document(path)
+    saved_run(run, str(path))  # refuses a damaged covariance
+    document = run.document
     placed = {name: pose for name, pose in document.poses.items() if name in document.placed}
     if not placed:
         raise UnreadableSourceError(f"{path} places no LiDAR; a reference needs a run that does.")
-    return Extrinsics(document.target, placed)
+    return Extrinsics(document.target, placed, covariances=document.covariances)
 
 
 def read_reference(path: Path, frame_ids: Mapping[str, str]) -> Extrinsics:
@@ -60,9 +63,23 @@ def read_reference(path: Path, frame_ids: Mapping[str, str]) -> Extrinsics:
         raise UsageError(
             f"{path} has poses of {', '.join(sorted(found.members))}; a check needs two or more of {', '.join(asked)}."
         )
+    if found.covariances:
+        return _renamed(found, named)
     root = next(iter(named))
     poses = {name: found.between(named[root], known).matrix for name, known in named.items()}
     return Extrinsics(root, {name: RigidTransform(root, name, pose) for name, pose in poses.items()})
+
+
+def _renamed(found: Extrinsics, named: Mapping[str, str]) -> Extrinsics:
+    """Return poses and covariances under other names; `named` has the present one of each."""
+    target = next((name for name, known in named.items() if known == found.target), found.target)
+    others = {name: known for name, known in named.items() if name != target}
+    poses = {name: found.between(found.target, known).matrix for name, known in others.items()}
+    return Extrinsics(
+        target,
+        {name: RigidTransform(target, name, pose) for name, pose in poses.items()},
+        covariances={name: value for name, known in others.items() if (value := found.covariance(known)) is not None},
+    )
 
 
 def accept_run(directory: Path, into: Path, tolerances: RigTolerances) -> RigCheck | None:

@@ -20,7 +20,7 @@ from multilica.errors import (
 )
 from multilica.exports.formats import CLOUD_FORMATS, FORMATS, ExchangeFormat, format_named
 from multilica.exports.ros_launch import EXECUTABLE
-from multilica.exports.text_files import KALIBR_MATRIX, KITTI_LINE, updated_autoware
+from multilica.exports.text_files import KALIBR_MATRIX, KITTI_LINE, toml_extrinsics, updated_autoware
 from multilica.exports.urdf import updated_urdf
 from multilica.exports.values import read_text, read_yaml
 from multilica.extrinsics import Extrinsics, read_extrinsics_table, require_metres
@@ -30,6 +30,7 @@ from multilica.ingest.transforms import parse_xml
 from multilica.results.document import GroundEntry, ResultDocument
 from multilica.runs.run_documents import read_run_document
 from multilica.sinks.files.atomic import atomic_file
+from multilica.sinks.files.result_files import sensor_biases
 
 FrameNames = Literal["names", "ids"]
 _UPDATES: Mapping[str, Callable[[Path, Extrinsics], bytes]] = {"urdf": updated_urdf, "autoware": updated_autoware}
@@ -150,7 +151,11 @@ def export_run(
     found, frame_of = rig_of_run(
         document, base=base, rig=None if rig is None else Path(rig), frames=frames, with_uncertain=with_uncertain
     )
-    if format in FORMATS:
+    if format == "toml":
+        biases = {frame_of[lidar]: each for lidar, each in sensor_biases(document).items() if lidar in frame_of}
+        format_named(format).suffix_of(file)
+        _write(file, toml_extrinsics(found, biases).encode())
+    elif format in FORMATS:
         export_extrinsics(found, file, format)
     else:
         poses = {lidar: found.between(found.target, frame) for lidar, frame in frame_of.items()}
@@ -212,7 +217,9 @@ def rig_of_run(
     named = {name: name for name in wanted} if frames == "names" else _frames_by_id(document, wanted)
     target = named[document.target]
     poses = {named[name]: RigidTransform(target, named[name], pose.matrix) for name, pose in wanted.items()}
-    found = Extrinsics(target, {frame: pose for frame, pose in poses.items() if frame != target})
+    covariances = {named[name]: covariance for name, covariance in document.covariances.items() if name in wanted}
+    others = {frame: pose for frame, pose in poses.items() if frame != target}
+    found = Extrinsics(target, others, covariances=covariances)
     ground = None if rig is not None else _own_base(document, base, with_uncertain=with_uncertain)
     if ground is not None:
         T_base_target = RigidTransform(ground.frame, target, np.asarray(ground.T_base_target))

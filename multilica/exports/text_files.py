@@ -5,9 +5,10 @@ import csv
 import json
 import re
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from io import BytesIO, StringIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from multilica.documents import MAX_JSON_BYTES, parse_json, read_limited
@@ -33,6 +34,7 @@ _OPENCALIB_NAME = re.compile(r"(.+)-to-(.+)-extrinsic")
 _XYZ, _QUATERNION, _ANGLES = ("x_m", "y_m", "z_m"), ("qx", "qy", "qz", "qw"), ("roll_deg", "pitch_deg", "yaw_deg")
 _AUTOWARE = ("x", "y", "z", "roll", "pitch", "yaw")
 """Metres and radians, of a child in its parent."""
+_NO_BIASES: Mapping[str, Mapping[str, float]] = MappingProxyType({})
 _READ = ("target", "source", *_XYZ, *_QUATERNION)
 
 
@@ -139,10 +141,15 @@ def _rows_of_numbers(rows: object, lack: str) -> list[list[object]]:
     return rows
 
 
-def toml_extrinsics(extrinsics: Extrinsics) -> str:
-    """Return the table with a pose per frame."""
+def toml_extrinsics(extrinsics: Extrinsics, sensor_biases: Mapping[str, Mapping[str, float]] = _NO_BIASES) -> str:
+    """Return the table with a pose per frame, and its covariance if it is known.
+
+    Args:
+        sensor_biases: estimated systematic errors by frame, which are told, not applied.
+    """
     poses = {pose.source: pose for pose in child_poses(extrinsics)}
-    return toml_text(extrinsics_table(Extrinsics(extrinsics.target, poses)))
+    table = extrinsics_table(Extrinsics(extrinsics.target, poses, covariances=extrinsics.covariances))
+    return toml_text(table | ({"sensor_biases": sensor_biases} if sensor_biases else {}))
 
 
 def csv_text(extrinsics: Extrinsics) -> str:

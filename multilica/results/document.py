@@ -255,6 +255,12 @@ class ResultDocument(Entry):
         return RigidTransform(self.target, lidar, np.asarray(entry.T_target_source))
 
     @property
+    def covariances(self) -> dict[str, FloatArray]:
+        """The covariances (6, 6) of the poses in the target's frame that have one; the target has none."""
+        known = {name: entry.covariance for name, entry in self.lidars.items() if name != self.target}
+        return {name: read_only(value, np.float64) for name, value in known.items() if value is not None}
+
+    @property
     def placements(self) -> tuple[LidarPlacement, ...]:
         """The LiDARs as values, in name order."""
         return tuple(

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from multilica.checks import RigTolerances, Tolerance, check_rig
 from multilica.errors import UsageError
@@ -19,6 +20,7 @@ POSES = {
     "rear": RigidTransform.from_xyz_rpy("top", "rear", (-2.1, -0.1, -0.5), (0.05, 0.0, 3.1)),
 }
 REFERENCE = Extrinsics("top", POSES)
+PLAIN = "the reference has no covariance, so its own errors do not count"
 SHIFT = ((0.03, 0.04, 0.0), (0.0, 0.0, 0.0))
 TURN = ((0.0, 0.0, 0.0), (0.0, 0.0, np.deg2rad(0.5)))
 
@@ -51,7 +53,7 @@ def checked(run, tolerances=None, reference=REFERENCE):
 
 def test_an_unchanged_rig_is_within():
     check = checked(run_with())
-    assert (check.verdict, check.moved, check.notes, check.root) == ("within", (), (), "top")
+    assert (check.verdict, check.moved, check.notes, check.root) == ("within", (), (PLAIN,), "top")
     assert [each.lidar for each in check.lidars] == ["front", "left", "rear"]
     assert check.sentence == "All 4 LiDARs agree with the reference."
 
@@ -78,7 +80,7 @@ def test_the_frame_of_the_reference_does_not_matter():
     poses = {name: base @ pose for name, pose in POSES.items()} | {"top": base}
     check = checked(run_with({"rear": TURN}), reference=Extrinsics("base", poses))
     assert check.moved == ("rear",)
-    assert check.notes == ()
+    assert check.notes == (PLAIN,)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +88,7 @@ def test_the_frame_of_the_reference_does_not_matter():
     [
         (0.001, 0.029, "within", "29 mm of 30 mm"),
         (0.001, 0.031, "outside", "31 mm is above 30 mm"),
-        (0.02, 0.031, "undecided", "within three sigma"),
+        (0.02, 0.031, "undecided", "49 % of unmoved LiDARs differ as much (sigma 20 mm)"),
         (0.04, 0.001, "undecided", "its sigma of 40 mm is above the tolerance of 30 mm"),
         (0.04, 0.5, "outside", "500 mm is above 30 mm"),
     ],
@@ -106,6 +108,52 @@ def test_of_a_long_sigma_the_part_along_the_difference_counts():
         placements = tuple(replace(each, covariance=loose) if each.lidar == "rear" else each for each in run.placements)
         (rear,) = (each for each in checked(SavedRun("run", "top", placements)).lidars if each.lidar == "rear")
         assert rear.verdict == verdict
+
+
+def with_covariance(sigma_m=0.001, sigma_deg=0.005, lidars=tuple(POSES)):
+    """The reference as a calibration gives it."""
+    known = np.diag([np.deg2rad(sigma_deg) ** 2] * 3 + [sigma_m**2] * 3)
+    return replace(REFERENCE, covariances=dict.fromkeys(lidars, known))
+
+
+@pytest.mark.parametrize(
+    ("reference_sigma_m", "verdict"), [(None, "outside"), (0.001, "outside"), (0.01, "undecided"), (0.03, "undecided")]
+)
+def test_the_covariance_of_the_reference_counts(reference_sigma_m, verdict):
+    run = run_with({"rear": ((0.035, 0.0, 0.0), (0.0, 0.0, 0.0))}, sigma_m=0.004)
+    reference = REFERENCE if reference_sigma_m is None else with_covariance(reference_sigma_m)
+    check = checked(run, reference=reference)
+    (rear,) = (each for each in check.lidars if each.lidar == "rear")
+    sigma_m = np.hypot(0.004, reference_sigma_m or 0.0)
+    assert rear.verdict == verdict
+    assert rear.sigma_m == pytest.approx(sigma_m)
+    assert rear.reference_sigma_m == (reference_sigma_m and pytest.approx(reference_sigma_m))
+    assert rear.translation_probability == pytest.approx(chi2.sf((0.035 / sigma_m) ** 2, 3))
+    assert rear.rotation_probability == pytest.approx(1.0)
+    assert check.notes == (() if reference_sigma_m else (PLAIN,))
+
+
+def test_a_loose_reference_decides_nothing():
+    check = checked(run_with(), reference=with_covariance(sigma_m=0.04))
+    assert (check.verdict, {each.verdict for each in check.lidars}) == ("undecided", {"undecided"})
+    turned = checked(run_with({"rear": TURN}), reference=with_covariance(sigma_deg=0.2))
+    assert turned.lidars[-1].verdict == "undecided"
+    assert "% of unmoved LiDARs differ as much (sigma 0.2 deg)" in turned.lidars[-1].reason
+
+
+def test_lidars_without_a_covariance_in_the_reference_are_named():
+    check = checked(run_with(), reference=with_covariance(lidars=("front", "left")))
+    assert check.notes == ("the reference has no covariance of rear, so its own errors do not count",)
+    assert [each.reference_sigma_m for each in check.lidars] == [pytest.approx(0.001), pytest.approx(0.001), None]
+
+
+def test_unmoved_lidars_are_found_outside_as_rarely_as_stated():
+    rng, sigma_m, flagged = np.random.default_rng(1), 0.025, 0
+    reference = with_covariance(sigma_m, 1e-4)
+    for _ in range(300):
+        off = {name: (tuple(np.hypot(1.0, 1.0) * sigma_m * rng.normal(size=3)), (0.0, 0.0, 0.0)) for name in POSES}
+        flagged += checked(run_with(off, sigma_m, 1e-4), reference=reference).verdict == "outside"
+    assert flagged <= 4  # three LiDARs at one in a thousand; more than four of 300 happen in one of 400 cases
 
 
 def test_a_turned_root_adds_its_sigma_with_its_lever():
@@ -163,6 +211,6 @@ def test_names_that_do_not_fit_are_refused():
 
 def test_what_only_one_side_has_is_noted():
     fewer = Extrinsics("top", {name: POSES[name] for name in ("front", "left")})
-    assert checked(run_with(), reference=fewer).notes == ("the reference has no pose of rear",)
+    assert checked(run_with(), reference=fewer).notes == (PLAIN, "the reference has no pose of rear")
     more = Extrinsics("top", POSES | {"roof": POSES["rear"]})
-    assert checked(run_with(), reference=more).notes == ("run has no LiDAR roof",)
+    assert checked(run_with(), reference=more).notes == (PLAIN, "run has no LiDAR roof")

@@ -32,12 +32,18 @@ def made_rig(target: str = "base_link") -> Extrinsics:
     return Extrinsics(target, poses)
 
 
-def made_run(folder: Path, *, uncertain: bool = False, absent: Sequence[str] = ()) -> Path:
+def made_run(
+    folder: Path,
+    *,
+    uncertain: bool = False,
+    absent: Sequence[str] = (),
+    sigmas: tuple[float, float] | None = None,
+) -> Path:
     """A run directory with front (the target), left and rear."""
     offsets = {name: None if name in absent else ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for name in ("left", "rear")}
     if uncertain:
         return write_run(folder, offsets, sigmas=(1.0, 0.1), status="uncertain")
-    return write_run(folder, offsets)
+    return write_run(folder, offsets, sigmas=sigmas)
 
 
 def name_frames(run: Path, **frame_ids: str) -> None:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import pytest
 import tomli_w
 
 from multilica import RigidTransform, read_extrinsics
+from multilica.checks import read_reference
 from multilica.errors import InputError
 from multilica.exports import CLOUD_FORMATS, FORMATS
 from multilica.exports.files import rig_of_run
@@ -44,6 +47,25 @@ def test_a_run_is_exported(invoke: Invoke) -> None:
     assert outcome.out == "wrote rig.urdf: front, left, rear in front\n"
     assert_pose("rig.urdf", "front", "rear", truth("front", "rear"))
     assert read_extrinsics("rig.urdf").members == {"front", "left", "rear"}
+
+
+def test_toml_has_covariances_and_biases(invoke: Invoke) -> None:
+    run = made_run(Path("run"), sigmas=(0.01, 0.002))
+    document = json.loads((run / "result.json").read_text(encoding="utf-8"))
+    bias = {"range_m": 0.004, "range_sigma_m": 0.003, "elevation_deg": 0.001, "elevation_sigma_deg": 0.002}
+    bias |= {"azimuth_deg": -0.001, "azimuth_sigma_deg": 0.004}
+    still = {"m": 0.0, "deg": 0.0}
+    document["refinement"] = {"cycle_error_before": still, "cycle_error_after": still, "pairs": []}
+    document["refinement"]["biases"] = [{"lidar": "left", **bias}]
+    (run / "result.json").write_text(json.dumps(document), encoding="utf-8")
+    name_frames(run, front="f", left="l", rear="r")
+    assert invoke("export", run, "--to", "toml", "--out", "rig.toml", "--frames", "ids").code == ExitCode.DONE
+    assert tomllib.loads(Path("rig.toml").read_text(encoding="utf-8"))["sensor_biases"] == {"l": bias}
+    expected = np.diag([np.deg2rad(0.01) ** 2] * 3 + [0.002**2] * 3)
+    np.testing.assert_allclose(read_extrinsics("rig.toml").covariances["l"], expected, rtol=1e-9)
+    assert_pose("rig.toml", "f", "l", truth("front", "left"))
+    known = read_reference(Path("rig.toml"), {"front": "f", "left": "l", "rear": "r"})
+    assert (known.target, {*known.covariances}) == ("front", {"left", "rear"})
 
 
 def test_every_format_is_in_the_help(invoke: Invoke) -> None:

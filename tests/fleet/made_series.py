@@ -28,6 +28,9 @@ class Noise:
 
     `sigma_m` and `sigma_deg` are of the residuals, `scene_m` and `scene_deg` of an error per log that no covariance
     knows. Covariances are reported as those of the residuals over a factor squared, for each log drawn between the two.
+
+    `constant` is the share of the variance that all logs of a vehicle have in common, as biases of its LiDARs cause it,
+    `place` that of logs in one place: each log has a place of its own, or those of a depot follow each other.
     """
 
     sigma_m: float = 0.003
@@ -35,6 +38,9 @@ class Noise:
     factors: tuple[float, float] = (1.0, 1.0)
     scene_m: float = 0.0
     scene_deg: float = 0.0
+    constant: float = 0.0
+    place: float = 0.0
+    depots: int = 0
 
 
 @dataclass(frozen=True)
@@ -60,15 +66,19 @@ def made_vehicle(
     made = []
     for lidar in lidars:
         poses, covariances = [], []
+        systematic = _systematic_errors(rng, noise, len(times)) if noise.constant + noise.place else None
         for index, time_ns in enumerate(times):
             pose = mounted[lidar].matrix
             if "top" in motions:
                 pose = np.linalg.inv(_matrix(_share(motions["top"], index, time_ns))) @ pose
             if lidar in motions:
                 pose = _shifted(pose, _share(motions[lidar], index, time_ns))
-            covariance = _covariance(rng, noise)
+            covariance = _covariance(rng, noise) if systematic is None else systematic[0]
             scene = rng.normal(size=6) * np.array([np.deg2rad(noise.scene_deg)] * 3 + [noise.scene_m] * 3)
-            pose = _shifted(pose, rng.multivariate_normal(np.zeros(6), covariance, method="cholesky") + scene)
+            random = (1.0 - noise.constant - noise.place) * covariance
+            pose = _shifted(pose, rng.multivariate_normal(np.zeros(6), random, method="cholesky") + scene)
+            if systematic is not None:
+                pose = _shifted(pose, systematic[1][index])
             poses.append(RigidTransform.from_rotation_translation("top", lidar, pose[:3, :3], pose[:3, 3]))
             covariances.append(covariance / rng.uniform(*noise.factors) ** 2)
         keys = tuple(f"{vehicle}-{index:03d}" for index in range(len(times)))
@@ -129,6 +139,14 @@ def _shifted(pose, offset):
     moved[:3, :3] = Rotation.from_rotvec(offset[:3]).as_matrix() @ pose[:3, :3]
     moved[:3, 3] += offset[3:]
     return moved
+
+
+def _systematic_errors(rng, noise, count):
+    """The covariance of all logs of a vehicle, and the errors (count, 6) that it explains beside the random ones."""
+    covariance = _covariance(rng, noise)
+    places = np.arange(count) * noise.depots // count if noise.depots else np.arange(count)
+    own = rng.multivariate_normal(np.zeros(6), noise.place * covariance, count, method="cholesky")[places]
+    return covariance, own + rng.multivariate_normal(np.zeros(6), noise.constant * covariance, method="cholesky")
 
 
 def _covariance(rng, noise):

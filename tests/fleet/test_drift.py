@@ -45,6 +45,20 @@ def test_a_fleet_at_rest_has_no_event(count, noise):
     assert find_drift(made_fleet(_rng(count), 8, count, noise=noise, lidars=("left", "rear"))) == []
 
 
+@pytest.mark.parametrize("depots", [0, 1, 2, 5])
+@pytest.mark.parametrize("count", [4, 12, 40])
+def test_biases_and_new_depots_are_no_event(count, depots):
+    noise = Noise(constant=0.25, place=0.6, depots=depots)
+    fleet = made_fleet(_rng(count), 8, count, noise=noise, lidars=("left", "rear"))
+    assert find_drift(fleet) == []
+    offset = np.array([0.0, 0.0, 0.0, 0.0, 0.03, 0.0])
+    moved = made_vehicle(
+        _rng(1), max(count, 5), noise=noise, lidars=("left", "rear"), motions={"left": Motion(offset, 2)}
+    )
+    events = find_drift([*fleet, *moved])
+    assert [(event.kind, event.lidars, event.vehicle) for event in events] == [("jump", ("left",), "v01")]
+
+
 @pytest.mark.parametrize("seed", some_of(range(4), 2))
 @pytest.mark.parametrize("offset", [_SHIFT, _TURN], ids=["30 mm", "0.4 deg"])
 @pytest.mark.parametrize("index", [2, 5, 10])

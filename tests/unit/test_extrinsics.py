@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import tomli_w
 
 from multilica.errors import InputError, UnknownNameError, UnreadableSourceError
 from multilica.extrinsics import EXTRINSICS_SCHEMA, Extrinsics, extrinsics_table, read_extrinsics_table, require_metres
 from multilica.geometry import RigidTransform
+from multilica.registration.poses import moved
 
 HEAD = f'schema = "{EXTRINSICS_SCHEMA}"\ntarget = "base"\n[lidars.left]\n'
 
@@ -51,6 +53,54 @@ def test_a_table_has_the_poses_only():
     table = extrinsics_table(Extrinsics("top", {"left": pose}))
     assert {*table} == {"schema", "target", "convention", "length_unit", "rpy_convention", "lidars"}
     assert table["lidars"]["left"]["xyz_m"] == pytest.approx([1.0, 2.0, 3.0])
+
+
+def _covariance(seed):
+    root = np.random.default_rng(seed).normal(size=(6, 6))
+    return 1e-5 * root @ root.T
+
+
+def test_covariances_are_kept(tmp_path):
+    pose = RigidTransform.from_xyz_rpy("top", "left", (1.0, 2.0, 3.0), (0.1, 0.2, 0.3))
+    path = tmp_path / "rig.toml"
+    table = extrinsics_table(Extrinsics("top", {"left": pose}, covariances={"left": _covariance(1)}))
+    path.write_text(tomli_w.dumps(table))
+    np.testing.assert_allclose(read_extrinsics_table(path).covariances["left"], _covariance(1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("broken", [-np.eye(6), np.diag([1.0, 1, 1, 1, 1, -0.1]), np.triu(np.ones((6, 6)))])
+def test_a_damaged_covariance_is_refused(tmp_path, broken):
+    path = tmp_path / "rig.toml"
+    path.write_text(f"{HEAD}xyz_m = [0.1, 0.6, 1.7]\nrpy_deg = [0, 45, -90]\ncovariance = {broken.tolist()}\n")
+    with pytest.raises(UnreadableSourceError, match="'covariance' is not symmetric and positive"):
+        read_extrinsics_table(path)
+
+
+def test_covariances_between_lidars_do_not_depend_on_the_frame():
+    left = RigidTransform.from_xyz_rpy("top", "left", [0.1, 0.6, 1.7], [0.2, 0.5, -1.5])
+    rear = RigidTransform.from_xyz_rpy("top", "rear", [-2.0, 0.1, 1.1], [-0.1, 0.3, 3.0])
+    rig = Extrinsics("top", {"left": left, "rear": rear}, covariances={"left": _covariance(1), "rear": _covariance(2)})
+    in_base = rig.seen_from(RigidTransform.from_xyz_rpy("base", "top", [1.0, 0.2, 2.0], [0.1, 0.02, 1.0]))
+    np.testing.assert_array_equal(in_base.covariances["top"], np.zeros((6, 6)))
+    for pair in (("top", "left"), ("left", "top"), ("left", "rear")):
+        np.testing.assert_allclose(in_base.covariance_between(*pair), rig.covariance_between(*pair), atol=1e-15)
+    assert rig.seen_from(left.inverse()).covariances == {}
+
+
+def test_covariances_between_lidars_are_of_both_motions():
+    left = RigidTransform.from_xyz_rpy("top", "left", [0.1, 0.6, 1.7], [0.2, 0.5, -1.5])
+    rear = RigidTransform.from_xyz_rpy("top", "rear", [-2.0, 0.1, 1.1], [-0.1, 0.3, 3.0])
+    known = {"left": 0.01 * _covariance(1), "rear": 0.01 * _covariance(2)}
+    rig = Extrinsics("top", {"left": left, "rear": rear}, covariances=known)
+    rng = np.random.default_rng(3)
+    motions = {name: rng.multivariate_normal(np.zeros(6), value, 20_000) for name, value in known.items()}
+    offsets = [
+        (moved(left, one[:3], one[3:]).inverse() @ moved(rear, other[:3], other[3:])).offset_from(left.inverse() @ rear)
+        for one, other in zip(motions["left"], motions["rear"], strict=True)
+    ]
+    expected = rig.covariance_between("left", "rear")
+    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    np.testing.assert_allclose(np.cov(np.array(offsets).T) / size, expected / size, atol=0.05)
 
 
 def test_the_pose_between_two_lidars_is_that_of_both():

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, fdtri
 
-from multilica.fleet.drift.dispersion import SHARED_COVARIANCE, ScatteredPoses
+from multilica.fleet.drift.dispersion import ScatteredPoses
 from multilica.fleet.drift.findings import ChangeKind
 from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.geometry import FloatArray
@@ -76,6 +76,7 @@ class PeriodFits:
     def __init__(self, poses: ScatteredPoses) -> None:
         time_ns = poses.series.time_ns
         self.count = len(time_ns)
+        self.shared = poses.shared
         since = (time_ns - time_ns[0]).astype(np.float64) if self.count else np.zeros(0)
         self.span_ns = max(float(since[-1]) if self.count else 0.0, 1.0)
         self.time = 2.0 * since / self.span_ns - 1.0
@@ -116,16 +117,23 @@ class PeriodFits:
         return covariance @ both[0], covariance
 
     def motion(self, period: Period) -> tuple[FloatArray, FloatArray]:
-        """Return how far (6,) the line through a period moves from its first to its last log, and its covariance."""
+        """Return how far (6,) the line through a period moves from its first to its last log, and its covariance.
+
+        That has the errors that logs share, as of two halves: a line through a step in the middle rises by 1.5 times
+        the step.
+        """
         line, covariance = self.line(period)
         span = self.time[period.end - 1] - self.time[period.start]
-        return span * line[6:], span**2 * covariance[6:, 6:]
+        return span * line[6:], span**2 * covariance[6:, 6:] + 1.5**2 * 2.0 * self.shared
 
     def jump(self, before: Period, after: Period) -> tuple[FloatArray, FloatArray]:
-        """Return the difference (6,) between two neighbouring periods half way between them, and its covariance."""
+        """Return the difference (6,) between two neighbouring periods half way between them, and its covariance.
+
+        That has the errors that the logs on each of the two sides share.
+        """
         between = (self.time[after.start - 1] + self.time[after.start]) / 2.0
         (old, old_covariance), (new, new_covariance) = self.value(before, between), self.value(after, between)
-        return new - old, old_covariance + new_covariance
+        return new - old, old_covariance + new_covariance + 2.0 * self.shared
 
     def _line(self, starts: np.ndarray, end: int) -> tuple[FloatArray, FloatArray]:
         w, wt, wtt = (sums[end] - sums[starts] for sums in (self._w, self._wt, self._wtt))
@@ -141,6 +149,15 @@ def _partition(fits: PeriodFits, thresholds: Thresholds) -> list[Period]:
     spread = np.linspace(0, fits.count, min(fits.count, _MAX_BOUNDARIES) + 1).round().astype(int)
     # A jump that has just been confirmed may not wait until it falls on a boundary.
     boundaries = np.union1d(spread, np.arange(max(0, fits.count - _NEWEST_LOGS), fits.count))
+    periods = _least_cost(fits, thresholds, boundaries)
+    # A period of two logs about a jump between boundaries is none: all logs next to those found are tried together.
+    near = [np.arange(each.start - _reach(fits), each.start + _reach(fits) + 1) for each in periods[1:]]
+    tried = np.unique(np.concatenate([[0, fits.count], *near]).clip(0, fits.count))
+    return _least_cost(fits, thresholds, tried) if near else periods
+
+
+def _least_cost(fits: PeriodFits, thresholds: Thresholds, boundaries: np.ndarray) -> list[Period]:
+    """Partition a series at some of the boundaries, the first and the last log among them."""
     jump, creep = thresholds.least(creep=False), thresholds.least(creep=True)
     best = [-jump, *[np.inf] * (len(boundaries) - 1)]
     last: list[tuple[int, bool]] = [(0, False)] * len(boundaries)
@@ -159,13 +176,18 @@ def _partition(fits: PeriodFits, thresholds: Thresholds) -> list[Period]:
         start, creeps = last[index]
         periods.insert(0, Period(int(boundaries[start]), int(boundaries[index]), creeps))
         index = start
-    return _place(fits, periods)
+    return periods
+
+
+def _reach(fits: PeriodFits) -> int:
+    """Return how many logs a change may be from its boundary at first."""
+    return 2 * -(-fits.count // _MAX_BOUNDARIES)
 
 
 def _place(fits: PeriodFits, periods: list[Period]) -> list[Period]:
     """Return the periods with each boundary at its best place among the logs next to it."""
     placed = list(periods)
-    reach = 2 * -(-fits.count // _MAX_BOUNDARIES)
+    reach = _reach(fits)
     for index in range(len(placed) - 1):
         before, after = placed[index : index + 2]
         first = max(before.start + _MIN_LOGS, after.start - reach)
@@ -327,10 +349,9 @@ def _first_visible(poses: ScatteredPoses, period: Period, motion_m: FloatArray) 
 
 
 def _squared(offset_m: FloatArray, covariance: FloatArray) -> float:
-    """Return chi squared of an offset, with the errors that the logs on each of the two sides share."""
-    return float(offset_m @ np.linalg.solve(covariance + 2.0 * SHARED_COVARIANCE, offset_m))
+    return float(offset_m @ np.linalg.solve(covariance, offset_m))
 
 
 def _unscaled(offset_m: FloatArray, covariance: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return an offset in radians and metres, and its covariance with the shared errors of two sides."""
-    return offset_m / TO_LENGTHS, (covariance + 2.0 * SHARED_COVARIANCE) / np.outer(TO_LENGTHS, TO_LENGTHS)
+    """Return an offset in radians and metres, and its covariance."""
+    return offset_m / TO_LENGTHS, covariance / np.outer(TO_LENGTHS, TO_LENGTHS)

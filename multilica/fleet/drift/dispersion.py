@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""True scatter of poses between logs, which their reported covariances understate.
+"""True scatter of poses between logs, which differs from their reported covariances.
 
-Each scene has a systematic error of its own, so that poses of one LiDAR scatter more between logs than the residuals of
-a single log predict. The excess is measured on differences of successive logs (von Neumann et al., Ann. Math. Stat. 12,
-1941), which a jump enters once and a creep hardly at all, with an estimator that a few large ones do not bend. It is a
-matrix and not a number, because a scene errs in other directions than the noise does. Scene errors that neighbouring
-logs share (the same depot for weeks) do not show in these differences; `SHARED_COVARIANCE` allows for them.
+A covariance counts the systematic errors of the sensors. The biases of a vehicle's LiDARs are the same in all its logs;
+the surfaces differ from place to place. Logs of one place therefore scatter by less than reported, and logs of places
+with more errors than the model knows by more. The scatter is measured on differences of successive logs (von Neumann
+et al., Ann. Math. Stat. 12, 1941), which a jump enters once and a creep hardly at all, with an estimator that a few
+large ones do not bend. It is a matrix and not a number, because a scene errs in other directions than the model. Errors
+that neighbouring logs share (the same depot for weeks) do not show in these differences; `ScatteredPoses.shared` allows
+for them.
 """
 
 from __future__ import annotations
@@ -17,21 +19,21 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtri
 
-from multilica.fleet.lidar_series import TO_LENGTHS, IndexArray, LidarSeries
+from multilica.fleet.lidar_series import IndexArray, LidarSeries
 from multilica.geometry import FloatArray
 
 PRIOR_LOGS = 12.0
 """Logs that the prior knowledge of a scatter is worth: the fleet's is right for a vehicle to about 30 %."""
 
-_DEG = np.deg2rad(1.0)
-# Averaged over thousands of returns, a range keeps a bias of about 1 mm, a beam one of about 0.01 deg.
-_LOG_FLOOR = np.diag((np.array([0.01 * _DEG] * 3 + [0.001] * 3) * TO_LENGTHS) ** 2)
-SHARED_COVARIANCE = np.diag((np.array([0.005 * _DEG] * 3 + [0.0005] * 3) * TO_LENGTHS) ** 2)
-"""Covariance (6, 6) of the error that all logs of a period share (depot, season), which no number of logs reduces."""
+# A singular covariance has an inverse with it, in square metres.
+_RIDGE = 1e-12 * np.eye(6)
+_PLACES_SHARE = 0.75
+"""Share of the reported variance by which the poses of one vehicle differ between places; measured on simulated ones.
 
-_PRIOR_RATIO = 2.0
-"""Ratio of true to reported sigma in the absence of data: figures between 1 and 3 are usual."""
+The rest comes from biases that are the same in all places.
+"""
 _PRIOR_RATIO_LOGS = 4.0
+"""Logs that a scatter as reported is worth, beside what is measured."""
 _MEDIAN = float(chdtri(6, 0.5))
 # A log that differs from both neighbours by so much is wrong itself; a jump differs from one of them only.
 _CONTRADICTED = float(chdtri(6, 0.01))
@@ -55,12 +57,18 @@ class ScatteredPoses:
         offsets_m: (N, 6) from the reference pose, rotations as lengths.
         covariances: (N, 6, 6) in square metres.
         dof: degrees of freedom with which the scale of the covariances is known.
+        shared: (6, 6) covariance of the error that all logs of a period may share (depot, season), which no number of
+            logs reduces: what the covariances lack of the difference between places.
+        constant: (6, 6) the same of the error that all logs of the vehicle may share: what they lack of the reported
+            covariance.
     """
 
     series: LidarSeries
     offsets_m: FloatArray
     covariances: FloatArray
     dof: float
+    shared: FloatArray
+    constant: FloatArray
 
 
 def calibrate_scatter(series: Sequence[LidarSeries]) -> list[ScatteredPoses]:
@@ -76,16 +84,30 @@ def calibrate_scatter(series: Sequence[LidarSeries]) -> list[ScatteredPoses]:
     found: dict[int, ScatteredPoses] = {}
     for members in pools.values():
         offsets = [series[i].offsets(series[i].T_target_lidar[len(series[i]) // 2]) for i in members]
-        reported = [series[i].scaled_covariances() + _LOG_FLOOR for i in members]
+        reported = [series[i].scaled_covariances() + _RIDGE for i in members]
         steps = [_Steps.of(series[i].time_ns, *values) for i, *values in zip(members, offsets, reported, strict=True)]
-        for i, offset, step, covariance in zip(members, offsets, steps, _pooled(steps, reported), strict=True):
+        pooled = _pooled(steps, reported)
+        for i, offset, step, told, covariance in zip(members, offsets, steps, reported, pooled, strict=True):
             own = _squared(step.whitened(covariance))
             count = len(own)
             ratio = (PRIOR_LOGS + (np.median(own) / _MEDIAN * count if count else 0.0)) / (PRIOR_LOGS + count)
             scaled = max(1.0, float(ratio)) * covariance
+            lacking = [_lacking(_mean(told), _mean(scaled), share) for share in (_PLACES_SHARE, 1.0)]
             scaled = scaled * _contradiction(series[i].time_ns, offset, scaled)[:, None, None]
-            found[i] = ScatteredPoses(series[i], offset, scaled, PRIOR_LOGS + _WORTH * count)
+            found[i] = ScatteredPoses(series[i], offset, scaled, PRIOR_LOGS + _WORTH * count, *lacking)
     return [found[i] for i in range(len(series))]
+
+
+def _mean(covariances: FloatArray) -> FloatArray:
+    """Return the covariance (6, 6) of as much information as those (N, 6, 6) have on average."""
+    return np.asarray(np.linalg.inv(np.mean(np.linalg.inv(covariances), axis=0)))
+
+
+def _lacking(reported: FloatArray, scatter: FloatArray, share: float) -> FloatArray:
+    """Return the covariance (6, 6) that `scatter` lacks of the reported one times a share, by direction."""
+    whiten, root = power_of(reported, -0.5), power_of(reported, 0.5)
+    values, vectors = np.linalg.eigh(whiten @ scatter @ whiten)
+    return np.asarray(root @ (vectors * np.maximum(share - values, 0.0)) @ vectors.T @ root)
 
 
 def _pooled(steps: list[_Steps], reported: list[FloatArray]) -> list[FloatArray]:
@@ -94,12 +116,12 @@ def _pooled(steps: list[_Steps], reported: list[FloatArray]) -> list[FloatArray]
     If the errors of scenes prevail, all logs scatter alike, whatever their covariances: the covariances are blended
     with their mean by the share of greatest likelihood.
     """
-    mean = np.linalg.inv(np.mean(np.linalg.inv(np.concatenate(reported)), axis=0))
+    mean = _mean(np.concatenate(reported))
     best: tuple[float, list[FloatArray]] = (-np.inf, reported)
     for share in _MEAN_SHARES:
         blended = [(1.0 - share) * each + share * mean for each in reported]
         excess = robust_scatter(
-            np.concatenate([step.whitened(each) for step, each in zip(steps, blended, strict=True)]), _PRIOR_RATIO
+            np.concatenate([step.whitened(each) for step, each in zip(steps, blended, strict=True)])
         )
         roots = [power_of(each, 0.5) for each in blended]
         widened = [root @ excess @ root for root in roots]
@@ -109,11 +131,11 @@ def _pooled(steps: list[_Steps], reported: list[FloatArray]) -> list[FloatArray]
     return best[1]
 
 
-def robust_scatter(whitened: FloatArray, prior_ratio: float) -> FloatArray:
-    """Estimate the covariance (6, 6) of whitened vectors (N, 6), at least the identity.
+def robust_scatter(whitened: FloatArray) -> FloatArray:
+    """Estimate the covariance (6, 6) of whitened vectors (N, 6), drawn towards the identity.
 
-    The shape is that of a multivariate t distribution (Kent & Tyler, Ann. Stat. 19, 1991), drawn towards a sphere; the
-    scale is that of the median length, drawn towards `prior_ratio` squared.
+    The shape is that of a multivariate t distribution (Kent & Tyler, Ann. Stat. 19, 1991), the scale that of the median
+    length.
     """
     count = len(whitened)
     shape = np.eye(6)
@@ -126,9 +148,7 @@ def robust_scatter(whitened: FloatArray, prior_ratio: float) -> FloatArray:
         shape /= np.linalg.det(shape) ** (1.0 / 6.0)
     squared = np.einsum("ni,ij,nj->n", whitened, np.linalg.inv(shape), whitened)
     measured = count * float(np.median(squared)) / _MEDIAN if count else 0.0
-    scale = (_PRIOR_RATIO_LOGS * prior_ratio**2 + measured) / (_PRIOR_RATIO_LOGS + count)
-    values, vectors = np.linalg.eigh(scale * shape)
-    return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)
+    return np.asarray((_PRIOR_RATIO_LOGS + measured) / (_PRIOR_RATIO_LOGS + count) * shape)
 
 
 def power_of(matrices: FloatArray, exponent: float) -> FloatArray:

@@ -13,7 +13,7 @@ from scipy.special import chdtrc, fdtrc
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.fleet.drift.changes import PoseChange, SeriesChanges, find_changes
-from multilica.fleet.drift.dispersion import PRIOR_LOGS, SHARED_COVARIANCE, calibrate_scatter, power_of, robust_scatter
+from multilica.fleet.drift.dispersion import PRIOR_LOGS, calibrate_scatter, power_of, robust_scatter
 from multilica.fleet.drift.findings import DriftEvent, FleetOffset, MovedPart, OffsetScope, Outage
 from multilica.fleet.lidar_series import TO_LENGTHS, LidarSeries
 from multilica.fleet.store.query import ask
@@ -239,7 +239,7 @@ def find_offsets(
         changes = find_changes(poses, false_alarm_rate)
         newest, covariance = changes.fits.value(changes.periods[-1], float(changes.fits.time[-1]))
         own = each.T_target_lidar[len(each) // 2].offset_from(references[pair]) * TO_LENGTHS
-        fleets[pair].append(_Mounted(each.vehicle, own + newest, covariance + SHARED_COVARIANCE))
+        fleets[pair].append(_Mounted(each.vehicle, own + newest, covariance + poses.constant))
     return [
         offset
         for (lidar, target), mounted in sorted(fleets.items())
@@ -273,7 +273,7 @@ def _offsets(
     center_m = np.zeros(6) if few else np.median(offsets_m, axis=0)
     to_unit = power_of(covariances, -0.5)
     whitened = np.einsum("nij,nj->ni", to_unit, offsets_m - center_m)
-    excess = np.eye(6) if few else robust_scatter(whitened, 1.0)
+    excess = np.eye(6) if few else _at_least_one(robust_scatter(whitened))
     root = power_of(covariances, 0.5)
     covariances = root @ excess @ root
     dof = PRIOR_LOGS + (0 if few else count - 1)
@@ -289,6 +289,12 @@ def _offsets(
         p_value = _p_value(off_m, covariance + spread, dof, count)
         if p_value <= false_alarm_rate:
             yield offset("fleet or vehicle" if few else "vehicle", each.vehicle, off_m, p_value)
+
+
+def _at_least_one(scatter: FloatArray) -> FloatArray:
+    """Return a covariance (6, 6) that is at least the identity: the tolerance of assembly holds."""
+    values, vectors = np.linalg.eigh(scatter)
+    return np.asarray((vectors * np.maximum(values, 1.0)) @ vectors.T)
 
 
 def _robust_mean(offsets_m: FloatArray, covariances: FloatArray, start_m: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -5,7 +5,7 @@ import json
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -26,7 +26,9 @@ _HEADER = """\
 # T_target_source maps a point of the LiDAR's own frame to the frame of {target}: p_target = T_target_source @ p_source.
 # Lengths in metres; rpy_deg in degrees, extrinsic xyz (roll, then pitch, then yaw about the fixed axes of {target});
 # quaternion_xyzw with w last; fitness is the share of points near a surface, rmse_m their RMS distance to it;
-# sigma_xyz_m, sigma_rotation_deg: one standard deviation along and about the axes of {target}.
+# sigma_xyz_m, sigma_rotation_deg: one standard deviation along and about the axes of {target}; covariance: rotation
+# (rad), then translation (m), along the same axes, with systematic errors.
+# [sensor_biases]: estimated systematic errors of the LiDARs, with sigma. No pose and no point is corrected by them.
 # [lidars] has the placed LiDARs. [uncertain] has those whose sigma is above the limit: use them only after a check.
 """
 MATRIX_FRAMES = "# T_target_source "
@@ -40,14 +42,19 @@ MCAP = "result.mcap"
 def calibration_toml(document: ResultDocument) -> str:
     """Return the text of `calibration.toml`; `multilica.read_extrinsics` reads it."""
     poses = {name: pose for name, pose in document.poses.items() if document.lidars[name].placed}
-    table = extrinsics_table(Extrinsics(document.target, poses))
+    table = extrinsics_table(Extrinsics(document.target, poses, covariances=document.covariances))
     for name in poses:
         table["lidars"][name].update(_figures(document.lidars[name]))
     table |= {
         "status": document.status,
         "target_reason": document.target_reason,
         "uncertain": {
-            name: {"reason": document.lidars[name].reason, **pose_values(pose), **_figures(document.lidars[name])}
+            name: {
+                "reason": document.lidars[name].reason,
+                **pose_values(pose),
+                "covariance": document.lidars[name].covariance,
+                **_figures(document.lidars[name]),
+            }
             for name, pose in document.poses.items()
             if not document.lidars[name].placed
         },
@@ -55,11 +62,19 @@ def calibration_toml(document: ResultDocument) -> str:
         "input": {"source": document.input.source, "sha256": document.input.sha256},
         "versions": document.versions,
     }
+    if biases := sensor_biases(document):
+        table["sensor_biases"] = biases
     if document.ground is not None:
         table["ground"] = _ground(document.ground)
     elif document.ground_refusal:
         table["no_ground"] = document.ground_refusal
     return f"{_HEADER.format(target=json.dumps(document.target))}\n{toml_text(table)}"
+
+
+def sensor_biases(document: ResultDocument) -> dict[str, dict[str, float]]:
+    """Return the estimated systematic errors by LiDAR, with their standard deviations."""
+    biases = () if document.refinement is None else document.refinement.biases
+    return {each.lidar: {name: value for name, value in asdict(each).items() if name != "lidar"} for each in biases}
 
 
 def config_toml(config: CalibrationConfig) -> str:

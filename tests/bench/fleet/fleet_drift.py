@@ -26,7 +26,11 @@ _NOISES = {
     "1 to 3 x too small": Noise(factors=(1.0, 3.0)),
     "scene errors 3 mm, 0.03 deg": Noise(scene_m=0.003, scene_deg=0.03),
     "1 to 3 x, scene errors 2 mm, 0.02 deg": Noise(factors=(1.0, 3.0), scene_m=0.002, scene_deg=0.02),
+    "biases, each log in another place": Noise(constant=0.25, place=0.6),
+    "biases, all logs in one place": Noise(constant=0.25, place=0.6, depots=1),
+    "biases, a new depot half way": Noise(constant=0.25, place=0.6, depots=2),
 }
+_OF_BIASES = tuple(name for name, noise in _NOISES.items() if noise.constant)
 _WRONG = "covariances are right, 2 % of the poses wrong"
 _JUMPS = (
     *((f"{mm} mm", 1e-3 * mm, 0.0) for mm in (5, 10, 15, 20, 30, 50)),
@@ -152,7 +156,12 @@ def _all(measure: str, judged: Sequence[tuple[bool, bool, bool]], index: int) ->
 
 def _changed() -> Iterator[_Changed]:
     for seed in range(_MOVED_FLEETS):
-        for noise in ("covariances are right", "1 to 3 x too small", "1 to 3 x, scene errors 2 mm, 0.02 deg"):
+        for noise in (
+            "covariances are right",
+            "1 to 3 x too small",
+            "1 to 3 x, scene errors 2 mm, 0.02 deg",
+            *_OF_BIASES,
+        ):
             for logs in _LENGTHS:
                 for name, translation_m, rotation_rad in _JUMPS:
                     yield _Changed("jump", name, translation_m, rotation_rad, noise, logs, seed)

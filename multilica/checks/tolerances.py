@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Largest differences of a rig from its reference that do not count as drift."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
+
+from multilica.documents import MAX_TOML_BYTES, DocumentError, first_problem, parse_toml, read_limited
+from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.runs.pose_error import PoseError
+
+_Metres = Annotated[float, Strict(), Field(gt=0.0, le=100.0)]
+_Degrees = Annotated[float, Strict(), Field(gt=0.0, le=180.0)]
+
+
+class Tolerance(BaseModel):
+    """Largest difference that does not count as drift."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    translation_m: _Metres = 0.03
+    rotation_deg: _Degrees = 0.3
+
+    def holds(self, error: PoseError) -> bool:
+        """Return whether an error is within it."""
+        return error.distance_m <= self.translation_m and error.angle_deg <= self.rotation_deg
+
+
+class RigTolerances(BaseModel):
+    """The tolerance of all LiDARs, and what differs for some."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    default: Tolerance = Tolerance()
+    lidars: Mapping[str, Tolerance] = Field(default_factory=dict)
+
+    def of(self, lidar: str) -> Tolerance:
+        """Return the tolerance of one LiDAR."""
+        own = self.lidars[lidar].model_dump(exclude_unset=True) if lidar in self.lidars else {}
+        return self.default.model_copy(update=own)
+
+
+def read_tolerances(path: Path, default: Tolerance) -> RigTolerances:
+    """Read a TOML file with ``[default]`` and ``[lidars.NAME]``; the default holds where the file has no value.
+
+    Raises:
+        SourceNotFoundError: there is no such file.
+        UnreadableSourceError: it is not TOML, or has other keys or values.
+    """
+    try:
+        values = parse_toml(read_limited(path, MAX_TOML_BYTES))
+        found = RigTolerances.model_validate(values)
+    except FileNotFoundError as error:
+        raise SourceNotFoundError(f"No file of tolerances at {path}.") from error
+    except (OSError, DocumentError) as error:
+        raise UnreadableSourceError(f"{path} is not a TOML file that can be read: {error}.") from error
+    except ValidationError as error:
+        where, what, _ = first_problem(error)
+        raise UnreadableSourceError(
+            f"{path} is not a file of tolerances: {where}: {what}; expected [default] and [lidars.NAME], each with "
+            "translation_m and rotation_deg."
+        ) from error
+    return found.model_copy(update={"default": default.model_copy(update=found.default.model_dump(exclude_unset=True))})
