@@ -21,6 +21,7 @@ MEASUREMENTS = (
     "harder",
     "causes",
     "moved_lidars",
+    "knocks",
     "fleet_drift",
     "fleet_year",
     "crash",
@@ -29,7 +30,7 @@ MEASUREMENTS = (
 )
 ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale")
 ROBUSTNESS = ("crash", "fuzz", "longest", "soak")
-FLEET = ("fleet_drift", "fleet_scale", "fleet_year")
+FLEET = ("fleet_drift", "fleet_scale", "fleet_year", "knocks")
 
 
 def main(names: list[str]) -> int:
