@@ -7,7 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.sensors import RasterPattern, RosettePattern, SensorModel, SpinningPattern
+from multilica.simulate.models import (
+    AERIES_II,
+    AVIA,
+    FALCON,
+    NARROW,
+    OS1_64,
+    OS1_128,
+    OS2_128,
+    ROOF_64,
+    SIDE_32,
+    VLP_16,
+)
+from multilica.simulate.sensors import SensorModel
 from multilica.simulate.shapes.mesh import Mesh, box, merged, tapered_box
 from multilica.simulate.shapes.objects import wheels
 
@@ -73,18 +85,6 @@ def _disturbed(pose: RigidTransform, rng: np.random.Generator, sigma_m: float, s
     shift_m = rng.normal(scale=sigma_m, size=3).tolist()
     turn_rad = rng.normal(scale=sigma_rad, size=3).tolist()
     return pose @ RigidTransform.from_xyz_rpy(pose.source, pose.source, shift_m, turn_rad)
-
-
-OS1_64 = SensorModel(SpinningPattern(64, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-64
-OS1_128 = SensorModel(SpinningPattern(128, 1024, (-22.5, 22.5)), 90.0, 0.3)  # Ouster OS1-128
-OS2_128 = SensorModel(SpinningPattern(128, 1024, (-11.25, 11.25)), 120.0, 0.8)  # Ouster OS2-128
-VLP_16 = SensorModel(SpinningPattern(16, 1800, (-15.0, 15.0)), 90.0, 0.4, 0.015)  # Velodyne VLP-16
-ROOF_64 = SensorModel(SpinningPattern(64, 1800, (-25.0, 15.0)), 110.0, 0.5, 0.015)  # 64-channel roof LiDAR
-SIDE_32 = SensorModel(SpinningPattern(32, 900, (-32.0, 48.0)), 60.0, 0.3, 0.02, 0.03)  # 32-channel side LiDAR
-FALCON = SensorModel(RasterPattern(104, 640, 120.0, 25.0), 120.0, 0.5, 0.02, 0.02)  # Seyond Falcon
-AVIA = SensorModel(RosettePattern(24_000, 70.4, 77.2), 100.0, 0.5, 0.02, 0.03)  # Livox Avia
-AERIES_II = SensorModel(RasterPattern(64, 800, 120.0, 19.2), 120.0, 0.8, 0.016, 0.03)  # Aeva Aeries II
-NARROW = SensorModel(RasterPattern(120, 400, 70.0, 30.0), 90.0, 0.4, 0.018, 0.02)  # narrow solid-state LiDAR
 
 
 def car(roof_height_m: float, roof_length_m: float, roof_width_m: float) -> Mesh:
