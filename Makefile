@@ -10,6 +10,10 @@ SAMPLE := recordings/samples/edgar-street.mcap
 # One worker runs a module, so that its fixtures are made once.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
+# Two processes of folders that import the same libraries: workers would import them twice, and report each test.
+QUICK := $(BIN)/python -m pytest -q -m "not slow" --fail-slow 2
+NUMBERS := tests/unit tests/property tests/multi_snapshot
+
 # Linters, tests and installations wait often enough to run beside each other, on two cores too.
 MAKEFLAGS += --jobs=3
 
@@ -18,7 +22,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo check test nightly quick-tests test-kernel test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
+.PHONY: help libraries pictures demo check test nightly quick-tests quick-numbers quick-files test-kernel test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -28,8 +32,13 @@ demo: $(READY) ## Set everything up, then calibrate the embedded sample.
 
 check: lint quick-tests ## Run the linters and the quick tests; a minute.
 
-quick-tests: $(READY)
-	$(PYTEST) -m "not slow" --fail-slow 2
+quick-tests: quick-numbers quick-files
+
+quick-numbers: $(READY)
+	$(QUICK) $(NUMBERS)
+
+quick-files: $(READY)
+	$(QUICK) tests $(NUMBERS:%=--ignore=%)
 
 test: lint pytest test-kernel ## Set everything up, then run all checks and tests; ten minutes.
 

@@ -60,6 +60,12 @@ def pytest_report_header() -> str:
     return f"MULTILICA_SEED={push_seed()} MULTILICA_BASE={os.environ.get('MULTILICA_BASE', '')}"
 
 
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Print what repeats a failure where `-q` leaves out the header."""
+    if terminalreporter.verbosity < 0 and terminalreporter.stats.get("failed"):
+        terminalreporter.write_line(pytest_report_header())
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skip what this run leaves out, and start with the files that take longest."""
     changed = changed_paths(os.environ.get("MULTILICA_BASE", ""))
