@@ -133,13 +133,25 @@ def _found_changes() -> list[Claim]:
     sure = [
         each
         for (kind, noise, size, logs), judged in outcomes.items()
-        if kind == "jump" and size in _SURE and logs >= 10 and "scene" not in noise
+        if kind == "jump" and size in _SURE and logs >= 10 and "scene" not in noise and not _NOISES[noise].depots
+        for each in judged
+    ]
+    in_depots = [
+        each
+        for (kind, noise, size, logs), judged in outcomes.items()
+        if kind == "jump" and size in _SURE and logs >= 10 and _NOISES[noise].depots
         for each in judged
     ]
     parts = [each for (kind, *_), judged in outcomes.items() if kind in ("target", "lidar") for each in judged]
     return [
         _all("jumps from 30 mm or 0.3 deg at sigma 3 mm, 0.03 deg, 10 logs or more, that are found", sure, 0),
         _all("of these, dated to within one log", sure, 1),
+        Claim(
+            "the same jumps, all logs in one or two places, that are found",
+            f">= {_TOLD:.0%} of {len(in_depots)}",
+            f"{sum(each[0] for each in in_depots)}",
+            sum(each[0] for each in in_depots) >= _TOLD * len(in_depots),
+        ),
         Claim(
             "30 mm jumps of the target or of one of three LiDARs, 10 logs, told by one right event",
             f">= {_TOLD:.0%} of {len(parts)}",
