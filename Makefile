@@ -10,7 +10,8 @@ SAMPLE := recordings/samples/edgar-street.mcap
 # One worker runs a module, so that its fixtures are made once.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 
-# Two processes of folders that import the same libraries: workers would import them twice, and report each test.
+# A process runs folders that import the same libraries: workers would import all of them each, and report every test.
+# The readers' tests mostly wait, so there are three processes for two cores.
 QUICK := $(BIN)/python -m pytest -q -m "not slow" --fail-slow 2
 NUMBERS := tests/unit tests/property tests/multi_snapshot
 
@@ -22,7 +23,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PYTHONDONTWRITEBYTECODE :=
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help libraries pictures demo check test nightly quick-tests quick-numbers quick-files test-kernel test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
+.PHONY: help libraries pictures demo check test nightly quick-tests quick-numbers quick-others quick-readers test-kernel test-kernels mutate lint pytest node ros2 bench bench-tables sample docs docs-pictures site format constraints clean
 
 help: ## List the targets.
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -32,13 +33,16 @@ demo: $(READY) ## Set everything up, then calibrate the embedded sample.
 
 check: lint quick-tests ## Run the linters and the quick tests; a minute.
 
-quick-tests: quick-numbers quick-files
+quick-tests: quick-numbers quick-others quick-readers
 
 quick-numbers: $(READY)
 	$(QUICK) $(NUMBERS)
 
-quick-files: $(READY)
-	$(QUICK) tests $(NUMBERS:%=--ignore=%)
+quick-readers: $(READY)
+	$(QUICK) tests/ingest
+
+quick-others: $(READY)
+	$(QUICK) tests $(patsubst %,--ignore=%,$(NUMBERS) tests/ingest)
 
 test: lint pytest test-kernel ## Set everything up, then run all checks and tests; ten minutes.
 
