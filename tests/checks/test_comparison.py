@@ -147,6 +147,7 @@ def test_lidars_without_a_covariance_in_the_reference_are_named():
     assert [each.reference_sigma_m for each in check.lidars] == [pytest.approx(0.001), pytest.approx(0.001), None]
 
 
+@pytest.mark.slow  # a rare outcome takes hundreds of draws
 def test_unmoved_lidars_are_found_outside_as_rarely_as_stated():
     rng, sigma_m, flagged = np.random.default_rng(1), 0.025, 0
     reference = with_covariance(sigma_m, 1e-4)

@@ -90,17 +90,19 @@ def test_covariances_between_lidars_do_not_depend_on_the_frame():
 def test_covariances_between_lidars_are_of_both_motions():
     left = RigidTransform.from_xyz_rpy("top", "left", [0.1, 0.6, 1.7], [0.2, 0.5, -1.5])
     rear = RigidTransform.from_xyz_rpy("top", "rear", [-2.0, 0.1, 1.1], [-0.1, 0.3, 3.0])
-    known = {"left": 0.01 * _covariance(1), "rear": 0.01 * _covariance(2)}
-    rig = Extrinsics("top", {"left": left, "rear": rear}, covariances=known)
-    rng = np.random.default_rng(3)
-    motions = {name: rng.multivariate_normal(np.zeros(6), value, 20_000) for name, value in known.items()}
-    offsets = [
-        (moved(left, one[:3], one[3:]).inverse() @ moved(rear, other[:3], other[3:])).offset_from(left.inverse() @ rear)
-        for one, other in zip(motions["left"], motions["rear"], strict=True)
-    ]
-    expected = rig.covariance_between("left", "rear")
-    size = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(np.cov(np.array(offsets).T) / size, expected / size, atol=0.05)
+    rig = Extrinsics("top", {"left": left, "rear": rear}, covariances={"left": _covariance(1), "rear": _covariance(2)})
+
+    def offset(motions):
+        one, other = moved(left, motions[:3], motions[3:6]), moved(rear, motions[6:9], motions[9:])
+        return (one.inverse() @ other).offset_from(left.inverse() @ rear)
+
+    step = 1e-5
+    jacobian = np.stack([(offset(each) - offset(-each)) / (2.0 * step) for each in step * np.eye(12)], axis=-1)
+    both = np.zeros((12, 12))
+    both[:6, :6], both[6:, 6:] = _covariance(1), _covariance(2)
+    found = rig.covariance_between("left", "rear")
+    size = np.sqrt(np.outer(np.diag(found), np.diag(found)))
+    np.testing.assert_allclose(jacobian @ both @ jacobian.T / size, found / size, atol=1e-6)
 
 
 def test_the_pose_between_two_lidars_is_that_of_both():
