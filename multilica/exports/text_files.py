@@ -149,7 +149,10 @@ def toml_extrinsics(extrinsics: Extrinsics, sensor_biases: Mapping[str, Mapping[
     """
     poses = {pose.source: pose for pose in child_poses(extrinsics)}
     table = extrinsics_table(Extrinsics(extrinsics.target, poses, covariances=extrinsics.covariances))
-    return toml_text(table | ({"sensor_biases": sensor_biases} if sensor_biases else {}))
+    if not sensor_biases:
+        return toml_text(table)
+    told = "# [sensor_biases]: estimated systematic errors, with sigma. No pose and no point is corrected by them.\n"
+    return told + toml_text(table | {"sensor_biases": sensor_biases})
 
 
 def csv_text(extrinsics: Extrinsics) -> str:

@@ -60,7 +60,9 @@ def test_toml_has_covariances_and_biases(invoke: Invoke) -> None:
     (run / "result.json").write_text(json.dumps(document), encoding="utf-8")
     name_frames(run, front="f", left="l", rear="r")
     assert invoke("export", run, "--to", "toml", "--out", "rig.toml", "--frames", "ids").code == ExitCode.DONE
-    assert tomllib.loads(Path("rig.toml").read_text(encoding="utf-8"))["sensor_biases"] == {"l": bias}
+    text = Path("rig.toml").read_text(encoding="utf-8")
+    assert tomllib.loads(text)["sensor_biases"] == {"l": bias}
+    assert "No pose and no point is corrected by them." in text
     expected = np.diag([np.deg2rad(0.01) ** 2] * 3 + [0.002**2] * 3)
     np.testing.assert_allclose(read_extrinsics("rig.toml").covariances["l"], expected, rtol=1e-9)
     assert_pose("rig.toml", "f", "l", truth("front", "left"))
