@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import os
 import subprocess
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
 import pytest
+
+Case = TypeVar("Case")
 
 ROOT = Path(__file__).parents[1]
 NIGHTLY = os.environ.get("MULTILICA_NIGHTLY", "") not in ("", "0")
@@ -29,11 +32,12 @@ COMMON = (
 )
 # Files of many seconds, the longest first: one that starts late keeps one worker busy when the other is done.
 LONGEST = (
-    "tests/documentation/test_commands.py",
     "tests/fleet/test_real_log_tasks.py",
+    "tests/documentation/test_commands.py",
     "tests/pipeline/test_pair_search.py",
     "tests/packaging/test_wheel.py",
-    "tests/sinks/rerun/test_cut_recordings.py",
+    "tests/pipeline/test_driving.py",
+    "tests/unit/simulate/test_simulate.py",
     "tests/sinks/rerun/test_headless_viewer.py",
     "tests/unit/simulate/test_disturbances.py",
     "tests/sinks/rerun/test_data.py",
@@ -109,11 +113,21 @@ def seeds(count: int, *, at_night: int) -> range:
     return range(at_night) if NIGHTLY else range(push_seed(), push_seed() + count)
 
 
-def some_of(cases: Iterable[object], count: int) -> list[object]:
-    """Return some cases of a set in which each is known to hold, others from push to push, and all at night."""
+def some_of(cases: Iterable[Case], count: int, path_of: Callable[[Case], str] | None = None) -> list[Case]:
+    """Return some cases of a set in which each is known to hold, others from push to push, and all at night.
+
+    Cases whose path changed since MULTILICA_BASE are always among them.
+    """
     known = list(cases)
-    places = (push_seed() + index * len(known) // count for index in range(count))
-    return known if NIGHTLY else [known[place % len(known)] for place in places]
+    if NIGHTLY:
+        return known
+    chosen = {(push_seed() + index * len(known) // count) % len(known) for index in range(count)}
+    changed = changed_paths(os.environ.get("MULTILICA_BASE", "")) if path_of else None
+    return [
+        case
+        for place, case in enumerate(known)
+        if place in chosen or (path_of is not None and path_of(case) in (changed or ()))
+    ]
 
 
 def _git(*arguments: str) -> list[str] | None:

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from multilica import read_extrinsics
+from multilica import read_extrinsics, read_snapshot
 from multilica.geometry import RigidTransform
+from multilica.simulate import thinned
 from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica_cli.commands.calibrate import find_sample
@@ -63,6 +64,12 @@ def write_recording(path: Path, points: Mapping[str, np.ndarray]) -> Path:
         LidarScans(name, (Scan(cloud.astype(np.float32), 1),), topic=f"/{name}") for name, cloud in points.items()
     )
     write_snapshot_mcap(Snapshot(tuple(lidars)), path)
+    return path
+
+
+def write_thinned_sample(path: Path, keep_every: int = 3) -> Path:
+    """A recording with a part of the points of the embedded sample, which is calibrated in less time."""
+    write_snapshot_mcap(thinned(read_snapshot(find_sample().recording), keep_every), path)
     return path
 
 

@@ -16,8 +16,15 @@ from multilica.fleet.store.query import ask
 from multilica.fleet.store.store import open_store
 from multilica.fleet.store.upkeep import prune_recordings
 from multilica_cli.exit_codes import ExitCode
-from tests.cli.support import Invoke, assert_one_sentence, command_of_process, environment_of_process
+from tests.cli.support import (
+    Invoke,
+    assert_one_sentence,
+    command_of_process,
+    environment_of_process,
+    write_thinned_sample,
+)
 from tests.fleet.support.made_store import add_log, lidar_row, made_store
+from tests.sinks.conftest import record
 
 SAMPLE = Path(__file__).parents[2] / "recordings" / "samples" / "edgar-street.mcap"
 
@@ -43,7 +50,7 @@ def rows(outcome):
 def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
     logs = tmp_path / "logs" / "truck-7"
     logs.mkdir(parents=True)
-    shutil.copy(SAMPLE, logs / "2026-03-01.mcap")
+    write_thinned_sample(logs / "2026-03-01.mcap")
     (logs / "broken.mcap").write_bytes(bytes(100))
     outcome = invoke("fleet", "run", logs.parent, "--out", "store", "--workers", "1")
     assert outcome.code == ExitCode.NOT_PLACED
@@ -165,10 +172,7 @@ def test_the_catalog_listens_on_loopback_alone(tmp_path):
     with ask(store, "SELECT recording FROM logs") as answer:
         ((recording,),) = answer.rows()
     assert key in recording
-    subprocess.run(
-        [*command_of_process("demo", "--out", tmp_path / "run", "-q")], check=True, env=environment_of_process()
-    )
-    store.put(tmp_path / "run" / "recording.rrd", recording)
+    store.put(record(tmp_path / "recording.rrd", "complete"), recording)
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

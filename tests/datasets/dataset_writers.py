@@ -51,7 +51,9 @@ def packed(lidar: str, stamp_ns: int, points_m: np.ndarray, intensity: float = 7
 
 @cache
 def _simulated(scene: str, frames: int, disturbances: tuple[str, ...]) -> Simulation:
-    return simulate_snapshot("helipr", scene, 3, frames=frames, disturbances=disturbances, build_seed=3)
+    return simulate_snapshot(
+        "helipr", scene, 3, frames=frames, disturbances=disturbances, build_seed=3, sensors="ideal"
+    )
 
 
 def true_extrinsics() -> Extrinsics:
@@ -124,7 +126,7 @@ def _write_poses(path: Path, name: str, times_ns: Sequence[int], poses: Sequence
 
 @cache
 def _sides() -> Simulation:
-    return simulate_snapshot("sides", "street", 2, frames=1)
+    return simulate_snapshot("sides", "street", 2, frames=1, sensors="ideal")
 
 
 def write_opencalib(folder: Path, *, keep_every: int = 2) -> Extrinsics:

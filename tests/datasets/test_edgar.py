@@ -20,7 +20,7 @@ TOPICS = {name: f"/lidar/{lidar}/points" for lidar, name in NAMES.items()}
 
 @pytest.fixture(scope="module")
 def simulation() -> Simulation:
-    return simulate_snapshot("edgar", "street", 4, frames=3)
+    return simulate_snapshot("edgar", "street", 4, frames=3, sensors="ideal")
 
 
 def write_truth(folder: Path, simulation: Simulation, names: dict[str, str] = NAMES) -> None:

@@ -68,7 +68,10 @@ def test_a_gap_is_no_stop() -> None:
 @pytest.mark.slow
 def test_scans_tell_standing_from_driving() -> None:
     """At rest for 9 s, then driving: a look every two seconds finds the middle of the first part."""
-    parts = [simulate_snapshot("helipr", "street", 3, frames=4, disturbances=each) for each in ((), ("moving",))]
+    parts = [
+        simulate_snapshot("helipr", "street", 3, frames=4, disturbances=each, sensors="ideal")
+        for each in ((), ("moving",))
+    ]
     rest, drive = (part.snapshot["velodyne"].scans for part in parts)
     looks = [(2 * SECOND_NS * index, rest if index < 5 else drive) for index in range(8)]
     scans = {START_NS + at_ns + index * SECOND_NS // 10: scans[index] for at_ns, scans in looks for index in range(4)}

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from multilica.simulate import simulate_snapshot
 from tests.cli.support import ROOT, Invoke
 from tests.documentation.vehicle import copy_files, lose_a_lidar, write_files
-from tests.selection import some_of
+from tests.selection import NIGHTLY, some_of
 
 pytestmark = pytest.mark.slow
 
@@ -52,6 +53,7 @@ class Section:
     """Commands of a page that are run one after the other in one folder, then its examples in Python."""
 
     name: str
+    page: str
     commands: tuple[str, ...]
     examples: tuple[str, ...] = ()
 
@@ -66,7 +68,7 @@ def sections() -> Iterator[Section]:
             heading = part.partition("\n")[0].lstrip("# ")
             examples = tuple(blocks(part, "python")) if name == SPLIT else ()
             if commands or examples:
-                yield Section(f"{name}: {heading}" if name == SPLIT else name, commands, examples)
+                yield Section(f"{name}: {heading}" if name == SPLIT else name, name, commands, examples)
 
 
 def commands_of(text: str) -> Iterator[str]:
@@ -94,7 +96,7 @@ def reason(command: str) -> str:
 
 RUN = [section for section in sections() if not (section.commands and all(map(reason, section.commands)))]
 README, *OTHERS = RUN
-SECTIONS = [README, *some_of(OTHERS, len(OTHERS) // 2)]
+SECTIONS = [README, *some_of(OTHERS, len(OTHERS) // 3, lambda section: section.page)]
 
 
 @pytest.fixture(scope="session")
@@ -111,9 +113,14 @@ def finished() -> dict[str, tuple[int, str, str]]:
 
 @pytest.fixture
 def place(files: Path, invoke: Invoke, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The directory of the commands; pictures are drawn at once."""
+    """The directory of the commands; pictures are drawn at once, and by day simulated LiDARs have white noise only."""
     del invoke
     copy_files(files, Path())
+    if not NIGHTLY:
+        monkeypatch.setattr(
+            "multilica.simulate.simulate_snapshot",
+            lambda *scene, **options: simulate_snapshot(*scene, **{**options, "sensors": "ideal"}),
+        )
     monkeypatch.setattr("multilica.runs.run_report.viewer_picture", lambda *_: b"\x89PNG")
     return Path()
 

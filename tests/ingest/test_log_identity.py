@@ -2,18 +2,16 @@
 
 import pytest
 
-from multilica.fleet.simulated_logs import write_fleet
 from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.simulate import plan_fleet
+from tests.fleet.support.small_fleet import write_ideal_fleet
 
 PLAN = plan_fleet(2, 8, 1, frames=1, keep_every=60, jumps=0, creeps=0, dead=0, broken=0, duplicates=0)
 
 
 @pytest.fixture(scope="module")
 def fleet(tmp_path_factory):
-    out = tmp_path_factory.mktemp("identity") / "fleet"
-    write_fleet(PLAN, out, workers=1)
-    return out
+    return write_ideal_fleet(PLAN, tmp_path_factory.mktemp("identity") / "fleet")
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from multilica.results.building import provenance_of
 from multilica.simulate import simulate_snapshot
 from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
-from tests.selection import some_of
+from tests.selection import NIGHTLY, some_of
 
 SCENES = ("street", "parking", "garage", "tunnel", "open_field", "fence_field")
 Change = Callable[[Float32Array], Float32Array]
@@ -26,7 +26,7 @@ Change = Callable[[Float32Array], Float32Array]
 
 @cache
 def simulated(rig: str, scene: str) -> Snapshot:
-    return simulate_snapshot(rig, scene, 3, frames=1, sensors="ideal").snapshot
+    return simulate_snapshot(rig, scene, 3, frames=1, sensors="real" if NIGHTLY else "ideal").snapshot
 
 
 def changed(snapshot: Snapshot, change: Change, only: str = "") -> Snapshot:

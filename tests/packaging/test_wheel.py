@@ -5,14 +5,21 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tarfile
+import venv
 import zipfile
 from dataclasses import dataclass
+from importlib import metadata
+from importlib.util import cache_from_source
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+
+from tests.selection import NIGHTLY
 
 pytestmark = pytest.mark.slow
 
@@ -70,17 +77,55 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """The wheel with the packages that it requires: at night as pip chooses them, else those of this environment."""
     folder = tmp_path_factory.mktemp("clean")
     (wheel,) = built.glob("*.whl")
-    assert run([sys.executable, "-m", "venv", "venv"], folder).returncode == 0
-    programs = folder / "venv" / "bin"
+    venv.create(folder / "venv", symlinks=True)
     options = ["--quiet", "--no-compile", "--constraint", str(ROOT / "constraints.txt")]
-    ended = run([str(programs / "python"), "-m", "pip", "install", *options, str(wheel)], folder)
+    if not NIGHTLY:
+        options += ["--no-deps"]
+        (site,) = folder.glob("venv/lib/*/site-packages")
+        for name in required(wheel):
+            link_package(name, site)
+    programs = folder / "venv" / "bin"
+    pip = [sys.executable, "-m", "pip", "--python", str(programs / "python"), "install"]
+    ended = run([*pip, *options, str(wheel)], folder)
     assert ended.returncode == 0, ended.stderr
     (folder / "scans").mkdir()
     for name in ("left.las", "right.las"):
         (folder / "scans" / name).write_bytes(b"LASF" + bytes(400))
     return Installed(programs, folder)
+
+
+def required(wheel: Path) -> set[str]:
+    """The packages that a wheel needs without extras, and those that they need."""
+    with zipfile.ZipFile(wheel) as file:
+        (name,) = [name for name in file.namelist() if name.endswith(".dist-info/METADATA")]
+        lines = file.read(name).decode().splitlines()
+    found: set[tuple[str, str]] = set()
+    waiting = [(line.partition(":")[2], "") for line in lines if line.startswith("Requires-Dist:")]
+    while waiting:
+        text, extra = waiting.pop()
+        needed = Requirement(text)
+        if needed.marker is None or needed.marker.evaluate({"extra": extra}):
+            for each in {(needed.name, extra) for extra in ("", *needed.extras)} - found:
+                found.add(each)
+                waiting += [(line, each[1]) for line in metadata.requires(needed.name) or ()]
+    return {name for name, _ in found}
+
+
+def link_package(name: str, site: Path) -> None:
+    """Lay the files of a package of this environment into another one, with its compiled modules."""
+    here = Path(str(metadata.distribution(name).locate_file("")))
+    for file in metadata.files(name) or ():
+        compiled = Path(cache_from_source(str(file))) if file.suffix == ".py" else None
+        for path in (Path(file), compiled):
+            if path and ".." not in path.parts and (here / path).is_file() and not (site / path).exists():
+                (site / path).parent.mkdir(parents=True, exist_ok=True)
+                try:
+                    os.link(here / path, site / path)
+                except OSError:  # another file system
+                    shutil.copy2(here / path, site / path)
 
 
 def test_the_wheel_holds_types_pages_and_the_sample(built: Path) -> None:

@@ -178,7 +178,7 @@ def test_a_pose_with_a_sigma_above_the_limit_is_uncertain():
 
 
 def test_six_spinning_lidars_that_see_everything_are_placed():
-    simulation = simulate_snapshot("ring6", "street", 12, frames=1)
+    simulation = simulate_snapshot("ring6", "street", 12, frames=1, sensors="ideal")
     result, seen = watched(only(simulation.snapshot, *simulation.snapshot.names, every=2))
     assert result.status == "complete"
     assert_true(result, simulation.truth)

@@ -10,7 +10,7 @@ import pytest
 from multilica.diagnosis import explain
 from multilica.errors import UnreadableSourceError
 from multilica.sinks.rerun.reading import read_recorded_document
-from tests.selection import some_of
+from tests.selection import NIGHTLY, some_of
 
 
 def stages_known(path) -> int | None:
@@ -31,7 +31,7 @@ def known(recordings, tmp_path_factory):
     path = tmp_path_factory.mktemp("cut") / "cut.rrd"
     found = {}
     draw = random.Random(7)  # noqa: S311
-    for share in sorted(some_of(sorted(draw.uniform(0.0, 1.0) for _ in range(40)), 10)):
+    for share in sorted(some_of(sorted(draw.uniform(0.0, 1.0) for _ in range(40)), 6)):
         path.write_bytes(whole[: int(share * len(whole))])
         found[share] = stages_known(path)
     return found
@@ -47,7 +47,7 @@ def test_what_is_known_never_shrinks_as_the_file_grows(known):
 def test_most_cuts_leave_something_to_tell(known, recordings):
     known_counts = [count for count in known.values() if count is not None]
     assert len(known_counts) > len(known) // 2
-    assert len(set(known_counts)) >= 4
+    assert len(set(known_counts)) >= (4 if NIGHTLY else 3)
     assert stages_known(recordings["partial"]) == 10
 
 

@@ -77,7 +77,7 @@ def test_the_page_says_what_it_was_made_with(page):
 def test_the_peer_and_a_preset_place_a_rig():
     case = Case("sides", "street", 77, (), "top")
     for system, place in (("default", tables._place_by_preset), (KISS, tables._place_by_peer)):
-        simulation = simulate_snapshot(case.rig, case.scene, case.seed)
+        simulation = simulate_snapshot(case.rig, case.scene, case.seed, sensors="ideal")
         run = SavedRun(system, case.target, tuple(place(system, simulation.snapshot, case.target)))
         outcome = Outcome(system, case, run, Truth("truth", simulation.truth), 1.0)
         assert {each.lidar for each in outcome.run.placements} == {"top", "left", "right"}

@@ -74,10 +74,18 @@ def test_the_seed_of_a_push_can_be_repeated(monkeypatch):
     selection.push_seed.cache_clear()
     monkeypatch.setenv("MULTILICA_SEED", "12")
     assert selection.seeds(3, at_night=9) == range(12, 15)
-    assert selection.some_of("abcde", 4) == ["c", "d", "e", "a"]
+    assert selection.some_of("abcde", 4) == ["a", "c", "d", "e"]
     monkeypatch.setattr(selection, "NIGHTLY", True)
     assert selection.seeds(3, at_night=9) == range(9)
     assert selection.some_of("abcde", 4) == [*"abcde"]
+
+
+def test_cases_whose_path_changed_are_chosen(monkeypatch):
+    monkeypatch.setattr(selection, "NIGHTLY", False)
+    monkeypatch.setattr(selection, "push_seed", lambda: 1)
+    for changed, chosen in ((("d",), ["b", "d"]), ((), ["b"]), (None, ["b"])):
+        monkeypatch.setattr(selection, "changed_paths", lambda _, changed=changed: changed)
+        assert selection.some_of("abcd", 1, str) == chosen
 
 
 def test_the_longest_files_exist():
