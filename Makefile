@@ -112,7 +112,7 @@ $(READY): pyproject.toml constraints.txt | libraries
 	@$(BIN)/python -m pip install --quiet --no-compile --constraint constraints.txt --editable '.[all]' --group dev
 	@$(BIN)/python -m pip install --quiet --no-deps ouster-sdk==1.0.1 \
 	|| echo "tests of Ouster's packets are skipped: ouster-sdk has no wheel for this machine"
-	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # on all cores, as pip does not
+	@$(BIN)/python -m compileall -qq -j 0 -x '/(plotly|tests)/' $(VENV)/lib || true  # on all cores, and only what is imported
 	@touch $@
 
 node: $(NODE_READY)

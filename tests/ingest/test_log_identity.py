@@ -6,7 +6,7 @@ from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.simulate import plan_fleet
 from tests.fleet.support.small_fleet import write_ideal_fleet
 
-PLAN = plan_fleet(2, 8, 1, frames=1, keep_every=60, jumps=0, creeps=0, dead=0, broken=0, duplicates=0)
+PLAN = plan_fleet(2, 4, 5, frames=1, keep_every=60, jumps=0, creeps=0, dead=0, broken=0, duplicates=0)
 
 
 @pytest.fixture(scope="module")
