@@ -13,7 +13,7 @@ PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
 # A process runs folders that import the same libraries: workers would import all of them each, and report every test.
 # The readers' tests mostly wait, so there are three processes for two cores.
 QUICK := $(BIN)/python -m pytest -q -m "not slow" --fail-slow 2
-NUMBERS := tests/unit tests/property tests/multi_snapshot
+NUMBERS := tests/unit tests/property
 
 # Linters, tests and installations wait often enough to run beside each other, on two cores too.
 MAKEFLAGS += --jobs=3
