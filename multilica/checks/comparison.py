@@ -14,6 +14,7 @@ from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.results import CalibrationResult, LidarPlacement
+from multilica.results.placements import LEAST_PROBABILITY
 from multilica.results.values import Entry, Number, Vector3
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import SavedRun
@@ -22,8 +23,6 @@ from multilica.verification import register_from_known
 
 CheckVerdict = Literal["within", "outside", "undecided"]
 
-# If more unmoved LiDARs differ as much by chance, the uncertainty of the two poses explains a difference.
-_LEAST_PROBABILITY = 1e-3
 _FREEDOM = 3
 """Directions of a translation, and of a rotation."""
 
@@ -270,7 +269,7 @@ def _decide(
     """Return the verdict on one of translation and rotation, with its reason."""
     size, most = f"{scale * off:.3g} {unit}", f"{scale * limit:.3g} {unit}"
     if off > limit:
-        if probability is None or probability < _LEAST_PROBABILITY:
+        if probability is None or probability < LEAST_PROBABILITY:
             return "outside", f"{size} is above {most}"
         chance = (
             f"{100.0 * probability:.2g} % of unmoved LiDARs differ as much (sigma {scale * (sigma or 0.0):.2g} {unit})"

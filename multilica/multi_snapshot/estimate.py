@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform
@@ -57,6 +58,13 @@ def _rooted_at(root: str, rigs: Sequence[RefinedRig]) -> dict[str, RigidTransfor
 
 def _estimates(rig: RefinedRig) -> dict[str, Estimate]:
     return {name: Estimate(rig.poses[name], covariance) for name, covariance in rig.covariances.items()}
+
+
+def chance_of_difference(one: Estimate, other: Estimate) -> float:
+    """Return the probability that estimates of one pose differ at least as much, by chi squared of both covariances."""
+    offset = one.pose.offset_from(other.pose)
+    squared = offset @ np.linalg.pinv(one.covariance + other.covariance, hermitian=True) @ offset
+    return float(chdtrc(offset.size, squared))
 
 
 def spread_of(estimates: Sequence[Estimate]) -> Spread:

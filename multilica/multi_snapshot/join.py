@@ -11,7 +11,14 @@ import numpy as np
 from multilica.acceptance.placement import contested_place, place, place_target, why_unplaced_jointly
 from multilica.config import STAGES, AcceptanceConfig, CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.multi_snapshot.estimate import Estimate, chained, estimate_poses, scatter_ratio, spread_of
+from multilica.multi_snapshot.estimate import (
+    Estimate,
+    chained,
+    chance_of_difference,
+    estimate_poses,
+    scatter_ratio,
+    spread_of,
+)
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
 from multilica.results import (
@@ -23,6 +30,7 @@ from multilica.results import (
     SnapshotDeviation,
     SnapshotReport,
 )
+from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig, refine
 
 
@@ -219,12 +227,25 @@ class _JointRig:
             spread=spread_of(estimates),
         )
 
+    def _chances(self, snapshot: str, lidar: str) -> dict[str, float]:
+        """Return how probable the difference to each other snapshot alone is, if the covariances are right."""
+        here = self.alone[snapshot][lidar]
+        others = {name: own[lidar] for name, own in self.alone.items() if name != snapshot and lidar in own}
+        return {name: chance_of_difference(here, there) for name, there in others.items()}
+
     def report(self, run: SnapshotRun) -> SnapshotReport:
         deviations: dict[str, SnapshotDeviation] = {}
         for lidar, estimate in self.alone.get(run.name, {}).items():
             if lidar in self.rig.covariances:
                 distance_m, angle_rad = estimate.pose.distance_to(self.rig.poses[lidar])
-                deviations[lidar] = SnapshotDeviation(lidar, distance_m, float(np.rad2deg(angle_rad)))
+                chances = self._chances(run.name, lidar)
+                deviations[lidar] = SnapshotDeviation(
+                    lidar,
+                    distance_m,
+                    float(np.rad2deg(angle_rad)),
+                    probability=min(chances.values(), default=None),
+                    contradicts=tuple(name for name, chance in chances.items() if chance < LEAST_PROBABILITY),
+                )
         for conflict in self.inconsistent.get(run.name, ()):
             if conflict.outvoted:
                 lidar = conflict.lidars[0]

@@ -15,6 +15,7 @@ from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
 from multilica.results.placements import GroundPlane, LidarPlacement, MergeDecision, Refinement
 from multilica.results.registrations import PairRegistration
+from multilica.results.values import Figure
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,6 +59,16 @@ class SnapshotDeviation:
     distance_m: Annotated[float, Field(description="Distance.")]
     angle_deg: Annotated[float, Field(description="Angle.")]
     outlier: Annotated[bool, Field(description="True if other snapshots outvoted this one.")] = False
+    probability: Annotated[
+        Figure | None,
+        Field(
+            description="Probability that correct poses differ at least as much as this one and that of another "
+            "snapshot do, the least over the others, by chi squared with 6 degrees of freedom; null without others."
+        ),
+    ] = None
+    contradicts: Annotated[
+        tuple[str, ...], Field(description="Snapshots for which it is below one in a thousand: a sigma is too small.")
+    ] = ()
 
     @property
     def text(self) -> str:
@@ -82,6 +93,12 @@ class SnapshotReport:
     deviations: Annotated[tuple[SnapshotDeviation, ...], Field(description="Per LiDAR that it places.")] = ()
 
     @property
+    def contradicting(self) -> tuple[SnapshotDeviation, ...]:
+        """Those beyond the covariances that count all the same, as the snapshots differ by little."""
+        apart = {*self.outliers, *self.disputed}
+        return tuple(each for each in self.deviations if each.contradicts and each.lidar not in apart)
+
+    @property
     def text(self) -> str:
         """The outcome of the snapshot as text."""
         if self.refusal:
@@ -92,6 +109,11 @@ class SnapshotReport:
             if each.outlier
         ]
         parts += [f"contradicts other snapshots on {lidar}, without a majority" for lidar in self.disputed]
+        parts += [
+            f"differs from {' and '.join(each.contradicts)} on {each.lidar} by more than their sigmas allow, with "
+            f"probability {each.probability:.0e}: the joint sigma counts this scatter"
+            for each in self.contradicting
+        ]
         if parts:
             return "; ".join(parts)
         if not self.deviations:

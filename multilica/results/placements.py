@@ -20,7 +20,8 @@ SigmaOrigin = Literal["residuals", "snapshots"]
 """Basis of a covariance: the residuals of the registrations, or these widened to the spread over snapshots."""
 
 
-_LEAST_PROBABILITY = 0.001
+LEAST_PROBABILITY = 0.001
+"""Less probable disagreements are contradictions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,7 +289,7 @@ class PairResidual:
     @property
     def contradicts(self) -> bool:
         """True if the pair disagrees with the others more than one correct pair of a thousand."""
-        return self.probability < _LEAST_PROBABILITY
+        return self.probability < LEAST_PROBABILITY
 
 
 @dataclass(frozen=True, slots=True)

@@ -189,6 +189,19 @@ def test_disagreement_within_the_limits_is_no_outlier():
     result = _joined(_run("a", 1), far, _run("b", 3))
     assert _outliers(result) == {"a": [], "far": [], "b": []}
     assert result["A"].sigma_from == "snapshots"
+    first, off, _ = result.snapshots
+    assert {each.lidar: each.contradicts for each in off.deviations} == {"A": ("a", "b"), "B": (), "C": ()}
+    assert [each.contradicts for each in first.contradicting] == [("far",)]
+    assert "differs from a and b on A by more than their sigmas allow" in off.text
+
+
+def test_the_probability_is_that_of_the_least_alike_snapshot():
+    runs = [_run(f"s{k}", k, [("T", "A")]) for k in range(20)]
+    reports = _joined(*runs).snapshots
+    probabilities = [each.probability for report in reports for each in report.deviations]
+    assert len(probabilities) == 20
+    assert 0.01 < np.median(probabilities) < 0.2  # the least of 19, which are uniform from 0 to 1
+    assert _joined(runs[0]).snapshots[0].deviations[0].probability is None
 
 
 def test_contradiction_through_a_third_lidar_is_dropped():

@@ -215,6 +215,10 @@ def _snapshot_verdict(snapshot: SnapshotReport) -> str:
     verdicts = [f"Left out: {snapshot.refusal}"] if snapshot.refusal else []
     verdicts += [f"Outvoted on {lidar}" for lidar in snapshot.outliers]
     verdicts += [f"Contradicts others on {lidar} (undecided)" for lidar in snapshot.disputed]
+    verdicts += [
+        f"Differs from {' and '.join(each.contradicts)} on {each.lidar} by more than sigma allows"
+        for each in snapshot.contradicting
+    ]
     return " ".join(_sentences(verdict) for verdict in verdicts) or "Agrees."
 
 

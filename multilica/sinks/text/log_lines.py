@@ -187,7 +187,11 @@ def _finished(result: results.CalibrationResult) -> tuple[LogLine, ...]:
     count = len(result.placements)
     placed = f"{count - len(missing) - len(uncertain)} of {count} LiDARs placed"
     placed += f", {len(uncertain)} uncertain" if uncertain else ""
-    doubtful = [report for report in result.snapshots if report.outliers or report.disputed or report.refusal]
+    doubtful = [
+        report
+        for report in result.snapshots
+        if report.outliers or report.disputed or report.contradicting or report.refusal
+    ]
     return (
         *(
             LogLine("WARN" if report in doubtful else "INFO", f"snapshot {report.name}: {report.text}")
