@@ -62,8 +62,8 @@ class SnapshotDeviation:
     probability: Annotated[
         Figure | None,
         Field(
-            description="Probability that correct poses differ at least as much as this one and that of another "
-            "snapshot do, the least over the others, by chi squared with 6 degrees of freedom; null without others."
+            description="Probability that correct poses differ by as much as this one and another snapshot's, the "
+            "least over all others. Chi squared with 6 degrees of freedom; null without others."
         ),
     ] = None
     contradicts: Annotated[
