@@ -45,8 +45,8 @@ _RING_DEG = 0.5
 _LEAST_REAL = 0.02
 
 _SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
-# A radian of a bias moves points as a rotation does.
-_SCALE_WITH_BIASES = np.concatenate([_SCALE, np.tile([1.0, 1.0 / LEVER_ARM_M, 1.0 / LEVER_ARM_M], 2)])
+# A bias in radians, or of the scale, moves points by its product with their distance, as a rotation does.
+_SCALE_WITH_BIASES = np.concatenate([_SCALE, np.tile([1.0, *3 * [1.0 / LEVER_ARM_M]], 2)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ class _Overlap:
     Args:
         points_m, normals: (N, 3) of the source.
         placed: finds their neighbours in the target.
-        shifts: (3, N, 3) how biases move them.
+        shifts: (4, N, 3) how biases move them.
         surfaces, rings: (N,) number of the surface and of the ring that a point is of; points with one number share
             their errors.
         target_rings: (T,) the same of the target.
@@ -114,7 +114,7 @@ class _Residuals:
         return np.concatenate([turn, pulls.sum(axis=0)])
 
     def jacobian(self, overlap: _Overlap, pose: RigidTransform) -> FloatArray:
-        """(M, 12) derivative of the residuals by pose and biases."""
+        """(M, 14) derivative of the residuals by pose and biases."""
         in_source = self.normals @ pose.rotation
         by_target = np.einsum("ij,kij->ik", self.normals, shifts_per_bias(overlap.target.points_m[self.index]))
         by_source = -np.einsum("ij,kij->ik", in_source, overlap.shifts[:, self.rows])
@@ -130,11 +130,11 @@ def fit_planes(
 
     GICP gives every match the same weight, so bushes, edges and single scan lines pull as much as walls. Here a
     match is weighted by the flatness of the target, by the agreement of both normals, and by its residual (Geman and
-    McClure, 1985, with the scale from the median residual). The biases of both LiDARs in range, elevation and azimuth
-    are estimated with the pose, with a prior.
+    McClure, 1985, with the scale from the median residual). The biases of both LiDARs in range, elevation, azimuth and
+    scale are estimated with the pose, with a prior.
 
     Args:
-        bias_sigmas: (6,) standard deviations of range (m), elevation and azimuth bias (rad) of target and source.
+        bias_sigmas: (8,) standard deviations of the biases of target and source, as `prior_sigmas` gives them.
 
     Returns:
         If too few points match, the given pose alone; if the fit moves the pose by more than 0.2 m, the given one.
@@ -214,13 +214,13 @@ def _usual_variance(hessian: FloatArray, spread: FloatArray) -> float:
 
 
 def _spreads(overlap: _Overlap, residuals: _Residuals, weighted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (12, 12) of the sum of scores, and the part of it that random errors cause.
+    """Return the covariance (14, 14) of the sum of scores, and the part of it that random errors cause.
 
     Surfaces, rings of the target and rings of the source share their errors. Random errors are in all three sums, and
     count once (Cameron, Gelbach and Miller, JBES 2011).
 
     Args:
-        weighted: (M, 12) Jacobian, times the weights.
+        weighted: (M, 14) Jacobian, times the weights.
     """
     surfaces = overlap.surfaces[residuals.rows]
     pulls = weighted * residuals.residual_m[:, None]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Systematic errors of a LiDAR that a registration estimates: in range, elevation and azimuth."""
+"""Systematic errors of a LiDAR that a registration estimates: in range and its scale, elevation and azimuth."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ import numpy as np
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, lengths
 
-BIAS_COUNT = 3
-"""Per LiDAR: range (m), then elevation and azimuth (rad)."""
+BIAS_COUNT = 4
+"""Per LiDAR: range (m), elevation and azimuth (rad), and the scale of the ranges."""
 
 # The biases of a rig are this share of what its datasheets allow: nothing to all of it, each value as likely.
 _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
@@ -33,22 +33,23 @@ class BiasPosterior:
 
 
 def shifts_per_bias(points_m: FloatArray) -> FloatArray:
-    """Return (3, N, 3) by how much each point (N, 3) in the LiDAR's frame is off per metre and per radian of bias.
+    """Return (4, N, 3) by how much each point (N, 3) in the LiDAR's frame is off per unit of each bias.
 
-    A range bias shifts a point along its beam, the others across it: upwards, and to the left. The azimuth bias of
-    a LiDAR that sees all around is a rotation about its axis, which no scene can tell from its pose.
+    Those of the range shift a point along its beam, those of angles across it: upwards, and to the left. The azimuth
+    bias of a LiDAR that sees all around is a rotation about its axis, which no scene can tell from its pose.
     """
     range_m = np.maximum(lengths(points_m), 1e-9)
     flat_m = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]), 1e-9)
     up = np.column_stack([-points_m[:, :2] * (points_m[:, 2] / flat_m)[:, None], flat_m])
     left = np.column_stack([-points_m[:, 1], points_m[:, 0], np.zeros(len(points_m))])
-    return np.stack([points_m / range_m[:, None], up, left])
+    return np.stack([points_m / range_m[:, None], up, left, points_m])
 
 
 def prior_sigmas(lidar: str, config: RefineConfig) -> FloatArray:
-    """Return the standard deviations (3,) that the datasheet allows."""
+    """Return the standard deviations (4,) that the datasheet allows."""
     range_m = config.range_bias_sigmas_m.get(lidar, config.range_bias_sigma_m)
-    return np.array([range_m, *np.deg2rad([config.elevation_bias_sigma_deg, config.azimuth_bias_sigma_deg])])
+    angles = np.deg2rad([config.elevation_bias_sigma_deg, config.azimuth_bias_sigma_deg])
+    return np.array([range_m, *angles, config.range_scale_sigma])
 
 
 def posterior(

@@ -301,12 +301,14 @@ class SensorBias:
     """
 
     lidar: Annotated[str, Field(description="Name of the LiDAR.")]
-    range_m: Annotated[float, Field(description="Measured minus true range.")]
+    range_m: Annotated[float, Field(description="Measured minus true range, the part that is the same near and far.")]
     range_sigma_m: Annotated[float, Field(description="Standard deviation of it.")]
     elevation_deg: Annotated[float, Field(description="Measured minus true elevation angle.")]
     elevation_sigma_deg: Annotated[float, Field(description="Standard deviation of it.")]
     azimuth_deg: Annotated[float, Field(description="Measured minus true azimuth angle.")]
     azimuth_sigma_deg: Annotated[float, Field(description="Standard deviation of it.")]
+    range_scale_ppm: Annotated[float, Field(description="Scale of the ranges, less one, in millionths.")]
+    range_scale_sigma_ppm: Annotated[float, Field(description="Standard deviation of it.")]
 
 
 @dataclass(frozen=True, slots=True)

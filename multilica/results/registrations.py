@@ -153,15 +153,15 @@ class GicpStep:
 class BiasInformation:
     """Information of a pair about its pose and about the systematic errors of both LiDARs.
 
-    The order is rotation (rad), translation (m), then range (m), elevation and azimuth bias (rad) of the target and of
-    the source.
+    The order is rotation (rad), translation (m), then the biases of the target and of the source, each in range (m),
+    elevation and azimuth (rad), and scale of the ranges.
 
     Args:
-        information: (12, 12) of the data alone, without a prior of the biases.
-        gradient: (12,) of the negative log likelihood at the pose and the biases of this registration.
-        spread: (12, 12) covariance of the gradient.
-        random_spread: (12, 12) the part of it that random errors cause.
-        biases: (6,) of the target, then of the source.
+        information: (14, 14) of the data alone, without a prior of the biases.
+        gradient: (14,) of the negative log likelihood at the pose and the biases of this registration.
+        spread: (14, 14) covariance of the gradient.
+        random_spread: (14, 14) the part of it that random errors cause.
+        biases: (8,) of the target, then of the source.
     """
 
     information: FloatArray

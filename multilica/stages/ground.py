@@ -264,7 +264,10 @@ def estimate_ground(
 
 
 def _bias_sigmas(biases: Sequence[SensorBias], config: RefineConfig) -> FloatArray:
-    """Return (2,) how far ranges (m) and elevations (rad) may be off: estimated biases are not taken off the points."""
+    """Return (2,) how far ranges (m) and elevations (rad) may be off: estimated biases are not taken off the points.
+
+    The scale of the ranges is left out: it moves the ground by its product with the height, less than a millimetre.
+    """
     if not biases:
         return np.array([config.range_bias_sigma_m, np.deg2rad(config.elevation_bias_sigma_deg)])
     range_m = max(np.hypot(each.range_m, each.range_sigma_m) for each in biases)

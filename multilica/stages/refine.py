@@ -18,8 +18,10 @@ _ITERATIONS = 20
 # Converged when no pose moves by more, rad and m.
 _EPSILON = 1e-9
 _POSE_FREEDOM = 6
-# Metres and degrees.
-_DISPLAYED = np.array([1.0, np.rad2deg(1.0), np.rad2deg(1.0)])
+# Metres, degrees and millionths.
+_DISPLAYED = np.array([1.0, np.rad2deg(1.0), np.rad2deg(1.0), 1e6])
+# Correlation of the systematic errors of two pairs with one source, measured on simulated vehicles in several scenes.
+_SHARED_BY_PAIRS = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,8 +50,9 @@ def refine(
     """Optimise the pose graph over all accepted pairs, loops included (the paper's future work).
 
     Gauss-Newton on the pairs' residuals, each weighted with its information. The biases of each LiDAR in range,
-    elevation and azimuth are unknowns that its pairs share, with a prior. A pair whose residual is much larger than its
-    information allows, after the biases, loses its weight (Cauchy), so that one bad pair does not bend the rig.
+    elevation, azimuth and scale are unknowns that its pairs share, with a prior. A pair whose residual is much larger
+    than its information allows, after the biases, loses its weight (Cauchy), so that one bad pair does not bend the
+    rig.
 
     Args:
         root: the LiDAR whose pose is fixed.
@@ -102,7 +105,7 @@ class _Equations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """Poses and biases during the refinement: `free` LiDARs have a pose to find, `lidars` have three biases each."""
+    """Poses and biases during the refinement: `free` LiDARs have a pose to find, `lidars` have biases each."""
 
     poses: Mapping[str, RigidTransform]
     biases: FloatArray
@@ -161,8 +164,9 @@ def _weight(squared: float, config: RefineConfig) -> float:
 def _normal_equations(pairs: Sequence[PairRegistration], state: _State, config: RefineConfig) -> _Equations:
     """Sum over the pairs, each with its robust weight.
 
-    A LiDAR has the same errors in all pairs of which it is the source, in all snapshots: those of its rings do not
-    average out. Its pairs therefore have the spread of one that counts as often. Random errors do average out.
+    A LiDAR has the same rings in all pairs of which it is the source, in all snapshots. A part of the systematic errors
+    of these pairs is therefore the same and does not average out: the variance of a sum of n errors with correlation r
+    is 1 + r (n - 1) times that of independent ones. Random errors are independent.
     """
     poses = 6 * len(state.free)
     size = poses + len(state.biases)
@@ -184,7 +188,8 @@ def _normal_equations(pairs: Sequence[PairRegistration], state: _State, config: 
         of_pair = _equations_of(pair, state)
         information += weight * jacobian.T @ of_pair.information @ jacobian
         gradient += weight * jacobian.T @ of_pair.gradient
-        spread += weight**2 * count[pair.source] * jacobian.T @ of_pair.spread @ jacobian
+        in_common = 1.0 + _SHARED_BY_PAIRS * (count[pair.source] - 1)
+        spread += weight**2 * in_common * jacobian.T @ of_pair.spread @ jacobian
         random_spread += weight**2 * jacobian.T @ of_pair.random_spread @ jacobian
     return _Equations(information, gradient, spread, random_spread)
 

@@ -46,10 +46,21 @@ HALL = [
 """A hall with a pillar and two crates: no pose but the true one fits it."""
 
 
-def scan(name, T_world_sensor, objects, *, seed=0, rings=48, columns=480, range_bias_m=0.0, elevation_bias_rad=0.0):
+def scan(
+    name,
+    T_world_sensor,
+    objects,
+    *,
+    seed=0,
+    rings=48,
+    columns=480,
+    range_bias_m=0.0,
+    elevation_bias_rad=0.0,
+    range_scale=0.0,
+):
     """The preprocessed cloud of a sensor that sees 35 degrees up and down, in its own frame.
 
-    Biases (measured minus true) are of all rings, or of each.
+    Biases (measured minus true, the scale less one) are of all rings, or of each; the scale is of all.
     """
     rng = np.random.default_rng(seed)
     elevation, azimuth = np.meshgrid(
@@ -61,7 +72,7 @@ def scan(name, T_world_sensor, objects, *, seed=0, rings=48, columns=480, range_
     origin, directions = T_world_sensor.xyz_m, T_world_sensor.rotate(beams)
     ranges = np.min([_ranges(each, origin, directions, rng) for each in objects], axis=0)
     hit = np.isfinite(ranges)
-    ranges = ranges + np.repeat(np.broadcast_to(range_bias_m, rings), columns)
+    ranges = ranges * (1.0 + range_scale) + np.repeat(np.broadcast_to(range_bias_m, rings), columns)
     reported = _raised(beams, np.repeat(np.broadcast_to(elevation_bias_rad, rings), columns))
     points = reported[hit] * (ranges[hit] + rng.normal(0, _NOISE_M, hit.sum()))[:, None]
     return preprocess(LidarScans(name, (Scan(points),)), PreprocessConfig())

@@ -16,7 +16,7 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration import plane_fit
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.poses import arc_between_m, moved
-from multilica.registration.sensor_biases import posterior, prior_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
 from multilica.results import BiasInformation, PairRegistration
 from multilica.results.visibility_score import VisibilityScore
 from multilica.stages import refine, stillness
@@ -25,6 +25,8 @@ _STEP = 1e-5
 _TURNS_RAD = (0.1, 1.0, 2.0, 3.0)
 _CONFIG = RefineConfig()
 _BIAS_SIGMAS = np.tile(prior_sigmas("", _CONFIG), 2)
+# Unknowns of a pair: its pose, and the biases of both LiDARs.
+_UNKNOWNS = 6 + 2 * BIAS_COUNT
 
 
 @pytest.fixture(autouse=True)
@@ -92,10 +94,10 @@ def _state(poses, biases=()):
 
 def _with_biases(pair, rng):
     """The same pair, with any information about pose and biases, and a gradient that this allows."""
-    root = rng.normal(size=(12, 12)) * np.repeat([100.0, 1.0, 30.0], [3, 3, 6])[:, None]
+    root = rng.normal(size=(_UNKNOWNS, _UNKNOWNS)) * np.repeat([100.0, 1.0, 30.0], [3, 3, 2 * BIAS_COUNT])[:, None]
     information = root @ root.T
-    best, biases = rng.normal(size=12), rng.normal(size=6)
-    spread, random = (_symmetric(rng, 100.0, 12) for _ in range(2))
+    best, biases = rng.normal(size=_UNKNOWNS), rng.normal(size=2 * BIAS_COUNT)
+    spread, random = (_symmetric(rng, 100.0, _UNKNOWNS) for _ in range(2))
     return replace(pair, bias_information=BiasInformation(information, -information @ best, spread, random, biases))
 
 
@@ -122,29 +124,36 @@ def test_the_gradient_of_the_refinement_is_of_its_robust_cost(turn_rad):
 
 
 def _residual(pair, state):
-    """Of the pose and of the biases of both LiDARs (12,)."""
+    """Of the pose and of the biases of both LiDARs (14,)."""
     biases = np.concatenate([state.biases[state.bias_columns(name)] for name in (pair.target, pair.source)])
     return np.concatenate([refine._offset(pair, state.poses), biases - pair.bias_information.biases])
+
+
+def _in_common(pairs):
+    """How often the spread of each pair counts: a tenth of it is the same in all pairs of one source."""
+    count = Counter(pair.source for pair in pairs)
+    return [0.9 + 0.1 * count[pair.source] for pair in pairs]
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
 def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
     """Sums over the pairs of J' g, J' I J and J' S J by their weights, with J by all poses and biases.
 
-    Pairs of one source have its systematic errors in common: a pair's spread counts as often as its source.
+    Pairs of one source have a part of its systematic errors in common, so the spread of each counts more than once.
     """
     poses, pairs = _rig(turn_rad)
     rng = np.random.default_rng(7)
     pairs = [_with_biases(pair, rng) for pair in _off(pairs, rng)]
-    state, count = _state(poses, rng.normal(size=12)), Counter(pair.source for pair in pairs)
-    gradient, (information, spread, random) = np.zeros(30), np.zeros((3, 30, 30))
+    state = _state(poses, rng.normal(size=4 * BIAS_COUNT))
+    size = 18 + 4 * BIAS_COUNT
+    gradient, (information, spread, random) = np.zeros(size), np.zeros((3, size, size))
     weights = [1.0 / (1.0 + refine._squared(p, state) / (6.0 * _CONFIG.outlier_sigma**2)) for p in pairs]
     assert min(weights) < 0.85 * max(weights)
-    for pair, weight in zip(pairs, weights, strict=True):
-        found, jacobian = pair.bias_information, _derivative(lambda step, p=pair: _residual(p, state.moved(step)), 30)
+    for pair, weight, times in zip(pairs, weights, _in_common(pairs), strict=True):
+        found, jacobian = pair.bias_information, _derivative(lambda step, p=pair: _residual(p, state.moved(step)), size)
         gradient += weight * jacobian.T @ (found.gradient + found.information @ _residual(pair, state))
         information += weight * jacobian.T @ found.information @ jacobian
-        spread += weight**2 * count[pair.source] * jacobian.T @ found.spread @ jacobian
+        spread += weight**2 * times * jacobian.T @ found.spread @ jacobian
         random += weight**2 * jacobian.T @ found.random_spread @ jacobian
     found = refine._normal_equations(pairs, state, _CONFIG)
     _assert_alike(found.gradient, gradient)
@@ -155,12 +164,11 @@ def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
 def test_covariances_are_a_sandwich_of_all_information(turn_rad):
-    """Pairs of one source have its errors in common; random errors average out."""
+    """Pairs of one source have a part of its errors in common; random errors average out."""
     poses, pairs = _rig(turn_rad)
-    count = Counter(pair.source for pair in pairs)
     free = ["A", "B", "C"]
     normal_matrix, spread = np.zeros((2, 18, 18))
-    for pair in pairs:
+    for pair, times in zip(pairs, _in_common(pairs), strict=True):
         columns = []
         for name in free:
 
@@ -170,7 +178,7 @@ def test_covariances_are_a_sandwich_of_all_information(turn_rad):
             columns.append(_derivative(residual))
         jacobian = np.concatenate(columns, axis=1)
         normal_matrix += jacobian.T @ pair.information @ jacobian
-        spread += count[pair.source] * jacobian.T @ pair.information @ jacobian
+        spread += times * jacobian.T @ pair.information @ jacobian
     random = np.linalg.inv(normal_matrix)
     expected = random @ spread @ random
     found = refine.refine("T", poses, pairs, _CONFIG)
@@ -198,16 +206,16 @@ def _rooms(turn_rad, seed=0):
 
 def _motions(pose, biases):
     """Return the residuals of the plane fit by a motion of the source, then by the biases of target and source."""
-    rest = np.zeros(6) if biases is None else biases
+    rest = np.zeros(2 * BIAS_COUNT) if biases is None else biases
 
     def residuals(overlap, step):
-        step = np.concatenate([step, np.zeros(12 - len(step))])
+        step = np.concatenate([step, np.zeros(_UNKNOWNS - len(step))])
         return plane_fit._residuals(overlap, moved(pose, step[:3], step[3:6]), rest + step[6:])
 
     return residuals
 
 
-_BIASES = np.array([0.015, 2e-3, -1e-3, -0.01, -1e-3, 3e-3])
+_BIASES = np.array([0.015, 2e-3, -1e-3, 2e-3, -0.01, -1e-3, 3e-3, -1e-3])
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
@@ -217,8 +225,8 @@ def test_residuals_of_the_plane_fit_by_motions_of_the_source(turn_rad, biases):
     target, source, pose = _rooms(turn_rad)
     overlap = plane_fit._overlap(target, source, pose)
     residuals = _motions(pose, biases)
-    here = residuals(overlap, np.zeros(12))
-    jacobian = _derivative(lambda step: residuals(overlap, step).residual_m, 12)
+    here = residuals(overlap, np.zeros(_UNKNOWNS))
+    jacobian = _derivative(lambda step: residuals(overlap, step).residual_m, _UNKNOWNS)
     _assert_alike(here.jacobian(overlap, pose), jacobian)
 
     def cost(motion):
@@ -252,7 +260,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     target, source, pose = _rooms(turn_rad)
     overlap = plane_fit._overlap(target, source, pose)
     here = plane_fit._residuals(overlap, pose, _BIASES)
-    jacobian = _derivative(lambda step: _motions(pose, _BIASES)(overlap, step).residual_m, 12)
+    jacobian = _derivative(lambda step: _motions(pose, _BIASES)(overlap, step).residual_m, _UNKNOWNS)
     pulls = here.weight[:, None] * jacobian
     # The surfaces are those at the pose that the fit began with.
     placed_m, normals = pose.apply(overlap.points_m), pose.rotate(overlap.normals)
@@ -309,11 +317,12 @@ def test_a_covariance_is_raised_where_it_is_less_than_another():
 def test_a_direction_that_nothing_constrains_counts_as_one_point():
     """Of the scaled Hessian diag(9, 0.25, ...): the second direction becomes 1, with the largest match distance."""
     rng = np.random.default_rng(8)
-    directions = np.linalg.qr(rng.normal(size=(12, 12)))[0]
-    values = np.array([9.0, 0.25, 0.0, *range(4, 13)])
-    lengths_m = np.array([10.0] * 3 + [1.0] * 4 + [10.0] * 2 + [1.0] + [10.0] * 2)
+    directions = np.linalg.qr(rng.normal(size=(_UNKNOWNS, _UNKNOWNS)))[0]
+    values = np.array([9.0, 0.25, 0.0, *range(4, _UNKNOWNS + 1)])
+    # Of a turn, a shift, and the biases of both LiDARs: a scale is as long as an angle.
+    lengths_m = np.array([10.0] * 3 + [1.0] * 3 + 2 * [1.0, 10.0, 10.0, 10.0])
     hessian = (directions * values) @ directions.T * np.outer(lengths_m, lengths_m)
-    floored, spread = plane_fit._floored(hessian, np.zeros((12, 12)))
+    floored, spread = plane_fit._floored(hessian, np.zeros_like(hessian))
     floored, spread = (each / np.outer(lengths_m, lengths_m) for each in (floored, spread))
     _assert_alike(floored, (directions * np.maximum(values, 1.0)) @ directions.T, 1e-9)
     _assert_alike(spread, 0.3**2 * directions[:, 1:3] @ directions[:, 1:3].T, 1e-9)

@@ -8,7 +8,7 @@ from multilica.config import FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes
-from multilica.registration.sensor_biases import posterior, prior_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
 from tests.unit.made_rooms import Face, box, scan
 
 _SIGMAS = np.tile(prior_sigmas("", RefineConfig()), 2)
@@ -53,16 +53,16 @@ def test_ranges_that_are_off_do_not_push_the_pose(biased):
     assert found.pose.distance_to(_TRUTH)[0] < 0.002
     assert found.pose.distance_to(_TRUTH)[1] < np.deg2rad(0.02)
     assert _squared_error(found) < 16.8
-    assert np.allclose(found.biases.biases[[0, 3]], [0.015, -0.010], atol=0.004)
+    assert np.allclose(found.biases.biases[[0, BIAS_COUNT]], [0.015, -0.010], atol=0.004)
 
 
 def test_a_lidar_with_its_own_datasheet_takes_the_bias(biased):
     """Only the target's ranges may be off: the source's error goes elsewhere."""
     sigmas = _SIGMAS.copy()
-    sigmas[3] = 1e-6
+    sigmas[BIAS_COUNT] = 1e-6
     found = fit_planes(*biased, _TRUTH, sigmas)
     assert found.biases.biases[0] > 0.01
-    assert abs(found.biases.biases[3]) < 1e-5
+    assert abs(found.biases.biases[BIAS_COUNT]) < 1e-5
 
 
 @pytest.mark.slow
@@ -72,7 +72,34 @@ def test_angles_that_are_off_do_not_tilt_the_pose():
     found, plain = (fit_planes(*biased, _TRUTH, scale * _SIGMAS) for scale in (8.0, 1e-4))
     assert _squared_error(found) < 16.8
     assert abs(plain.pose.xyz_m[2] - _TRUTH.xyz_m[2]) > 3.0 * abs(found.pose.xyz_m[2] - _TRUTH.xyz_m[2])
-    assert np.allclose(found.biases.biases[[1, 4]], [off_rad, -off_rad], atol=0.3 * off_rad)
+    assert np.allclose(found.biases.biases[[1, 1 + BIAS_COUNT]], [off_rad, -off_rad], atol=0.3 * off_rad)
+
+
+def test_scales_that_are_off_do_not_push_the_pose():
+    """A scale that both have in common only looks like another distance of the LiDARs, so the difference is found."""
+    scale = 2e-3
+    biased = _clouds(2, {"range_scale": scale}, {"range_scale": -scale})
+    wide = _SIGMAS.copy()
+    wide[[3, 3 + BIAS_COUNT]] = scale
+    found, plain = (fit_planes(*biased, _TRUTH, sigmas) for sigmas in (wide, 1e-4 * _SIGMAS))
+    assert plain.pose.distance_to(_TRUTH)[0] > 0.02
+    assert found.pose.distance_to(_TRUTH)[0] < 0.005
+    assert _squared_error(found) < 16.8
+    of_target, of_source = found.biases.biases[[3, 3 + BIAS_COUNT]]
+    assert of_target - of_source == pytest.approx(2.0 * scale, rel=0.1)
+    assert min(of_target, -of_source) > 0.0
+
+
+def test_the_scale_of_one_lidar_is_found():
+    """The other's is known."""
+    scale = 2e-3
+    sigmas = _SIGMAS.copy()
+    sigmas[[3, 3 + BIAS_COUNT]] = scale, 1e-7
+    found = fit_planes(*_clouds(3, {"range_scale": scale}, {}), _TRUTH, sigmas)
+    assert found.biases.biases[3] == pytest.approx(scale, rel=0.2)
+    assert abs(found.biases.biases[3 + BIAS_COUNT]) < 1e-6
+    assert found.pose.distance_to(_TRUTH)[0] < 0.003
+    assert _squared_error(found) < 16.8
 
 
 @pytest.mark.slow

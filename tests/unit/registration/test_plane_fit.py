@@ -8,7 +8,7 @@ from multilica.geometry import RigidTransform
 from multilica.registration import plane_fit
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes, pose_information
-from multilica.registration.sensor_biases import posterior, prior_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
 
 _SIGMAS = np.tile(prior_sigmas("", RefineConfig()), 2)
 _UNBIASED = 1e-3 * _SIGMAS
@@ -49,7 +49,7 @@ def _sigma_m(information):
 def _here(target, source):
     """Where the pose is given: with biases, of which `pose_information` does not tell."""
     overlap = plane_fit._overlap(target, source, _HERE)
-    found = plane_fit._with_information(overlap, _HERE, np.zeros(6), _UNBIASED)
+    found = plane_fit._with_information(overlap, _HERE, np.zeros(2 * BIAS_COUNT), _UNBIASED)
     assert np.array_equal(found.information, pose_information(target, source, _HERE, _UNBIASED).information)
     return found
 

@@ -4,23 +4,26 @@ import pytest
 
 from multilica.config import RefineConfig
 from multilica.registration import sensor_biases
-from multilica.registration.sensor_biases import posterior, prior_sigmas, shifts_per_bias
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas, shifts_per_bias
 
-_SIGMAS = np.array([0.02, 3e-4, 2e-4])
+_SIGMAS = np.array([0.02, 3e-4, 2e-4, 3e-4])
 
 
 def _points(spherical):
-    range_m, elevation, azimuth = spherical.T
+    """Points (N, 3) of range, elevation and azimuth, and of a scale of the range."""
+    range_m, elevation, azimuth, scale = spherical.T
+    range_m = range_m * scale
     flat_m = range_m * np.cos(elevation)
     return np.column_stack([flat_m * np.cos(azimuth), flat_m * np.sin(azimuth), range_m * np.sin(elevation)])
 
 
 def test_shifts_are_the_derivatives_of_spherical_coordinates():
     rng = np.random.default_rng(0)
-    spherical = np.column_stack([rng.uniform(1, 80, 500), rng.uniform(-1.4, 1.4, 500), rng.uniform(-3.1, 3.1, 500)])
+    angles = rng.uniform(-1.4, 1.4, 500), rng.uniform(-3.1, 3.1, 500)
+    spherical = np.column_stack([rng.uniform(1, 80, 500), *angles, np.ones(500)])
     found = shifts_per_bias(_points(spherical))
-    assert found.shape == (3, 500, 3)
-    for bias, step in enumerate(1e-6 * np.eye(3)):
+    assert found.shape == (BIAS_COUNT, 500, 3)
+    for bias, step in enumerate(1e-6 * np.eye(BIAS_COUNT)):
         expected = (_points(spherical + step) - _points(spherical - step)) / 2e-6
         np.testing.assert_allclose(found[bias], expected, rtol=0, atol=1e-6)
 
@@ -30,9 +33,9 @@ def test_shifts_of_points_on_the_axis_are_finite():
 
 
 def test_priors_are_those_of_the_configuration():
-    angles = {"elevation_bias_sigma_deg": 0.1, "azimuth_bias_sigma_deg": 0.2}
-    config = RefineConfig(range_bias_sigma_m=0.04, range_bias_sigmas_m={"left": 0.03}, **angles)
-    assert prior_sigmas("left", config) == pytest.approx([0.03, np.deg2rad(0.1), np.deg2rad(0.2)])
+    others = {"elevation_bias_sigma_deg": 0.1, "azimuth_bias_sigma_deg": 0.2, "range_scale_sigma": 5e-4}
+    config = RefineConfig(range_bias_sigma_m=0.04, range_bias_sigmas_m={"left": 0.03}, **others)
+    assert prior_sigmas("left", config) == pytest.approx([0.03, np.deg2rad(0.1), np.deg2rad(0.2), 5e-4])
     assert prior_sigmas("right", config)[0] == 0.04
 
 
@@ -84,7 +87,7 @@ def test_the_grid_of_shares_is_fine_enough():
     """Against a uniform share from 0 to 1 in steps of 0.5 %: a fifth of a sigma, and a third wider at most."""
     rng = np.random.default_rng(2)
     for size in (0.02, 0.2, 0.5, 1.0, 2.0):
-        information, gradient, state, _ = _problem(rng, size * _SIGMAS * [1.0, 0.5, -0.8], strength=5.0)
+        information, gradient, state, _ = _problem(rng, size * _SIGMAS * [1.0, 0.5, -0.8, 0.3], strength=5.0)
         found = posterior(information, gradient, state[1:], _SIGMAS)
         of_poses, mixed = information[0, 0], information[0, 1:]
         reduced = information[1:, 1:] - np.outer(mixed, mixed) / of_poses
@@ -121,9 +124,9 @@ def test_a_wide_prior_gives_the_plain_solution():
 def test_a_narrow_prior_gives_the_solution_without_biases():
     rng = np.random.default_rng(4)
     information, gradient, _, _ = _problem(rng, _SIGMAS, poses=6)
-    found = posterior(information, gradient, np.zeros(3), 1e-4 * _SIGMAS)
+    found = posterior(information, gradient, np.zeros(BIAS_COUNT), 1e-4 * _SIGMAS)
     expected = -np.linalg.solve(information[:6, :6], gradient[:6])
-    np.testing.assert_allclose(found.step, [*expected, 0.0, 0.0, 0.0], atol=1e-5 * np.abs(expected).max())
+    np.testing.assert_allclose(found.step, [*expected, *np.zeros(BIAS_COUNT)], atol=1e-5 * np.abs(expected).max())
     # The pseudo-inverse rounds at 1e-15 of a prior that is 1e10 times the information.
     np.testing.assert_allclose(found.covariance, np.linalg.inv(information[:6, :6]), rtol=1e-5)
 
@@ -132,7 +135,7 @@ def test_the_solution_does_not_depend_on_the_linearisation():
     rng = np.random.default_rng(5)
     information, gradient, state, _ = _problem(rng, _SIGMAS, poses=6)
     found = posterior(information, gradient, state[6:], _SIGMAS)
-    shift = rng.normal(size=9) * np.concatenate([np.full(6, 0.01), _SIGMAS])
+    shift = rng.normal(size=6 + BIAS_COUNT) * np.concatenate([np.full(6, 0.01), _SIGMAS])
     elsewhere = posterior(information, gradient + information @ shift, state[6:] + shift[6:], _SIGMAS)
     np.testing.assert_allclose(shift + elsewhere.step, found.step, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(elsewhere.covariance, found.covariance, rtol=1e-6)
@@ -140,8 +143,8 @@ def test_the_solution_does_not_depend_on_the_linearisation():
 
 def test_biases_that_the_data_do_not_show_are_those_of_the_prior():
     """No more than what datasheets allow, and in the mean over the shares less."""
-    information = np.diag([1e4, 1e-6, 1e-6, 1e-6])
-    found = posterior(information, np.zeros(4), np.zeros(3), _SIGMAS)
+    information = np.diag([1e4, *np.full(BIAS_COUNT, 1e-6)])
+    found = posterior(information, np.zeros(1 + BIAS_COUNT), np.zeros(BIAS_COUNT), _SIGMAS)
     assert np.all(found.bias_sigmas < _SIGMAS)
     np.testing.assert_allclose(found.bias_sigmas / _SIGMAS, np.sqrt(1.0 / 3.0), rtol=0.3)
 
@@ -162,14 +165,15 @@ def test_the_covariance_is_that_of_draws_of_the_gradient():
     """The gradient spreads otherwise than the information says, by random errors and by others."""
     rng = np.random.default_rng(6)
     information, *_ = _problem(rng, _SIGMAS, poses=2, strength=20.0)
-    root = 0.3 * np.linalg.cholesky(information) @ rng.normal(size=(5, 5))
+    size = len(information)
+    root = 0.3 * np.linalg.cholesky(information) @ rng.normal(size=(size, size))
     spread, random = root @ root.T, root[:, :2] @ root[:, :2].T
-    found = posterior(information, np.zeros(5), np.zeros(3), 1e6 * _SIGMAS, spread, random)
-    draws, size = rng.normal(size=(20_000, 5)), np.sqrt(np.diag(found.covariance))
+    found = posterior(information, np.zeros(size), np.zeros(BIAS_COUNT), 1e6 * _SIGMAS, spread, random)
+    draws, sigmas = rng.normal(size=(20_000, size)), np.sqrt(np.diag(found.covariance))
     steps, random_steps = (
         np.linalg.solve(information, (part @ draws[:, : part.shape[1]].T))[:2] for part in (root, root[:, :2])
     )
-    correlated = np.outer(size, size)
+    correlated = np.outer(sigmas, sigmas)
     np.testing.assert_allclose(np.cov(steps) / correlated, found.covariance / correlated, atol=0.05)
     np.testing.assert_allclose(np.cov(random_steps) / correlated, found.repeatability / correlated, atol=0.05)
 

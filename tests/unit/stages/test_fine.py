@@ -9,7 +9,7 @@ from multilica.geometry import RigidTransform
 from multilica.registration import poses
 from multilica.registration.gicp import register
 from multilica.registration.plane_fit import PlaneFit
-from multilica.registration.sensor_biases import prior_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, prior_sigmas
 from multilica.results import BiasInformation, Hypothesis
 from multilica.stages import fine
 from multilica.stages.fine import prepare_registration_cloud, register_best, select_finalists
@@ -143,7 +143,8 @@ def test_the_stability_is_tested_if_a_pose_competes(sides):
 def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
     elsewhere = _near(_TRUTH, (0.004, 0.0, 0.0), 0.0)
     information = np.diag([1e8] * 3 + [1e6] * 3)
-    of_biases = BiasInformation(np.eye(12), np.zeros(12), np.eye(12), np.eye(12), np.zeros(6))
+    whole = np.eye(6 + 2 * BIAS_COUNT)
+    of_biases = BiasInformation(whole, whole[0], whole, whole, np.zeros(2 * BIAS_COUNT))
     fitted = PlaneFit(elsewhere, information, of_biases)
     allowed = []
 
@@ -152,8 +153,9 @@ def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
         return fitted
 
     monkeypatch.setattr(fine, "fit_planes", fit)
-    angles = ["refine.elevation_bias_sigma_deg=0.1", "refine.azimuth_bias_sigma_deg=0.2"]
-    config = with_overrides(_CONFIG, ["refine.range_bias_sigmas_m.s=0.03", *angles])
+    others = ["elevation_bias_sigma_deg=0.1", "azimuth_bias_sigma_deg=0.2", "range_scale_sigma=3e-4"]
+    overrides = [f"refine.{each}" for each in ("range_bias_sigmas_m.s=0.03", *others)]
+    config = with_overrides(_CONFIG, overrides)
     result = register_best(*sides, [_hypothesis(_near(_TRUTH))], config)
     assert result.T_target_source is elsewhere
     assert result.registrations[0].T_target_source is elsewhere
@@ -162,7 +164,7 @@ def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
     of_target, of_source = (prior_sigmas(name, config.refine) for name in "ts")
     assert of_source[0] == 0.03 != of_target[0]
     assert np.array_equal(allowed, [[*of_target, *of_source]])
-    assert np.allclose(of_target[1:], np.deg2rad([0.1, 0.2]))
+    assert np.allclose(of_target[1:], [*np.deg2rad([0.1, 0.2]), 3e-4])
 
 
 def test_a_group_has_no_biases_of_its_own(clouds, sides):
@@ -179,7 +181,7 @@ def test_a_pushed_pose_is_less_certain_with_its_biases(sides, monkeypatch):
     sure = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     monkeypatch.setattr(fine, "perturbed_ends", lambda *_: (_near(_TRUTH, (0.03, 0.0, 0.0)), _TRUTH))
     unsure = register_best(*sides, [_hypothesis(_near(_TRUTH))], _NEVER_FIRM)
-    direction = np.zeros(12)
+    direction = np.zeros(6 + 2 * BIAS_COUNT)
     direction[:6] = unsure.registrations[0].visibility.weakest_direction / np.repeat([10.0, 1.0], 3)
     for widened, before, along in (
         (unsure.information, sure.information, direction[:6]),
@@ -192,12 +194,13 @@ def test_a_pushed_pose_is_less_certain_with_its_biases(sides, monkeypatch):
 def test_an_offset_is_added_to_the_covariance_of_pose_and_biases():
     """Not to what random errors cause of it."""
     rng = np.random.default_rng(0)
-    roots = rng.normal(size=(3, 12, 12))
-    information, spread, random = roots @ roots.transpose(0, 2, 1) + np.eye(12)
-    found = BiasInformation(information, np.zeros(12), spread, random, np.zeros(6))
+    size = 6 + 2 * BIAS_COUNT
+    roots = rng.normal(size=(3, size, size))
+    information, spread, random = roots @ roots.transpose(0, 2, 1) + np.eye(size)
+    found = BiasInformation(information, np.zeros(size), spread, random, np.zeros(2 * BIAS_COUNT))
     direction, off_m = rng.normal(size=6), 0.3
     wide = fine._widened_with_biases(found, direction, off_m)
-    step = np.concatenate([off_m * direction / np.repeat([10.0, 1.0], 3), np.zeros(6)])
+    step = np.concatenate([off_m * direction / np.repeat([10.0, 1.0], 3), np.zeros(2 * BIAS_COUNT)])
     before, after = np.linalg.inv(information), np.linalg.inv(wide.information)
     np.testing.assert_allclose(after, before + np.outer(step, step), atol=1e-9)
     expected = before @ spread @ before + np.outer(step, step)
