@@ -3,10 +3,12 @@
 
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from multilica import events
+from multilica.acceptance.consistency import contradiction_of, inconsistent_lidars, is_beyond, widened
 from multilica.acceptance.placement import contested_place, place, place_target, why_unplaced
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
@@ -21,11 +23,14 @@ from multilica.results import (
     Group,
     Hypothesis,
     LidarPlacement,
+    MergeDecision,
     PairRegistration,
+    PairResidual,
     PreprocessedCloud,
     Refusal,
     SensorBias,
     TimeLimit,
+    Verdict,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, select_finalists
@@ -139,14 +144,51 @@ def _merged_points(state: CalibrationState, group: Group) -> FloatArray:
 
 
 def refine_rig(state: CalibrationState) -> None:
-    """Refine all poses jointly."""
+    """Refine all poses jointly; LiDARs whose pairs contradict each other lose their pose, or have a wider covariance.
+
+    A contradiction below the limits of a placed LiDAR is counted in its covariance. With a larger one no pose of the
+    cycle can be trusted: the disagreement does not say how far the wrong pair is off.
+    """
     if not state.config.refine.enabled or state.group is None:
         return
-    trusted = trusted_pairs(state.registrations.values(), state.merges)
-    rig = refine(state.target, state.group.poses, trusted, state.config.refine)
+    poses, limits = state.group.poses, state.config.acceptance
+    while True:
+        used = [pair for pair in trusted_pairs(state.registrations.values(), state.merges) if pair.lidars <= {*poses}]
+        rig = refine(state.target, poses, used, state.config.refine)
+        doubts = inconsistent_lidars(state.target, used, rig.refinement.pairs)
+        lost = {name: residual for name, residual in doubts.items() if is_beyond(residual, limits)}
+        if not lost:
+            break
+        _doubt_pairs_of(state, lost)
+        poses = {name: pose for name, pose in poses.items() if name not in lost}
+    state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
     state.group = Group(state.target, rig.poses)
-    state.covariances, state.repeatability, state.refinement = rig.covariances, rig.repeatability, rig.refinement
+    state.covariances = widened(rig.covariances, doubts)
+    state.repeatability, state.refinement = rig.repeatability, rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
+
+
+def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, PairResidual]) -> None:
+    """Leave the accepted pairs of LiDARs undecided whose cycle does not close."""
+    for key, pair in state.registrations.items():
+        residuals = [lost[name] for name in sorted(pair.lidars & lost.keys())]
+        if residuals and pair.verdict.accepted:
+            reason = contradiction_of(residuals[0], state.config.acceptance)
+            state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reason,)))
+            state.observe(events.VerdictChanged(state.registrations[key]))
+    state.merges = [pair for pair in state.merges if not pair.lidars & lost.keys()]
+    _split_off(state, lost)
+
+
+def _split_off(state: CalibrationState, lost: Mapping[str, PairResidual]) -> None:
+    """Take LiDARs out of the target's group, each into a group of its own."""
+    groups = [tuple(name for name in group if name not in lost) for group in state.decisions[-1].groups]
+    groups = [*filter(None, groups), *((name,) for name in sorted(lost))]
+    texts = sorted({contradiction_of(each, state.config.acceptance).text for each in lost.values()})
+    reason = f"{', '.join(sorted(lost))} left the group: {'; '.join(texts)}"
+    decision = MergeDecision(len(state.decisions), (), None, reason, tuple(groups))
+    state.decisions.append(decision)
+    state.observe(events.MergeStepTaken(decision, ()))
 
 
 def compare_surfaces(state: CalibrationState) -> None:
@@ -284,6 +326,7 @@ def placement_of(name: str, target: str, state: CalibrationState) -> LidarPlacem
         poses[name],
         state.covariances.get(name),
         state.config.acceptance,
+        f"placed; sigma covers that {state.doubts[name]}" if name in state.doubts else "placed",
         repeatability=state.repeatability.get(name),
         fitness=merged.fitness,
         rmse_m=merged.rmse_m,

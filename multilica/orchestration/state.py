@@ -58,6 +58,7 @@ class CalibrationState:
     covariances: Mapping[str, FloatArray] = field(default_factory=dict)
     repeatability: Mapping[str, FloatArray] = field(default_factory=dict)
     refinement: Refinement | None = None
+    doubts: Mapping[str, str] = field(default_factory=dict)
     rig: Extrinsics | None = None
     ground: GroundPlane | None = None
     ground_refusal: str = ""

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Cycles of accepted pairs that do not close within their covariances."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from multilica.acceptance.pair_graph import PairGraph
+from multilica.config import AcceptanceConfig
+from multilica.geometry import FloatArray
+from multilica.results import PairRegistration, PairResidual, Reason, connected
+
+
+def inconsistent_lidars(
+    target: str, pairs: Sequence[PairRegistration], residuals: Sequence[PairResidual]
+) -> dict[str, PairResidual]:
+    """Find the LiDARs whose poses hang on a cycle that does not close, each with the least probable residual.
+
+    A pair that contradicts the others (chi squared, 6 degrees of freedom) says that one pair of its cycle is wrong, not
+    which one: the robust weight of the refinement follows the majority, which may be what moved between the scans. So
+    all LiDARs of the cycle are in doubt, and those that only they link to the target.
+
+    Args:
+        target: is never in doubt: the poses are relative to it.
+        pairs: with which the poses were refined, one per residual.
+    """
+    found: dict[str, PairResidual] = {}
+    names = sorted({name for pair in pairs for name in pair.lidars})
+    for residual in sorted(residuals, key=lambda each: each.probability):
+        if not residual.contradicts:
+            break
+        ends = {residual.target, residual.source}
+        others = [pair for pair in pairs if pair.lidars != ends]
+        cycle = {*PairGraph.of(names, others).lidars_between(residual.target, residual.source), *ends} - {target}
+        linked = connected(target, [pair for pair in pairs if not pair.lidars & cycle])
+        for name in names:
+            if name not in linked:
+                found.setdefault(name, residual)
+    return found
+
+
+def is_beyond(residual: PairResidual, config: AcceptanceConfig) -> bool:
+    """Return whether a pair differs by more than the largest standard deviation of a placed LiDAR."""
+    return residual.after_m > config.max_sigma_m or residual.after_deg > config.max_sigma_deg
+
+
+def widened(covariances: Mapping[str, FloatArray], doubts: Mapping[str, PairResidual]) -> dict[str, FloatArray]:
+    """Widen the covariances (6, 6) of LiDARs in doubt by the residual, in all directions: they cover either pose."""
+    return {
+        name: covariance + _spread(doubts[name]) if name in doubts else covariance
+        for name, covariance in covariances.items()
+    }
+
+
+def contradiction_of(residual: PairResidual, config: AcceptanceConfig) -> Reason:
+    """Return the reason to doubt all pairs of the cycle."""
+    text = (
+        f"{residual.source} against {residual.target} contradicts the other pairs of its cycle by "
+        f"{1000.0 * residual.after_m:.0f} mm, {residual.after_deg:.2f} deg (probability {residual.probability:.0e})"
+    )
+    return Reason("cycle_contradicted", residual.after_m, config.max_sigma_m, text)
+
+
+def _spread(residual: PairResidual) -> FloatArray:
+    return np.diag(np.repeat([np.deg2rad(residual.after_deg), residual.after_m], 3) ** 2)

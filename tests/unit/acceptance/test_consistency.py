@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A rig of four LiDARs, each pair measured, of which one is off."""
+
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from multilica.acceptance.consistency import inconsistent_lidars
+from multilica.acceptance.rig import is_contradicted
+from multilica.config import CalibrationConfig, with_overrides
+from multilica.orchestration.rig import refine_rig, result_of
+from multilica.orchestration.state import CalibrationState
+from multilica.results import Group, MergeCandidate, MergeDecision, PairResidual, PreprocessedCloud
+from multilica.snapshot import LidarScans, Scan, Snapshot
+from tests.unit.acceptance.made_rig import IN_A, linked
+
+_SIGMA_RAD, _SIGMA_M = 1e-4, 2e-3
+_INFORMATION = np.diag(np.repeat([_SIGMA_RAD, _SIGMA_M], 3) ** -2.0)
+
+
+def _calibrated(pairs):
+    """The state after the refinement of a rig whose pairs were all merged."""
+    point = np.ones((1, 3), dtype=np.float32)
+    snapshot = Snapshot(tuple(LidarScans(name, (Scan(point),)) for name in IN_A), "made")
+    config = with_overrides(CalibrationConfig(target="a"), ["verify.enabled=false"])
+    state = CalibrationState(snapshot, config, lambda _: None)
+    state.clouds = {name: PreprocessedCloud(name, point, point) for name in IN_A}
+    state.registrations = {(pair.target, pair.source): pair for pair in pairs}
+    state.target, state.group = "a", Group("a", dict(IN_A))
+    for name in "bcd":
+        chosen = MergeCandidate("a", name, 0.5, 0.05, passes=True)
+        state.decisions.append(MergeDecision(1, (chosen,), chosen, "made", ((name,),)))
+    refine_rig(state)
+    return state
+
+
+def _pairs(*off, by_m=0.0, names="abcd"):
+    """Pairs at their true poses, but for those that are off along x."""
+    pairs = []
+    for target, source in combinations(names, 2):
+        made = replace(linked(target, source), information=_INFORMATION)
+        if target + source in off:
+            pose = made.T_target_source
+            shifted = type(pose).from_rotation_translation(
+                target, source, pose.rotation, pose.xyz_m + np.array([by_m, 0.0, 0.0])
+            )
+            made = replace(made, T_target_source=shifted)
+        pairs.append(made)
+    return pairs
+
+
+def _residual(target, source, probability, after_m=0.01):
+    return PairResidual(target, source, 0.0, 0.0, after_m, 0.01, 1.0, probability)
+
+
+def test_pairs_that_agree_leave_no_lidar_in_doubt():
+    state = _calibrated(_pairs())
+    assert state.doubts == {}
+    assert {each.reason for each in result_of(state).placements} == {"the target", "placed"}
+
+
+@pytest.mark.parametrize("by_m", [0.083, -0.9])
+def test_a_large_contradiction_leaves_its_cycle_without_poses(by_m):
+    state = _calibrated(_pairs("bc", by_m=by_m))
+    result = result_of(state)
+    lost = {each.lidar for each in result.placements if each.status == "not_placed"}
+    assert {"b", "c"} <= lost
+    assert all(is_contradicted(pair) for pair in result.pairs if pair.lidars & lost)
+    assert "c against b contradicts the other pairs of its cycle by" in result["c"].reason
+    assert not any(pair.lidars & lost for pair in result.trusted)
+    assert not any(pair.contradicts for pair in state.refinement.pairs)
+
+
+def test_a_small_contradiction_widens_sigma_to_cover_both():
+    state = _calibrated(_pairs("bc", by_m=0.018))
+    sound, found = result_of(_calibrated(_pairs())), result_of(state)
+    for name in state.doubts:
+        assert found[name].status == "placed"
+        assert "sigma covers that c against b contradicts" in found[name].reason
+        residual_m = max(each.after_m for each in state.refinement.pairs)
+        expected = np.hypot(sound[name].sigma_xyz_m, residual_m)
+        np.testing.assert_allclose(found[name].sigma_xyz_m, expected, rtol=0.1)
+    assert {"b", "c"} <= state.doubts.keys()
+
+
+def test_all_lidars_of_a_ring_are_in_doubt():
+    ring = [pair for pair in _pairs() if {pair.target + pair.source} & {"ab", "bc", "cd", "ad"}]
+    found = inconsistent_lidars("a", ring, [_residual("b", "c", 1e-9), _residual("c", "d", 1e-12)])
+    assert {name: residual.probability for name, residual in found.items()} == {"b": 1e-12, "c": 1e-12, "d": 1e-12}
+
+
+def test_lidars_behind_a_cycle_are_in_doubt_and_others_not():
+    pairs = [pair for pair in _pairs() if pair.lidars in ({"a", "b"}, {"a", "c"}, {"b", "c"}, {"c", "d"})]
+    doubted = inconsistent_lidars("a", pairs, [_residual("b", "c", 1e-9)])
+    assert sorted(doubted) == ["b", "c", "d"]
+    behind_target = [pair for pair in _pairs() if pair.lidars in ({"a", "b"}, {"a", "c"}, {"b", "c"}, {"a", "d"})]
+    assert sorted(inconsistent_lidars("a", behind_target, [_residual("b", "c", 1e-9)])) == ["b", "c"]
+
+
+def test_a_probable_residual_doubts_nothing():
+    assert inconsistent_lidars("a", _pairs(), [_residual("b", "c", 0.002, after_m=1.0)]) == {}
