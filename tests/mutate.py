@@ -47,6 +47,16 @@ TARGETS = {
     "multilica/geometry.py": ("tests/property/test_geometry.py", "tests/unit/test_derivatives.py"),
     "multilica/extrinsics.py": ("tests/unit/test_extrinsics.py", FILES),
     "multilica/documents.py": ("tests/unit/test_documents.py",),
+    "multilica/registration/plane_fit.py": (
+        "tests/unit/test_derivatives.py",
+        "tests/unit/registration/test_plane_fit.py",
+        "tests/unit/registration/test_biased_rooms.py",
+    ),
+    "multilica/registration/sensor_biases.py": (
+        "tests/unit/registration/test_sensor_biases.py",
+        "tests/unit/test_derivatives.py",
+    ),
+    "multilica/acceptance/consistency.py": ("tests/unit/acceptance/test_consistency.py",),
     "multilica/stages/merge.py": (
         f"{STAGES}/test_merge.py",
         f"{STAGES}/test_merge_along_graph.py",
