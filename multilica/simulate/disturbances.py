@@ -13,6 +13,7 @@ from multilica.simulate.scenes import Scene
 from multilica.simulate.sensors import Hits, SensorModel, Surroundings, unit_directions
 from multilica.simulate.shapes.mesh import Mesh, merged
 from multilica.simulate.shapes.objects import pedestrian, truck
+from multilica.simulate.traffic import FLOWS
 
 DISTURBANCES: Mapping[str, str] = {
     "dead:<lidar>": "that LiDAR returns nothing",
@@ -22,6 +23,7 @@ DISTURBANCES: Mapping[str, str] = {
     "moving": "the vehicle moves at 3 m/s",
     "pedestrians": "people walk around the vehicle",
     "rain": "2 % of the returns are strays at random nearer ranges",
+    "traffic:<flow>": "cars drive past: one_way, both_ways or queue; each LiDAR scans up to 60 ms after the first",
     "truck": "a truck beside the vehicle blocks about half of one LiDAR's view",
 }
 _RAIN_SHARE = 0.02
@@ -37,10 +39,13 @@ _NEAREST_WALKER_M = 3.5
 def require_known(disturbances: Collection[str], rig: str, lidars: Collection[str]) -> None:
     """Raise UnknownNameError or UsageError if a rig with these LiDARs cannot have these disturbances."""
     for text in disturbances:
-        kind, _, lidar = text.partition(":")
+        kind, _, argument = text.partition(":")
         if kind in ("dead", "dirty"):
-            if lidar not in lidars:
-                raise UnknownNameError("LiDAR", lidar, lidars, f"rig '{rig}' for disturbance '{text}'")
+            if argument not in lidars:
+                raise UnknownNameError("LiDAR", argument, lidars, f"rig '{rig}' for disturbance '{text}'")
+        elif kind == "traffic":
+            if argument not in FLOWS:
+                raise UnknownNameError("traffic", argument, FLOWS)
         elif text not in DISTURBANCES:
             raise UnknownNameError("disturbance", text, DISTURBANCES)
     if "low_overlap" in disturbances and rig != "chain":

@@ -24,6 +24,7 @@ from multilica.simulate.rigs import BASE, RIGS, Mount, Rig, as_built, chain_rig,
 from multilica.simulate.scenes import SCENES
 from multilica.simulate.sensors import Hits, Surroundings, measure, nearer, returned_points
 from multilica.simulate.shapes.mesh import merged
+from multilica.simulate.traffic import FLOWS, LONGEST_DELAY_S, random_traffic, traffic
 from multilica.simulate.units import LidarUnit, draw_reflectivities, draw_unit
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
@@ -64,7 +65,7 @@ def simulate_snapshot(
     and the LiDARs' own errors depend on rig and build seed only.
 
     Args:
-        frames: per LiDAR, at 10 Hz.
+        frames: per LiDAR, at 10 Hz; with traffic, each LiDAR starts its scans at another time, which its stamps tell.
         disturbances: any of `DISTURBANCES`, for instance ``("rain", "dead:left")``.
         build_seed: chooses the vehicle; None: `seed`. A vehicle has the same truth and the same static transforms
             in every scene.
@@ -152,6 +153,11 @@ class _World:
         self._vehicle = Surroundings(rig.body)
         walkers = random_stream("pedestrians", scene, seed)
         self._walkers = random_walkers(self._scene, rig, self._fixed, walkers) if "pedestrians" in disturbances else ()
+        flows = [text.removeprefix("traffic:") for text in disturbances if text.startswith("traffic:")]
+        drivers = random_stream("traffic", scene, seed)
+        self._cars = [car for name in flows for car in random_traffic(self._scene, FLOWS[name], drivers)]
+        starts = random_stream("delay", rig.name, scene, seed)
+        self._delays_s = {mount.name: starts.uniform(0.0, LONGEST_DELAY_S) if flows else 0.0 for mount in rig.mounts}
 
     def scans(self, mount: Mount, unit: LidarUnit | None, frames: int) -> LidarScans:
         """Take the scans of one LiDAR; without a unit, of an ideal one."""
@@ -160,7 +166,8 @@ class _World:
         for frame in range(frames):
             rng = random_stream(self.label, mount.name, frame)
             directions = mount.sensor.pattern.directions(frame, rng)
-            cast = self._caster(mount, frame * _FRAME_S)
+            time_s = frame * _FRAME_S + self._delays_s[mount.name]
+            cast = self._caster(mount, time_s)
             if unit is None:
                 ranges, intensity = measure(mount.sensor, cast(directions), rng), None
             else:
@@ -173,7 +180,7 @@ class _World:
                 ranges = add_dirt(directions, ranges, dirt_axis, weather)
             if f"dead:{mount.name}" in self._disturbances:
                 ranges = np.full_like(ranges, np.nan)
-            stamp_ns = self._start_ns + round(frame * _FRAME_S * 1e9)
+            stamp_ns = self._start_ns + round(time_s * 1e9)
             scan = Scan(returned_points(directions, ranges), stamp_ns)
             scans.append(scan if intensity is None else _as_driver_sends(scan, mount, ranges, intensity))
         return LidarScans(mount.name, tuple(scans), topic=f"/lidar/{mount.name}/points")
@@ -182,13 +189,14 @@ class _World:
         """Return what casts the beams of a LiDAR at a time after the first frame."""
         T_base_lidar = self._poses[mount.name]
         T_world_lidar = self._pose(time_s) @ T_base_lidar
-        people = Surroundings(pedestrians(self._scene, self._walkers, time_s)) if self._walkers else None
+        moving = merged([pedestrians(self._scene, self._walkers, time_s), traffic(self._scene, self._cars, time_s)])
+        movers = Surroundings(moving) if len(moving.triangles) else None
 
         def cast(directions: FloatArray) -> Hits:
             of_vehicle = self._vehicle.cast(T_base_lidar, directions)
             hits = nearer(self._fixed.cast(T_world_lidar, directions), of_vehicle)
-            if people is not None:
-                hits = nearer(hits, people.cast(T_world_lidar, directions))
+            if movers is not None:
+                hits = nearer(hits, movers.cast(T_world_lidar, directions))
             return mask_ego(hits, of_vehicle) if "ego_masked" in self._disturbances else hits
 
         return cast

@@ -31,7 +31,8 @@ def simulate(
         str | None,
         _one(
             "--scene NAME",
-            "Scene: street, parking, garage, symmetric_garage, tunnel, open_field, fence_field. Required.",
+            "Scene: street, parking, garage, symmetric_garage, tunnel, tunnel_niches, open_field, fence_field, "
+            "motorway, bridge, avenue, car_park, court. Required.",
         ),
     ] = None,
     out: Annotated[
@@ -45,7 +46,7 @@ def simulate(
         _one(
             "--disturb NAME",
             "Disturbance: rain, truck (beside the vehicle), pedestrians, moving, ego_masked, low_overlap, "
-            "dead:LIDAR, dirty:LIDAR. Repeatable.",
+            "dead:LIDAR, dirty:LIDAR, traffic:one_way, traffic:both_ways, traffic:queue. Repeatable.",
         ),
     ] = None,
     sensors: Annotated[

@@ -6,12 +6,28 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from multilica.simulate.scenes.outdoors import fence_field, open_field, parking, street
+from multilica.simulate.scenes.roads import avenue, bridge, motorway
 from multilica.simulate.scenes.scene import Scene
-from multilica.simulate.scenes.underground import garage, symmetric_garage, tunnel
+from multilica.simulate.scenes.underground import garage, symmetric_garage, tunnel, tunnel_niches
+from multilica.simulate.scenes.yards import car_park, court
 
 __all__ = ["SCENES", "Scene"]
 
 SCENES: Mapping[str, Callable[[np.random.Generator], Scene]] = {
     builder.__name__: builder
-    for builder in (fence_field, garage, open_field, parking, street, symmetric_garage, tunnel)
+    for builder in (
+        avenue,
+        bridge,
+        car_park,
+        court,
+        fence_field,
+        garage,
+        motorway,
+        open_field,
+        parking,
+        street,
+        symmetric_garage,
+        tunnel,
+        tunnel_niches,
+    )
 }

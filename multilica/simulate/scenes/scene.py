@@ -13,6 +13,8 @@ from multilica.simulate.shapes.mesh import Mesh, facing_quads, merged, reaches_i
 
 Wave = tuple[float, float, float, float]
 """Amplitude (m), kx, ky (rad/m) and phase (rad) of ``amplitude * sin(kx * x + ky * y + phase)``."""
+Lane = tuple[float, float]
+"""y (m) of the middle of a straight lane along x, and 1.0 if its traffic goes along x, -1.0 if against."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +69,17 @@ _LONGEST_LEFT_OUT_M = 100.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """All bodies and the vehicle's middle in the world frame, z up; tall vehicles have the headroom above ground."""
+    """All bodies and the vehicle's middle in the world frame, z up; tall vehicles have the headroom above ground.
+
+    If there are lanes, the vehicle stands in one of them and heads along x.
+    """
 
     parts: tuple[Mesh, ...]
     terrain: Terrain
     vehicle_xy_m: tuple[float, float]
     vehicle_yaw_rad: float
     headroom_m: float = 10.0
+    lanes: tuple[Lane, ...] = ()
 
     @property
     def T_world_base(self) -> RigidTransform:  # noqa: N802 - the field's notation

@@ -3,11 +3,13 @@
 
 import numpy as np
 
+from multilica.simulate.scenes.roads import TWO_LANES
 from multilica.simulate.scenes.scene import FLAT, Scene
-from multilica.simulate.shapes.mesh import Mesh, box, cylinder, extrusion, quads, tube
+from multilica.simulate.shapes.mesh import Mesh, box, cylinder, extrusion, merged, quads, tube
 from multilica.simulate.shapes.objects import random_car
 
-_TUNNEL_HALF_LENGTH_M = 250.0
+_TUNNEL_HALF_LENGTH_M, _NICHES_REACH_M = 250.0, 125.0
+_NICHE_HEIGHT_M = 2.2
 
 
 class _GarageFrame:
@@ -126,16 +128,50 @@ def symmetric_garage(rng: np.random.Generator) -> Scene:
     return Scene((*_structure(frame), *half, *turned), FLAT, (0.0, 0.0), yaw_rad, headroom_m)
 
 
+class _Bore:
+    """Random sizes of a vault over a road with walkways; the distance of its walls from the middle is in a range."""
+
+    def __init__(self, rng: np.random.Generator, half_m: tuple[float, float]) -> None:
+        self.half_m, self.wall_m = rng.uniform(*half_m), rng.uniform(2.5, 4.0)
+        self.walkway_m, self.kerb_m = rng.uniform(0.8, 1.3, size=2), rng.uniform(0.15, 0.3)
+        self.rise_m = rng.uniform(0.6, 1.0) * self.half_m
+
+    def walls(self, x0_m: float, x1_m: float, niches_m: tuple[float, float] = (0.0, 0.0)) -> Mesh:
+        """Build a piece of the tunnel, its right and left walls set back by the depth of a niche."""
+        half_m, kerb_m, walkway_m = self.half_m, self.kerb_m, self.walkway_m
+        angles = np.linspace(0.0, np.pi, 25)
+        vault = np.column_stack([half_m * np.cos(angles), self.wall_m + self.rise_m * np.sin(angles)])
+        right = [[-half_m, kerb_m], [-half_m + walkway_m[0], kerb_m], [-half_m + walkway_m[0], 0.0]]
+        left = [[half_m - walkway_m[1], 0.0], [half_m - walkway_m[1], kerb_m], [half_m, kerb_m]]
+        pockets = (self._pocket(-half_m, -niches_m[0]), self._pocket(half_m, niches_m[1]))
+        profile = [*vault.tolist(), *reversed(pockets[0]), *right, *left, *pockets[1], [half_m, self.wall_m]]
+        cheeks = [quads([[[x, *corner] for corner in pocket] for x in (x0_m, x1_m)]) for pocket in pockets if pocket]
+        return merged([extrusion(profile, x0_m, x1_m), *cheeks])
+
+    def _pocket(self, wall_y_m: float, depth_m: float) -> list[list[float]]:
+        """Return y and z of the corners of a niche from the floor up; none without depth."""
+        if not depth_m:
+            return []
+        back_m, top_m = wall_y_m + depth_m, self.kerb_m + _NICHE_HEIGHT_M
+        return [[wall_y_m, self.kerb_m], [back_m, self.kerb_m], [back_m, top_m], [wall_y_m, top_m]]
+
+
 def tunnel(rng: np.random.Generator) -> Scene:
     """Build a vault over a road with walkways; all cross-sections are equal, so x is not observable."""
-    half_m, wall_m = rng.uniform(4.5, 6.5), rng.uniform(2.5, 4.0)
-    walkway_m, kerb_m = rng.uniform(0.8, 1.3, size=2), rng.uniform(0.15, 0.3)
-    angles = np.linspace(0.0, np.pi, 25)
-    rise_m = rng.uniform(0.6, 1.0) * half_m
-    vault = np.column_stack([half_m * np.cos(angles), wall_m + rise_m * np.sin(angles)])
-    right = [[-half_m, kerb_m], [-half_m + walkway_m[0], kerb_m], [-half_m + walkway_m[0], 0.0]]
-    left = [[half_m - walkway_m[1], 0.0], [half_m - walkway_m[1], kerb_m], [half_m, kerb_m], [half_m, wall_m]]
-    profile = np.concatenate([vault, right, left])
+    bore = _Bore(rng, (4.5, 6.5))
     yaw_rad = rng.normal(scale=0.04)
-    walls = extrusion(profile, -_TUNNEL_HALF_LENGTH_M, _TUNNEL_HALF_LENGTH_M)
+    walls = bore.walls(-_TUNNEL_HALF_LENGTH_M, _TUNNEL_HALF_LENGTH_M)
     return Scene((walls,), FLAT, (0.0, rng.uniform(-0.8, 0.8)), yaw_rad, 4.0)
+
+
+def tunnel_niches(rng: np.random.Generator) -> Scene:
+    """Build a tunnel for two lanes with equal niches at equal distances, in one wall or in both."""
+    bore = _Bore(rng, (6.0, 7.5))
+    depth_m, width_m, pitch_m = rng.uniform(0.4, 1.2), rng.uniform(1.5, 3.0), rng.uniform(8.0, 25.0)
+    depths_m = [(depth_m, 0.0), (0.0, depth_m), (depth_m, depth_m)][int(rng.integers(3))]
+    first_m = rng.uniform(0.0, pitch_m) - _NICHES_REACH_M
+    starts_m = np.arange(first_m, _NICHES_REACH_M, pitch_m).tolist()
+    walls = [bore.walls(x, x + width_m, depths_m) for x in starts_m]
+    walls += [bore.walls(x + width_m, x + pitch_m) for x in starts_m]
+    stand = (rng.uniform(-3.0, 3.0), TWO_LANES[0][0] + rng.normal(scale=0.15))
+    return Scene((merged(walls),), FLAT, stand, rng.normal(scale=0.015), 4.0, TWO_LANES)

@@ -61,6 +61,13 @@ def merged(meshes: Iterable[Mesh]) -> Mesh:
     return Mesh(np.concatenate([part.vertices_m for part in parts]), np.concatenate(triangles))
 
 
+def repeated(mesh: Mesh, spots_x_m: FloatArray) -> Mesh:
+    """Merge copies of the mesh, each shifted along x to one of the spots (N,)."""
+    shifts_m = np.asarray(spots_x_m, dtype=np.float64)[:, None] * [1.0, 0.0, 0.0]
+    starts = len(mesh.vertices_m) * np.arange(len(shifts_m))
+    return Mesh(mesh.vertices_m + shifts_m[:, None], mesh.triangles + starts[:, None, None])
+
+
 def reaches_into(mesh: Mesh, low_m: FloatArray, high_m: FloatArray) -> bool:
     """Return whether any triangle touches the axis-parallel box between two corners (3,), by separating axes."""
     half_m = (high_m - low_m) / 2.0
