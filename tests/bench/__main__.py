@@ -19,6 +19,7 @@ MEASUREMENTS = (
     "longest",
     "repeat",
     "harder",
+    "hard",
     "causes",
     "moved_lidars",
     "knocks",
@@ -29,7 +30,7 @@ MEASUREMENTS = (
     "recording",
 )
 ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale")
-ROBUSTNESS = ("crash", "fuzz", "longest", "soak")
+ROBUSTNESS = ("crash", "fuzz", "hard", "longest", "soak")
 FLEET = ("fleet_drift", "fleet_scale", "fleet_year", "knocks")
 
 
