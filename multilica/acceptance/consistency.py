@@ -54,9 +54,10 @@ def widened(covariances: Mapping[str, FloatArray], doubts: Mapping[str, PairResi
 
 def contradiction_of(residual: PairResidual, config: AcceptanceConfig) -> Reason:
     """Return the reason to doubt all pairs of the cycle."""
+    probability = max(residual.probability, 1e-300)
     text = (
         f"{residual.source} against {residual.target} contradicts the other pairs of its cycle by "
-        f"{1000.0 * residual.after_m:.0f} mm, {residual.after_deg:.2f} deg (probability {residual.probability:.0e})"
+        f"{1000.0 * residual.after_m:.0f} mm, {residual.after_deg:.2f} deg (probability {probability:.0e})"
     )
     return Reason("cycle_contradicted", residual.after_m, config.max_sigma_m, text)
 

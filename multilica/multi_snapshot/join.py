@@ -228,9 +228,9 @@ class _JointRig:
         )
 
     def _chances(self, snapshot: str, lidar: str) -> dict[str, float]:
-        """Return how probable the difference to each other snapshot alone is, if the covariances are right."""
+        """Return how probable the difference to each other snapshot that counts is, if the covariances are right."""
         here = self.alone[snapshot][lidar]
-        others = {name: own[lidar] for name, own in self.alone.items() if name != snapshot and lidar in own}
+        others = {name: own[lidar] for name, own in self.agreed.items() if name != snapshot and lidar in own}
         return {name: chance_of_difference(here, there) for name, there in others.items()}
 
     def report(self, run: SnapshotRun) -> SnapshotReport:

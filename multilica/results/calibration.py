@@ -111,7 +111,7 @@ class SnapshotReport:
         parts += [f"contradicts other snapshots on {lidar}, without a majority" for lidar in self.disputed]
         parts += [
             f"differs from {' and '.join(each.contradicts)} on {each.lidar} by more than their sigmas allow, with "
-            f"probability {each.probability:.0e}: the joint sigma counts this scatter"
+            f"probability {max(each.probability or 0.0, 1e-300):.0e}: the joint sigma counts this scatter"
             for each in self.contradicting
         ]
         if parts:

@@ -83,7 +83,7 @@ def _outliers(result):
 
 @pytest.mark.slow
 def test_more_snapshots_place_the_rig_better():
-    """Sigma stays: the LiDARs' own errors are the same in all snapshots."""
+    """Sigma falls by less than the root of three: a tenth of the errors is the same in all snapshots."""
     alone, joint, sigma = [], [], []
     for seed in range(0, 21, 3):
         runs = [_run(f"s{k}", seed + k) for k in range(3)]
@@ -94,7 +94,7 @@ def test_more_snapshots_place_the_rig_better():
         joint += _errors_m(all_three)
         sigma += [np.max(all_three[name].sigma_xyz_m) / np.max(one[name].sigma_xyz_m) for name in "ABC"]
     assert np.mean(joint) < 0.7 * np.mean(alone)
-    assert 0.9 < np.median(sigma) < 1.25
+    assert 3.0**-0.5 < np.median(sigma) < 0.95
 
 
 def test_the_spread_is_what_the_snapshots_scatter_by():
@@ -115,8 +115,8 @@ def test_sigma_is_widened_to_the_scatter_and_never_narrowed(claimed, origin):
         assert result["A"].sigma_from == origin
         error = result["A"].T_target_source.offset_from(_TRUTH["A"])
         normalised += list(np.abs(error) / np.sqrt(np.diag(result["A"].covariance)))
-    # Random errors average out over six snapshots; sigma allows for those that do not.
-    expected = 0.674 / max(1.0, claimed) / np.sqrt(6.0)
+    # Errors average out over six snapshots; sigma allows for a tenth that does not.
+    expected = 0.674 / max(1.0, claimed) / np.sqrt(1.0 + 0.1 * 5.0)
     assert 0.6 * expected < np.median(normalised) < 1.5 * expected
 
 
