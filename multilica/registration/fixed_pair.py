@@ -45,6 +45,10 @@ def without_movable(
     for direction in _free_directions(information):
         information = widened(information, direction, _MOTION_M)
         of_biases = None if of_biases is None else widened_with_biases(of_biases, direction, _MOTION_M)
+    if of_biases is not None and fixed.biases is not None:
+        # The pose that fits best stays where it is: less information pulls less towards it.
+        kept = of_biases.information @ np.linalg.pinv(fixed.biases.information, hermitian=True)
+        of_biases = replace(of_biases, gradient=kept @ fixed.biases.gradient)
     return replace(pair, information=information, bias_information=of_biases)
 
 

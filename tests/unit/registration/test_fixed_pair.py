@@ -81,6 +81,8 @@ def test_the_joint_estimate_is_as_uncertain():
     _, fixed = _fixed_pair(crossed=False)
     along = np.linalg.pinv(fixed.bias_information.information[:6, :6], hermitian=True)[3, 3]
     assert np.sqrt(along) > 1.5
+    step = np.linalg.pinv(fixed.bias_information.information, hermitian=True) @ fixed.bias_information.gradient
+    assert np.abs(step[3:6]).max() < 0.2
 
 
 def test_a_wall_across_the_road_holds_the_pose():
