@@ -11,7 +11,7 @@ from multilica.registration.gicp import GicpCloud
 from multilica.registration.neighbours import MovedPoints
 from multilica.registration.poses import arc_between_m, moved
 from multilica.registration.sensor_biases import BIAS_COUNT, posterior, shifts_per_bias
-from multilica.results import BiasInformation, BoolArray, IndexArray
+from multilica.results import BiasInformation, IndexArray
 
 # Three matches per degree of freedom, rounded up.
 _MIN_MATCHES = 20
@@ -19,8 +19,6 @@ _MIN_MATCHES = 20
 # Points nearer than this to the other cloud constrain the pose; more than this many are thinned evenly.
 _DISTANCE_M = 0.2
 _MAX_POINTS = 20_000
-# Enough to see which share of the information some of them hold.
-_FEW_POINTS = 4000
 # Residuals are not taken to be smaller than this.
 _MIN_SIGMA_M = 0.005
 
@@ -73,13 +71,11 @@ class _Overlap:
 
     Args:
         points_m, normals: (N, 3) of the source.
-        index: (N,) which points of the source these are.
         placed: finds their neighbours in the target.
         shifts: (4, N, 3) how biases move them.
         surfaces, rings: (N,) number of the surface and of the ring that a point is of; points with one number share
             their errors.
         target_rings: (T,) the same of the target.
-        usable: which points (N,), and which of the target (T,), may match; None: all.
     """
 
     target: GicpCloud
@@ -90,8 +86,6 @@ class _Overlap:
     surfaces: IndexArray
     rings: IndexArray
     target_rings: IndexArray
-    index: IndexArray
-    usable: tuple[BoolArray, BoolArray] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -187,46 +181,6 @@ def pose_information(
     return replace(found, biases=None)
 
 
-def fixed_information(
-    target: GicpCloud,
-    source: GicpCloud,
-    fitted: PlaneFit,
-    bias_sigmas: FloatArray,
-    movable: tuple[BoolArray, BoolArray],
-    least_share: float,
-) -> tuple[float, PlaneFit | None]:
-    """Compute the information of a fitted pose without the points on movable objects.
-
-    Args:
-        fitted: the pose, with the biases if they were estimated.
-        bias_sigmas: as for `fit_planes`.
-        movable: which points of the target (T,) and of the source (S,) lie on movable objects.
-        least_share: below it the information is not computed.
-
-    Returns:
-        The share of the information that movable objects hold, in the direction in which it is largest, from a sample
-        of the points, and the fit.
-    """
-    pose, biases = fitted.pose, np.zeros(2 * BIAS_COUNT) if fitted.biases is None else fitted.biases.biases
-    few = np.arange(0, len(source.points_m), max(1, len(source.points_m) // _FEW_POINTS))
-    overlap = _overlap(target, source, pose, few)
-    usable = ~movable[1][overlap.index], ~movable[0]
-    residuals = _residuals(overlap, pose, biases)
-    if residuals is None or not (movable[0].any() or movable[1].any()):
-        return 0.0, None
-    jacobian = residuals.jacobian(overlap, pose)[:, :6] * _SCALE * np.sqrt(residuals.weight)[:, None]
-    fixed = jacobian[usable[0][residuals.rows] & usable[1][residuals.index]]
-    values, directions = np.linalg.eigh(jacobian.T @ jacobian)
-    whitened = fixed @ (directions / np.sqrt(np.maximum(values, 1e-9)))
-    share = 1.0 - float(np.linalg.eigvalsh(whitened.T @ whitened)[0])
-    if share < least_share:
-        return share, None
-    overlap = _overlap(target, source, pose)
-    overlap = replace(overlap, usable=(~movable[1][overlap.index], ~movable[0]))
-    found = _with_information(overlap, pose, biases, bias_sigmas)
-    return share, found if fitted.biases is not None else replace(found, biases=None)
-
-
 def _with_information(overlap: _Overlap, pose: RigidTransform, biases: FloatArray, bias_sigmas: FloatArray) -> PlaneFit:
     residuals = _residuals(overlap, pose, biases)
     if residuals is None:
@@ -290,11 +244,9 @@ def _at_least(spread: FloatArray, least: FloatArray) -> FloatArray:
     return np.asarray(root @ (directions * np.maximum(values, 1.0)) @ directions.T @ root.T)
 
 
-def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, chosen: IndexArray | None = None) -> _Overlap:
-    """Select the points that may match, all or those that are chosen, thinned evenly to the number allowed."""
-    points_m = source.points_m if chosen is None else source.points_m[chosen]
-    near, *_ = target.tree.nearest_within(pose.apply(points_m), 1.5 * _DISTANCE_M)
-    near = near if chosen is None else chosen[near]
+def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Overlap:
+    """Select the points that may match, thinned evenly to the number allowed."""
+    near, *_ = target.tree.nearest_within(pose.apply(source.points_m), 1.5 * _DISTANCE_M)
     if len(near) > _MAX_POINTS:
         near = near[np.linspace(0, len(near) - 1, _MAX_POINTS).astype(np.intp)]
     normals, _ = source.surface.at(near)
@@ -310,7 +262,6 @@ def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform, chosen:
         _numbered(surfaces),
         _rings(points_m),
         _rings(target.points_m),
-        near,
     )
 
 
@@ -321,10 +272,7 @@ def _residuals(
     arms = pose.rotate(overlap.points_m - np.tensordot(of_source, overlap.shifts, 1))
     points_m = arms + pose.xyz_m
     distance_m, index = overlap.placed.nearest(points_m)
-    within = distance_m <= _DISTANCE_M
-    if overlap.usable is not None:
-        within &= overlap.usable[0] & overlap.usable[1][index]
-    matched = np.flatnonzero(within)
+    matched = np.flatnonzero(distance_m <= _DISTANCE_M)
     if len(matched) < _MIN_MATCHES:
         return None
     arms, points_m, index = arms[matched], points_m[matched], index[matched]

@@ -62,14 +62,3 @@ def test_a_document_that_contradicts_itself_is_refused(document, change, words):
     document["lidars"][UNPLACED] |= change
     with pytest.raises(ValidationError, match=words):
         parsed(document)
-
-
-def test_a_pose_that_movable_objects_hold_asks_for_more_frames(document):
-    document["lidars"][UNPLACED]["held_by_movable"] = True
-    told = explain(parsed(document))
-    (uncertain,) = told.uncertain
-    assert uncertain.cause == "held_by_movable"
-    assert uncertain.advice == CAUSES["held_by_movable"][1:]
-    assert "--frames" in uncertain.advice[0]
-    (warning,) = told.warnings
-    assert warning.startswith("rear: one frame cannot tell what moves")
