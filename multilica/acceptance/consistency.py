@@ -11,7 +11,7 @@ from multilica.geometry import FloatArray
 from multilica.results import PairRegistration, PairResidual, Reason, connected
 
 
-def inconsistent_lidars(
+def doubted_lidars(
     target: str, pairs: Sequence[PairRegistration], residuals: Sequence[PairResidual]
 ) -> dict[str, PairResidual]:
     """Find the LiDARs whose poses hang on a cycle that does not close, each with the least probable residual.

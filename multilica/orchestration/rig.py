@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from multilica import events
-from multilica.acceptance.consistency import contradiction_of, inconsistent_lidars, is_beyond, widened
+from multilica.acceptance.consistency import contradiction_of, doubted_lidars, is_beyond, widened
 from multilica.acceptance.placement import contested_place, place, place_target, why_unplaced
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
@@ -155,7 +155,7 @@ def refine_rig(state: CalibrationState) -> None:
     while True:
         used = [pair for pair in trusted_pairs(state.registrations.values(), state.merges) if pair.lidars <= {*poses}]
         rig = refine(state.target, poses, used, state.config.refine)
-        doubts = inconsistent_lidars(state.target, used, rig.refinement.pairs)
+        doubts = doubted_lidars(state.target, used, rig.refinement.pairs)
         lost = {name: residual for name, residual in doubts.items() if is_beyond(residual, limits)}
         if not lost:
             break

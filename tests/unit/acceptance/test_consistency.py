@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from multilica.acceptance.consistency import inconsistent_lidars
+from multilica.acceptance.consistency import doubted_lidars
 from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.orchestration.rig import refine_rig, result_of
@@ -87,17 +87,17 @@ def test_a_small_contradiction_widens_sigma_to_cover_both():
 
 def test_all_lidars_of_a_ring_are_in_doubt():
     ring = [pair for pair in _pairs() if {pair.target + pair.source} & {"ab", "bc", "cd", "ad"}]
-    found = inconsistent_lidars("a", ring, [_residual("b", "c", 1e-9), _residual("c", "d", 1e-12)])
+    found = doubted_lidars("a", ring, [_residual("b", "c", 1e-9), _residual("c", "d", 1e-12)])
     assert {name: residual.probability for name, residual in found.items()} == {"b": 1e-12, "c": 1e-12, "d": 1e-12}
 
 
 def test_lidars_behind_a_cycle_are_in_doubt_and_others_not():
     pairs = [pair for pair in _pairs() if pair.lidars in ({"a", "b"}, {"a", "c"}, {"b", "c"}, {"c", "d"})]
-    doubted = inconsistent_lidars("a", pairs, [_residual("b", "c", 1e-9)])
+    doubted = doubted_lidars("a", pairs, [_residual("b", "c", 1e-9)])
     assert sorted(doubted) == ["b", "c", "d"]
     behind_target = [pair for pair in _pairs() if pair.lidars in ({"a", "b"}, {"a", "c"}, {"b", "c"}, {"a", "d"})]
-    assert sorted(inconsistent_lidars("a", behind_target, [_residual("b", "c", 1e-9)])) == ["b", "c"]
+    assert sorted(doubted_lidars("a", behind_target, [_residual("b", "c", 1e-9)])) == ["b", "c"]
 
 
 def test_a_probable_residual_doubts_nothing():
-    assert inconsistent_lidars("a", _pairs(), [_residual("b", "c", 0.002, after_m=1.0)]) == {}
+    assert doubted_lidars("a", _pairs(), [_residual("b", "c", 0.002, after_m=1.0)]) == {}

@@ -115,6 +115,7 @@ def test_what_harder_scenes_let_expect():
     assert [each.is_met(contradicted) for each in (sliding, placed, either)] == [False, False, True]
 
 
+@pytest.mark.slow
 def test_a_snapshot_that_is_refused_speaks_against_the_verdict(monkeypatch):
     def refuse(*_):
         raise UnfitSnapshotError("The vehicle moves.")

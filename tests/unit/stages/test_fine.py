@@ -251,6 +251,7 @@ def test_fewer_points_are_registered_only_if_there_are_many(sides):
     assert 1e-6 < off_m[1] < 0.05
 
 
+@pytest.mark.slow
 def test_a_registration_that_stopped_short_is_moved_on(sides, monkeypatch):
     def stopping_short(target, source, start, *rest):
         monkeypatch.setattr(fine, "register", register)

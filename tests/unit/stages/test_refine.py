@@ -178,21 +178,10 @@ def _biased_pair(rng, target, source, biases, noise=1.0):
     gradient = -jacobian.T @ (jacobian @ truth + noise * rng.normal(size=60))
     alone = posterior(information, gradient, np.zeros(2 * BIAS_COUNT), np.tile(_BIAS_SIGMAS, 2))
     pose = moved(_LOOP[target].inverse() @ _LOOP[source], alone.step[:3], alone.step[3:6])
-    return PairRegistration(
-        target=target,
-        source=source,
-        T_target_source=pose,
-        fitness=0.9,
-        rmse_m=0.05,
-        inliers=1000,
-        converged=True,
-        iterations=5,
-        engine="test",
-        information=np.linalg.inv(alone.covariance),
-        bias_information=BiasInformation(
-            information, gradient + information @ alone.step, information, information, alone.step[6:]
-        ),
+    of_biases = BiasInformation(
+        information, gradient + information @ alone.step, information, information, alone.step[6:]
     )
+    return replace(_pair(target, source, pose, np.linalg.inv(alone.covariance)), bias_information=of_biases)
 
 
 def _loop(seed, biases=_BIASES, noise=1.0):
