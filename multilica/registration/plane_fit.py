@@ -117,6 +117,7 @@ class _Residuals:
         """(M, 14) derivative of the residuals by pose and biases."""
         in_source = self.normals @ pose.rotation
         by_target = np.einsum("ij,kij->ik", self.normals, shifts_per_bias(overlap.target.points_m[self.index]))
+        by_target[:, -1] = np.einsum("ij,ij->i", self.normals, self.points_m)
         by_source = -np.einsum("ij,kij->ik", in_source, overlap.shifts[:, self.rows])
         (x, y, z), (a, b, c) = self.arms.T, self.normals.T
         turn = np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
