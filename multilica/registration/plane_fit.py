@@ -9,8 +9,15 @@ from scipy.sparse import csc_array
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import GicpCloud
 from multilica.registration.neighbours import MovedPoints
+from multilica.registration.plane_equations import PlaneEquations
 from multilica.registration.poses import arc_between_m, moved
-from multilica.registration.sensor_biases import BIAS_COUNT, posterior, shifts_per_bias
+from multilica.registration.sensor_biases import (
+    BIAS_COUNT,
+    posterior,
+    ring_numbers,
+    ring_sigmas,
+    shifts_per_bias,
+)
 from multilica.results import BiasInformation, IndexArray
 
 # Three matches per degree of freedom, rounded up.
@@ -37,16 +44,12 @@ _OUTLIER_SIGMAS = 3.0
 _PATCH_M = 1.0
 # Size of a facade, a hedge, a piece of road: one surface of one material, at one angle to the beams.
 _SURFACE_M = 6.0
-# A surface is not known better: paint, gaps between slabs, reflectivity.
-_SURFACE_SIGMA_M = 0.001
-# Finer than the rings of most LiDARs; where they are closer, neighbours count as one.
-_RING_DEG = 0.5
+# A surface is not known better: incidence and reflectivity change a range by millimetres.
+_SURFACE_SIGMA_M = 0.002
 # Below this share, what remains is noise of the matches.
 _LEAST_REAL = 0.02
 
 _SCALE = np.repeat([1.0 / LEVER_ARM_M, 1.0], 3)
-# A bias in radians, or of the scale, moves points by its product with their distance, as a rotation does.
-_SCALE_WITH_BIASES = np.concatenate([_SCALE, np.tile([1.0, *3 * [1.0 / LEVER_ARM_M]], 2)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +151,10 @@ def fit_planes(
             return PlaneFit(T_target_source)
         jacobian = residuals.jacobian(overlap, pose)
         weighted = jacobian * residuals.weight[:, None]
-        hessian, spread = _floored(jacobian.T @ weighted, _spreads(overlap, residuals, weighted)[0])
+        scores = _summed(overlap.surfaces[residuals.rows], weighted[:, :6] * residuals.residual_m[:, None])
+        hessian, spread = _floored(
+            jacobian.T @ weighted, scores.T @ scores + _noise(jacobian[:, :6].T @ weighted[:, :6])
+        )
         variance = _usual_variance(hessian, spread)
         gradient = weighted.T @ residuals.residual_m
         step = posterior(hessian / variance, gradient / variance, biases, bias_sigmas).step * _RELAXATION
@@ -165,11 +171,11 @@ def pose_information(
 ) -> PlaneFit:
     """Compute the information (inverse covariance) of a registered pose.
 
-    The covariance is the sandwich H^-1 B H^-1 (White, Econometrica 1980), with B clustered several ways (Cameron,
-    Gelbach and Miller, JBES 2011): points of one surface, of one ring of the target and of one ring of the source
-    share their systematic errors. For the random part alone, B sums over patches of a metre (Liang and Zeger,
-    Biometrika 1986). H is the Gauss-Newton Hessian, reduced to what remains of it when the pose moves by the noise and
-    the points are matched again: matches follow their points, so the plain Hessian claims too much.
+    The covariance is the sandwich H^-1 B H^-1 (White, Econometrica 1980), with B clustered: points of one surface, and
+    of one ring of the target or the source, share what the biases leave of their systematic errors. For the random part
+    alone, B sums over patches of a metre (Liang and Zeger, Biometrika 1986). H is the Gauss-Newton Hessian, reduced to
+    what remains of it when the pose moves by the noise and the points are matched again: matches follow their points,
+    so the plain Hessian claims too much.
 
     Args:
         bias_sigmas: as for `fit_planes`.
@@ -179,29 +185,55 @@ def pose_information(
     """
     overlap = _overlap(target, source, T_target_source)
     found = _with_information(overlap, T_target_source, np.zeros(2 * BIAS_COUNT), bias_sigmas)
-    return replace(found, biases=None)
+    return replace(found, pose=T_target_source, biases=None)
 
 
 def _with_information(overlap: _Overlap, pose: RigidTransform, biases: FloatArray, bias_sigmas: FloatArray) -> PlaneFit:
+    """Estimate the biases of the rings too, and shift the pose accordingly."""
     residuals = _residuals(overlap, pose, biases)
     if residuals is None:
         return PlaneFit(pose)
-    jacobian = residuals.jacobian(overlap, pose)
-    weighted = jacobian * residuals.weight[:, None]
-    hessian = _remaining_hessian(overlap, pose, biases, residuals, jacobian.T @ weighted)
-    systematic, random = _spreads(overlap, residuals, weighted)
-    hessian, spread = _floored(hessian, systematic)
-    random += spread - systematic
-    variance = _usual_variance(hessian, spread)
+    equations, *rings = _equations(overlap, residuals, pose)
+    hessian = equations.hessian(residuals.weight)
+    by_surfaces, systematic, random = _spreads(overlap, residuals, equations)
+    noise = _noise(hessian)
+    remaining = _remaining_hessian(overlap, pose, biases, residuals, hessian)
+    hessian, spread = _floored(remaining, systematic + noise)
+    variance = _usual_variance(hessian, by_surfaces + noise)
+    gradient = equations.gradient(residuals.weight * residuals.residual_m) / variance
+    of_rings = [
+        ring_sigmas(sigmas, len(numbers)) for sigmas, numbers in zip(bias_sigmas.reshape(2, -1), rings, strict=True)
+    ]
+    sigmas = np.concatenate([bias_sigmas, *of_rings])
+    biases = np.concatenate([biases, np.zeros(len(sigmas) - len(bias_sigmas))])
+    known = posterior(hessian / variance, gradient, biases, sigmas, spread / variance**2)
     of_biases = BiasInformation(
         hessian / variance,
-        weighted.T @ residuals.residual_m / variance,
+        gradient + hessian @ known.step / variance,
         spread / variance**2,
-        random / variance**2,
-        biases,
+        (random + (spread - systematic)) / variance**2,
+        biases + known.step[6:],
+        *rings,
     )
-    known = posterior(of_biases.information, of_biases.gradient, biases, bias_sigmas, of_biases.spread)
+    pose = moved(pose, known.step[:3], known.step[3:6])
     return PlaneFit(pose, np.asarray(np.linalg.pinv(known.covariance, hermitian=True)), of_biases)
+
+
+def _equations(
+    overlap: _Overlap, residuals: _Residuals, pose: RigidTransform
+) -> tuple[PlaneEquations, IndexArray, IndexArray]:
+    """Return the equations with the numbers of the rings of target and source."""
+    of_target, target_rings = np.unique(overlap.target_rings[residuals.index], return_inverse=True)
+    of_source, source_rings = np.unique(overlap.rings[residuals.rows], return_inverse=True)
+    equations = PlaneEquations(
+        residuals.jacobian(overlap, pose), (target_rings, source_rings), (len(of_target), len(of_source))
+    )
+    return equations, of_target, of_source
+
+
+def _noise(hessian: FloatArray) -> FloatArray:
+    """Return the covariance of the sum of scores if all residuals were as small as they can be."""
+    return _MIN_SIGMA_M**2 * hessian
 
 
 def _usual_variance(hessian: FloatArray, spread: FloatArray) -> float:
@@ -214,35 +246,30 @@ def _usual_variance(hessian: FloatArray, spread: FloatArray) -> float:
     return float(np.median(np.linalg.eigvalsh(whitened.T @ spread[:6, :6] @ whitened)))
 
 
-def _spreads(overlap: _Overlap, residuals: _Residuals, weighted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the covariance (14, 14) of the sum of scores, and the part of it that random errors cause.
+def _spreads(
+    overlap: _Overlap, residuals: _Residuals, equations: PlaneEquations
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the covariance (N, N) of the sum of scores: by surfaces, by surfaces and rings, and by random errors.
 
-    Surfaces, rings of the target and rings of the source share their errors. Random errors are in all three sums, and
-    count once (Cameron, Gelbach and Miller, JBES 2011).
-
-    Args:
-        weighted: (M, 14) Jacobian, times the weights.
+    Few surfaces tell little of the size of their errors, and the fit hides those that it follows. Therefore half of
+    what a surface contributes is its own sum, and half is that of a surface with the usual error. Rings count with the
+    mean of those of target and source: their biases are unknowns, so what is left of them is small.
     """
-    surfaces = overlap.surfaces[residuals.rows]
-    pulls = weighted * residuals.residual_m[:, None]
-    patches = _summed(_numbered(np.floor(residuals.points_m / _PATCH_M)), pulls)
-    random = patches.T @ patches
-    spread = -2.0 * random
-    for labels in (surfaces, overlap.target_rings[residuals.index], overlap.rings[residuals.rows]):
-        scores = _summed(labels, pulls)
-        spread += scores.T @ scores
-    uneven = _SURFACE_SIGMA_M * _summed(surfaces, weighted)
-    noise = _MIN_SIGMA_M**2 * (weighted.T @ weighted)
-    return _at_least(spread, random) + uneven.T @ uneven + noise, random + noise
+    labels = overlap.surfaces[residuals.rows]
+    pulls = residuals.weight * residuals.residual_m
+    sums_m, weights = np.bincount(labels, pulls), np.bincount(labels, residuals.weight)
+    usual_m2 = sums_m @ sums_m / (weights @ weights)
+    scores, uneven = _squared(equations, labels, pulls), _squared(equations, labels, residuals.weight)
+    of_targets, of_sources = (_squared(equations, rings, pulls) for rings in equations.rings)
+    by_surfaces = scores + _SURFACE_SIGMA_M**2 * uneven
+    systematic = 0.5 * (scores + usual_m2 * uneven + of_targets + of_sources) + _SURFACE_SIGMA_M**2 * uneven
+    return by_surfaces, systematic, _squared(equations, _numbered(np.floor(residuals.points_m / _PATCH_M)), pulls)
 
 
-def _at_least(spread: FloatArray, least: FloatArray) -> FloatArray:
-    """Raise a covariance (N, N) to another one in the directions in which it is smaller."""
-    values, directions = np.linalg.eigh(least)
-    root = directions * np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    inverse = np.linalg.pinv(root)
-    values, directions = np.linalg.eigh(inverse @ spread @ inverse.T)
-    return np.asarray(root @ (directions * np.maximum(values, 1.0)) @ directions.T @ root.T)
+def _squared(equations: PlaneEquations, labels: IndexArray, factors: FloatArray) -> FloatArray:
+    """Sum the outer products (N, N) of the sums of each label."""
+    sums = equations.summed(labels, factors)
+    return np.asarray((sums.T @ sums).toarray())
 
 
 def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Overlap:
@@ -261,8 +288,8 @@ def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Ove
         MovedPoints(target.tree, placed_m),
         shifts_per_bias(points_m),
         _numbered(surfaces),
-        _rings(points_m),
-        _rings(target.points_m),
+        ring_numbers(points_m),
+        ring_numbers(target.points_m),
     )
 
 
@@ -289,12 +316,6 @@ def _residuals(
     # If the normals of both clouds differ by 20 degrees, a quarter of the weight is lost; at 33 degrees, half.
     root = flatness * agreement**2 / (1.0 + (residual_m / (_OUTLIER_SIGMAS * sigma_m)) ** 2)
     return _Residuals(residual_m, root**2, normals, arms, points_m, matched, index, sigma_m)
-
-
-def _rings(points_m: FloatArray) -> IndexArray:
-    """Return the band of elevation (N,) of each point, from 0."""
-    elevation_rad = np.arctan2(points_m[:, 2], np.hypot(points_m[:, 0], points_m[:, 1]))
-    return np.asarray((np.rad2deg(elevation_rad) + 90.0) / _RING_DEG, dtype=np.int64)
 
 
 def _numbered(columns: FloatArray) -> IndexArray:
@@ -334,15 +355,19 @@ def _remaining_hessian(
     shares, mixed = np.linalg.eigh(0.5 * (left + left.T))
     shares = np.clip(shares / max(shares[-1], _LEAST_REAL), _LEAST_REAL, 1.0)
     kept = (mixed * np.sqrt(shares)) @ mixed.T
-    scaled = np.eye(len(hessian))
-    scaled[:6, :6] = ((directions * roots) @ kept @ (directions / roots).T) * np.outer(1.0 / _SCALE, _SCALE)
-    return np.asarray(scaled @ hessian @ scaled.T)
+    scaling = ((directions * roots) @ kept @ (directions / roots).T) * np.outer(1.0 / _SCALE, _SCALE)
+    remaining = hessian.copy()
+    remaining[:6] = scaling @ remaining[:6]
+    remaining[:, :6] = remaining[:, :6] @ scaling.T
+    return remaining
 
 
 def _floored(hessian: FloatArray, spread: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return H and B with a floor: where H is below one point, one point with the largest match distance counts."""
-    lengths = np.outer(_SCALE_WITH_BIASES, _SCALE_WITH_BIASES)
-    values, directions = np.linalg.eigh(hessian * lengths)
+    hessian, spread = hessian.copy(), spread.copy()
+    lengths = np.outer(_SCALE, _SCALE)
+    values, directions = np.linalg.eigh(hessian[:6, :6] * lengths)
     loose = directions[:, values < 1.0]
-    floored = (directions * np.maximum(values, 1.0)) @ directions.T
-    return floored / lengths, spread + _DISTANCE_M**2 * (loose @ loose.T) / lengths
+    hessian[:6, :6] += (directions * np.maximum(1.0 - values, 0.0)) @ directions.T / lengths
+    spread[:6, :6] += _DISTANCE_M**2 * (loose @ loose.T) / lengths
+    return hessian, spread

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Systematic errors of a LiDAR that a registration estimates: in range and its scale, elevation and azimuth."""
+"""Systematic errors that a registration estimates, of a LiDAR and of each of its rings."""
 
 from dataclasses import dataclass
 
@@ -7,9 +7,17 @@ import numpy as np
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, lengths
+from multilica.results import IndexArray
 
 BIAS_COUNT = 4
 """Per LiDAR: range (m), elevation and azimuth (rad), and the scale of the ranges."""
+RING_BIAS_COUNT = 3
+"""Per ring, on top of those of its LiDAR: range (m), elevation and azimuth (rad)."""
+
+# Rings that are closer count as one.
+_RING_DEG = 1.0
+# A ring's range is off by as much as its LiDAR's; the angles of a LiDAR are the mean of those of 16 rings or more.
+_OF_A_RING = np.array([1.0, 4.0, 4.0])
 
 # The biases of a rig are this share of what its datasheets allow: nothing to all of it, each value as likely.
 _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
@@ -23,7 +31,7 @@ class BiasPosterior:
         step: (6 P + B,) from the state at which the information was computed.
         covariance: of the poses (6 P, 6 P), with the biases marginalised.
         repeatability: (6 P, 6 P) the part of it that random errors cause.
-        bias_sigmas: (B,).
+        bias_sigmas: of the first biases, as many as asked for.
     """
 
     step: FloatArray
@@ -52,6 +60,17 @@ def prior_sigmas(lidar: str, config: RefineConfig) -> FloatArray:
     return np.array([range_m, *angles, config.range_scale_sigma])
 
 
+def ring_sigmas(bias_sigmas: FloatArray, rings: int) -> FloatArray:
+    """Return the standard deviations (3 R,) of the biases of the rings of a LiDAR with `prior_sigmas` (4,)."""
+    return np.tile(_OF_A_RING * bias_sigmas[:RING_BIAS_COUNT], rings)
+
+
+def ring_numbers(points_m: FloatArray) -> IndexArray:
+    """Return the band of elevation (N,) of each point (N, 3) in the LiDAR's frame, from 0."""
+    elevation_rad = np.arctan2(points_m[:, 2], np.hypot(points_m[:, 0], points_m[:, 1]))
+    return np.asarray((np.rad2deg(elevation_rad) + 90.0) / _RING_DEG, dtype=np.int64)
+
+
 def posterior(
     information: FloatArray,
     gradient: FloatArray,
@@ -59,6 +78,7 @@ def posterior(
     sigmas: FloatArray,
     spread: FloatArray | None = None,
     random_spread: FloatArray | None = None,
+    shown: int = 0,
 ) -> BiasPosterior:
     """Combine what the data say about poses and biases with the prior of the biases.
 
@@ -74,45 +94,41 @@ def posterior(
         sigmas: (B,).
         spread: (N, N) covariance of the gradient; None: equal to the information.
         random_spread: (N, N) the part of it that random errors cause; None: all of it.
+        shown: number of biases of which the standard deviations are asked for.
     """
     poses = len(gradient) - len(biases)
-    of_poses, mixed = information[:poses, :poses], information[:poses, poses:]
-    inverse = np.linalg.pinv(of_poses, hermitian=True)
-    reduced = information[poses:, poses:] - mixed.T @ inverse @ mixed
-    pull = reduced @ biases - (gradient[poses:] - mixed.T @ inverse @ gradient[:poses])
-    mean, covariance = _mixture(reduced, pull, sigmas)
-    change = mean - biases
+    mixed = information[:poses, poses:]
+    inverse = np.linalg.pinv(information[:poses, :poses], hermitian=True)
+    slope = inverse @ mixed
+    reduced = information[poses:, poses:] - mixed.T @ slope
+    pull = reduced @ biases - (gradient[poses:] - slope.T @ gradient[:poses])
+    values, directions = np.linalg.eigh(reduced * np.outer(sigmas, sigmas))
+    values = np.maximum(values, 0.0)
+    mean, variances = _mixture(values, directions.T @ (sigmas * pull))
+    to_biases, from_biases = sigmas[:, None] * directions, directions / sigmas[:, None]
+    change = to_biases @ mean - biases
     step = np.concatenate([-inverse @ (gradient[:poses] + mixed @ change), change])
-    # By shares of the mixture's covariance: metres and radians do not compare.
-    root = np.linalg.cholesky(covariance)
-    values, directions = np.linalg.eigh(np.eye(len(root)) - root.T @ reduced @ root)
-    directions = np.linalg.solve(root.T, directions)
-    prior = np.zeros_like(information)
-    prior[poses:, poses:] = (directions * np.maximum(values, 0.0)) @ directions.T
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(information + prior), 1e-12))
-    bread = np.linalg.pinv((information + prior) * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale)
+    slopes = slope @ to_biases
+    of_poses = np.hstack([inverse + (slopes * variances) @ slopes.T, -(slopes * variances) @ to_biases.T])
+    of_biases = to_biases[:shown] * variances
+    bread = np.vstack([of_poses, np.hstack([-of_biases @ slopes.T, of_biases @ to_biases.T])])
+    # The prior is a measurement of the principal biases.
+    by_prior = bread[:, poses:] @ from_biases * np.sqrt(np.maximum(1.0 / variances - values, 0.0))
     spread = information if spread is None else spread
-    full = bread @ (spread + prior) @ bread
-    repeated = full if random_spread is None else bread @ random_spread @ bread
-    return BiasPosterior(
-        step, full[:poses, :poses], repeated[:poses, :poses], np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas)
-    )
+    full = bread @ spread @ bread.T + by_prior @ by_prior.T
+    repeated = full[:poses, :poses] if random_spread is None else of_poses @ random_spread @ of_poses.T
+    bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[:shown])
+    return BiasPosterior(step, full[:poses, :poses], repeated, bias_sigmas)
 
 
-def _mixture(information: FloatArray, pull: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean (B,) and covariance (B, B) of the biases over all shares of the prior."""
-    means, covariances, log_weights = [], [], []
+def _mixture(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and variance (B,) over all shares of the prior of biases that are independent, in its sigmas."""
     edges = np.concatenate([[0.0], 0.5 * (_SHARES[1:] + _SHARES[:-1]), [1.0]])
-    for share, width in zip(_SHARES, np.diff(edges), strict=True):
-        prior = np.diag((share * sigmas) ** -2.0)
-        covariance = np.linalg.inv(information + prior)
-        means.append(covariance @ pull)
-        covariances.append(covariance)
-        log_determinants = np.linalg.slogdet(prior)[1] + np.linalg.slogdet(covariance)[1]
-        log_weights.append(np.log(width) + 0.5 * (log_determinants + pull @ means[-1]))
-    weights = np.exp(np.array(log_weights) - max(log_weights))
+    precisions = _SHARES[:, None] ** -2.0
+    variances = 1.0 / (information + precisions)
+    means = variances * pull
+    log_weights = np.log(np.diff(edges)) + 0.5 * np.sum(np.log(precisions * variances) + pull * means, axis=1)
+    weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
-    mean = weights @ np.array(means)
-    apart = np.array(means) - mean
-    spread = np.einsum("k,ki,kj->ij", weights, apart, apart)
-    return mean, np.asarray(np.tensordot(weights, np.array(covariances), 1) + spread)
+    mean = weights @ means
+    return mean, weights @ (variances + (means - mean) ** 2)

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.results.hypotheses import Hypothesis, hypothesis_label, pose_name
+from multilica.results.hypotheses import Hypothesis, IndexArray, hypothesis_label, pose_name
 from multilica.results.values import Figure, Number, not_in_document
 from multilica.results.visibility_score import VisibilityScore
 
@@ -153,15 +153,17 @@ class GicpStep:
 class BiasInformation:
     """Information of a pair about its pose and about the systematic errors of both LiDARs.
 
-    The order is rotation (rad), translation (m), then the biases of the target and of the source, each in range (m),
-    elevation and azimuth (rad), and scale of the ranges.
+    The order of the N unknowns is rotation (rad), translation (m), then the biases of the target and of the source,
+    each in range (m), elevation and azimuth (rad), and scale of the ranges. Then come the rings of the target and of
+    the source, each with biases in range (m), elevation and azimuth (rad) on top of those of its LiDAR.
 
     Args:
-        information: (14, 14) of the data alone, without a prior of the biases.
-        gradient: (14,) of the negative log likelihood at the pose and the biases of this registration.
-        spread: (14, 14) covariance of the gradient.
-        random_spread: (14, 14) the part of it that random errors cause.
-        biases: (8,) of the target, then of the source.
+        information: (N, N) of the data alone, without a prior of the biases.
+        gradient: (N,) of the negative log likelihood at the pose and the biases of this registration.
+        spread: (N, N) covariance of the gradient.
+        random_spread: (N, N) the part of it that random errors cause.
+        biases: (N - 6,) of the target, of the source, and of the rings.
+        target_rings, source_rings: (R,) numbers of the rings.
     """
 
     information: FloatArray
@@ -169,6 +171,8 @@ class BiasInformation:
     spread: FloatArray
     random_spread: FloatArray
     biases: FloatArray
+    target_rings: IndexArray = field(default_factory=lambda: np.empty(0, np.int64))
+    source_rings: IndexArray = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

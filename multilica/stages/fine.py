@@ -357,10 +357,10 @@ def widened(information: FloatArray, direction: FloatArray, off_m: float) -> Flo
 def _widened_with_biases(found: BiasInformation, direction: FloatArray, off_m: float) -> BiasInformation:
     """Widen information and spread alike: both covariances grow by the offset."""
     information = widened(found.information, direction, off_m)
-    kept = information @ np.linalg.pinv(found.information, hermitian=True)
-    pulled = np.zeros(len(information))
-    pulled[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
-    pulled = information @ pulled
+    step = np.zeros(len(information))
+    step[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
+    pulled = information @ step
+    kept = np.eye(len(information)) - np.outer(pulled, step)
     return replace(
         found,
         information=information,

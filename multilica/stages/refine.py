@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint refinement of all poses of a rig."""
 
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,17 +11,21 @@ from scipy.special import chdtrc
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, RigidTransform, skew
 from multilica.registration.poses import moved
-from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
-from multilica.results import PairRegistration, PairResidual, Refinement, SensorBias, connected
+from multilica.registration.sensor_biases import (
+    BIAS_COUNT,
+    RING_BIAS_COUNT,
+    posterior,
+    prior_sigmas,
+    ring_sigmas,
+)
+from multilica.results import IndexArray, PairRegistration, PairResidual, Refinement, SensorBias, connected
 
 _ITERATIONS = 20
 # Converged when no pose moves by more, rad and m.
-_EPSILON = 1e-9
+_EPSILON = 1e-6
 _POSE_FREEDOM = 6
 # Metres, degrees and millionths.
 _DISPLAYED = np.array([1.0, np.rad2deg(1.0), np.rad2deg(1.0), 1e6])
-# Correlation of the systematic errors of two pairs with one source, measured on simulated vehicles in several scenes.
-_SHARED_BY_PAIRS = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,9 +54,9 @@ def refine(
     """Optimise the pose graph over all accepted pairs, loops included (the paper's future work).
 
     Gauss-Newton on the pairs' residuals, each weighted with its information. The biases of each LiDAR in range,
-    elevation, azimuth and scale are unknowns that its pairs share, with a prior. A pair whose residual is much larger
-    than its information allows, after the biases, loses its weight (Cauchy), so that one bad pair does not bend the
-    rig.
+    elevation, azimuth and scale, and those of its rings, are unknowns that its pairs share, with a prior. A pair whose
+    residual is much larger than its information allows, after the biases, loses its weight (Cauchy), so that one bad
+    pair does not bend the rig.
 
     Args:
         root: the LiDAR whose pose is fixed.
@@ -64,9 +68,9 @@ def refine(
     free = sorted((set(poses) & connected(root, used_pairs)) - {root})
     if not free:
         return RefinedRig(dict(poses), {}, {}, Refinement.of())
-    lidars = sorted({name for pair in used_pairs if pair.bias_information is not None for name in pair.lidars})
-    sigmas = np.concatenate([prior_sigmas(name, config) for name in lidars]) if lidars else np.empty(0)
-    state = _State(dict(poses), np.zeros(len(sigmas)), free, lidars)
+    rings = _rings_of(used_pairs)
+    sigmas = _bias_sigmas(rings, config)
+    state = _State(dict(poses), np.zeros(len(sigmas)), free, rings)
     before = [_offset(pair, state.poses) for pair in used_pairs]
     for _ in range(_ITERATIONS):
         equations = _normal_equations(used_pairs, state, config)
@@ -82,6 +86,7 @@ def refine(
         sigmas,
         equations.spread,
         equations.random_spread,
+        BIAS_COUNT * len(rings),
     )
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used_pairs, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
@@ -105,12 +110,18 @@ class _Equations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _State:
-    """Poses and biases during the refinement: `free` LiDARs have a pose to find, `lidars` have biases each."""
+    """Poses and biases during the refinement.
+
+    Args:
+        biases: of each LiDAR of `rings`, then of the rings of each.
+        free: LiDARs with a pose to find.
+        rings: of each LiDAR with biases, the numbers of its rings.
+    """
 
     poses: Mapping[str, RigidTransform]
     biases: FloatArray
     free: Sequence[str]
-    lidars: Sequence[str]
+    rings: Mapping[str, IndexArray]
 
     def moved(self, step: FloatArray) -> "_State":
         after = dict(self.poses)
@@ -118,9 +129,36 @@ class _State:
             after[name] = moved(self.poses[name], step[6 * i : 6 * i + 3], step[6 * i + 3 : 6 * i + 6])
         return replace(self, poses=after, biases=self.biases + step[6 * len(self.free) :])
 
-    def bias_columns(self, lidar: str) -> slice:
-        start = BIAS_COUNT * self.lidars.index(lidar)
-        return slice(start, start + BIAS_COUNT)
+    def bias_columns(self, pair: PairRegistration) -> IndexArray:
+        """Return which of the biases are those of the pair."""
+        if (found := pair.bias_information) is None:
+            return np.empty(0, np.int64)
+        names = [*self.rings]
+        sides = (pair.target, found.target_rings), (pair.source, found.source_rings)
+        of_lidars = [BIAS_COUNT * names.index(name) + np.arange(BIAS_COUNT) for name, _ in sides]
+        of_rings = []
+        for name, numbers in sides:
+            before = sum(len(self.rings[other]) for other in names[: names.index(name)])
+            rows = before + np.searchsorted(self.rings[name], numbers)
+            starts = BIAS_COUNT * len(names) + RING_BIAS_COUNT * rows
+            of_rings.append((starts[:, None] + np.arange(RING_BIAS_COUNT)).ravel())
+        return np.concatenate([*of_lidars, *of_rings])
+
+
+def _rings_of(pairs: Iterable[PairRegistration]) -> dict[str, IndexArray]:
+    """Return the numbers of the rings of each LiDAR of which biases are estimated, by name."""
+    found = defaultdict(list)
+    for pair in pairs:
+        if pair.bias_information is not None:
+            found[pair.target].append(pair.bias_information.target_rings)
+            found[pair.source].append(pair.bias_information.source_rings)
+    return {name: np.unique(np.concatenate(found[name])) for name in sorted(found)}
+
+
+def _bias_sigmas(rings: Mapping[str, IndexArray], config: RefineConfig) -> FloatArray:
+    of_lidars = [prior_sigmas(name, config) for name in rings]
+    of_rings = [ring_sigmas(sigmas, len(numbers)) for sigmas, numbers in zip(of_lidars, rings.values(), strict=True)]
+    return np.concatenate([np.empty(0), *of_lidars, *of_rings])
 
 
 def trusted_pairs(
@@ -162,54 +200,47 @@ def _weight(squared: float, config: RefineConfig) -> float:
 
 
 def _normal_equations(pairs: Sequence[PairRegistration], state: _State, config: RefineConfig) -> _Equations:
-    """Sum over the pairs, each with its robust weight.
-
-    A LiDAR has the same rings in all pairs of which it is the source, in all snapshots. A part of the systematic errors
-    of these pairs is therefore the same and does not average out: the variance of a sum of n errors with correlation r
-    is 1 + r (n - 1) times that of independent ones. Random errors are independent.
-    """
+    """Sum over the pairs, each with its robust weight."""
     poses = 6 * len(state.free)
     size = poses + len(state.biases)
-    information, gradient = np.zeros((size, size)), np.zeros(size)
-    spread, random_spread = np.zeros((size, size)), np.zeros((size, size))
-    count = Counter(pair.source for pair in pairs)
+    total = _Equations(np.zeros((size, size)), np.zeros(size), np.zeros((size, size)), np.zeros((size, size)))
     for pair in pairs:
         weight = _weight(_squared(pair, state), config)
-        jacobian = np.zeros((6 if pair.bias_information is None else 6 + 2 * BIAS_COUNT, size))
+        biases = state.bias_columns(pair)
         ends = zip((pair.target, pair.source), _jacobians(pair, state.poses), strict=True)
-        for end, (name, block) in enumerate(ends):
-            if name in state.free:
-                start = 6 * state.free.index(name)
-                jacobian[:6, start : start + 6] = block
-            if pair.bias_information is not None:
-                columns = state.bias_columns(name)
-                rows = slice(6 + BIAS_COUNT * end, 6 + BIAS_COUNT * (end + 1))
-                jacobian[rows, poses + columns.start : poses + columns.stop] = np.eye(BIAS_COUNT)
-        of_pair = _equations_of(pair, state)
-        information += weight * jacobian.T @ of_pair.information @ jacobian
-        gradient += weight * jacobian.T @ of_pair.gradient
-        in_common = 1.0 + _SHARED_BY_PAIRS * (count[pair.source] - 1)
-        spread += weight**2 * in_common * jacobian.T @ of_pair.spread @ jacobian
-        random_spread += weight**2 * jacobian.T @ of_pair.random_spread @ jacobian
-    return _Equations(information, gradient, spread, random_spread)
+        moving = [(6 * state.free.index(name), block) for name, block in ends if name in state.free]
+        columns = np.concatenate([*(start + np.arange(6) for start, _ in moving), poses + biases])
+        jacobian = np.hstack([block for _, block in moving])
+        own = _equations_of(pair, state.biases[biases], _offset(pair, state.poses))
+        square = np.ix_(columns, columns)
+        total.information[square] += weight * _by_poses(own.information, jacobian)
+        total.gradient[columns] += weight * np.concatenate([jacobian.T @ own.gradient[:6], own.gradient[6:]])
+        total.spread[square] += weight**2 * _by_poses(own.spread, jacobian)
+        total.random_spread[square] += weight**2 * _by_poses(own.random_spread, jacobian)
+    return total
 
 
-def _equations_of(pair: PairRegistration, state: _State) -> _Equations:
+def _by_poses(matrix: FloatArray, jacobian: FloatArray) -> FloatArray:
+    """Turn a sum of products by the pair's pose and biases into one by the LiDARs' poses and the biases."""
+    mixed = jacobian.T @ matrix[:6, 6:]
+    return np.block([[jacobian.T @ matrix[:6, :6] @ jacobian, mixed], [mixed.T, matrix[6:, 6:]]])
+
+
+def _equations_of(pair: PairRegistration, biases: FloatArray, offset: FloatArray) -> _Equations:
     """Return those of one pair, of its pose and perhaps of the biases of target and source."""
-    offset, found = _offset(pair, state.poses), pair.bias_information
+    found = pair.bias_information
     if found is None:
         information = np.asarray(pair.information)
         return _Equations(information, information @ offset, information, information)
-    biases = np.concatenate([state.biases[state.bias_columns(name)] for name in (pair.target, pair.source)])
     gradient = found.gradient + found.information @ np.concatenate([offset, biases - found.biases])
     return _Equations(found.information, gradient, found.spread, found.random_spread)
 
 
 def _sensor_biases(state: _State, sigmas: FloatArray) -> tuple[SensorBias, ...]:
-    found = zip(state.lidars, state.biases.reshape(-1, BIAS_COUNT), sigmas.reshape(-1, BIAS_COUNT), strict=True)
+    biases = state.biases[: len(sigmas)].reshape(-1, BIAS_COUNT)
     return tuple(
         SensorBias(name, *np.column_stack([bias * _DISPLAYED, sigma * _DISPLAYED]).ravel().tolist())
-        for name, bias, sigma in found
+        for name, bias, sigma in zip(state.rings, biases, sigmas.reshape(-1, BIAS_COUNT), strict=True)
     )
 
 

@@ -38,7 +38,7 @@ TARGETS = {
     "truck": "roof",
 }
 SCENES = ("street", "parking", "garage", "open_field")
-VEHICLES = (2001, 2002, 2003, 2004, 2005)
+VEHICLES = (2101, 2102, 2103, 2104, 2105)
 """No threshold was chosen on them; keep it so."""
 PEERS = ("kiss", "paper")
 _RIGHT_M, _RIGHT_RAD = 0.05, float(np.deg2rad(0.5))
