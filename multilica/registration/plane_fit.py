@@ -206,7 +206,9 @@ def _with_information(overlap: _Overlap, pose: RigidTransform, biases: FloatArra
     ]
     sigmas = np.concatenate([bias_sigmas, *of_rings])
     biases = np.concatenate([biases, np.zeros(len(sigmas) - len(bias_sigmas))])
-    known = posterior(hessian / variance, gradient, biases, sigmas, spread / variance**2)
+    known = posterior(
+        hessian / variance, gradient, biases, sigmas, spread / variance**2, rings=len(sigmas) - len(bias_sigmas)
+    )
     of_biases = BiasInformation(
         hessian / variance,
         gradient + hessian @ known.step / variance,

@@ -4,6 +4,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from multilica.config import RefineConfig
 from multilica.geometry import FloatArray, lengths
@@ -31,7 +32,7 @@ class BiasPosterior:
         step: (6 P + B,) from the state at which the information was computed.
         covariance: of the poses (6 P, 6 P), with the biases marginalised.
         repeatability: (6 P, 6 P) the part of it that random errors cause.
-        bias_sigmas: of the first biases, as many as asked for.
+        bias_sigmas: of the biases of LiDARs.
     """
 
     step: FloatArray
@@ -78,15 +79,15 @@ def posterior(
     sigmas: FloatArray,
     spread: FloatArray | None = None,
     random_spread: FloatArray | None = None,
-    shown: int = 0,
+    rings: int = 0,
 ) -> BiasPosterior:
     """Combine what the data say about poses and biases with the prior of the biases.
 
     The biases have zero mean and the standard deviations `sigmas`, times a share that all have in common and that is
     uniform from 0 to 1: LiDARs that agree to a millimetre are better than their datasheets. The share is integrated
     out on a grid, by the marginal likelihood of the data (empirical Bayes; Bishop, Pattern Recognition and Machine
-    Learning, 2006, section 3.5). The covariance is a sandwich (White, Econometrica 1980), with the prior as a
-    measurement.
+    Learning, 2006, section 3.5). Rings have a share of their own: LiDARs with equal rings may still be off. The
+    covariance is a sandwich (White, Econometrica 1980), with the prior as a measurement.
 
     Args:
         information, gradient: (N, N) and (N,) of the negative log likelihood: poses first, the last B are the biases.
@@ -94,35 +95,73 @@ def posterior(
         sigmas: (B,).
         spread: (N, N) covariance of the gradient; None: equal to the information.
         random_spread: (N, N) the part of it that random errors cause; None: all of it.
-        shown: number of biases of which the standard deviations are asked for.
+        rings: number of the last biases that are those of rings.
     """
-    poses = len(gradient) - len(biases)
-    mixed = information[:poses, poses:]
-    inverse = np.linalg.pinv(information[:poses, :poses], hermitian=True)
-    slope = inverse @ mixed
-    reduced = information[poses:, poses:] - mixed.T @ slope
-    pull = reduced @ biases - (gradient[poses:] - slope.T @ gradient[:poses])
+    size, poses = len(gradient), len(gradient) - len(biases)
+    state = np.concatenate([np.zeros(poses), biases])
+    of_lidars, of_rings = slice(poses, size - rings), slice(size - rings, size)
+    allowed = np.zeros(size)
+    allowed[of_lidars] = sigmas[: len(biases) - rings] ** -2.0
+    total, pulled, known = information + np.diag(allowed), gradient + allowed * state, np.zeros((size, size))
+    if rings:
+        prior, known[of_rings, of_rings] = _prior(total, pulled, state, sigmas[len(biases) - rings :], of_rings)
+        total[of_rings, of_rings] += prior
+        pulled[of_rings] += prior @ state[of_rings]
+    total -= np.diag(allowed)
+    pulled -= allowed * state
+    if of_lidars.start < of_lidars.stop:
+        chosen = sigmas[: len(biases) - rings]
+        prior, known[of_lidars, of_lidars] = _prior(total, pulled, state, chosen, of_lidars)
+        total[of_lidars, of_lidars] += prior
+        pulled[of_lidars] += prior @ state[of_lidars]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-12))
+    shown = size - rings
+    wanted = np.column_stack([-scale * pulled, np.diag(scale)[:, :shown]])
+    solved = scale[:, None] * _solved(total * np.outer(scale, scale), wanted)
+    bread = solved[:, 1:].T
+    full = bread @ ((information if spread is None else spread) + known) @ bread.T
+    repeated = full if random_spread is None else bread @ random_spread @ bread.T
+    bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[: len(biases) - rings])
+    return BiasPosterior(solved[:, 0], full[:poses, :poses], repeated[:poses, :poses], bias_sigmas)
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve equations of a covariance or an information with ones on its diagonal."""
+    try:
+        return np.asarray(cho_solve(cho_factor(matrix, check_finite=False), right, check_finite=False))
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ right)
+
+
+def _prior(
+    information: FloatArray, gradient: FloatArray, state: FloatArray, sigmas: FloatArray, block: slice
+) -> tuple[FloatArray, FloatArray]:
+    """Return the information (B, B) of the prior of some unknowns, all others marginalised, and its covariance as data.
+
+    Their principal directions by the data, in their sigmas, count as independent.
+    """
+    others = np.ones(len(gradient), dtype=bool)
+    others[block] = False
+    mixed, rest = information[others, block], information[np.ix_(others, others)]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(rest), 1e-12))
+    known = scale[:, None] * _solved(
+        rest * np.outer(scale, scale), scale[:, None] * np.column_stack([mixed, gradient[others]])
+    )
+    reduced = information[block, block] - mixed.T @ known[:, :-1]
+    pull = reduced @ state[block] - (gradient[block] - mixed.T @ known[:, -1])
     values, directions = np.linalg.eigh(reduced * np.outer(sigmas, sigmas))
     values = np.maximum(values, 0.0)
-    mean, variances = _mixture(values, directions.T @ (sigmas * pull))
-    to_biases, from_biases = sigmas[:, None] * directions, directions / sigmas[:, None]
-    change = to_biases @ mean - biases
-    step = np.concatenate([-inverse @ (gradient[:poses] + mixed @ change), change])
-    slopes = slope @ to_biases
-    of_poses = np.hstack([inverse + (slopes * variances) @ slopes.T, -(slopes * variances) @ to_biases.T])
-    of_biases = to_biases[:shown] * variances
-    bread = np.vstack([of_poses, np.hstack([-of_biases @ slopes.T, of_biases @ to_biases.T])])
-    # The prior is a measurement of the principal biases.
-    by_prior = bread[:, poses:] @ from_biases * np.sqrt(np.maximum(1.0 / variances - values, 0.0))
-    spread = information if spread is None else spread
-    full = bread @ spread @ bread.T + by_prior @ by_prior.T
-    repeated = full[:poses, :poses] if random_spread is None else of_poses @ random_spread @ of_poses.T
-    bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[:shown])
-    return BiasPosterior(step, full[:poses, :poses], repeated, bias_sigmas)
+    variances, apart = _mixture(values, directions.T @ (sigmas * pull))
+    precisions = np.maximum(1.0 / variances - values, 0.0)
+    axes = directions / sigmas[:, None]
+    return (axes * precisions) @ axes.T, (axes * (precisions + apart / variances**2)) @ axes.T
 
 
 def _mixture(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and variance (B,) over all shares of the prior of biases that are independent, in its sigmas."""
+    """Return the variance (B,) of independent biases over all shares of the prior, and that of their means.
+
+    All is in units of the prior's standard deviations.
+    """
     edges = np.concatenate([[0.0], 0.5 * (_SHARES[1:] + _SHARES[:-1]), [1.0]])
     precisions = _SHARES[:, None] ** -2.0
     variances = 1.0 / (information + precisions)
@@ -130,5 +169,4 @@ def _mixture(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, Flo
     log_weights = np.log(np.diff(edges)) + 0.5 * np.sum(np.log(precisions * variances) + pull * means, axis=1)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
-    mean = weights @ means
-    return mean, weights @ (variances + (means - mean) ** 2)
+    return weights @ variances, weights @ (means - weights @ means) ** 2

@@ -70,11 +70,12 @@ def refine(
         return RefinedRig(dict(poses), {}, {}, Refinement.of())
     rings = _rings_of(used_pairs)
     sigmas = _bias_sigmas(rings, config)
+    of_rings = len(sigmas) - BIAS_COUNT * len(rings)
     state = _State(dict(poses), np.zeros(len(sigmas)), free, rings)
     before = [_offset(pair, state.poses) for pair in used_pairs]
     for _ in range(_ITERATIONS):
         equations = _normal_equations(used_pairs, state, config)
-        step = posterior(equations.information, equations.gradient, state.biases, sigmas).step
+        step = posterior(equations.information, equations.gradient, state.biases, sigmas, rings=of_rings).step
         state = state.moved(step)
         if np.abs(step).max() < _EPSILON:
             break
@@ -86,7 +87,7 @@ def refine(
         sigmas,
         equations.spread,
         equations.random_spread,
-        BIAS_COUNT * len(rings),
+        of_rings,
     )
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used_pairs, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Each derivative against central differences, at large rotations and levers of metres."""
 
-from collections import Counter
 from dataclasses import replace
 from itertools import combinations
 from types import SimpleNamespace
@@ -16,7 +15,7 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration import plane_fit
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.poses import arc_between_m, moved
-from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas, ring_sigmas
 from multilica.results import BiasInformation, PairRegistration
 from multilica.results.visibility_score import VisibilityScore
 from multilica.stages import refine, stillness
@@ -87,18 +86,27 @@ def test_residuals_of_the_refinement_by_motions_of_either_lidar(turn_rad, side):
         _assert_alike(refine._jacobians(pair, poses)[side], _derivative(residual))
 
 
+_RINGS = {"A": np.array([3, 4, 9]), "B": np.array([5]), "C": np.array([1, 2]), "T": np.array([7, 8])}
+
+
 def _state(poses, biases=()):
-    lidars = ("A", "B", "C", "T") if len(biases) else ()
-    return refine._State(poses, np.array(biases), ["A", "B", "C"], lidars)
+    return refine._State(poses, np.array(biases), ["A", "B", "C"], _RINGS if len(biases) else {})
 
 
 def _with_biases(pair, rng):
-    """The same pair, with any information about pose and biases, and a gradient that this allows."""
-    root = rng.normal(size=(_UNKNOWNS, _UNKNOWNS)) * np.repeat([100.0, 1.0, 30.0], [3, 3, 2 * BIAS_COUNT])[:, None]
+    """The same pair, with any information about pose and biases, and a gradient that this allows.
+
+    It sees the last rings of its LiDARs.
+    """
+    rings = [_RINGS[name][-2:] for name in (pair.target, pair.source)]
+    size = _UNKNOWNS + 3 * sum(map(len, rings))
+    root = rng.normal(size=(size, size)) * np.repeat([100.0, 1.0, 30.0], [3, 3, size - 6])[:, None]
     information = root @ root.T
-    best, biases = rng.normal(size=_UNKNOWNS), rng.normal(size=2 * BIAS_COUNT)
-    spread, random = (_symmetric(rng, 100.0, _UNKNOWNS) for _ in range(2))
-    return replace(pair, bias_information=BiasInformation(information, -information @ best, spread, random, biases))
+    best, biases = rng.normal(size=size), rng.normal(size=size - 6)
+    spread, random = (_symmetric(rng, 100.0, size) for _ in range(2))
+    return replace(
+        pair, bias_information=BiasInformation(information, -information @ best, spread, random, biases, *rings)
+    )
 
 
 def _off(pairs, rng):
@@ -124,36 +132,34 @@ def test_the_gradient_of_the_refinement_is_of_its_robust_cost(turn_rad):
 
 
 def _residual(pair, state):
-    """Of the pose and of the biases of both LiDARs (14,)."""
-    biases = np.concatenate([state.biases[state.bias_columns(name)] for name in (pair.target, pair.source)])
-    return np.concatenate([refine._offset(pair, state.poses), biases - pair.bias_information.biases])
-
-
-def _in_common(pairs):
-    """How often the spread of each pair counts: a tenth of it is the same in all pairs of one source."""
-    count = Counter(pair.source for pair in pairs)
-    return [0.9 + 0.1 * count[pair.source] for pair in pairs]
+    """Of the pose, and of the biases of both LiDARs and of their rings."""
+    of_lidars = {name: state.biases[4 * index : 4 * index + 4] for index, name in enumerate("ABCT")}
+    of_rings, start = {}, 4 * len(_RINGS)
+    for name, numbers in _RINGS.items():
+        for number in numbers:
+            of_rings[name, number] = state.biases[start : start + 3]
+            start += 3
+    sides = [(pair.target, pair.bias_information.target_rings), (pair.source, pair.bias_information.source_rings)]
+    biases = [of_lidars[name] for name, _ in sides] + [of_rings[name, ring] for name, rings in sides for ring in rings]
+    return np.concatenate([refine._offset(pair, state.poses), np.concatenate(biases) - pair.bias_information.biases])
 
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
 def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
-    """Sums over the pairs of J' g, J' I J and J' S J by their weights, with J by all poses and biases.
-
-    Pairs of one source have a part of its systematic errors in common, so the spread of each counts more than once.
-    """
+    """Sums over the pairs of J' g, J' I J and J' S J by their weights, with J by all poses and biases."""
     poses, pairs = _rig(turn_rad)
     rng = np.random.default_rng(7)
     pairs = [_with_biases(pair, rng) for pair in _off(pairs, rng)]
-    state = _state(poses, rng.normal(size=4 * BIAS_COUNT))
-    size = 18 + 4 * BIAS_COUNT
+    state = _state(poses, rng.normal(size=4 * BIAS_COUNT + 3 * sum(map(len, _RINGS.values()))))
+    size = 18 + len(state.biases)
     gradient, (information, spread, random) = np.zeros(size), np.zeros((3, size, size))
     weights = [1.0 / (1.0 + refine._squared(p, state) / (6.0 * _CONFIG.outlier_sigma**2)) for p in pairs]
     assert min(weights) < 0.85 * max(weights)
-    for pair, weight, times in zip(pairs, weights, _in_common(pairs), strict=True):
+    for pair, weight in zip(pairs, weights, strict=True):
         found, jacobian = pair.bias_information, _derivative(lambda step, p=pair: _residual(p, state.moved(step)), size)
         gradient += weight * jacobian.T @ (found.gradient + found.information @ _residual(pair, state))
         information += weight * jacobian.T @ found.information @ jacobian
-        spread += weight**2 * times * jacobian.T @ found.spread @ jacobian
+        spread += weight**2 * jacobian.T @ found.spread @ jacobian
         random += weight**2 * jacobian.T @ found.random_spread @ jacobian
     found = refine._normal_equations(pairs, state, _CONFIG)
     _assert_alike(found.gradient, gradient)
@@ -164,11 +170,10 @@ def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
 
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
 def test_covariances_are_a_sandwich_of_all_information(turn_rad):
-    """Pairs of one source have a part of its errors in common; random errors average out."""
     poses, pairs = _rig(turn_rad)
     free = ["A", "B", "C"]
     normal_matrix, spread = np.zeros((2, 18, 18))
-    for pair, times in zip(pairs, _in_common(pairs), strict=True):
+    for pair in pairs:
         columns = []
         for name in free:
 
@@ -178,7 +183,7 @@ def test_covariances_are_a_sandwich_of_all_information(turn_rad):
             columns.append(_derivative(residual))
         jacobian = np.concatenate(columns, axis=1)
         normal_matrix += jacobian.T @ pair.information @ jacobian
-        spread += times * jacobian.T @ pair.information @ jacobian
+        spread += jacobian.T @ pair.information @ jacobian
     random = np.linalg.inv(normal_matrix)
     expected = random @ spread @ random
     found = refine.refine("T", poses, pairs, _CONFIG)
@@ -227,6 +232,8 @@ def test_residuals_of_the_plane_fit_by_motions_of_the_source(turn_rad, biases):
     residuals = _motions(pose, biases)
     here = residuals(overlap, np.zeros(_UNKNOWNS))
     jacobian = _derivative(lambda step: residuals(overlap, step).residual_m, _UNKNOWNS)
+    # A scale that both LiDARs have in common moves the source only: it would shrink the noise else.
+    jacobian[:, 9] = np.sum(here.normals * here.points_m, axis=1)
     _assert_alike(here.jacobian(overlap, pose), jacobian)
 
     def cost(motion):
@@ -246,84 +253,84 @@ def _summed(rows, clusters):
     return np.array([np.sum(rows[members], axis=0) for members in clusters])
 
 
-def _noise(pulls):
-    return (plane_fit._MIN_SIGMA_M * pulls).T @ (plane_fit._MIN_SIGMA_M * pulls)
-
-
 @pytest.mark.parametrize("turn_rad", _TURNS_RAD)
 def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
 
-    B is over cells of 6 m with the main axis, and over rings of both LiDARs; its random part, over patches of 1 m,
-    is in all three and counts once.
+    B is over cells of 6 m with the main axis, half by their own sums and half by the usual one, and over rings of both
+    LiDARs, half of each; its random part is over patches of 1 m.
     """
     target, source, pose = _rooms(turn_rad)
     overlap = plane_fit._overlap(target, source, pose)
     here = plane_fit._residuals(overlap, pose, _BIASES)
-    jacobian = _derivative(lambda step: _motions(pose, _BIASES)(overlap, step).residual_m, _UNKNOWNS)
+    dense = here.jacobian(overlap, pose)
+    matched_m = (target.points_m[here.index], overlap.points_m[here.rows])
+    bands = [np.floor(np.rad2deg(np.arcsin(xyz[:, 2] / np.linalg.norm(xyz, axis=1)))) + 90.0 for xyz in matched_m]
+    rings = [np.unique(each) for each in bands]
+    of_rings = [
+        (dense[:, None, start : start + 3] * (numbers == each[:, None])[:, :, None]).reshape(len(dense), -1)
+        for start, each, numbers in zip((6, 10), bands, rings, strict=True)
+    ]
+    jacobian = np.hstack([dense, *of_rings])
     pulls = here.weight[:, None] * jacobian
     # The surfaces are those at the pose that the fit began with.
     placed_m, normals = pose.apply(overlap.points_m), pose.rotate(overlap.normals)
     surfaces = np.column_stack([np.floor(placed_m / 6.0), np.argmax(np.abs(normals), axis=1)])
-    matched_m = (target.points_m[here.index], overlap.points_m[here.rows])
-    rings = [np.floor(2.0 * np.rad2deg(np.arcsin(xyz[:, 2] / np.linalg.norm(xyz, axis=1)))) for xyz in matched_m]
     surfaces = _clusters(surfaces[here.rows])
 
-    def squared(clusters):
-        sums = _summed(here.residual_m[:, None] * pulls, clusters)
+    def squared(clusters, factors=here.residual_m):
+        sums = _summed(factors[:, None] * pulls, clusters)
         return sums.T @ sums
 
-    random = squared(_clusters(np.floor(here.points_m)))
-    spread = squared(surfaces) + sum(squared(_clusters(each)) for each in rings) - 2.0 * random
-    uneven = plane_fit._SURFACE_SIGMA_M * _summed(pulls, surfaces)
-    spread = plane_fit._at_least(spread, random) + uneven.T @ uneven + _noise(pulls)
     hessian = jacobian.T @ pulls
+    noise = plane_fit._MIN_SIGMA_M**2 * hessian
+    weights, sums_m = (_summed(each, surfaces) for each in (here.weight, here.weight * here.residual_m))
+    alike = squared(surfaces, np.ones(len(pulls)))
+    uneven = plane_fit._SURFACE_SIGMA_M**2 * alike
+    usual = np.sum(sums_m**2) / np.sum(weights**2) * alike
+    of_bands = sum(squared(_clusters(each)) for each in bands)
+    spread = 0.5 * (squared(surfaces) + usual + of_bands) + uneven + noise
     remaining = plane_fit._remaining_hessian(overlap, pose, _BIASES, here, hessian)
     assert np.linalg.eigvalsh(hessian[:6, :6] - remaining[:6, :6]).min() > -1e-6 * np.abs(hessian).max()
     # An azimuth bias of the source is a rotation about its axis.
     remaining, floored = plane_fit._floored(remaining, spread)
-    random = random + _noise(pulls) + floored - spread
-    variance = np.median(eigh(floored[:6, :6], remaining[:6, :6], eigvals_only=True))
-    found = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS)
-    _assert_alike(found.biases.information, remaining / variance, 1e-5)
-    _assert_alike(found.biases.gradient, pulls.T @ here.residual_m / variance, 1e-5)
-    _assert_alike(found.biases.spread, floored / variance**2, 1e-5)
-    _assert_alike(found.biases.random_spread, random / variance**2, 1e-5)
-    assert np.array_equal(found.biases.biases, _BIASES)
+    random = squared(_clusters(np.floor(here.points_m))) + noise + floored - spread
+    by_surfaces = (squared(surfaces) + uneven + noise)[:6, :6]
+    variance = np.median(eigh(by_surfaces, remaining[:6, :6], eigvals_only=True))
+    found = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS).biases
+    assert all(map(np.array_equal, (found.target_rings, found.source_rings), rings))
+    _assert_alike(found.information, remaining / variance, 1e-5)
+    _assert_alike(found.spread, floored / variance**2, 1e-5)
+    _assert_alike(found.random_spread, random / variance**2, 1e-5)
+    sigmas = [ring_sigmas(_BIAS_SIGMAS[:4], len(numbers)) for numbers in rings]
+    sigmas = np.concatenate([_BIAS_SIGMAS, *sigmas])
+    state = np.concatenate([_BIASES, np.zeros(len(sigmas) - 8)])
+    known = posterior(remaining / variance, pulls.T @ here.residual_m / variance, state, sigmas, rings=len(sigmas) - 8)
+    _assert_alike(found.biases, state + known.step[6:], 1e-5)
+    fitted = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS)
+    assert np.allclose(fitted.pose.offset_from(moved(pose, known.step[:3], known.step[3:6])), 0.0, atol=1e-8)
+    # At the new pose and biases the gradient is that of the prior.
     known = posterior(
-        found.biases.information,
-        found.biases.gradient,
-        _BIASES,
-        _BIAS_SIGMAS,
-        found.biases.spread,
-        found.biases.random_spread,
+        found.information, found.gradient, found.biases, sigmas, found.spread, found.random_spread, len(sigmas) - 8
     )
-    _assert_alike(np.linalg.inv(found.information), known.covariance, 1e-5)
-    assert np.linalg.eigvalsh(known.covariance - known.repeatability).min() > -1e-9
-
-
-def test_a_covariance_is_raised_where_it_is_less_than_another():
-    """By the eigenvalues of one in units of the other."""
-    rng = np.random.default_rng(9)
-    spread, least = (_symmetric(rng, 10.0) for _ in range(2))
-    values, vectors = eigh(spread, least)
-    assert values[0] < 1.0 < values[-1]
-    back = np.linalg.inv(vectors)
-    raised = plane_fit._at_least(spread, least)
-    _assert_alike(raised, (back.T * np.maximum(values, 1.0)) @ back, 1e-8)
-    _assert_alike(plane_fit._at_least(-spread, least), least, 1e-8)
+    assert np.abs(known.step[:6]).max() < 1e-7
+    _assert_alike(np.linalg.inv(fitted.information), known.covariance, 1e-5)
+    assert np.trace(known.repeatability) < np.trace(known.covariance)
 
 
 def test_a_direction_that_nothing_constrains_counts_as_one_point():
     """Of the scaled Hessian diag(9, 0.25, ...): the second direction becomes 1, with the largest match distance."""
     rng = np.random.default_rng(8)
-    directions = np.linalg.qr(rng.normal(size=(_UNKNOWNS, _UNKNOWNS)))[0]
-    values = np.array([9.0, 0.25, 0.0, *range(4, _UNKNOWNS + 1)])
-    # Of a turn, a shift, and the biases of both LiDARs: a scale is as long as an angle.
-    lengths_m = np.array([10.0] * 3 + [1.0] * 3 + 2 * [1.0, 10.0, 10.0, 10.0])
-    hessian = (directions * values) @ directions.T * np.outer(lengths_m, lengths_m)
-    floored, spread = plane_fit._floored(hessian, np.zeros_like(hessian))
-    floored, spread = (each / np.outer(lengths_m, lengths_m) for each in (floored, spread))
+    directions = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    values = np.array([9.0, 0.25, 0.0, 4.0, 5.0, 6.0])
+    # A turn is as long as a shift of 10 m.
+    lengths_m = np.array([10.0] * 3 + [1.0] * 3)
+    hessian, others = np.eye(9), np.zeros((9, 9))
+    hessian[:6, :6] = (directions * values) @ directions.T * np.outer(lengths_m, lengths_m)
+    floored, spread = plane_fit._floored(hessian, others)
+    assert np.array_equal(floored[6:], np.eye(9)[6:])
+    assert not np.any(spread[6:])
+    floored, spread = (each[:6, :6] / np.outer(lengths_m, lengths_m) for each in (floored, spread))
     _assert_alike(floored, (directions * np.maximum(values, 1.0)) @ directions.T, 1e-9)
     _assert_alike(spread, 0.3**2 * directions[:, 1:3] @ directions[:, 1:3].T, 1e-9)
 

@@ -181,7 +181,7 @@ def test_a_pushed_pose_is_less_certain_with_its_biases(sides, monkeypatch):
     sure = register_best(*sides, [_hypothesis(_near(_TRUTH))], _CONFIG)
     monkeypatch.setattr(fine, "perturbed_ends", lambda *_: (_near(_TRUTH, (0.03, 0.0, 0.0)), _TRUTH))
     unsure = register_best(*sides, [_hypothesis(_near(_TRUTH))], _NEVER_FIRM)
-    direction = np.zeros(6 + 2 * BIAS_COUNT)
+    direction = np.zeros(len(sure.bias_information.information))
     direction[:6] = unsure.registrations[0].visibility.weakest_direction / np.repeat([10.0, 1.0], 3)
     for widened, before, along in (
         (unsure.information, sure.information, direction[:6]),
