@@ -46,6 +46,8 @@ _PATCH_M = 1.0
 _SURFACE_M = 6.0
 # A surface is not known better: incidence and reflectivity change a range by millimetres.
 _SURFACE_SIGMA_M = 0.002
+# Share of the sums of a ring that counts, on simulated vehicles: the noise of its points, and its biases, count already.
+_OF_RINGS = 0.2
 # Below this share, what remains is noise of the matches.
 _LEAST_REAL = 0.02
 
@@ -254,8 +256,7 @@ def _spreads(
     """Return the covariance (N, N) of the sum of scores: by surfaces, by surfaces and rings, and by random errors.
 
     Few surfaces tell little of the size of their errors, and the fit hides those that it follows. Therefore half of
-    what a surface contributes is its own sum, and half is that of a surface with the usual error. Rings count with the
-    mean of those of target and source: their biases are unknowns, so what is left of them is small.
+    what a surface contributes is its own sum, and half is that of a surface with the usual error.
     """
     labels = overlap.surfaces[residuals.rows]
     pulls = residuals.weight * residuals.residual_m
@@ -264,7 +265,9 @@ def _spreads(
     scores, uneven = _squared(equations, labels, pulls), _squared(equations, labels, residuals.weight)
     of_targets, of_sources = (_squared(equations, rings, pulls) for rings in equations.rings)
     by_surfaces = scores + _SURFACE_SIGMA_M**2 * uneven
-    systematic = 0.5 * (scores + usual_m2 * uneven + of_targets + of_sources) + _SURFACE_SIGMA_M**2 * uneven
+    systematic = (
+        0.5 * (scores + usual_m2 * uneven) + _OF_RINGS * (of_targets + of_sources) + _SURFACE_SIGMA_M**2 * uneven
+    )
     return by_surfaces, systematic, _squared(equations, _numbered(np.floor(residuals.points_m / _PATCH_M)), pulls)
 
 
