@@ -46,7 +46,7 @@ _PATCH_M = 1.0
 _SURFACE_M = 6.0
 # A surface is not known better: incidence and reflectivity change a range by millimetres.
 _SURFACE_SIGMA_M = 0.002
-# Share of the sums of a ring that counts, on simulated vehicles: the noise of its points, and its biases, count already.
+# Share of the sums of rings that counts, measured on simulated vehicles: their biases and the noise count already.
 _OF_RINGS = 0.2
 # Below this share, what remains is noise of the matches.
 _LEAST_REAL = 0.02
