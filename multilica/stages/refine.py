@@ -22,7 +22,7 @@ from multilica.results import IndexArray, PairRegistration, PairResidual, Refine
 
 _ITERATIONS = 20
 # Converged when no pose moves by more, rad and m.
-_EPSILON = 1e-6
+_EPSILON = 1e-8
 _POSE_FREEDOM = 6
 # Metres, degrees and millionths.
 _DISPLAYED = np.array([1.0, np.rad2deg(1.0), np.rad2deg(1.0), 1e6])
