@@ -75,20 +75,18 @@ def refine(
     before = [_offset(pair, state.poses) for pair in used_pairs]
     for _ in range(_ITERATIONS):
         equations = _normal_equations(used_pairs, state, config)
-        step = posterior(equations.information, equations.gradient, state.biases, sigmas, rings=of_rings).step
-        state = state.moved(step)
-        if np.abs(step).max() < _EPSILON:
+        known = posterior(
+            equations.information,
+            equations.gradient,
+            state.biases,
+            sigmas,
+            equations.spread,
+            equations.random_spread,
+            of_rings,
+        )
+        state = state.moved(known.step)
+        if np.abs(known.step).max() < _EPSILON:
             break
-    equations = _normal_equations(used_pairs, state, config)
-    known = posterior(
-        equations.information,
-        equations.gradient,
-        state.biases,
-        sigmas,
-        equations.spread,
-        equations.random_spread,
-        of_rings,
-    )
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used_pairs, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     return RefinedRig(
