@@ -25,6 +25,9 @@ from multilica.results import (
 from multilica.results.registrations import weakest_deviations
 from multilica.visibility.sensor_view import ScorePose
 
+# Movable objects hold a pose if its standard deviation grows by this factor without them.
+_HELD_GROWTH = 1.5
+
 
 def imprecision(
     sigma_m: float | None, sigma_rad: float | None, config: AcceptanceConfig, margin: float = 1.0
@@ -55,6 +58,7 @@ def place(
     covariance: FloatArray | None,
     config: AcceptanceConfig,
     how: str = "placed",
+    held: Reason | None = None,
     **known: Any,  # noqa: ANN401 - further fields of the placement
 ) -> LidarPlacement:
     """Place a LiDAR at an accepted pose; it is uncertain if a standard deviation is above the limit.
@@ -62,11 +66,34 @@ def place(
     Args:
         covariance: (6, 6), rotation (rad), then translation (m), along the target's axes; None if it is not known.
         how: the LiDAR was placed, for people.
+        held: by objects that can move, if so; the covariance is that of the others then.
     """
-    doubt = None if covariance is None else imprecision(*weakest_deviations(covariance), config)
+    doubt = held or (None if covariance is None else imprecision(*weakest_deviations(covariance), config))
     status: PlacementStatus = "placed" if doubt is None else "uncertain"
     reason = how if doubt is None else doubt.text
-    return LidarPlacement(pose.source, reason, status, pose, covariance=covariance, **known)
+    return LidarPlacement(
+        pose.source, reason, status, pose, covariance=covariance, held_by_movable=held is not None, **known
+    )
+
+
+def held_by_movable(covariance: FloatArray, fixed: FloatArray, config: AcceptanceConfig) -> Reason | None:
+    """Return why a LiDAR of a snapshot with one frame is uncertain, if objects that can move hold its pose.
+
+    Args:
+        covariance: (6, 6) by all points.
+        fixed: (6, 6) without the points on objects of the size of vehicles and people that stand free.
+    """
+    doubt = imprecision(*weakest_deviations(fixed), config)
+    growth = max(np.divide(weakest_deviations(fixed), weakest_deviations(covariance)))
+    if doubt is None or growth < _HELD_GROWTH:
+        return None
+    # By the variances, along the direction in which it is largest.
+    share = 1.0 - 1.0 / float(np.linalg.eigvals(np.linalg.solve(covariance, fixed)).real.max())
+    text = (
+        f"objects that can move hold {share:.0%} of its information in one direction, and one frame cannot tell "
+        f"whether they did: without them {doubt.text}"
+    )
+    return Reason("held_by_movable", doubt.value, doubt.limit, text)
 
 
 def why_unplaced(

@@ -214,15 +214,21 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
     else:
         direction = f"mostly about {about} of {document.target}"
         sigma, limit = f"{sigma_deg:.3f} deg", f"{limits.max_sigma_deg:g} deg"
+    headline = f"{name} is uncertain: sigma {sigma} {direction}, limit {limit}."
+    cause = "uncertain"
+    if document.lidars[name].held_by_movable:
+        cause = "held_by_movable"
+        headline = f"{headline} {document.lidars[name].reason.rstrip('.').capitalize()}."
     return Uncertain(
         name,
-        f"{name} is uncertain: sigma {sigma} {direction}, limit {limit}.",
+        headline,
         direction,
         sigma_m,
         sigma_deg,
         limits.max_sigma_m,
         limits.max_sigma_deg,
-        CAUSES["uncertain"][1:],
+        CAUSES[cause][1:],
+        cause,
     )
 
 
@@ -318,6 +324,12 @@ def _warnings(document: ResultDocument) -> Iterator[str]:
     for entry in document.lidars.values():
         if entry.prior is not None and entry.prior.surprise:
             yield entry.prior.surprise
+    held = [name for name, entry in document.lidars.items() if entry.held_by_movable]
+    if held:
+        yield (
+            f"{_listed(held)}: one frame cannot tell what moves, and only objects that can move hold the pose in one "
+            "direction. Record several frames (--frames 10)."
+        )
     for pair in document.refinement.pairs if document.refinement is not None else ():
         if pair.contradicts:
             yield (

@@ -51,6 +51,12 @@ CAUSES: Mapping[str, tuple[str, ...]] = {
         _TOGETHER,
         "a higher limit, if the task allows this sigma (--max-sigma MM,DEG)",
     ),
+    "held_by_movable": (
+        "only cars, people and the like hold it in one direction, and one frame cannot tell whether they moved",
+        "several frames (--frames 10), in which moving points show and are left out",
+        _OTHER_PLACE,
+        _TOGETHER,
+    ),
     "unexplained": (
         "its best pose is too unlikely: surfaces do not match, or it is far off (a chance agreement)",
         _MORE_OVERLAP,
@@ -96,6 +102,7 @@ _REASONS: Mapping[str, tuple[str, str]] = {
     "ambiguous": ("ambiguous", "another pose not ruled out"),
     "not_observable": ("not_observable", "not constrained in one direction"),
     "structure_unexplained": ("unexplained", "walls and objects unexplained"),
+    "held_by_movable": ("held_by_movable", "held by objects that can move"),
     "too_far_apart": ("unexplained", "LiDARs too far apart"),
     "imprecise": ("uncertain", "sigma above the limit"),
     "low_fitness": ("low_fitness", "low fitness"),

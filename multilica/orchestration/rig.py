@@ -14,6 +14,7 @@ from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.pairs import SearchRequest, prepare_lidar, register_sides, search_pair
 from multilica.orchestration.state import CalibrationState
 from multilica.results import (
@@ -163,7 +164,7 @@ def refine_rig(state: CalibrationState) -> None:
         poses = {name: pose for name, pose in poses.items() if name not in lost}
     state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
     state.group = Group(state.target, rig.poses)
-    state.covariances = widened(rig.covariances, doubts)
+    state.covariances = widened(doubt_movable(state, rig, used), doubts)
     state.repeatability, state.refinement = rig.repeatability, rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 
@@ -274,7 +275,10 @@ def result_of(state: CalibrationState) -> CalibrationResult:
         ground=state.ground,
         ground_refusal=state.ground_refusal,
         time_limit=TimeLimit(state.config.runtime.max_time_s, state.not_reached) if state.cut_short else None,
-        trusted=tuple(trusted_pairs(state.registrations.values(), state.merges)),
+        trusted=tuple(
+            state.fixed_pairs.get((pair.target, pair.source), pair)
+            for pair in trusted_pairs(state.registrations.values(), state.merges)
+        ),
         timing_s=dict(state.timing_s),
         health=tuple(state.health),
         level=_level(state, target),
@@ -297,6 +301,8 @@ def _level(state: CalibrationState, target: str) -> RigidTransform | None:
     """Return the pose of the target in a frame with z up, from the ground plane or a quick estimate of it."""
     if state.ground is not None:
         return RigidTransform(LEVEL_FRAME, target, state.ground.T_base_target.matrix)
+    if state.level is not None:
+        return state.level
     clouds = {name: cloud.points_m for name, cloud in state.clouds.items()}
     return estimate_level(target, clouds, state.poses, state.config)
 
@@ -327,6 +333,7 @@ def placement_of(name: str, target: str, state: CalibrationState) -> LidarPlacem
         state.covariances.get(name),
         state.config.acceptance,
         f"placed; sigma covers that {state.doubts[name]}" if name in state.doubts else "placed",
+        held=state.held.get(name),
         repeatability=state.repeatability.get(name),
         fitness=merged.fitness,
         rmse_m=merged.rmse_m,

@@ -20,6 +20,7 @@ from multilica.results import (
     PairKey,
     PairRegistration,
     PreprocessedCloud,
+    Reason,
     Refinement,
     Registration,
     SensorHealth,
@@ -59,6 +60,9 @@ class CalibrationState:
     repeatability: Mapping[str, FloatArray] = field(default_factory=dict)
     refinement: Refinement | None = None
     doubts: Mapping[str, str] = field(default_factory=dict)
+    level: RigidTransform | None = None
+    held: Mapping[str, Reason] = field(default_factory=dict)
+    fixed_pairs: Mapping[PairKey, PairRegistration] = field(default_factory=dict)
     rig: Extrinsics | None = None
     ground: GroundPlane | None = None
     ground_refusal: str = ""

@@ -120,6 +120,11 @@ class LidarEntry(Entry):
         description="The pair or step that placed the LiDAR, or the reason why it is uncertain or not placed."
     )
     health: SensorHealth | None = Field(description="Findings about the sensor; null if it was not examined.")
+    held_by_movable: bool = Field(
+        default=False,
+        description="True if only objects of the size of vehicles and people hold an `uncertain` pose in some "
+        "direction, and one frame cannot tell whether they moved between the scans.",
+    )
 
     def weakest_directions(self) -> tuple[tuple[float, str], tuple[float, str]]:
         """Return the largest standard deviations of position (m) and rotation (deg), each with its main axis.

@@ -134,6 +134,7 @@ class LidarPlacement:
         covariance: (6, 6) of the pose, order rotation (rad), translation (m), both along the target's axes.
         repeatability: (6, 6) the part of it that random errors cause: by so much do results differ in one place.
         T_target_source_prior: the pose that the prior claims; None where it lacks the LiDAR or the target.
+        held_by_movable: only objects that can move hold the pose of an uncertain LiDAR in some direction.
         contradicts_prior: whether the beams of a LiDAR without a pose contradict the prior, so that it moved far.
     """
 
@@ -149,6 +150,7 @@ class LidarPlacement:
     sigma_from: SigmaOrigin = "residuals"
     spread: Spread | None = None
     contested: ContestedPlace | None = None
+    held_by_movable: bool = False
     contradicts_prior: bool = False
 
     @property

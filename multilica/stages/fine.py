@@ -21,7 +21,8 @@ from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, fitness_and
 from multilica.registration.plane_fit import PlaneFit, fit_planes, pose_information
 from multilica.registration.poses import arc_between_m, is_distinct, moved, slid_hypotheses, within_baseline
 from multilica.registration.sensor_biases import prior_sigmas
-from multilica.results import BiasInformation, Hypothesis, PairRegistration, Registration, Stability
+from multilica.registration.widening import widened, widened_with_biases
+from multilica.results import Hypothesis, PairRegistration, Registration, Stability
 from multilica.results.registrations import weakest_sigmas
 from multilica.visibility.sensor_view import (
     FINE_TOLERANCES,
@@ -289,7 +290,7 @@ class _Pair:
         if information is not None:
             information = widened(information, direction, off_m)
         if of_biases is not None:
-            of_biases = _widened_with_biases(of_biases, direction, off_m)
+            of_biases = widened_with_biases(of_biases, direction, off_m)
         sigma_m, sigma_rad = weakest_sigmas(information)
         stability = replace(stability, sigma_m=sigma_m, sigma_rad=sigma_rad)
         scored = replace(fitted.registrations[0], stability=stability)
@@ -338,32 +339,4 @@ def check_stability(
         perturbation_m,
         perturbed_offset_m=max(arc_between_m(pose, end) for end in ends),
         thinned_offset_m=arc_between_m(pose, of_fewer),
-    )
-
-
-def widened(information: FloatArray, direction: FloatArray, off_m: float) -> FloatArray:
-    """Return the information of a pose from its offset along a direction after a perturbation.
-
-    Args:
-        information: of the pose, and perhaps of biases after it.
-        direction: (6,) as `VisibilityScore.weakest_direction`.
-    """
-    step = np.zeros(len(information))
-    step[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
-    pulled = information @ step
-    return np.asarray(information - np.outer(pulled, pulled) / (1.0 + step @ pulled))
-
-
-def _widened_with_biases(found: BiasInformation, direction: FloatArray, off_m: float) -> BiasInformation:
-    """Widen information and spread alike: both covariances grow by the offset."""
-    information = widened(found.information, direction, off_m)
-    step = np.zeros(len(information))
-    step[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
-    pulled = information @ step
-    kept = np.eye(len(information)) - np.outer(pulled, step)
-    return replace(
-        found,
-        information=information,
-        spread=kept @ found.spread @ kept.T + np.outer(pulled, pulled),
-        random_spread=kept @ found.random_spread @ kept.T,
     )

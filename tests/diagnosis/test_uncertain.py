@@ -62,3 +62,23 @@ def test_a_document_that_contradicts_itself_is_refused(document, change, words):
     document["lidars"][UNPLACED] |= change
     with pytest.raises(ValidationError, match=words):
         parsed(document)
+
+
+def test_a_pose_that_movable_objects_hold_asks_for_more_frames(document):
+    document["lidars"][UNPLACED] |= {"held_by_movable": True, "reason": "objects that can move hold 92 % of it"}
+    told = explain(parsed(document))
+    (uncertain,) = told.uncertain
+    assert uncertain.cause == "held_by_movable"
+    assert uncertain.headline.endswith("limit 20 mm. Objects that can move hold 92 % of it.")
+    assert uncertain.advice == CAUSES["held_by_movable"][1:]
+    assert "--frames" in uncertain.advice[0]
+    (warning,) = told.warnings
+    assert warning.startswith("rear: one frame cannot tell what moves")
+
+
+def test_older_documents_have_no_pose_that_movable_objects_hold(document):
+    del document["lidars"][UNPLACED]["held_by_movable"]
+    assert parsed(document).lidars[UNPLACED].held_by_movable is False
+    document["lidars"][UNPLACED]["held_by_movable"] = None
+    with pytest.raises(ValidationError, match="held_by_movable"):
+        parsed(document)

@@ -182,3 +182,25 @@ def test_the_paper_preset_runs():
     verdict = result.pairs[0].verdict
     assert verdict.accepted == (result.pairs[0].fitness > 0.2)
     assert result.status == ("complete" if verdict.accepted else "failed")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("rig", "scene", "seed", "flow"),
+    [
+        pytest.param("edgar", "motorway", 902, "queue", id="queue"),
+        pytest.param("edgar", "bridge", 902, "both_ways", id="a merge of groups"),
+        pytest.param("sides", "bridge", 905, "one_way", id="a car beside a railing"),
+    ],
+)
+def test_a_pose_that_moving_cars_hold_is_uncertain(rig, scene, seed, flow):
+    """Poses follow cars that moved between the scans, by up to 0.36 m with a fit that trusts them."""
+    simulated = simulate_snapshot(rig, scene, seed, frames=1, disturbances=(f"traffic:{flow}",))
+    result = calibrate(simulated.snapshot)
+    posed = [each for each in result.placements if each.covariance is not None]
+    assert any(each.held_by_movable for each in posed)
+    for each in posed:
+        off = each.T_target_source.offset_from(simulated.truth.between(result.target, each.lidar))
+        assert off @ np.linalg.solve(each.covariance, off) < 22.5
+        assert each.uncertain or np.linalg.norm(off[3:]) < 0.05
+        assert each.uncertain or not each.held_by_movable

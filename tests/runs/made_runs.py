@@ -92,6 +92,7 @@ def entry(
 ) -> dict[str, object]:
     status = "not_placed" if matrix is None else status
     values = dict.fromkeys(LidarEntry.model_fields) | {"sigma_from": "residuals", "reason": "made"}
+    values["held_by_movable"] = False
     values["covariance"] = None if sigmas is None else covariance(*sigmas).tolist()
     return values | {
         "placed": status == "placed",

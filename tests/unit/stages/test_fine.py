@@ -6,7 +6,7 @@ import pytest
 
 from multilica.config import AcceptanceConfig, CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.registration import poses
+from multilica.registration import poses, widening
 from multilica.registration.gicp import register
 from multilica.registration.plane_fit import PlaneFit
 from multilica.registration.sensor_biases import BIAS_COUNT, prior_sigmas
@@ -199,7 +199,7 @@ def test_an_offset_is_added_to_the_covariance_of_pose_and_biases():
     information, spread, random = roots @ roots.transpose(0, 2, 1) + np.eye(size)
     found = BiasInformation(information, np.zeros(size), spread, random, np.zeros(2 * BIAS_COUNT))
     direction, off_m = rng.normal(size=6), 0.3
-    wide = fine._widened_with_biases(found, direction, off_m)
+    wide = widening.widened_with_biases(found, direction, off_m)
     step = np.concatenate([off_m * direction / np.repeat([10.0, 1.0], 3), np.zeros(2 * BIAS_COUNT)])
     before, after = np.linalg.inv(information), np.linalg.inv(wide.information)
     np.testing.assert_allclose(after, before + np.outer(step, step), atol=1e-9)

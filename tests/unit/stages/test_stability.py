@@ -9,8 +9,9 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import pose_information
 from multilica.registration.sensor_biases import prior_sigmas
+from multilica.registration.widening import widened
 from multilica.results.registrations import weakest_sigmas
-from multilica.stages.fine import check_stability, perturbed_ends, widened
+from multilica.stages.fine import check_stability, perturbed_ends
 from tests.unit.made_rooms import HALL, box, scan
 
 _CONFIG, _FINE = AcceptanceConfig(), FineConfig()

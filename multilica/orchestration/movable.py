@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses that only objects hold which could have moved between the scans."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from multilica.acceptance.placement import held_by_movable
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration.state import CalibrationState
+from multilica.registration.fixed_pair import without_movable
+from multilica.registration.gicp import GicpCloud
+from multilica.registration.movable import MovableCells, find_movable
+from multilica.results import BoolArray, PairRegistration, connected
+from multilica.stages.ground import estimate_level
+from multilica.stages.refine import RefinedRig, refine
+from multilica.workers import Shared
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _FixedRequest:
+    """A pair with the movable cells, and the poses of its LiDARs in their frame."""
+
+    pair: PairRegistration
+    cells: MovableCells
+    poses: Mapping[str, RigidTransform]
+
+    def on_movable(self, lidar: str, points_m: FloatArray) -> BoolArray:
+        """Tell which points (N, 3) of a LiDAR, or of a group in its frame, lie on movable objects."""
+        return self.cells.contain(self.poses[lidar].apply(points_m))
+
+
+def doubt_movable(
+    state: CalibrationState, rig: RefinedRig, used: Sequence[PairRegistration]
+) -> Mapping[str, FloatArray]:
+    """Find the LiDARs whose poses only movable objects hold, and return the covariances that count fixed ones only.
+
+    With several frames, moving points are left out beforehand. With one, a moving car looks like a parked one.
+
+    Args:
+        used: the pairs with which the poses were refined.
+    """
+    single = {lidar.name for lidar in state.snapshot.lidars if len(lidar.scans) == 1} & {*state.lidars}
+    chosen = [pair for pair in used if pair.information is not None and pair.lidars <= single]
+    if not chosen:
+        return rig.covariances
+    cells = _movable_cells(state, rig.poses)
+    if not len(cells.keys):
+        return rig.covariances
+    requests = {
+        id(pair): _FixedRequest(_slim(pair), cells, {name: rig.poses[name] for name in pair.lidars}) for pair in chosen
+    }
+    of_lidars = [key for key in map(id, state.registrations.values()) if key in requests]
+    found = dict(zip(of_lidars, state.workers.map(_reduce_pair, [requests[key] for key in of_lidars]), strict=True))
+    for number, pair in enumerate(used):
+        if id(pair) in requests and id(pair) not in found:
+            target, source = (_merged_cloud(state, name, used[:number]) for name in (pair.target, pair.source))
+            found[id(pair)] = without_movable(pair, (target, source), requests[id(pair)].on_movable)
+    fixed = {
+        id(pair): replace(
+            pair,
+            T_target_source=each.T_target_source,
+            information=each.information,
+            bias_information=each.bias_information,
+        )
+        for pair in chosen
+        if (each := found[id(pair)]) is not None
+    }
+    if not fixed:
+        return rig.covariances
+    of_fixed = refine(state.target, rig.poses, [fixed.get(id(pair), pair) for pair in used], state.config.refine)
+    covariances = {}
+    for name, covariance in rig.covariances.items():
+        off = of_fixed.poses[name].offset_from(rig.poses[name])
+        covariances[name] = of_fixed.covariances[name] + np.outer(off, off)
+        if held := held_by_movable(covariance, covariances[name], state.config.acceptance):
+            state.held = {**state.held, name: held}
+    state.fixed_pairs = {(pair.target, pair.source): pair for pair in fixed.values() if pair.lidars & {*state.held}}
+    return covariances
+
+
+def _reduce_pair(lidars: Shared, request: _FixedRequest) -> PairRegistration | None:
+    """Fit a pair to fixed objects, a task for a worker."""
+    target, source = (lidars[name].side.cloud for name in (request.pair.target, request.pair.source))
+    return without_movable(request.pair, (target, source), request.on_movable)
+
+
+def _merged_cloud(state: CalibrationState, root: str, pairs: Sequence[PairRegistration]) -> GicpCloud:
+    """Return the cloud of the largest group with that root which the pairs connect."""
+    members = connected(root, pairs)
+    sides = [side for group, side in sorted(state.sides.items()) if side.cloud.name == root and members >= {*group}]
+    return max((side.cloud for side in sides), key=_size, default=state.lidars[root].side.cloud)
+
+
+def _size(cloud: GicpCloud) -> int:
+    return len(cloud.points_m)
+
+
+def _slim(pair: PairRegistration) -> PairRegistration:
+    return replace(pair, registrations=(), steps=())
+
+
+def _movable_cells(state: CalibrationState, poses: Mapping[str, RigidTransform]) -> MovableCells:
+    clouds = {name: state.clouds[name].points_m for name in poses}
+    state.level = level = estimate_level(state.target, clouds, poses, state.config)
+    thinned = ((pose, state.lidars[name].side.cloud) for name, pose in sorted(poses.items()))
+    points_m = np.concatenate([pose.apply(cloud.points_m) for pose, cloud in thinned])
+    lidars_m = np.array([pose.xyz_m for _, pose in sorted(poses.items())])
+    return find_movable(points_m, lidars_m, np.eye(3) if level is None else level.rotation)

@@ -1,0 +1,156 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Objects of the size of vehicles and people that stand free on the ground."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from multilica.geometry import FloatArray, lengths
+from multilica.results import BoolArray, IndexArray
+
+# Below the gap between two cars in traffic, above the spacing of rings on a car at 50 m.
+_CELL_M = 0.4
+# Farther cells hold too few points to show an object's outline.
+_RANGE_M = 60.0
+# Enough to reach the ground below the bumper of a car.
+_CELLS_BELOW = 2
+# Bumpers and roofs of cars are higher; kerbs and the waves of a road are lower.
+_GROUND_M = 0.3
+# In columns of a metre: no car hides a piece of road from all LiDARs of a rig that is wider.
+_COLUMNS_AROUND = 5
+# Outline of the largest car with a trailer, or of a car at two places, and of a lorry with its trailer; all with a cell
+# more, as outlines are of whole cells. Longer things are lower than lorries: rails, walls, hedges.
+_CAR_LENGTH_M = 8.5
+_LORRY_LENGTH_M = 19.0
+_LORRY_HEIGHT_M = 2.4
+_WIDTH_M = 3.5
+# Legal height of vehicles, with the gap below the ground filter; trees, lamp posts and houses are higher.
+_HEIGHT_M = 4.5
+# Anything that begins higher does not stand on the ground: a sign above the road, a branch.
+_CLEARANCE_M = 1.5
+# A post or a trunk: thinner than a person, and at least half as high.
+_POST_WIDTH_M = 0.35
+_POST_HEIGHT_M = 0.8
+# Nearer to a LiDAR than anything but the vehicle that carries it.
+_OWN_VEHICLE_M = 1.0
+# Offsets of half of the 26 neighbours of a cell; the other half sees the same pairs.
+_NEIGHBOURS = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) > (0, 0, 0)]
+_OFFSET = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovableCells:
+    """Cells of space that movable objects fill.
+
+    Args:
+        rotation: (3, 3) from the frame of the rig to one with z up.
+        keys: (K,) sorted numbers of the cells.
+    """
+
+    rotation: FloatArray
+    keys: IndexArray
+
+    def contain(self, points_m: FloatArray) -> BoolArray:
+        """Return which points (N, 3) in the frame of the rig lie on movable objects."""
+        if not len(self.keys):
+            return np.zeros(len(points_m), dtype=np.bool_)
+        keys = _keys(np.floor(points_m @ self.rotation.T / _CELL_M))
+        return np.asarray(self.keys[np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)] == keys)
+
+
+def find_movable(points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArray) -> MovableCells:
+    """Find the cells of objects that could stand elsewhere in the next scan.
+
+    These are connected groups of cells above the ground, none larger than a vehicle. A group that touches a wall, a
+    rail or a ceiling belongs to it.
+
+    Args:
+        points_m: (N, 3) of all LiDARs in the frame of the rig.
+        lidars_m: (L, 3) positions of the LiDARs.
+        rotation: (3, 3) from that frame to one with z up.
+    """
+    middle_m = lidars_m.mean(axis=0)
+    points_m = points_m[lengths(points_m - middle_m) < _RANGE_M] @ rotation.T
+    above_m = _above_ground(points_m)
+    high = above_m > _GROUND_M
+    points_m, above_m = points_m[high], above_m[high]
+    if not len(points_m):
+        return MovableCells(rotation, np.empty(0, dtype=np.int64))
+    # One point per cell is enough for an outline.
+    keys, first = np.unique(_keys(np.floor(points_m / _CELL_M)), return_index=True)
+    points_m, above_m = points_m[first], above_m[first]
+    count, object_of = _connected(keys)
+    own = np.zeros(count, dtype=np.bool_)
+    for lidar_m in lidars_m @ rotation.T:
+        own[object_of[lengths(points_m - lidar_m) < _OWN_VEHICLE_M]] = True
+    movable = _is_movable(points_m, above_m, object_of, count) & ~own
+    found = keys[movable[object_of]]
+    # With the cells below: wheels and sills are below the height at which the ground ends.
+    return MovableCells(rotation, np.unique([found - below for below in range(_CELLS_BELOW + 1)]))
+
+
+def _above_ground(points_m: FloatArray) -> FloatArray:
+    """Return the height (N,) above the ground, which is the opening of the lowest points (Zhang et al., TGRS 2003).
+
+    An opening takes away what is narrow, such as a car, and keeps the edge of a bridge. A column's own lowest point
+    counts as well: cars whose surroundings nobody sees must not lift the ground beside them.
+    """
+    if not len(points_m):
+        return np.empty(0)
+    low_m = points_m[:, :2].min(axis=0)
+    x, y = ((points_m[:, axis] - low_m[axis]).astype(np.int64) for axis in (0, 1))
+    columns = y.max() + 1
+    lowest_m = np.full((x.max() + 1, columns), np.inf)
+    column = x * columns + y
+    np.minimum.at(lowest_m.reshape(-1), column, points_m[:, 2])
+    eroded_m = minimum_filter(lowest_m, _COLUMNS_AROUND, mode="nearest")
+    opened_m = maximum_filter(np.where(np.isfinite(eroded_m), eroded_m, -np.inf), _COLUMNS_AROUND, mode="nearest")
+    return np.asarray(points_m[:, 2] - np.minimum(lowest_m, opened_m).reshape(-1)[column])
+
+
+def _keys(cells: FloatArray) -> IndexArray:
+    """Return one number (N,) per cell (N, 3)."""
+    x, y, z = cells.astype(np.int64).T + _OFFSET // 2
+    return np.asarray((x * _OFFSET + y) * _OFFSET + z)
+
+
+def _connected(keys: IndexArray) -> tuple[int, IndexArray]:
+    """Return the number of groups of touching cells, and the group (K,) of each."""
+    ones, others = [], []
+    for x, y, z in _NEIGHBOURS:
+        wanted = keys + (x * _OFFSET + y) * _OFFSET + z
+        found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
+        ones.append(np.flatnonzero(keys[found] == wanted))
+        others.append(found[ones[-1]])
+    edges = np.concatenate(ones), np.concatenate(others)
+    graph = coo_array((np.ones(len(edges[0]), dtype=np.bool_), edges), shape=(len(keys), len(keys)))
+    count, groups = connected_components(graph, directed=False)
+    return int(count), groups.astype(np.int64)
+
+
+def _is_movable(points_m: FloatArray, above_m: FloatArray, object_of: IndexArray, count: int) -> BoolArray:
+    """Return which objects have the outline of a vehicle or a person."""
+    x_m, y_m = points_m[:, :2].T
+    number = np.bincount(object_of, minlength=count)
+    x_m, y_m = (each - (np.bincount(object_of, each, count) / number)[object_of] for each in (x_m, y_m))
+    xx, yy, xy = (np.bincount(object_of, one * other, count) for one, other in ((x_m, x_m), (y_m, y_m), (x_m, y_m)))
+    yaw_rad = (0.5 * np.arctan2(2.0 * xy, xx - yy))[object_of]
+    length_m = _extent(np.cos(yaw_rad) * x_m + np.sin(yaw_rad) * y_m, object_of, count)
+    width_m = _extent(np.cos(yaw_rad) * y_m - np.sin(yaw_rad) * x_m, object_of, count)
+    lowest_m, highest_m = np.full(count, np.inf), np.zeros(count)
+    np.minimum.at(lowest_m, object_of, above_m)
+    np.maximum.at(highest_m, object_of, above_m)
+    longest_m = np.where(highest_m > _LORRY_HEIGHT_M, _LORRY_LENGTH_M, _CAR_LENGTH_M)
+    vehicle = (length_m < longest_m) & (width_m < _WIDTH_M) & (highest_m < _HEIGHT_M) & (lowest_m < _CLEARANCE_M)
+    post = (np.maximum(length_m, width_m) < _POST_WIDTH_M) & (highest_m - lowest_m > _POST_HEIGHT_M)
+    return np.asarray(vehicle & ~post)
+
+
+def _extent(values: FloatArray, labels: IndexArray, count: int) -> FloatArray:
+    lowest, highest = np.full(count, np.inf), np.full(count, -np.inf)
+    np.minimum.at(lowest, labels, values)
+    np.maximum.at(highest, labels, values)
+    return np.asarray(highest - lowest)

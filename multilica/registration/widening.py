@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Information of poses that a perturbation or a doubt widens along a direction."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from multilica.geometry import LEVER_ARM_M, FloatArray
+from multilica.results import BiasInformation
+
+
+def widened(information: FloatArray, direction: FloatArray, off_m: float) -> FloatArray:
+    """Return the information of a pose from its offset along a direction after a perturbation.
+
+    Args:
+        information: of the pose, and perhaps of biases after it.
+        direction: (6,) as `VisibilityScore.weakest_direction`.
+    """
+    step = np.zeros(len(information))
+    step[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
+    pulled = information @ step
+    return np.asarray(information - np.outer(pulled, pulled) / (1.0 + step @ pulled))
+
+
+def widened_with_biases(found: BiasInformation, direction: FloatArray, off_m: float) -> BiasInformation:
+    """Widen information and spread alike: both covariances grow by the offset."""
+    information = widened(found.information, direction, off_m)
+    step = np.zeros(len(information))
+    step[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
+    pulled = information @ step
+    kept = np.eye(len(information)) - np.outer(pulled, step)
+    return replace(
+        found,
+        information=information,
+        spread=kept @ found.spread @ kept.T + np.outer(pulled, pulled),
+        random_spread=kept @ found.random_spread @ kept.T,
+    )

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A road between two rails, with a car as the only thing across it."""
+
+import numpy as np
+import pytest
+
+from multilica.acceptance.placement import held_by_movable, place
+from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
+from multilica.geometry import RigidTransform
+from multilica.registration.fixed_pair import without_movable
+from multilica.registration.gicp import prepare_gicp_cloud
+from multilica.registration.plane_fit import fit_planes
+from multilica.registration.sensor_biases import prior_sigmas
+from multilica.results import PairRegistration
+from multilica.results.registrations import weakest_deviations
+from multilica.stages.refine import refine
+
+_SIGMAS = np.tile(prior_sigmas("", RefineConfig()), 2)
+_HERE = RigidTransform.identity("t", "s")
+_CONFIG = AcceptanceConfig()
+
+
+def _face(rng, axis, at_m, lowest_m, highest_m, count):
+    points_m = rng.uniform(lowest_m, highest_m, (count, 3))
+    points_m[:, axis] = rng.normal(at_m, 0.01, count)
+    return points_m
+
+
+def _road(name, seed, *, crossed):
+    """The cloud of a LiDAR 2 m above a road along x; perhaps with a house across."""
+    rng = np.random.default_rng(seed)
+    fixed = [
+        _face(rng, 2, -2.0, (-15.0, -6.0, 0.0), (15.0, 6.0, 0.0), 6000),
+        *(_face(rng, 1, y, (-15.0, 0.0, -2.0), (15.0, 0.0, -0.5), 3000) for y in (-6.0, 6.0)),
+    ]
+    if crossed:
+        fixed.append(_face(rng, 0, 15.0, (0.0, -6.0, -2.0), (0.0, 6.0, 2.0), 3000))
+    car = [
+        *(_face(rng, 0, x, (0.0, 2.0, -1.8), (0.0, 3.8, -0.5), 400) for x in (5.0, 9.4)),
+        *(_face(rng, 1, y, (5.0, 0.0, -1.8), (9.4, 0.0, -0.5), 600) for y in (2.0, 3.8)),
+    ]
+    return prepare_gicp_cloud(name, np.concatenate([*fixed, *car]), FineConfig())
+
+
+def _on_car(_lidar, points_m):
+    x_m, y_m, z_m = points_m.T
+    return (np.abs(x_m - 7.2) < 2.5) & (np.abs(y_m - 2.9) < 1.2) & (z_m > -1.85)
+
+
+def _registered(*, crossed):
+    target, source = (_road(name, seed, crossed=crossed) for name, seed in (("t", 1), ("s", 2)))
+    fit = fit_planes(target, source, _HERE, _SIGMAS)
+    known = {"information": fit.information, "bias_information": fit.biases}
+    return PairRegistration("t", "s", fit.pose, 1.0, 0.0, 100, None, 1, "made", **known), (target, source)
+
+
+def _fixed_pair(*, crossed):
+    """The pair by all points, and by those on fixed objects."""
+    pair, clouds = _registered(crossed=crossed)
+    return pair, without_movable(pair, clouds, _on_car)
+
+
+def _covariance(pair):
+    return np.linalg.pinv(pair.information, hermitian=True)
+
+
+def test_a_pose_that_only_a_car_holds_may_be_off_as_far_as_it():
+    pair, fixed = _fixed_pair(crossed=False)
+    assert weakest_deviations(_covariance(pair))[0] < _CONFIG.max_sigma_m
+    sigmas_m = np.sqrt(np.diag(_covariance(fixed))[3:])
+    assert sigmas_m[0] > 1.5
+    assert np.all(sigmas_m[1:] < _CONFIG.max_sigma_m)
+    reason = held_by_movable(_covariance(pair), _covariance(fixed), _CONFIG)
+    assert reason.code == "held_by_movable"
+    assert "one frame" in reason.text
+    placement = place(fixed.T_target_source, _covariance(fixed), _CONFIG, held=reason)
+    assert placement.uncertain
+    assert placement.held_by_movable
+    assert placement.reason == reason.text
+
+
+def test_the_joint_estimate_is_as_uncertain_at_the_same_pose():
+    _, fixed = _fixed_pair(crossed=False)
+    rig = refine("t", {"t": RigidTransform.identity("t", "t"), "s": fixed.T_target_source}, [fixed], RefineConfig())
+    sigmas = np.sqrt(np.diag(rig.covariances["s"]))
+    assert sigmas[3] > 1.5
+    assert np.all(np.abs(rig.poses["s"].offset_from(fixed.T_target_source)) < 0.01 * sigmas)
+
+
+def test_a_wall_across_the_road_holds_the_pose():
+    _, fixed = _fixed_pair(crossed=True)
+    assert fixed is None
+
+
+def test_without_fixed_points_no_direction_is_held():
+    pair, clouds = _registered(crossed=False)
+    fixed = without_movable(pair, clouds, lambda _, points_m: np.ones(len(points_m), dtype=bool))
+    assert np.sqrt(np.diag(_covariance(fixed))[3:]).min() > 3.0 / np.sqrt(3.0)
+
+
+def test_without_movable_objects_nothing_changes():
+    pair, clouds = _registered(crossed=True)
+    assert without_movable(pair, clouds, lambda _, points_m: np.zeros(len(points_m), dtype=bool)) is None
+
+
+@pytest.mark.parametrize(("by_all_m", "fixed_m"), [(0.003, 0.015), (0.03, 0.035)], ids=["precise", "hardly worse"])
+def test_a_pose_that_hardly_needs_the_car_is_not_held_by_it(by_all_m, fixed_m):
+    by_all, fixed = (np.diag(np.repeat([1e-4, sigma_m], 3) ** 2) for sigma_m in (by_all_m, fixed_m))
+    assert held_by_movable(by_all, fixed, _CONFIG) is None
