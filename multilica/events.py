@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from multilica import results
 from multilica.config import CalibrationConfig, Stage
 from multilica.extrinsics import Extrinsics
-from multilica.geometry import RigidTransform
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.snapshot import Snapshot
 
 
@@ -130,6 +130,15 @@ class LoopRegistered(Event):
     """Two LiDARs were registered from the pose that accepted pairs imply; ignored unless it is accepted."""
 
     registration: results.PairRegistration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MovableFound(Event):
+    """Some of the `count` points of a LiDAR with one frame, `points_m` (N, 3), lie on objects that could have moved."""
+
+    lidar: str
+    points_m: FloatArray
+    count: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)

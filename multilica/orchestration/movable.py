@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses that only objects hold which could have moved between the scans."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from multilica import events
 from multilica.acceptance.placement import held_by_movable
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.state import CalibrationState
@@ -48,6 +49,7 @@ def doubt_movable(
     cells = _movable_cells(state, rig.poses)
     if not len(cells.keys):
         return rig.covariances
+    _show_movable(state, cells, rig.poses, single)
     requests = {
         id(pair): _FixedRequest(_slim(pair), cells, {name: rig.poses[name] for name in pair.lidars}) for pair in chosen
     }
@@ -78,6 +80,17 @@ def doubt_movable(
             state.held = {**state.held, name: held}
     state.fixed_pairs = {(pair.target, pair.source): pair for pair in fixed.values() if pair.lidars & {*state.held}}
     return covariances
+
+
+def _show_movable(
+    state: CalibrationState, cells: MovableCells, poses: Mapping[str, RigidTransform], single: Collection[str]
+) -> None:
+    if state.observe is events.ignore:
+        return
+    for name in sorted(poses.keys() & single):
+        points_m = state.lidars[name].side.cloud.points_m
+        movable_m = points_m[cells.contain(poses[name].apply(points_m))]
+        state.observe(events.MovableFound(name, movable_m, len(points_m)))
 
 
 def _reduce_pair(lidars: Shared, request: _FixedRequest) -> PairRegistration | None:

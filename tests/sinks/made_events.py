@@ -257,6 +257,7 @@ class _MadeRun:
 
     def refine(self):
         placed = tuple(pose for name, pose in TRUTH.items() if name not in self.refused)
+        yield from (events.MovableFound(name, self.points[name][:12], 600) for name in LIDARS)
         yield events.RigRefined(
             Refinement.of((PairResidual(TARGET, LIDARS[0], 0.004, 0.02, 0.001, 0.01, 0.9),)), placed
         )

@@ -6,17 +6,19 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from multilica import read_extrinsics
+from multilica import events, read_extrinsics
 from multilica.ingest import read_prior
 from multilica.sinks.files.result_files import ResultFiles
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.report.page import report_html
+from multilica.sinks.rerun.recording import RerunRecording
 from multilica.sinks.run_state import RunState, failures
 from multilica.sinks.text.log_lines import LogLine, log_lines
 from multilica.sinks.text.markdown import decisions_markdown, summary_markdown
@@ -117,6 +119,22 @@ def test_the_recording_shows_it_at_its_pose(recording):
     assert found.last("/lidars/front\\ left\\/1/name/tip", "Points3D:labels") == ["front left/1"]
     assert "Result" in blueprint_names(recording)[-1]
     assert not any(name.startswith("Not placed") for name in blueprint_names(recording)[-1])
+    assert "Movable" not in blueprint_names(recording)[-1]
+
+
+@pytest.mark.slow
+def test_objects_that_hold_a_pose_have_a_tab(tmp_path):
+    path = tmp_path / "held.rrd"
+    with RerunRecording(path) as observe:
+        for event in made_events("uncertain"):
+            observe(_held(event) if isinstance(event, events.CalibrationFinished) else event)
+    assert "Movable" in blueprint_names(path)[-1]
+    assert len(Recording(path).last("/lidars/rear/movable", "Points3D:positions")) == 12
+
+
+def _held(finished):
+    placements = (replace(each, held_by_movable=each.uncertain) for each in finished.result.placements)
+    return events.CalibrationFinished(replace(finished.result, placements=tuple(placements)))
 
 
 def test_the_frame_of_its_cloud_in_the_mcap_is_marked(tmp_path):

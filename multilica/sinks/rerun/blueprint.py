@@ -55,6 +55,19 @@ def _residual_tab(state: RunState) -> rrb.Container | None:
     return rrb.Horizontal(view, name="Residual")
 
 
+def _movable_tab(state: RunState) -> rrb.Container | None:
+    """Show the objects that could have moved; None where they hold no pose."""
+    document = state.document
+    if not any(entry.held_by_movable for entry in document.lidars.values()):
+        return None
+    contents = [scene.lidar_path(lidar, kind) for lidar in sorted(document.lidars) for kind in ("residual", "movable")]
+    name = (
+        "Objects that could have moved (orange) hold a pose; other points by their distance to other LiDARs' surfaces"
+    )
+    view = scene_view(name, scene.lidar_frame(document.target), contents, around_rig(state))
+    return rrb.Horizontal(view, name="Movable")
+
+
 def stage_tab(state: RunState, stage: Stage) -> _Tab:
     """Return the tab of one stage, or of the input if the stage has nothing to show."""
     tab = _STAGE_TABS[stage](state) if stage in _STAGE_TABS else None
@@ -203,7 +216,8 @@ def final_blueprint(state: RunState) -> rrb.Blueprint:
     stages = [tab for build in dict.fromkeys(_STAGE_TABS.values()) if (tab := build(state)) is not None]
     lines = log_view("All lines", ("DEBUG", "INFO", "WARN", "ERROR"))
     last = rrb.Horizontal(lines, document_view(scene.CONFIG, "Config"), name="Log")
-    first = [tab for tab in (_failure_tab(state), _result_tab(state), _residual_tab(state)) if tab is not None]
+    builders = (_failure_tab, _result_tab, _movable_tab, _residual_tab)
+    first = [tab for build in builders if (tab := build(state)) is not None]
     opened = 0 if first else len(stages) - 1
     return _blueprint(rrb.Tabs(*first, *stages, last, active_tab=opened))
 

@@ -177,6 +177,13 @@ def log_residuals(scene: RerunScene, event: events.ResidualsMeasured) -> None:
     scene.log_in(lidar_frame(found.lidar), lidar_path(found.lidar, "residual"), shown)
 
 
+def log_movable(scene: RerunScene, event: events.MovableFound) -> None:
+    """Log the points of a LiDAR on objects that could have moved; all its others are fixed."""
+    rows = drawing.sample_indices(len(event.points_m), scene.limits.cloud_points)
+    shown = rr.Points3D(event.points_m[rows].astype(np.float32), colors=[UNDECIDED], radii=rr.Radius.ui_points(2.5))
+    scene.log_in(lidar_frame(event.lidar), lidar_path(event.lidar, "movable"), shown)
+
+
 def log_merge_step(scene: RerunScene, event: events.MergeStepTaken) -> None:
     """Log the pairs of a merge step, the graph, and the group that grew."""
     for pose in event.poses:

@@ -70,6 +70,8 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
             return _line(f"target: {target} ({reason})")
         case events.MergeStepTaken(decision):
             return _merge_step(decision)
+        case events.MovableFound(lidar, points_m, count):
+            return _line(f"{lidar}: {len(points_m):,} of {count:,} points on objects that could have moved", "DEBUG")
         case events.RigRefined(refinement):
             return _refined(refinement)
         case events.SurfacesMatched(matches):

@@ -231,6 +231,7 @@ FIRST_LINES = {
     "after 12 iterations; accept",
     events.TargetChosen: "INFO target: top (set by --target)",
     events.MergeStepTaken: "INFO merge step 1: merged front left/1 into top; groups: front left/1 + top; rear",
+    events.MovableFound: "DEBUG front left/1: 12 of 600 points on objects that could have moved",
     events.RigRefined: "INFO refined over 1 pairs: largest disagreement 4.0 mm, 0.020 deg before, "
     "1.0 mm, 0.010 deg after",
     events.SurfacesMatched: "DEBUG rear <- front left/1: 30 points on surfaces of both at the final pose",
