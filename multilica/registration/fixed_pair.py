@@ -20,7 +20,7 @@ _NOISE_M = 0.03
 
 # A smaller share of the information is not worth a second look: sigma changes by less than a fifth.
 _LEAST_SHARE = 0.3
-# What is left below this share may be noise and chance matches, and holds nothing.
+# A smaller remaining share may be noise and chance matches, and holds nothing.
 _LEAST_LEFT = 0.1
 _NOTHING_LEFT = 1e-4
 # With a larger standard deviation, what is left does not hold the pose.
@@ -127,8 +127,8 @@ def _reduced(pair: PairRegistration, keep: FloatArray) -> PairRegistration:
         of_biases = replace(
             found,
             information=extended @ found.information @ extended.T,
-            # The pose is the best one, and the prior balances the gradient of the biases. What is left of the fit's
-            # tolerance would move a pose by metres once little holds it.
+            # The pose is the best one, and the prior balances the gradient of the biases. The fit's tolerance would move a
+            # pose by metres once little holds it.
             gradient=np.concatenate([np.zeros(6), found.gradient[6:]]),
             spread=extended @ found.spread @ extended.T,
             random_spread=extended @ found.random_spread @ extended.T,

@@ -188,9 +188,9 @@ def test_the_paper_preset_runs():
 @pytest.mark.parametrize(
     ("rig", "scene", "seed", "flow"),
     [
-        pytest.param("edgar", "motorway", 902, "queue", id="queue"),
+        pytest.param("edgar", "motorway", 902, "queue", marks=pytest.mark.nightly, id="queue"),
         pytest.param("edgar", "bridge", 902, "both_ways", id="a merge of groups"),
-        pytest.param("sides", "bridge", 905, "one_way", id="a car beside a railing"),
+        pytest.param("sides", "bridge", 905, "one_way", marks=pytest.mark.nightly, id="a car beside a railing"),
     ],
 )
 def test_a_pose_that_moving_cars_hold_is_not_placed(rig, scene, seed, flow):
