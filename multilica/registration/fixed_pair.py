@@ -127,8 +127,8 @@ def _reduced(pair: PairRegistration, keep: FloatArray) -> PairRegistration:
         of_biases = replace(
             found,
             information=extended @ found.information @ extended.T,
-            # The pose is the best one, and the prior balances the gradient of the biases. The fit's tolerance would move
-            # a pose by metres once little holds it.
+            # The pose is the best one, and the prior balances the gradient of the biases. The fit's tolerance would
+            # move a pose by metres once little holds it.
             gradient=np.concatenate([np.zeros(6), found.gradient[6:]]),
             spread=extended @ found.spread @ extended.T,
             random_spread=extended @ found.random_spread @ extended.T,
