@@ -26,8 +26,8 @@ TRUTH = {
         ("right", [-0.03, -0.56, -0.43], [-0.5, 45.8, -86.1]),
     )
 }
-# Their spread, and the range bias of a good LiDAR, which none of the four estimates.
-_TOLERANCE_M = 0.02 + 0.01
+# Their spread, and the sigma of this one scene where it does not tell a range bias from a shift.
+_TOLERANCE_M = 0.02 + 0.015
 _TOLERANCE_DEG = np.array([0.3, 0.3, 0.4])
 
 
