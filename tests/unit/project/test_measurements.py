@@ -199,7 +199,7 @@ def test_the_peer_finds_poses():
 
 @pytest.mark.parametrize(
     ("y_m", "yaw_deg", "outcome"),
-    [(0.01, 0.0, "right"), (0.03, 0.0, "beside"), (0.06, 0.0, "wrong"), (0.0, 0.45, "beside"), (0.0, 0.6, "wrong")],
+    [(0.01, 0.0, "right"), (0.04, 0.0, "beside"), (0.06, 0.0, "wrong"), (0.0, 0.45, "beside"), (0.0, 0.6, "wrong")],
 )
 def test_turned_scans_have_the_truth_of_the_original_ones(y_m, yaw_deg, outcome):
     rotation = Rotation.random(random_state=3).as_matrix()
