@@ -55,7 +55,7 @@ class PlaneEquations:
 
     def summed(self, labels: IndexArray, factors: FloatArray) -> csr_array:
         """Sum the derivatives, times factors (M,), of the matches of each label: (L, N)."""
-        return _members(labels, factors) @ self._rows
+        return members(labels, factors) @ self._rows
 
     def gradient(self, factors: FloatArray) -> FloatArray:
         """Sum the derivatives times factors (M,): (N,)."""
@@ -89,11 +89,11 @@ class PlaneEquations:
 def _summed_products(labels: IndexArray, count: int, left: FloatArray, right: FloatArray) -> FloatArray:
     """Sum the outer products of rows (M, A) and (M, B) of each label: (count, A, B)."""
     products = (left[:, :, None] * right[:, None, :]).reshape(len(labels), -1)
-    found = _members(labels, np.ones(len(labels)), count) @ products
+    found = members(labels, np.ones(len(labels)), count) @ products
     return np.asarray(found).reshape(count, left.shape[1], right.shape[1])
 
 
-def _members(labels: IndexArray, factors: FloatArray, count: int | None = None) -> csc_array:
+def members(labels: IndexArray, factors: FloatArray, count: int | None = None) -> csc_array:
     """Return the matrix (L, M) that sums the rows of each label, times factors (M,)."""
     matches = len(labels)
     count = int(labels.max()) + 1 if count is None else count

@@ -4,12 +4,11 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.sparse import csc_array
 
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import GicpCloud
 from multilica.registration.neighbours import MovedPoints
-from multilica.registration.plane_equations import PlaneEquations
+from multilica.registration.plane_equations import PlaneEquations, members
 from multilica.registration.poses import arc_between_m, moved
 from multilica.registration.sensor_biases import (
     BIAS_COUNT,
@@ -119,7 +118,11 @@ class _Residuals:
         return np.concatenate([turn, pulls.sum(axis=0)])
 
     def jacobian(self, overlap: _Overlap, pose: RigidTransform) -> FloatArray:
-        """(M, 14) derivative of the residuals by pose and biases."""
+        """(M, 14) derivative of the residuals by pose and biases.
+
+        A scale that both LiDARs have in common would shrink the noise with the points, and gain by that alone. The
+        target's scale is therefore taken at the point of the source: what they have in common moves the source only.
+        """
         in_source = self.normals @ pose.rotation
         by_target = np.einsum("ij,kij->ik", self.normals, shifts_per_bias(overlap.target.points_m[self.index]))
         by_target[:, -1] = np.einsum("ij,ij->i", self.normals, self.points_m)
@@ -137,7 +140,7 @@ def fit_planes(
     GICP gives every match the same weight, so bushes, edges and single scan lines pull as much as walls. Here a
     match is weighted by the flatness of the target, by the agreement of both normals, and by its residual (Geman and
     McClure, 1985, with the scale from the median residual). The biases of both LiDARs in range, elevation, azimuth and
-    scale are estimated with the pose, with a prior.
+    scale are estimated with the pose, with a prior. Those of their rings follow in one step at the end.
 
     Args:
         bias_sigmas: (8,) standard deviations of the biases of target and source, as `prior_sigmas` gives them.
@@ -153,7 +156,7 @@ def fit_planes(
             return PlaneFit(T_target_source)
         jacobian = residuals.jacobian(overlap, pose)
         weighted = jacobian * residuals.weight[:, None]
-        scores = _summed(overlap.surfaces[residuals.rows], weighted[:, :6] * residuals.residual_m[:, None])
+        scores = members(overlap.surfaces[residuals.rows], residuals.residual_m) @ weighted[:, :6]
         hessian, spread = _floored(
             jacobian.T @ weighted, scores.T @ scores + _noise(jacobian[:, :6].T @ weighted[:, :6])
         )
@@ -329,13 +332,6 @@ def _numbered(columns: FloatArray) -> IndexArray:
     for column in columns.T:
         label = (label << 16) + column.astype(np.int64)
     return np.asarray(np.unique(label, return_inverse=True)[1])
-
-
-def _summed(labels: IndexArray, rows: FloatArray) -> FloatArray:
-    """Sum the rows (M, C) of each label."""
-    count = len(labels)
-    members = csc_array((np.ones(count), labels, np.arange(count + 1)), shape=(int(labels.max()) + 1, count))
-    return np.asarray(members @ rows)
 
 
 def _remaining_hessian(

@@ -104,6 +104,7 @@ def posterior(
     allowed[of_lidars] = sigmas[: len(biases) - rings] ** -2.0
     total, pulled, known = information + np.diag(allowed), gradient + allowed * state, np.zeros((size, size))
     if rings:
+        # Their share is sought with the biases of the LiDARs as large as they may be.
         prior, known[of_rings, of_rings] = _prior(total, pulled, state, sigmas[len(biases) - rings :], of_rings)
         total[of_rings, of_rings] += prior
         pulled[of_rings] += prior @ state[of_rings]
