@@ -47,6 +47,7 @@ TARGETS = {
     "multilica/geometry.py": ("tests/property/test_geometry.py", "tests/unit/test_derivatives.py"),
     "multilica/extrinsics.py": ("tests/unit/test_extrinsics.py", FILES),
     "multilica/documents.py": ("tests/unit/test_documents.py",),
+    "multilica/registration/plane_equations.py": ("tests/unit/test_derivatives.py",),
     "multilica/registration/plane_fit.py": (
         "tests/unit/test_derivatives.py",
         "tests/unit/registration/test_plane_fit.py",
