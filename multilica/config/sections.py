@@ -240,8 +240,10 @@ class RefineConfig(Section):
     elevation_bias_sigma_deg: Positive = Field(
         0.005, description="error of a LiDAR's elevation angles that they have in common, one standard deviation"
     )
-    azimuth_bias_sigma_deg: Positive = Field(0.005, description="the same of its azimuth angles")
     range_scale_sigma: Positive = Field(2e-4, description="the same of the scale of its ranges, relative")
+    glancing_bias_sigma_m: PositiveMetres = Field(
+        0.005, description="error of ranges on surfaces that beams graze, against those head-on, one standard deviation"
+    )
 
 
 class JointConfig(Section):

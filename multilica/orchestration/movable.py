@@ -57,7 +57,8 @@ def doubt_movable(
     found = dict(zip(of_lidars, state.workers.map(_reduce_pair, [requests[key] for key in of_lidars]), strict=True))
     for number, pair in enumerate(used):
         if id(pair) in requests and id(pair) not in found:
-            target, source = (_merged_cloud(state, name, used[:number]) for name in (pair.target, pair.source))
+            before = used[:number] if pair.bias_information is None else ()
+            target, source = (_merged_cloud(state, name, before) for name in (pair.target, pair.source))
             found[id(pair)] = without_movable(pair, (target, source), requests[id(pair)].on_movable)
     fixed = {
         id(pair): replace(

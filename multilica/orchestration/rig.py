@@ -14,6 +14,7 @@ from multilica.acceptance.rig import is_contradicted
 from multilica.config import CalibrationConfig
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration.member_pairs import fit_members
 from multilica.orchestration.movable import doubt_movable
 from multilica.orchestration.pairs import SearchRequest, prepare_lidar, register_sides, search_pair
 from multilica.orchestration.state import CalibrationState
@@ -25,6 +26,7 @@ from multilica.results import (
     Hypothesis,
     LidarPlacement,
     MergeDecision,
+    PairKey,
     PairRegistration,
     PairResidual,
     PreprocessedCloud,
@@ -32,6 +34,7 @@ from multilica.results import (
     SensorBias,
     TimeLimit,
     Verdict,
+    connected,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, select_finalists
@@ -59,8 +62,10 @@ def merge_pairs(state: CalibrationState) -> None:
     state.target, state.target_reason = choose_target(state.config.target, state.clouds, registrations)
     state.observe(events.TargetChosen(state.target, state.target_reason))
     state.group = Group.of_one(state.target)
+    groups: dict[PairKey, tuple[Group, Group]] = {}
 
     def register(group: Group, other: Group, pairs: Sequence[PairRegistration]) -> PairRegistration | None:
+        groups[group.root, other.root] = group, other
         return _register_groups(state, group, other, pairs)
 
     def register_again(group: Group, other: Group, pair: PairRegistration) -> PairRegistration | None:
@@ -86,9 +91,19 @@ def merge_pairs(state: CalibrationState) -> None:
     for step in steps:
         state.decisions.append(step.decision)
         if step.chosen is not None:
-            state.merges.append(step.chosen)
+            state.merges.append(_member_pairs(state, step.chosen, groups))
         state.group = step.groups[0]
         state.observe(events.MergeStepTaken(step.decision, tuple(step.grown.poses.values())))
+
+
+def _member_pairs(
+    state: CalibrationState, merge: PairRegistration, groups: Mapping[PairKey, tuple[Group, Group]]
+) -> tuple[PairRegistration, ...]:
+    """Return the registrations of a merge's members if no accepted pair connects the groups, else its own."""
+    key = merge.target, merge.source
+    if key not in groups or not state.config.refine.enabled or merge.source in connected(merge.target, state.accepted):
+        return (merge,)
+    return fit_members(merge, *groups[key], state.lidars, state.config.refine)
 
 
 def _register_groups(
@@ -177,7 +192,7 @@ def _doubt_pairs_of(state: CalibrationState, lost: Mapping[str, PairResidual]) -
             reason = contradiction_of(residuals[0], state.config.acceptance)
             state.registrations[key] = replace(pair, verdict=Verdict("undecided", (reason,)))
             state.observe(events.VerdictChanged(state.registrations[key]))
-    state.merges = [pair for pair in state.merges if not pair.lidars & lost.keys()]
+    state.merges = [merge for merge in state.merges if not any(pair.lidars & lost.keys() for pair in merge)]
     _split_off(state, lost)
 
 

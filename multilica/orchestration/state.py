@@ -55,7 +55,7 @@ class CalibrationState:
     sides: dict[tuple[str, ...], RegistrationCloud] = field(default_factory=dict)
     merged_lidars: dict[tuple[str, ...], PreparedLidar] = field(default_factory=dict)
     group: Group | None = None
-    merges: list[PairRegistration] = field(default_factory=list)
+    merges: list[tuple[PairRegistration, ...]] = field(default_factory=list)
     covariances: Mapping[str, FloatArray] = field(default_factory=dict)
     repeatability: Mapping[str, FloatArray] = field(default_factory=dict)
     refinement: Refinement | None = None

@@ -8,12 +8,8 @@ import numpy as np
 from scipy.sparse import csc_array, csr_array
 
 from multilica.geometry import FloatArray
-from multilica.registration.sensor_biases import BIAS_COUNT, RING_BIAS_COUNT
+from multilica.registration.sensor_biases import RING_BIAS_COUNT
 from multilica.results import IndexArray
-
-_POSE = 6
-# The derivatives by the biases of the target and of the source begin here.
-_SIDES = (_POSE, _POSE + BIAS_COUNT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,11 +18,13 @@ class PlaneEquations:
 
     Args:
         jacobian: (M, 14) by the pose and the biases of both LiDARs.
+        by_rings: of target and of source, (M, 3) by the biases of the match's ring.
         rings: of target and of source, (M,) index of the ring of each match.
         counts: of target and of source, number of the rings.
     """
 
     jacobian: FloatArray
+    by_rings: tuple[FloatArray, FloatArray]
     rings: tuple[IndexArray, IndexArray]
     counts: tuple[int, int]
 
@@ -44,9 +42,9 @@ class PlaneEquations:
         step = np.arange(RING_BIAS_COUNT)
         columns = [np.broadcast_to(np.arange(dense), (matches, dense))]
         values = [self.jacobian]
-        for side, rings, start in zip(_SIDES, self.rings, self._starts, strict=False):
+        for part, rings, start in zip(self.by_rings, self.rings, self._starts, strict=False):
             columns.append(start + RING_BIAS_COUNT * rings[:, None] + step)
-            values.append(self.jacobian[:, side : side + RING_BIAS_COUNT])
+            values.append(part)
         filled = dense + 2 * RING_BIAS_COUNT
         return csr_array(
             (np.hstack(values).ravel(), np.hstack(columns).ravel(), filled * np.arange(matches + 1)),
@@ -67,7 +65,7 @@ class PlaneEquations:
         weighted = self.jacobian * weights[:, None]
         total = np.zeros((size, size))
         total[:dense, :dense] = self.jacobian.T @ weighted
-        parts = [self.jacobian[:, side : side + RING_BIAS_COUNT] for side in _SIDES]
+        parts = self.by_rings
         blocks = [slice(start, end) for start, end in zip(self._starts, self._starts[1:], strict=False)]
         for part, rings, count, block in zip(parts, self.rings, self.counts, blocks, strict=True):
             sums = _summed_products(rings, count, part, weighted)

@@ -12,10 +12,12 @@ from multilica.registration.plane_equations import PlaneEquations, members
 from multilica.registration.poses import arc_between_m, moved
 from multilica.registration.sensor_biases import (
     BIAS_COUNT,
+    SCALE,
     posterior,
     ring_numbers,
     ring_sigmas,
     shifts_per_bias,
+    shifts_per_ring_bias,
 )
 from multilica.results import BiasInformation, IndexArray
 
@@ -46,7 +48,7 @@ _SURFACE_M = 6.0
 # A surface is not known better: incidence and reflectivity change a range by millimetres.
 _SURFACE_SIGMA_M = 0.002
 # Share of the sums of rings that counts, measured on simulated vehicles: their biases and the noise count already.
-_OF_RINGS = 0.2
+_OF_RINGS = 0.15
 # Below this share, what remains is noise of the matches.
 _LEAST_REAL = 0.02
 
@@ -76,7 +78,7 @@ class _Overlap:
     Args:
         points_m, normals: (N, 3) of the source.
         placed: finds their neighbours in the target.
-        shifts: (4, N, 3) how biases move them.
+        shifts: (4, N, 3) how biases move them, and `ring_shifts` (3, N, 3) those of their rings.
         surfaces, rings: (N,) number of the surface and of the ring that a point is of; points with one number share
             their errors.
         target_rings: (T,) the same of the target.
@@ -87,6 +89,7 @@ class _Overlap:
     normals: FloatArray
     placed: MovedPoints
     shifts: FloatArray
+    ring_shifts: FloatArray
     surfaces: IndexArray
     rings: IndexArray
     target_rings: IndexArray
@@ -124,12 +127,21 @@ class _Residuals:
         target's scale is therefore taken at the point of the source: what they have in common moves the source only.
         """
         in_source = self.normals @ pose.rotation
-        by_target = np.einsum("ij,kij->ik", self.normals, shifts_per_bias(overlap.target.points_m[self.index]))
-        by_target[:, -1] = np.einsum("ij,ij->i", self.normals, self.points_m)
+        of_target = shifts_per_bias(overlap.target.points_m[self.index], self.normals)
+        by_target = np.einsum("ij,kij->ik", self.normals, of_target)
+        by_target[:, SCALE] = np.einsum("ij,ij->i", self.normals, self.points_m)
         by_source = -np.einsum("ij,kij->ik", in_source, overlap.shifts[:, self.rows])
         (x, y, z), (a, b, c) = self.arms.T, self.normals.T
         turn = np.stack([y * c - z * b, z * a - x * c, x * b - y * a], axis=1)
         return np.concatenate([turn, self.normals, by_target, by_source], axis=1)
+
+    def by_rings(self, overlap: _Overlap, pose: RigidTransform) -> tuple[FloatArray, FloatArray]:
+        """(M, 3) derivatives of the residuals by the biases of the ring of the target, and of that of the source."""
+        of_target = shifts_per_ring_bias(overlap.target.points_m[self.index])
+        of_source = overlap.ring_shifts[:, self.rows]
+        return np.einsum("ij,kij->ik", self.normals, of_target), -np.einsum(
+            "ij,kij->ik", self.normals @ pose.rotation, of_source
+        )
 
 
 def fit_planes(
@@ -139,8 +151,8 @@ def fit_planes(
 
     GICP gives every match the same weight, so bushes, edges and single scan lines pull as much as walls. Here a
     match is weighted by the flatness of the target, by the agreement of both normals, and by its residual (Geman and
-    McClure, 1985, with the scale from the median residual). The biases of both LiDARs in range, elevation, azimuth and
-    scale are estimated with the pose, with a prior. Those of their rings follow in one step at the end.
+    McClure, 1985, with the scale from the median residual). The biases of both LiDARs in range, elevation, scale and
+    incidence are estimated with the pose, with a prior. Those of their rings follow in one step at the end.
 
     Args:
         bias_sigmas: (8,) standard deviations of the biases of target and source, as `prior_sigmas` gives them.
@@ -212,7 +224,7 @@ def _with_information(overlap: _Overlap, pose: RigidTransform, biases: FloatArra
     sigmas = np.concatenate([bias_sigmas, *of_rings])
     biases = np.concatenate([biases, np.zeros(len(sigmas) - len(bias_sigmas))])
     known = posterior(
-        hessian / variance, gradient, biases, sigmas, spread / variance**2, rings=len(sigmas) - len(bias_sigmas)
+        hessian / variance, gradient, biases, sigmas, spread / variance**2, rings=[len(numbers) for numbers in rings]
     )
     of_biases = BiasInformation(
         hessian / variance,
@@ -233,7 +245,10 @@ def _equations(
     of_target, target_rings = np.unique(overlap.target_rings[residuals.index], return_inverse=True)
     of_source, source_rings = np.unique(overlap.rings[residuals.rows], return_inverse=True)
     equations = PlaneEquations(
-        residuals.jacobian(overlap, pose), (target_rings, source_rings), (len(of_target), len(of_source))
+        residuals.jacobian(overlap, pose),
+        residuals.by_rings(overlap, pose),
+        (target_rings, source_rings),
+        (len(of_target), len(of_source)),
     )
     return equations, of_target, of_source
 
@@ -294,7 +309,8 @@ def _overlap(target: GicpCloud, source: GicpCloud, pose: RigidTransform) -> _Ove
         points_m,
         normals,
         MovedPoints(target.tree, placed_m),
-        shifts_per_bias(points_m),
+        shifts_per_bias(points_m, normals),
+        shifts_per_ring_bias(points_m),
         _numbered(surfaces),
         ring_numbers(points_m),
         ring_numbers(target.points_m),
@@ -316,7 +332,7 @@ def _residuals(
     found_m = overlap.target.points_m[index]
     away_m = points_m - found_m
     if np.any(of_target):
-        away_m += np.tensordot(of_target, shifts_per_bias(found_m), 1)
+        away_m += np.tensordot(of_target, shifts_per_bias(found_m, normals), 1)
     residual_m = np.einsum("ij,ij->i", normals, away_m)
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
     if sigma_m is None:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Systematic errors that a registration estimates, of a LiDAR and of each of its rings."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,17 +12,21 @@ from multilica.geometry import FloatArray, lengths
 from multilica.results import IndexArray
 
 BIAS_COUNT = 4
-"""Per LiDAR: range (m), elevation and azimuth (rad), and the scale of the ranges."""
+"""Per LiDAR: range (m), elevation (rad), the scale of the ranges, and range on a surface that the beam grazes (m)."""
 RING_BIAS_COUNT = 3
 """Per ring, on top of those of its LiDAR: range (m), elevation and azimuth (rad)."""
+SCALE = 2
+"""Place of the scale among the biases of a LiDAR."""
 
 # Rings that are closer count as one.
 _RING_DEG = 1.0
-# A ring's range is off by as much as its LiDAR's; the angles of a LiDAR are the mean of those of 16 rings or more.
-_OF_A_RING = np.array([1.0, 4.0, 4.0])
+# The elevation of a LiDAR is the mean of up to 64 rings.
+_RING_ANGLE = 8.0
 
 # The biases of a rig are this share of what its datasheets allow: nothing to all of it, each value as likely.
 _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
+# The shares depend on each other; further sweeps change sigma by less than a hundredth.
+_SWEEPS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,29 +46,50 @@ class BiasPosterior:
     bias_sigmas: FloatArray
 
 
-def shifts_per_bias(points_m: FloatArray) -> FloatArray:
-    """Return (4, N, 3) by how much each point (N, 3) in the LiDAR's frame is off per unit of each bias.
+def shifts_per_bias(points_m: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return (4, N, 3) by how much each point is off per unit of each bias of its LiDAR.
 
-    Those of the range shift a point along its beam, those of angles across it: upwards, and to the left. The azimuth
-    bias of a LiDAR that sees all around is a rotation about its axis, which no scene can tell from its pose.
+    An azimuth bias is none of them: it rotates the LiDAR's frame, and the pose is that of the frame in which the points
+    are given.
+
+    Args:
+        points_m, normals: (N, 3) in the LiDAR's frame.
     """
-    range_m = np.maximum(lengths(points_m), 1e-9)
-    flat_m = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]), 1e-9)
-    up = np.column_stack([-points_m[:, :2] * (points_m[:, 2] / flat_m)[:, None], flat_m])
+    beams = _beams(points_m)
+    glancing = 1.0 - np.abs(np.einsum("ij,ij->i", beams, normals))
+    return np.stack([beams, _upwards(points_m), points_m, beams * glancing[:, None]])
+
+
+def shifts_per_ring_bias(points_m: FloatArray) -> FloatArray:
+    """Return (3, N, 3) by how much each point (N, 3) in the LiDAR's frame is off per unit of each bias of its ring."""
     left = np.column_stack([-points_m[:, 1], points_m[:, 0], np.zeros(len(points_m))])
-    return np.stack([points_m / range_m[:, None], up, left, points_m])
+    return np.stack([_beams(points_m), _upwards(points_m), left])
+
+
+def _beams(points_m: FloatArray) -> FloatArray:
+    return np.asarray(points_m / np.maximum(lengths(points_m), 1e-9)[:, None])
+
+
+def _upwards(points_m: FloatArray) -> FloatArray:
+    """Return how a point moves per radian of elevation."""
+    flat_m = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]), 1e-9)
+    return np.column_stack([-points_m[:, :2] * (points_m[:, 2] / flat_m)[:, None], flat_m])
 
 
 def prior_sigmas(lidar: str, config: RefineConfig) -> FloatArray:
     """Return the standard deviations (4,) that the datasheet allows."""
     range_m = config.range_bias_sigmas_m.get(lidar, config.range_bias_sigma_m)
-    angles = np.deg2rad([config.elevation_bias_sigma_deg, config.azimuth_bias_sigma_deg])
-    return np.array([range_m, *angles, config.range_scale_sigma])
+    elevation = np.deg2rad(config.elevation_bias_sigma_deg)
+    return np.array([range_m, elevation, config.range_scale_sigma, config.glancing_bias_sigma_m])
 
 
 def ring_sigmas(bias_sigmas: FloatArray, rings: int) -> FloatArray:
-    """Return the standard deviations (3 R,) of the biases of the rings of a LiDAR with `prior_sigmas` (4,)."""
-    return np.tile(_OF_A_RING * bias_sigmas[:RING_BIAS_COUNT], rings)
+    """Return the standard deviations (3 R,) of the biases of the rings of a LiDAR with `prior_sigmas` (4,).
+
+    The range of a ring is as accurate as that of its LiDAR.
+    """
+    range_m, elevation, *_ = bias_sigmas
+    return np.tile([range_m, _RING_ANGLE * elevation, _RING_ANGLE * elevation], rings)
 
 
 def ring_numbers(points_m: FloatArray) -> IndexArray:
@@ -79,15 +105,15 @@ def posterior(
     sigmas: FloatArray,
     spread: FloatArray | None = None,
     random_spread: FloatArray | None = None,
-    rings: int = 0,
+    rings: Sequence[int] = (),
 ) -> BiasPosterior:
     """Combine what the data say about poses and biases with the prior of the biases.
 
-    The biases have zero mean and the standard deviations `sigmas`, times a share that all have in common and that is
-    uniform from 0 to 1: LiDARs that agree to a millimetre are better than their datasheets. The share is integrated
-    out on a grid, by the marginal likelihood of the data (empirical Bayes; Bishop, Pattern Recognition and Machine
-    Learning, 2006, section 3.5). Rings have a share of their own: LiDARs with equal rings may still be off. The
-    covariance is a sandwich (White, Econometrica 1980), with the prior as a measurement.
+    The biases have zero mean and the standard deviations `sigmas`, times a share that is uniform from 0 to 1. Those of
+    one kind have it in common: LiDARs that agree to a millimetre are better than their datasheets. The rings of each
+    LiDAR have two shares of their own, one for ranges and one for angles. The shares are integrated out on a grid, by
+    the marginal likelihood of the data (empirical Bayes; Bishop, Pattern Recognition and Machine Learning, 2006,
+    section 3.5). The covariance is a sandwich (White, Econometrica 1980), with the prior as a measurement.
 
     Args:
         information, gradient: (N, N) and (N,) of the negative log likelihood: poses first, the last B are the biases.
@@ -95,35 +121,69 @@ def posterior(
         sigmas: (B,).
         spread: (N, N) covariance of the gradient; None: equal to the information.
         random_spread: (N, N) the part of it that random errors cause; None: all of it.
-        rings: number of the last biases that are those of rings.
+        rings: number of rings of each LiDAR, in the order in which their biases end the others.
     """
     size, poses = len(gradient), len(gradient) - len(biases)
-    state = np.concatenate([np.zeros(poses), biases])
-    of_lidars, of_rings = slice(poses, size - rings), slice(size - rings, size)
-    allowed = np.zeros(size)
-    allowed[of_lidars] = sigmas[: len(biases) - rings] ** -2.0
-    total, pulled, known = information + np.diag(allowed), gradient + allowed * state, np.zeros((size, size))
-    if rings:
-        # Their share is sought with the biases of the LiDARs as large as they may be.
-        prior, known[of_rings, of_rings] = _prior(total, pulled, state, sigmas[len(biases) - rings :], of_rings)
-        total[of_rings, of_rings] += prior
-        pulled[of_rings] += prior @ state[of_rings]
-    total -= np.diag(allowed)
-    pulled -= allowed * state
-    if of_lidars.start < of_lidars.stop:
-        chosen = sigmas[: len(biases) - rings]
-        prior, known[of_lidars, of_lidars] = _prior(total, pulled, state, chosen, of_lidars)
-        total[of_lidars, of_lidars] += prior
-        pulled[of_lidars] += prior @ state[of_lidars]
+    shown = size - RING_BIAS_COUNT * sum(rings)
+    prior, uncertain = _priors(information, gradient, biases, sigmas, _groups(len(biases), rings))
+    total, known = information.copy(), np.zeros((size, size))
+    total[poses:, poses:] += prior
+    known[poses:, poses:] = prior + uncertain
+    pulled = gradient.copy()
+    pulled[poses:] += prior @ biases
     scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-12))
-    shown = size - rings
     wanted = np.column_stack([-scale * pulled, np.diag(scale)[:, :shown]])
     solved = scale[:, None] * _solved(total * np.outer(scale, scale), wanted)
     bread = solved[:, 1:].T
     full = bread @ ((information if spread is None else spread) + known) @ bread.T
     repeated = full if random_spread is None else bread @ random_spread @ bread.T
-    bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[: len(biases) - rings])
+    bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[: shown - poses])
     return BiasPosterior(solved[:, 0], full[:poses, :poses], repeated[:poses, :poses], bias_sigmas)
+
+
+def _groups(biases: int, rings: Sequence[int]) -> list[IndexArray]:
+    """Return which biases have a share of the prior in common: each kind of LiDARs, then ranges and angles of rings."""
+    start = biases - RING_BIAS_COUNT * sum(rings)
+    groups = [np.arange(start)[kind::BIAS_COUNT] for kind in range(BIAS_COUNT)]
+    for count in rings:
+        of_rings = start + np.arange(RING_BIAS_COUNT * count)
+        is_range = np.arange(len(of_rings)) % RING_BIAS_COUNT == 0
+        groups += [of_rings[is_range], of_rings[~is_range]]
+        start += len(of_rings)
+    return [group for group in groups if len(group)]
+
+
+def _priors(
+    information: FloatArray, gradient: FloatArray, biases: FloatArray, sigmas: FloatArray, groups: Sequence[IndexArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the information (B, B) of the prior, and what is uncertain about it, both as precisions.
+
+    The share of each group is sought with the prior that the others have, at first all of what datasheets allow.
+    """
+    prior, uncertain = np.diag(sigmas**-2.0), np.zeros((len(biases), len(biases)))
+    if not len(biases):
+        return prior, uncertain
+    reduced, pull = _without_poses(information, gradient, len(biases))
+    pull = reduced @ biases - pull
+    for _ in range(_SWEEPS):
+        covariance = _inverse(reduced + prior)
+        means = covariance @ pull
+        for group in groups:
+            block = np.ix_(group, group)
+            own = _inverse(covariance[block])
+            prior[block], uncertain[block] = _prior(own - prior[block], own @ means[group], sigmas[group])
+    return prior, uncertain
+
+
+def _without_poses(information: FloatArray, gradient: FloatArray, biases: int) -> tuple[FloatArray, FloatArray]:
+    """Marginalise the poses."""
+    poses = len(gradient) - biases
+    mixed, own = information[:poses, poses:], information[:poses, :poses]
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(own), 1e-12))
+    known = scale[:, None] * _solved(
+        own * np.outer(scale, scale), scale[:, None] * np.column_stack([mixed, gradient[:poses]])
+    )
+    return information[poses:, poses:] - mixed.T @ known[:, :-1], gradient[poses:] - mixed.T @ known[:, -1]
 
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
@@ -134,28 +194,23 @@ def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
         return np.asarray(np.linalg.pinv(matrix, hermitian=True) @ right)
 
 
-def _prior(
-    information: FloatArray, gradient: FloatArray, state: FloatArray, sigmas: FloatArray, block: slice
-) -> tuple[FloatArray, FloatArray]:
-    """Return the information (B, B) of the prior of some unknowns, all others marginalised, and its covariance as data.
+def _inverse(matrix: FloatArray) -> FloatArray:
+    """Invert a covariance or an information."""
+    scale = 1.0 / np.sqrt(np.diag(matrix))
+    return _solved(matrix * np.outer(scale, scale), np.diag(scale)) * scale[:, None]
+
+
+def _prior(information: FloatArray, pull: FloatArray, sigmas: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the information (B, B) of the prior of biases that have a share in common, and what is uncertain about it.
 
     Their principal directions by the data, in their sigmas, count as independent.
     """
-    others = np.ones(len(gradient), dtype=bool)
-    others[block] = False
-    mixed, rest = information[others, block], information[np.ix_(others, others)]
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(rest), 1e-12))
-    known = scale[:, None] * _solved(
-        rest * np.outer(scale, scale), scale[:, None] * np.column_stack([mixed, gradient[others]])
-    )
-    reduced = information[block, block] - mixed.T @ known[:, :-1]
-    pull = reduced @ state[block] - (gradient[block] - mixed.T @ known[:, -1])
-    values, directions = np.linalg.eigh(reduced * np.outer(sigmas, sigmas))
+    values, directions = np.linalg.eigh(information * np.outer(sigmas, sigmas))
     values = np.maximum(values, 0.0)
     variances, apart = _mixture(values, directions.T @ (sigmas * pull))
     precisions = np.maximum(1.0 / variances - values, 0.0)
     axes = directions / sigmas[:, None]
-    return (axes * precisions) @ axes.T, (axes * (precisions + apart / variances**2)) @ axes.T
+    return (axes * precisions) @ axes.T, (axes * (apart / variances**2)) @ axes.T
 
 
 def _mixture(information: FloatArray, pull: FloatArray) -> tuple[FloatArray, FloatArray]:

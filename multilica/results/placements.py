@@ -307,10 +307,13 @@ class SensorBias:
     range_sigma_m: Annotated[float, Field(description="Standard deviation of it.")]
     elevation_deg: Annotated[float, Field(description="Measured minus true elevation angle.")]
     elevation_sigma_deg: Annotated[float, Field(description="Standard deviation of it.")]
-    azimuth_deg: Annotated[float, Field(description="Measured minus true azimuth angle.")]
-    azimuth_sigma_deg: Annotated[float, Field(description="Standard deviation of it.")]
     range_scale_ppm: Annotated[float, Field(description="Scale of the ranges, less one, in millionths.")]
     range_scale_sigma_ppm: Annotated[float, Field(description="Standard deviation of it.")]
+    glancing_m: Annotated[
+        float,
+        Field(description="Range on a surface that the beam grazes, less that on one that it meets head-on."),
+    ]
+    glancing_sigma_m: Annotated[float, Field(description="Standard deviation of it.")]
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,8 +154,9 @@ class BiasInformation:
     """Information of a pair about its pose and about the systematic errors of both LiDARs.
 
     The order of the N unknowns is rotation (rad), translation (m), then the biases of the target and of the source,
-    each in range (m), elevation and azimuth (rad), and scale of the ranges. Then come the rings of the target and of
-    the source, each with biases in range (m), elevation and azimuth (rad) on top of those of its LiDAR.
+    each in range (m), elevation (rad), scale of the ranges, and range on grazed surfaces (m). Then come the rings of
+    the target and of the source, each with biases in range (m), elevation and azimuth (rad) on top of those of its
+    LiDAR.
 
     Args:
         information: (N, N) of the data alone, without a prior of the biases.

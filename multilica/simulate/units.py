@@ -99,8 +99,13 @@ def draw_unit(sensor: SensorModel, rng: np.random.Generator) -> LidarUnit:
         glancing_m=accuracy.glancing_m * float(rng.normal()),
         reflectivity_m=accuracy.reflectivity_m * float(rng.normal()),
         elevation_rad=np.deg2rad(accuracy.ring_elevation_deg) * rng.normal(size=rings),
-        azimuth_rad=np.deg2rad(accuracy.ring_azimuth_deg) * rng.normal(size=rings),
+        azimuth_rad=np.deg2rad(accuracy.ring_azimuth_deg) * _centred(rng.normal(size=rings)),
     )
+
+
+def _centred(drawn: FloatArray) -> FloatArray:
+    """Take off the mean: an error of all azimuths is a rotation of the frame whose pose is the truth."""
+    return drawn - drawn.mean()
 
 
 def draw_reflectivities(lengths_m: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -24,8 +24,8 @@ _ITERATIONS = 20
 # Converged when no pose moves by more, rad and m.
 _EPSILON = 1e-8
 _POSE_FREEDOM = 6
-# Metres, degrees and millionths.
-_DISPLAYED = np.array([1.0, np.rad2deg(1.0), np.rad2deg(1.0), 1e6])
+# Metres, degrees, millionths and metres.
+_DISPLAYED = np.array([1.0, np.rad2deg(1.0), 1e6, 1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,9 +54,9 @@ def refine(
     """Optimise the pose graph over all accepted pairs, loops included (the paper's future work).
 
     Gauss-Newton on the pairs' residuals, each weighted with its information. The biases of each LiDAR in range,
-    elevation, azimuth and scale, and those of its rings, are unknowns that its pairs share, with a prior. A pair whose
-    residual is much larger than its information allows, after the biases, loses its weight (Cauchy), so that one bad
-    pair does not bend the rig.
+    elevation, scale and incidence, and those of its rings, are unknowns that its pairs share, with a prior. A pair
+    whose residual is much larger than its information allows, after the biases, loses its weight (Cauchy), so that one
+    bad pair does not bend the rig.
 
     Args:
         root: the LiDAR whose pose is fixed.
@@ -70,7 +70,7 @@ def refine(
         return RefinedRig(dict(poses), {}, {}, Refinement.of())
     rings = _rings_of(used_pairs)
     sigmas = _bias_sigmas(rings, config)
-    of_rings = len(sigmas) - BIAS_COUNT * len(rings)
+    counts = [len(numbers) for numbers in rings.values()]
     state = _State(dict(poses), np.zeros(len(sigmas)), free, rings)
     before = [_offset(pair, state.poses) for pair in used_pairs]
     for _ in range(_ITERATIONS):
@@ -82,7 +82,7 @@ def refine(
             sigmas,
             equations.spread,
             equations.random_spread,
-            of_rings,
+            counts,
         )
         state = state.moved(known.step)
         if np.abs(known.step).max() < _EPSILON:
@@ -161,13 +161,17 @@ def _bias_sigmas(rings: Mapping[str, IndexArray], config: RefineConfig) -> Float
 
 
 def trusted_pairs(
-    registrations: Iterable[PairRegistration], merges: Iterable[PairRegistration]
+    registrations: Iterable[PairRegistration], merges: Iterable[Sequence[PairRegistration]]
 ) -> list[PairRegistration]:
-    """Select the accepted pairs of single LiDARs, with the merges of groups that no such pair connects."""
+    """Select the accepted pairs of single LiDARs, with the merges of groups that no such pair connects.
+
+    Args:
+        merges: each as one registration between the groups, or as several between their members.
+    """
     trusted = [pair for pair in registrations if pair.verdict.accepted]
     for merge in merges:
-        if merge.source not in connected(merge.target, trusted):
-            trusted.append(merge)
+        if merge[0].source not in connected(merge[0].target, trusted):
+            trusted += merge
     return trusted
 
 

@@ -53,7 +53,7 @@ def test_toml_has_covariances_and_biases(invoke: Invoke) -> None:
     run = made_run(Path("run"), sigmas=(0.01, 0.002))
     document = json.loads((run / "result.json").read_text(encoding="utf-8"))
     bias = {"range_m": 0.004, "range_sigma_m": 0.003, "elevation_deg": 0.001, "elevation_sigma_deg": 0.002}
-    bias |= {"azimuth_deg": -0.001, "azimuth_sigma_deg": 0.004}
+    bias |= {"glancing_m": -0.001, "glancing_sigma_m": 0.004}
     bias |= {"range_scale_ppm": 120.0, "range_scale_sigma_ppm": 90.0}
     still = {"m": 0.0, "deg": 0.0}
     document["refinement"] = {"cycle_error_before": still, "cycle_error_after": still, "pairs": []}

@@ -15,7 +15,7 @@ from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration import plane_fit
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.poses import arc_between_m, moved
-from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas, ring_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, SCALE, posterior, prior_sigmas, ring_sigmas
 from multilica.results import BiasInformation, PairRegistration
 from multilica.results.visibility_score import VisibilityScore
 from multilica.stages import refine, stillness
@@ -233,7 +233,7 @@ def test_residuals_of_the_plane_fit_by_motions_of_the_source(turn_rad, biases):
     here = residuals(overlap, np.zeros(_UNKNOWNS))
     jacobian = _derivative(lambda step: residuals(overlap, step).residual_m, _UNKNOWNS)
     # A scale that both LiDARs have in common moves the source only: it would shrink the noise else.
-    jacobian[:, 9] = np.sum(here.normals * here.points_m, axis=1)
+    jacobian[:, 6 + SCALE] = np.sum(here.normals * here.points_m, axis=1)
     _assert_alike(here.jacobian(overlap, pose), jacobian)
 
     def cost(motion):
@@ -258,7 +258,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
 
     B is over cells of 6 m with the main axis, half by their own sums and half by the usual one, and over rings of both
-    LiDARs, a fifth of each; its random part is over patches of 1 m.
+    LiDARs, 0.15 of each; its random part is over patches of 1 m.
     """
     target, source, pose = _rooms(turn_rad)
     overlap = plane_fit._overlap(target, source, pose)
@@ -268,8 +268,8 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     bands = [np.floor(np.rad2deg(np.arcsin(xyz[:, 2] / np.linalg.norm(xyz, axis=1)))) + 90.0 for xyz in matched_m]
     rings = [np.unique(each) for each in bands]
     of_rings = [
-        (dense[:, None, start : start + 3] * (numbers == each[:, None])[:, :, None]).reshape(len(dense), -1)
-        for start, each, numbers in zip((6, 10), bands, rings, strict=True)
+        (part[:, None, :] * (numbers == each[:, None])[:, :, None]).reshape(len(dense), -1)
+        for part, each, numbers in zip(here.by_rings(overlap, pose), bands, rings, strict=True)
     ]
     jacobian = np.hstack([dense, *of_rings])
     pulls = here.weight[:, None] * jacobian
@@ -289,10 +289,9 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     uneven = plane_fit._SURFACE_SIGMA_M**2 * alike
     usual = np.sum(sums_m**2) / np.sum(weights**2) * alike
     of_bands = sum(squared(_clusters(each)) for each in bands)
-    spread = 0.5 * (squared(surfaces) + usual) + 0.2 * of_bands + uneven + noise
+    spread = 0.5 * (squared(surfaces) + usual) + 0.15 * of_bands + uneven + noise
     remaining = plane_fit._remaining_hessian(overlap, pose, _BIASES, here, hessian)
     assert np.linalg.eigvalsh(hessian[:6, :6] - remaining[:6, :6]).min() > -1e-6 * np.abs(hessian).max()
-    # An azimuth bias of the source is a rotation about its axis.
     remaining, floored = plane_fit._floored(remaining, spread)
     random = squared(_clusters(np.floor(here.points_m))) + noise + floored - spread
     by_surfaces = (squared(surfaces) + uneven + noise)[:6, :6]
@@ -305,13 +304,14 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     sigmas = [ring_sigmas(_BIAS_SIGMAS[:4], len(numbers)) for numbers in rings]
     sigmas = np.concatenate([_BIAS_SIGMAS, *sigmas])
     state = np.concatenate([_BIASES, np.zeros(len(sigmas) - 8)])
-    known = posterior(remaining / variance, pulls.T @ here.residual_m / variance, state, sigmas, rings=len(sigmas) - 8)
+    counts = [len(numbers) for numbers in rings]
+    known = posterior(remaining / variance, pulls.T @ here.residual_m / variance, state, sigmas, rings=counts)
     _assert_alike(found.biases, state + known.step[6:], 1e-5)
     fitted = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS)
     assert np.allclose(fitted.pose.offset_from(moved(pose, known.step[:3], known.step[3:6])), 0.0, atol=1e-8)
     # At the new pose and biases the gradient is that of the prior.
     known = posterior(
-        found.information, found.gradient, found.biases, sigmas, found.spread, found.random_spread, len(sigmas) - 8
+        found.information, found.gradient, found.biases, sigmas, found.spread, found.random_spread, counts
     )
     assert np.abs(known.step[:6]).max() < 1e-7
     _assert_alike(np.linalg.inv(fitted.information), known.covariance, 1e-5)

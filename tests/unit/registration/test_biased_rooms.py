@@ -8,7 +8,7 @@ from multilica.config import FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
 from multilica.registration.plane_fit import fit_planes
-from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas, ring_sigmas
+from multilica.registration.sensor_biases import BIAS_COUNT, SCALE, posterior, prior_sigmas, ring_sigmas
 from tests.unit.made_rooms import Face, box, scan
 
 _SIGMAS = np.tile(prior_sigmas("", RefineConfig()), 2)
@@ -83,12 +83,12 @@ def test_scales_that_are_off_do_not_push_the_pose():
     biased = _clouds(2, {"range_scale": scale}, {"range_scale": -scale})
     wide = _SIGMAS.copy()
     # A yard is small: ranges that may be off explain a scale as well.
-    wide[[0, BIAS_COUNT]], wide[[3, 3 + BIAS_COUNT]] = 1e-5, scale
+    wide[[0, BIAS_COUNT]], wide[[SCALE, SCALE + BIAS_COUNT]] = 1e-5, scale
     found, plain = (fit_planes(*biased, _TRUTH, sigmas) for sigmas in (wide, 1e-4 * _SIGMAS))
     assert plain.pose.distance_to(_TRUTH)[0] > 0.02
     assert found.pose.distance_to(_TRUTH)[0] < 0.005
     assert _squared_error(found) < 16.8
-    of_target, of_source = found.biases.biases[[3, 3 + BIAS_COUNT]]
+    of_target, of_source = found.biases.biases[[SCALE, SCALE + BIAS_COUNT]]
     assert of_target - of_source == pytest.approx(2.0 * scale, rel=0.1)
     assert min(of_target, -of_source) > 0.0
 
@@ -97,10 +97,10 @@ def test_the_scale_of_one_lidar_is_found():
     """The other's is known."""
     scale = 2e-3
     sigmas = _SIGMAS.copy()
-    sigmas[[0, BIAS_COUNT]], sigmas[[3, 3 + BIAS_COUNT]] = 1e-5, (scale, 1e-7)
+    sigmas[[0, BIAS_COUNT]], sigmas[[SCALE, SCALE + BIAS_COUNT]] = 1e-5, (scale, 1e-7)
     found = fit_planes(*_clouds(3, {"range_scale": scale}, {}), _TRUTH, sigmas)
-    assert found.biases.biases[3] == pytest.approx(scale, rel=0.2)
-    assert abs(found.biases.biases[3 + BIAS_COUNT]) < 1e-6
+    assert found.biases.biases[SCALE] == pytest.approx(scale, rel=0.2)
+    assert abs(found.biases.biases[SCALE + BIAS_COUNT]) < 1e-6
     assert found.pose.distance_to(_TRUTH)[0] < 0.003
     assert _squared_error(found) < 16.8
 
@@ -125,9 +125,10 @@ def test_the_truth_lies_as_far_off_as_the_covariance_says(scale, least, of_rando
         error = found.pose.offset_from(_TRUTH)
         squared.append(_squared_error(found))
         of = found.biases
+        counts = [len(of.target_rings), len(of.source_rings)]
         rings = [ring_sigmas(_SIGMAS[:BIAS_COUNT], len(numbers)) for numbers in (of.target_rings, of.source_rings)]
         sigmas = np.concatenate([_SIGMAS, *rings])
-        known = posterior(of.information, of.gradient, of.biases, sigmas, of.spread, of.random_spread, len(sigmas) - 8)
+        known = posterior(of.information, of.gradient, of.biases, sigmas, of.spread, of.random_spread, counts)
         random.append(error @ np.linalg.solve(known.repeatability, error))
     assert least < np.mean(squared) < 9.0
     assert np.max(squared) < 22.5

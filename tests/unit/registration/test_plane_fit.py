@@ -60,9 +60,8 @@ def _random_covariance(found, bias_sigmas=_UNBIASED):
     rings = (of.target_rings, of.source_rings)
     sigmas = [ring_sigmas(each, len(numbers)) for each, numbers in zip(bias_sigmas.reshape(2, -1), rings, strict=True)]
     sigmas = np.concatenate([bias_sigmas, *sigmas])
-    return posterior(
-        of.information, of.gradient, of.biases, sigmas, of.spread, of.random_spread, len(sigmas) - 8
-    ).repeatability
+    counts = [len(numbers) for numbers in rings]
+    return posterior(of.information, of.gradient, of.biases, sigmas, of.spread, of.random_spread, counts).repeatability
 
 
 def _random_sigma_m(found, bias_sigmas=_UNBIASED):

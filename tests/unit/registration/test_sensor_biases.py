@@ -4,7 +4,13 @@ import pytest
 
 from multilica.config import RefineConfig
 from multilica.registration import sensor_biases
-from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas, shifts_per_bias
+from multilica.registration.sensor_biases import (
+    BIAS_COUNT,
+    posterior,
+    prior_sigmas,
+    shifts_per_bias,
+    shifts_per_ring_bias,
+)
 
 _SIGMAS = np.array([0.02, 3e-4, 2e-4, 3e-4])
 
@@ -21,21 +27,33 @@ def test_shifts_are_the_derivatives_of_spherical_coordinates():
     rng = np.random.default_rng(0)
     angles = rng.uniform(-1.4, 1.4, 500), rng.uniform(-3.1, 3.1, 500)
     spherical = np.column_stack([rng.uniform(1, 80, 500), *angles, np.ones(500)])
-    found = shifts_per_bias(_points(spherical))
+    of_range, elevation, azimuth, scale = (
+        (_points(spherical + step) - _points(spherical - step)) / 2e-6 for step in 1e-6 * np.eye(4)
+    )
+    found = shifts_per_bias(_points(spherical), rng.normal(size=(500, 3)))
     assert found.shape == (BIAS_COUNT, 500, 3)
-    for bias, step in enumerate(1e-6 * np.eye(BIAS_COUNT)):
-        expected = (_points(spherical + step) - _points(spherical - step)) / 2e-6
-        np.testing.assert_allclose(found[bias], expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found[:3], [of_range, elevation, scale], rtol=0, atol=1e-6)
+    found = shifts_per_ring_bias(_points(spherical))
+    np.testing.assert_allclose(found, [of_range, elevation, azimuth], rtol=0, atol=1e-6)
+
+
+def test_a_grazed_surface_shifts_points_along_their_beams():
+    points_m, angle_rad = np.array([[4.0, 0.0, 0.0]] * 3), np.deg2rad([0.0, 60.0, 90.0])
+    normals = -np.column_stack([np.cos(angle_rad), np.sin(angle_rad), np.zeros(3)])
+    expected = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0]]
+    np.testing.assert_allclose(shifts_per_bias(points_m, normals)[3], expected, atol=1e-12)
 
 
 def test_shifts_of_points_on_the_axis_are_finite():
-    assert np.all(np.isfinite(shifts_per_bias(np.array([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0], [0.0, 0.0, 0.0]]))))
+    points_m = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, -3.0], [0.0, 0.0, 0.0]])
+    assert np.all(np.isfinite(shifts_per_bias(points_m, np.eye(3))))
+    assert np.all(np.isfinite(shifts_per_ring_bias(points_m)))
 
 
 def test_priors_are_those_of_the_configuration():
-    others = {"elevation_bias_sigma_deg": 0.1, "azimuth_bias_sigma_deg": 0.2, "range_scale_sigma": 5e-4}
+    others = {"elevation_bias_sigma_deg": 0.1, "range_scale_sigma": 5e-4, "glancing_bias_sigma_m": 0.007}
     config = RefineConfig(range_bias_sigma_m=0.04, range_bias_sigmas_m={"left": 0.03}, **others)
-    assert prior_sigmas("left", config) == pytest.approx([0.03, np.deg2rad(0.1), np.deg2rad(0.2), 5e-4])
+    assert prior_sigmas("left", config) == pytest.approx([0.03, np.deg2rad(0.1), 5e-4, 0.007])
     assert prior_sigmas("right", config)[0] == 0.04
 
 
@@ -158,6 +176,33 @@ def test_lidars_that_agree_are_better_than_their_datasheets():
     )
     assert agreeing.bias_sigmas[-1] < 0.003
     assert disagreeing.bias_sigmas[-1] > 0.01
+
+
+def test_rings_of_each_lidar_are_as_good_as_the_data_say():
+    """One LiDAR has rings off by as much as its datasheet allows, the other none; angles have a share of their own."""
+    range_m, angle_rad, rings = 0.01, 1e-3, 12
+    rng = np.random.default_rng(8)
+    off_m, none = rng.choice([-range_m, range_m], rings), np.zeros(rings)
+    truth = np.concatenate([np.column_stack([each, none, none]).ravel() for each in (off_m, none)])
+    sigmas = np.tile([range_m, angle_rad, angle_rad], 2 * rings)
+    information = np.diag([1.0, *(0.1 * sigmas) ** -2.0])
+    # The last ring of each LiDAR is not seen at all.
+    unseen = 1 + 3 * np.array([rings - 1, 2 * rings - 1])
+    for part in range(3):
+        information[unseen + part, unseen + part] = 1e-6
+    # The pose moves with the range of the unseen rings, or with their azimuth.
+    found = []
+    for kind in (0, 2):
+        for row in unseen:
+            mixed = information.copy()
+            derivative = np.zeros(len(mixed))
+            derivative[[0, row + kind]] = 1.0
+            mixed += 1e8 * np.outer(derivative, derivative)
+            found.append(posterior(mixed, mixed @ [0.0, *-truth], 0.0 * truth, sigmas, rings=[rings, rings]))
+    by_range, by_range_of_other, by_azimuth, _ = (np.sqrt(each.covariance[0, 0]) for each in found)
+    assert 0.5 * range_m < by_range < 1.1 * range_m
+    assert by_range_of_other < 0.3 * range_m
+    assert by_azimuth < 0.3 * angle_rad + 1.1e-4
 
 
 def test_the_covariance_is_that_of_draws_of_the_gradient():

@@ -153,7 +153,7 @@ def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
         return fitted
 
     monkeypatch.setattr(fine, "fit_planes", fit)
-    others = ["elevation_bias_sigma_deg=0.1", "azimuth_bias_sigma_deg=0.2", "range_scale_sigma=3e-4"]
+    others = ["elevation_bias_sigma_deg=0.1", "range_scale_sigma=3e-4", "glancing_bias_sigma_m=0.007"]
     overrides = [f"refine.{each}" for each in ("range_bias_sigmas_m.s=0.03", *others)]
     config = with_overrides(_CONFIG, overrides)
     result = register_best(*sides, [_hypothesis(_near(_TRUTH))], config)
@@ -164,7 +164,7 @@ def test_the_pose_of_gicp_is_fitted_to_planes(sides, monkeypatch):
     of_target, of_source = (prior_sigmas(name, config.refine) for name in "ts")
     assert of_source[0] == 0.03 != of_target[0]
     assert np.array_equal(allowed, [[*of_target, *of_source]])
-    assert np.allclose(of_target[1:], [*np.deg2rad([0.1, 0.2]), 3e-4])
+    assert np.allclose(of_target[1:], [np.deg2rad(0.1), 3e-4, 0.007])
 
 
 def test_a_group_has_no_biases_of_its_own(clouds, sides):

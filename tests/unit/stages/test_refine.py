@@ -131,8 +131,8 @@ def test_connected_follows_chains_in_both_directions(root, reached):
 
 def test_merges_are_trusted_where_no_pair_connects():
     accepted, open_pair = _pair("T", "A", _TRUTH["A"]), replace(_pair("T", "B", _TRUTH["B"]), verdict=Verdict("reject"))
-    merges = [_pair("T", "A", _TRUTH["A"]), _pair("T", "B", _TRUTH["B"])]
-    assert trusted_pairs([accepted, open_pair], merges) == [accepted, merges[1]]
+    known, needed, beside = (_pair(*names, _TRUTH["A"]) for names in ("TA", "TB", "AB"))
+    assert trusted_pairs([accepted, open_pair], [(known,), (needed, beside)]) == [accepted, needed, beside]
 
 
 # Three LiDARs in a loop, whose systematic errors all their pairs share.
@@ -182,13 +182,13 @@ def _offsets(rig):
 
 
 def test_exact_pairs_give_exact_poses_and_biases():
-    of_angles = {f"{angle}_bias_sigma_deg": 100.0 for angle in ("elevation", "azimuth")}
-    config = RefineConfig(range_bias_sigma_m=20.0, range_scale_sigma=2.0, **of_angles)
+    config = RefineConfig(
+        range_bias_sigma_m=20.0, elevation_bias_sigma_deg=100.0, range_scale_sigma=2.0, glancing_bias_sigma_m=10.0
+    )
     rig = _refined(_loop(0, noise=0.0), config)
     assert max(np.abs(error).max() for error in _offsets(rig).values()) < 1e-7
     for bias in rig.refinement.biases:
-        angles = np.deg2rad([bias.elevation_deg, bias.azimuth_deg])
-        found = [bias.range_m, *angles, 1e-6 * bias.range_scale_ppm]
+        found = [bias.range_m, np.deg2rad(bias.elevation_deg), 1e-6 * bias.range_scale_ppm, bias.glancing_m]
         assert np.allclose(found, _BIASES[bias.lidar], atol=1e-7)
     assert min(pair.probability for pair in rig.refinement.pairs) > 0.999
 
@@ -202,7 +202,7 @@ def test_the_biases_of_a_loop_are_found():
         assert bias.range_sigma_m < 0.1 * _CONFIG.range_bias_sigma_m
         assert abs(bias.elevation_deg) < 3.5 * _CONFIG.elevation_bias_sigma_deg
         assert bias.elevation_sigma_deg < 1.1 * _CONFIG.elevation_bias_sigma_deg
-        assert bias.azimuth_sigma_deg < 1.1 * _CONFIG.azimuth_bias_sigma_deg
+        assert bias.glancing_sigma_m < 1.1 * _CONFIG.glancing_bias_sigma_m
         assert abs(bias.range_scale_ppm) < 3.5e6 * _CONFIG.range_scale_sigma
         assert 1.0 < bias.range_scale_sigma_ppm < 1.1e6 * _CONFIG.range_scale_sigma
 
