@@ -45,12 +45,12 @@ _GROUP = Group("a", {"a": RigidTransform.identity("a", "a"), "b": _between("a", 
 def test_each_member_is_fitted_at_the_pose_of_the_groups(lidars):
     found = fit_members(_merge((0.02, -0.01, 0.01)), _GROUP, Group.of_one("c"), lidars, _CONFIG.refine)
     assert [(pair.target, pair.source) for pair in found] == [("a", "c"), ("b", "c")]
-    for pair in found:
-        metres, radians = pair.T_target_source.distance_to(_between(pair.target, pair.source))
+    for each in found:
+        metres, radians = each.T_target_source.distance_to(_between(each.target, each.source))
         assert metres < 0.005
         assert radians < np.deg2rad(0.05)
-        assert np.sqrt(np.linalg.inv(pair.information)[3:, 3:].trace()) < 0.05
-        assert len(pair.bias_information.target_rings) > 10
+        assert np.sqrt(np.linalg.inv(each.information)[3:, 3:].trace()) < 0.05
+        assert len(each.bias_information.target_rings) > 10
 
 
 def test_single_lidars_keep_their_registration(lidars):
