@@ -105,7 +105,7 @@ def draw_unit(sensor: SensorModel, rng: np.random.Generator) -> LidarUnit:
 
 def _centred(drawn: FloatArray) -> FloatArray:
     """Take off the mean: an error of all azimuths is a rotation of the frame whose pose is the truth."""
-    return drawn - drawn.mean()
+    return np.asarray(drawn - drawn.mean())
 
 
 def draw_reflectivities(lengths_m: FloatArray, rng: np.random.Generator) -> FloatArray:

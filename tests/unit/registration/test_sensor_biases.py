@@ -174,7 +174,7 @@ def test_biases_that_the_data_do_not_show_are_those_of_the_prior():
 
 
 def test_lidars_that_agree_are_better_than_their_datasheets():
-    """Six LiDARs whose ranges agree tell that a seventh one's, which the data do not show, is right; not its elevation."""
+    """Six LiDARs whose ranges agree tell that a seventh one's, unseen, is right; not its elevation."""
     off = np.zeros((7, BIAS_COUNT))
     off[:6, 1] = np.tile([1.0, -1.0], 3) * _SIGMAS[1]
     seen = np.repeat([True, False], [6, 1])[:, None]
