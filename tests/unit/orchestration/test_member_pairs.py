@@ -58,6 +58,6 @@ def test_single_lidars_keep_their_registration(lidars):
     assert fit_members(merge, Group.of_one("a"), Group.of_one("c"), lidars, _CONFIG.refine) == (merge,)
 
 
-def test_members_that_do_not_meet_there_leave_the_registration_as_it_is(lidars):
+def test_members_that_do_not_meet_leave_the_registration(lidars):
     merge = _merge((0.0, 0.0, 80.0))
     assert fit_members(merge, _GROUP, Group.of_one("c"), lidars, _CONFIG.refine) == (merge,)
