@@ -72,7 +72,6 @@ TARGETS = {
     ),
     "multilica/stages/preprocess.py": (f"{STAGES}/test_preprocess.py", f"{STAGES}/test_stillness.py"),
     "multilica/stages/ground.py": (f"{STAGES}/test_ground_plane.py", f"{STAGES}/test_ground_surface.py"),
-    "multilica/stages/verify.py": (f"{STAGES}/test_verify.py", f"{STAGES}/test_symmetric_poses.py"),
     "multilica/stages/fine.py": (f"{STAGES}/test_fine.py", f"{STAGES}/test_stability.py"),
     "multilica/stages/*.py": (f"{STAGES}/test_{{name}}.py",),
     "multilica/sinks/files/atomic.py": (f"{SINKS}/files/test_atomic.py",),

@@ -10,6 +10,7 @@ from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, MergeConfig
 from multilica.geometry import FloatArray, largest_index
 from multilica.results import PairRegistration, Reason, Registration, Stability, Verdict, VisibilityScore
+from multilica.results.hypotheses import REPEATED
 from multilica.results.visibility_score import DISTANCE_WEIGHT, DISTINCTIVE_WEIGHT, HIDDEN_WEIGHT
 
 # A competing pose with the same attitude, this much of whose offset lies along the slide, is the end of a slide.
@@ -73,8 +74,8 @@ def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> fl
 def competing_poses(registrations: Sequence[Registration], config: AcceptanceConfig) -> list[Registration]:
     """Select the poses beside the best that are nearly as likely, the likeliest first."""
     best, *others = registrations
-    near = [other for other in others if other.evidence > best.evidence - config.min_log_odds_margin]
-    return sorted(near, key=lambda each: -each.evidence)
+    near = [other for other in others if best.lead_over(other) < config.min_log_odds_margin]
+    return sorted(near, key=best.lead_over)
 
 
 def slides(found: Stability, config: AcceptanceConfig) -> bool:
@@ -112,7 +113,7 @@ def _weaknesses(best: Registration, distance_m: float, config: AcceptanceConfig)
 
 
 def _competition(registrations: Sequence[Registration], config: AcceptanceConfig) -> Reason | None:
-    """Describe the likeliest competing pose: as the end of a slide of the best, or as another place."""
+    """Describe the likeliest competing pose: a repetition, the end of a slide of the best, or another place."""
     best = registrations[0]
     other = next(iter(competing_poses(registrations, config)), None)
     if other is None:
@@ -120,9 +121,12 @@ def _competition(registrations: Sequence[Registration], config: AcceptanceConfig
     metres, radians = best.T_target_source.distance_to(other.T_target_source)
     shift_m = other.T_target_source.xyz_m - best.T_target_source.xyz_m
     along_m = float(np.abs(shift_m @ best.visibility.slide_direction))
-    lead = best.evidence - other.evidence
-    evidence = f"evidence {other.evidence:z.1f} against {best.evidence:z.1f}"
+    lead = best.lead_over(other)
+    evidence = f"evidence {other.evidence_beside(best):z.1f} against {best.evidence:z.1f}"
     fits = f"fits as well ({evidence}, required margin {config.min_log_odds_margin:g})"
+    if radians < _SLID_RAD and any(each.derivation.startswith(REPEATED) for each in (best, other)):
+        text = f"the scene repeats: a pose {metres:.2f} m away {fits}"
+        return Reason("held_by_repetition", lead, config.min_log_odds_margin, text, other)
     if radians < _SLID_RAD and along_m > _SLID_SHARE * metres:
         direction = _axis_text(np.concatenate([np.zeros(3), shift_m]), best.T_target_source.target)
         text = f"the scene does not constrain the pose {direction}: a pose {metres:.2f} m away {fits}"

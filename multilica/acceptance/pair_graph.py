@@ -23,11 +23,11 @@ class PairGraph:
 
     @classmethod
     def of(cls, names: Iterable[str], pairs: Sequence[PairRegistration]) -> "PairGraph":
-        """Link LiDARs by pairs, the ones with the most evidence first."""
+        """Link LiDARs by pairs, accepted ones first, and the ones with the most evidence first."""
         groups = {name: {name: RigidTransform.identity(name, name)} for name in names}
         tree: list[PairRegistration] = []
         loops: list[PairRegistration] = []
-        for pair in sorted(pairs, key=lambda pair: (-pair.evidence, pair.target, pair.source)):
+        for pair in sorted(pairs, key=_order):
             kept, added, pose = groups[pair.target], groups[pair.source], pair.T_target_source
             if kept is added:
                 loops.append(pair)
@@ -69,3 +69,7 @@ class PairGraph:
         for pair in self.path(target, source):
             names += pair.lidars - {names[-1]}
         return names
+
+
+def _order(pair: PairRegistration) -> tuple[bool, float, str, str]:
+    return not pair.verdict.accepted, -pair.evidence, pair.target, pair.source

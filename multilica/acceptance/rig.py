@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Doubt that the rig as a whole casts on accepted pairs."""
+"""Doubt that the rig as a whole casts on accepted and uncertain pairs."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -26,7 +26,7 @@ ScoreTurned = Callable[[RigidTransform], VisibilityScore]
 def check_scene_symmetry(
     pairs: Sequence[PairRegistration], score_pose: ScorePose, score_turned: ScoreTurned, config: AcceptanceConfig
 ) -> list[PairRegistration]:
-    """Leave accepted pairs undecided if a symmetry of the scene turns them into another possible pose.
+    """Leave accepted and uncertain pairs undecided if a symmetry of the scene turns them into another possible pose.
 
     Two LiDARs that face away from each other see no common surface. In a hall with similar ends they still fit each
     other at a pose turned by 180 degrees, and no beam contradicts it. A pair that sees the whole hall finds two poses.
@@ -39,7 +39,7 @@ def check_scene_symmetry(
     Returns:
         The pairs in their order, some with another verdict.
     """
-    return [_turned(pair, pairs, score_pose, score_turned, config) if pair.verdict.accepted else pair for pair in pairs]
+    return [_turned(pair, pairs, score_pose, score_turned, config) if _may_join(pair) else pair for pair in pairs]
 
 
 def _turned(
@@ -82,18 +82,21 @@ def _symmetries(pair: PairRegistration, lidar: str, config: AcceptanceConfig) ->
 def check_cycles(
     pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig
 ) -> list[PairRegistration]:
-    """Leave accepted pairs undecided that together put two LiDARs where they cannot both be.
+    """Leave pairs undecided that together put two LiDARs where they cannot both be.
 
     A chain of accepted pairs implies a pose between its ends. If beams or another accepted pair contradict that pose,
     one pair of the chain is wrong. The evidence of the beams against the implied pose is subtracted from that of each
     pair. In a cycle that does not close, the pair with the least evidence goes, with those that hardly have more.
 
+    Uncertain pairs, which join what accepted ones do not, are in chains and cycles as well. If beams contradict a
+    chain, they are doubted before the accepted ones, which were examined without them.
+
     Returns:
         The pairs in their order, some with another verdict.
     """
-    accepted = [pair for pair in pairs if pair.verdict.accepted and pair.registrations]
-    names = sorted({name for pair in accepted for name in pair.lidars})
-    graph = PairGraph.of(names, accepted)
+    joining = [pair for pair in pairs if _may_join(pair) and pair.registrations]
+    names = sorted({name for pair in joining for name in pair.lidars})
+    graph = PairGraph.of(names, joining)
     doubts: dict[int, Reason] = {}
     for loop in graph.loops:
         implied = graph.implied(loop.target, loop.source)
@@ -103,13 +106,15 @@ def check_cycles(
             for pair in cycle:
                 if pair.evidence < least + config.min_log_odds_margin:
                     doubts.setdefault(id(pair), _exclusion(loop, implied))
-    known = {pair.lidars for pair in accepted}
+    known = {pair.lidars for pair in joining}
     for target, source in combinations(names, 2):
         implied = graph.implied(target, source)
         if implied is None or {target, source} in known:
             continue
         score = score_pose(implied).visibility
-        for pair in graph.path(target, source):
+        chain = graph.path(target, source)
+        uncertain = [pair for pair in chain if not pair.verdict.accepted]
+        for pair in uncertain or chain:
             if pair.evidence - score.contradiction < config.min_evidence:
                 doubts.setdefault(id(pair), _contradiction(implied, score))
     return _doubted(pairs, doubts)
@@ -118,7 +123,7 @@ def check_cycles(
 def check_ambiguous_chains(
     pairs: Sequence[PairRegistration], score_pose: ScorePose, config: AcceptanceConfig
 ) -> list[PairRegistration]:
-    """Leave accepted pairs undecided that imply a pose which an undecided pair with more evidence excludes.
+    """Leave pairs undecided that imply a pose which an undecided pair with more evidence excludes.
 
     A pair that can slide, or that a symmetric scene leaves ambiguous, has several poses; the correct one is among
     them, or scores as well. If a chain of accepted pairs implies another one, a pair of the chain fits by chance: the
@@ -127,17 +132,18 @@ def check_ambiguous_chains(
     Returns:
         The pairs in their order, some with another verdict.
     """
-    accepted = [pair for pair in pairs if pair.verdict.accepted and pair.registrations]
+    joining = [pair for pair in pairs if _may_join(pair) and pair.registrations]
     names = sorted({name for pair in pairs for name in pair.lidars})
     doubts: dict[int, Reason] = {}
     undecided = [pair for pair in pairs if pair.registrations and _is_ambiguous(pair, config)]
     for known in sorted(undecided, key=lambda pair: -pair.evidence):
         while True:
-            graph = PairGraph.of(names, [pair for pair in accepted if id(pair) not in doubts])
+            graph = PairGraph.of(names, [pair for pair in joining if id(pair) not in doubts])
             implied = graph.implied(known.target, known.source)
             if implied is None or _allows(known, implied, score_pose, config):
                 break
-            weakest = min(graph.path(known.target, known.source), key=lambda pair: pair.evidence)
+            chain = graph.path(known.target, known.source)
+            weakest = min(chain, key=lambda pair: (pair.verdict.accepted, pair.evidence))
             if weakest.evidence >= known.evidence:
                 break
             doubts[id(weakest)] = _exclusion(known, implied)
@@ -147,6 +153,11 @@ def check_ambiguous_chains(
 def is_contradicted(pair: PairRegistration) -> bool:
     """Return whether the pair is doubted because it contradicts others."""
     return _CODE in pair.verdict.codes
+
+
+def _may_join(pair: PairRegistration) -> bool:
+    """Return whether the pair may join its LiDARs: an uncertain one does where no accepted pair joins them."""
+    return pair.verdict.outcome in {"accept", "uncertain"}
 
 
 def _doubted(pairs: Sequence[PairRegistration], doubts: Mapping[int, Reason]) -> list[PairRegistration]:

@@ -100,6 +100,7 @@ _REASONS: Mapping[str, tuple[str, str]] = {
     "empty_space_violated": ("contradiction", "points in empty space"),
     "cycle_contradicted": ("two_places", "another pair contradicts it"),
     "ambiguous": ("ambiguous", "another pose not ruled out"),
+    "held_by_repetition": ("ambiguous", "the scene repeats"),
     "not_observable": ("not_observable", "not constrained in one direction"),
     "structure_unexplained": ("unexplained", "walls and objects unexplained"),
     "held_by_movable": ("held_by_movable", "held by objects that can move"),

@@ -148,7 +148,7 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
     if "fine" in stages and found.coarse is not None:
         hypotheses = found.coarse.hypotheses
         if found.verified is not None:
-            hypotheses = tuple(each.as_hypothesis() for each in found.verified)
+            hypotheses = tuple(each.as_hypothesis(found.verified[0]) for each in found.verified)
         if hypotheses:
             found.registration = register_sides(target.side, source.side, hypotheses, config)
         finish("fine")

@@ -112,7 +112,10 @@ def _register_groups(
     acceptance, most = state.config.acceptance, state.config.fine.max_finalists
     contradicted = {key for key, pair in state.registrations.items() if is_contradicted(pair)}
     finalists = {
-        pair: [verified[index] for index in select_finalists([each.evidence for each in verified], acceptance, most)]
+        pair: [
+            verified[index]
+            for index in select_finalists([each.evidence_beside(verified[0]) for each in verified], acceptance, most)
+        ]
         for pair, verified in state.verified.items()
         if pair not in contradicted
     }

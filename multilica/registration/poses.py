@@ -12,9 +12,9 @@ from multilica.results import Hypothesis, Registration
 # Poses as near as this lie in one basin of GICP.
 _SAME_POSE_M = 0.3
 _SAME_POSE_RAD = float(np.deg2rad(3.0))
-# Steps along the weakest direction, and their number to either side.
-_SLIDE_STEP_M = 1.0
 _SLIDE_STEPS = 6
+SLIDE_STEP_M = 1.0
+"""Step along the weakest direction."""
 
 
 def is_distinct(
@@ -50,16 +50,19 @@ def within_baseline(registrations: Sequence[Registration], max_baseline_m: float
     return [each for each in registrations if is_near(each.T_target_source, max_baseline_m)] or list(registrations)
 
 
-def slid_hypotheses(start: Hypothesis, direction: FloatArray, max_baseline_m: float) -> list[Hypothesis]:
+def slid_hypotheses(
+    start: Hypothesis, direction: FloatArray, max_baseline_m: float, steps: int = _SLIDE_STEPS
+) -> list[Hypothesis]:
     """Shift a pose in steps to both sides: where facades or pillars repeat, the true one may be steps away.
 
     Args:
         direction: (3,) unit vector in the target's frame.
+        steps: to either side.
     """
     found = []
-    for signed in (side * step for step in range(1, _SLIDE_STEPS + 1) for side in (-1.0, 1.0)):
-        pose = moved(start.T_target_source, np.zeros(3), signed * (_SLIDE_STEP_M * direction))
+    for signed in (side * step for step in range(1, steps + 1) for side in (-1.0, 1.0)):
+        pose = moved(start.T_target_source, np.zeros(3), signed * (SLIDE_STEP_M * direction))
         if is_near(pose, max_baseline_m):
-            words = f"slid by {signed * _SLIDE_STEP_M:+g} m"
+            words = f"slid by {signed * SLIDE_STEP_M:+g} m"
             found.append(Hypothesis(pose, origin=start.origin, index=start.index, derivation=words))
     return found

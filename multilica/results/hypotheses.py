@@ -16,6 +16,8 @@ PairKey = tuple[str, str]
 """(target, source): names of the two LiDARs."""
 PRIOR = "prior"
 """Origin and name of the hypothesis that the prior gives."""
+REPEATED = "repeated"
+"""Begins the derivation of a pose at which what stands above the ground repeats."""
 
 _SOLVER_WORDS = {"cliques": "clique", "": "hypothesis"}
 
@@ -76,7 +78,8 @@ class Hypothesis:
         score: number of agreeing matches; the order in which hypotheses are tried.
         origin: the solver, or `PRIOR`; "" if the pose came from other pairs.
         index: place among the pair's hypotheses, which derived poses share; -1 if the pose came from other pairs.
-        derivation: how it follows from that hypothesis, such as "turned by 180 deg" or "slid by +2 m"; of a pose that
+        derivation: how it follows from that hypothesis, such as "turned by 180 deg", "repeated after 9.5 m" or
+            "slid by +2 m"; of a pose that
             came from other pairs the LiDARs that link it, such as "front-left-rear"; else "".
         evidence: of its visibility score, where that is known.
     """

@@ -72,10 +72,18 @@ class Registration:
         """Log-odds that the pose is the true one; see `VisibilityScore.evidence`."""
         return self.visibility.evidence(float(np.linalg.norm(self.T_target_source.xyz_m)))
 
-    def as_hypothesis(self) -> Hypothesis:
-        """Return the pose as a hypothesis of the same origin."""
-        pose, index = self.T_target_source, self.hypothesis
-        return Hypothesis(pose, origin=self.origin, index=index, evidence=self.evidence, derivation=self.derivation)
+    def lead_over(self, other: "Registration") -> float:
+        """Return the log-odds that this pose is the true one and not another pose of the pair."""
+        return self.evidence - other.evidence_beside(self)
+
+    def evidence_beside(self, best: "Registration") -> float:
+        """Return the evidence as it compares with that of another pose; see `VisibilityScore.evidence_beside`."""
+        return self.visibility.evidence_beside(best.visibility, float(np.linalg.norm(self.T_target_source.xyz_m)))
+
+    def as_hypothesis(self, best: "Registration") -> Hypothesis:
+        """Return the pose as a hypothesis of the same origin, with its evidence beside the best pose of the pair."""
+        pose, index, evidence = self.T_target_source, self.hypothesis, self.evidence_beside(best)
+        return Hypothesis(pose, origin=self.origin, index=index, evidence=evidence, derivation=self.derivation)
 
     @property
     def figures(self) -> dict[str, float | None]:

@@ -22,9 +22,11 @@ from multilica.registration.plane_fit import PlaneFit, fit_planes, pose_informat
 from multilica.registration.poses import arc_between_m, is_distinct, moved, slid_hypotheses, within_baseline
 from multilica.registration.sensor_biases import prior_sigmas
 from multilica.registration.widening import widened, widened_with_biases
-from multilica.results import Hypothesis, PairRegistration, Registration, Stability
+from multilica.results import Hypothesis, PairRegistration, Registration, Stability, VisibilityScore
 from multilica.results.registrations import weakest_sigmas
+from multilica.visibility.plans import repeated_hypotheses
 from multilica.visibility.sensor_view import (
+    COMPETING_TOLERANCES,
     FINE_TOLERANCES,
     ROUGH_TOLERANCES,
     PlacedView,
@@ -105,6 +107,8 @@ def register_best(
         hypotheses = [replace(each, T_target_source=each.T_target_source.inverse()) for each in hypotheses]
     pair = _Pair(target, source, config, fit)
     finalists = pair.finalists(hypotheses)
+    if fit and max(len(target.views), len(source.views)) > 1:
+        finalists += pair.repeated(finalists[0])
     evidence = finalists[0].evidence
     hopeless = evidence is not None and cannot_be_accepted(evidence, config.acceptance)
     thinned = len(finalists) > 1 or hopeless
@@ -131,6 +135,10 @@ def select_finalists(evidence: Sequence[float], config: AcceptanceConfig, most: 
     return [index for index in ranked if index == ranked[0] or evidence[index] > needed]
 
 
+def _distance_m(hypothesis: Hypothesis) -> float:
+    return float(np.linalg.norm(hypothesis.T_target_source.xyz_m))
+
+
 def _start_of(found: Registration) -> Hypothesis:
     """Return a registered pose as a hypothesis of the same origin."""
     return Hypothesis(found.T_target_source, origin=found.origin, index=found.hypothesis, derivation=found.derivation)
@@ -152,12 +160,7 @@ def _bias_sigmas(target: RegistrationCloud, source: RegistrationCloud, config: C
 
 
 def _with_fit(found: PairRegistration, fit: PlaneFit) -> PairRegistration:
-    return replace(
-        found,
-        T_target_source=fit.pose,
-        information=fit.information,
-        bias_information=fit.biases,
-    )
+    return replace(found, T_target_source=fit.pose, information=fit.information, bias_information=fit.biases)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,16 +184,36 @@ class _Pair:
                 distinct.append(hypothesis)
         if len(distinct) == 1:
             return distinct
-        evidence = [self._evidence(hypothesis) for hypothesis in distinct]
+        evidence = self._evidence(distinct)
         kept = select_finalists(evidence, self.config.acceptance, self.config.fine.max_finalists)
         return [distinct[index] for index in kept]
 
-    def _evidence(self, hypothesis: Hypothesis) -> float:
-        if hypothesis.evidence is not None:
-            return hypothesis.evidence
-        pose = hypothesis.T_target_source
-        score = score_visibility(self.target.views, self.source.views, pose, *ROUGH_TOLERANCES)
-        return score.evidence(float(np.linalg.norm(pose.xyz_m)))
+    def _evidence(self, hypotheses: Sequence[Hypothesis]) -> list[float]:
+        """Return the evidence of each hypothesis, beside the best where it is not known."""
+        known = [each.evidence for each in hypotheses if each.evidence is not None]
+        if len(known) == len(hypotheses):
+            return known
+        scores = [self._score(each.T_target_source) for each in hypotheses]
+        distances_m = [_distance_m(each) for each in hypotheses]
+        alone = [score.evidence(metres) for score, metres in zip(scores, distances_m, strict=True)]
+        best = scores[alone.index(max(alone))]
+        return [score.evidence_beside(best, metres) for score, metres in zip(scores, distances_m, strict=True)]
+
+    def _score(self, pose: RigidTransform, tolerances: tuple[float, float] = ROUGH_TOLERANCES) -> VisibilityScore:
+        return score_visibility(self.target.views, self.source.views, pose, *tolerances)
+
+    def repeated(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return the poses of two groups at which what stands above the ground repeats, and that may compete."""
+        acceptance = self.config.acceptance
+        known = self._score(best.T_target_source, COMPETING_TOLERANCES)
+        needed = min_competing_evidence(known.evidence(_distance_m(best)), acceptance)
+        views = self.target.views, self.source.views
+        return [
+            each
+            for each in repeated_hypotheses(*views, best, known.commonest_normal, acceptance.max_baseline_m)
+            if self._score(each.T_target_source, COMPETING_TOLERANCES).evidence_beside(known, _distance_m(each))
+            > needed
+        ]
 
     def register_thinned(
         self, hypotheses: Sequence[Hypothesis], beside: Sequence[PairRegistration] = ()

@@ -6,17 +6,27 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
-import scipy
-from scipy.spatial.transform import Rotation
 
-from multilica.acceptance.accept import cannot_be_accepted, is_well_constrained, min_competing_evidence
+from multilica.acceptance.accept import (
+    cannot_be_accepted,
+    competing_poses,
+    is_well_constrained,
+    min_competing_evidence,
+)
 from multilica.config import CalibrationConfig, FineConfig
-from multilica.geometry import FloatArray, RigidTransform
+from multilica.geometry import RigidTransform
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, register_narrower
-from multilica.registration.poses import is_distinct, slid_hypotheses, within_baseline
+from multilica.registration.poses import SLIDE_STEP_M, is_distinct, slid_hypotheses, within_baseline
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
-from multilica.visibility.sensor_view import ROUGH_TOLERANCES, SensorView, score_registration, score_visibility
+from multilica.visibility.plans import repeated_hypotheses, symmetric_poses
+from multilica.visibility.sensor_view import (
+    COMPETING_TOLERANCES,
+    ROUGH_TOLERANCES,
+    SensorView,
+    score_pose,
+    score_registration,
+    score_visibility,
+)
 
 # Coarse poses are off by about a voxel of the descriptors and a degree: the true one among them then scores best.
 _COARSE_TOLERANCE_M = 0.3
@@ -24,8 +34,8 @@ _COARSE_TOLERANCE_DEG = 1.0
 # Before the short GICP, true poses had at least 1 more than the limit, and none won that was 10 behind the best.
 _COARSE_MARGIN = 4.0
 _COARSE_LEAD = 10.0
-# Symmetric poses come from plans with cells of 0.5 m, slid ones from steps of 1 m.
-_COMPETING_TOLERANCE_M = 0.6
+# Slid poses as near as this are always tested; farther ones as long as none competes with the best.
+_NEAR_SLIDE_M = 6.0
 # Distinct poses after which the search may stop early; fewer are enough if the best is well constrained.
 _EARLY_STOP_POSES = 6
 _EARLY_STOP_POSES_CONSTRAINED = 2
@@ -33,16 +43,6 @@ _MAX_SYMMETRIC_POSES = 6
 # The short GICP; a denser cloud is thinned further.
 _SHORT_VOXEL_M = 0.5
 _SHORT_POINTS = 4000
-
-# GICP corrects an error of one cell; 256 cells span the common view of two LiDARs.
-_CELL_M = 0.5
-_CELLS = 256
-# Nearer maxima belong to one pose.
-_APART_M = 2.0
-# Surfaces steeper than 45 deg are walls.
-_STRUCTURE = float(np.cos(np.deg2rad(45.0)))
-# Fewer points of walls make no plan.
-_MIN_POINTS = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,8 @@ def verify_hypotheses(
     A beam that returned from 20 m proves that the 20 m before it are empty: points that a pose puts there violate it,
     points on measured surfaces agree, points behind surfaces prove nothing. Hypotheses near an earlier result are
     skipped, and so is the rest once one pose is clearly correct. Poses that may compete with the best are tested as
-    well: turned by right angles, and shifted along its weakest direction if it is not well constrained.
+    well: turned by right angles, shifted to where what stands above the ground repeats, and shifted along its weakest
+    direction if it is not well constrained.
 
     The prior does not influence which hypotheses are tested: in a symmetric scene a wrong prior could otherwise end
     the search before the true pose is tested.
@@ -85,7 +86,7 @@ def verify_hypotheses(
     Returns:
         The distinct poses, the one with the most evidence first.
     """
-    gicp, max_baseline_m = short_gicp(config.fine), config.acceptance.max_baseline_m
+    gicp = short_gicp(config.fine)
     from_prior: list[Registration] = []
     found: list[Registration] = []
     for hypothesis in _promising(target, source, coarse.hypotheses, config):
@@ -99,16 +100,36 @@ def verify_hypotheses(
                 known.append(registration)
     for registration in from_prior:
         found = _joined(found, registration)
-    tolerances = _COMPETING_TOLERANCE_M, ROUGH_TOLERANCES[1]
     for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
-        pose = hypothesis.T_target_source
-        if not is_distinct(pose, (other.T_target_source for other in found)):
-            continue
-        rough = score_visibility(target.view.alone, source.view.alone, pose, *tolerances)
-        best = max(each.evidence for each in within_baseline(found, max_baseline_m))
-        if rough.evidence(float(np.linalg.norm(pose.xyz_m))) > min_competing_evidence(best, config.acceptance):
-            found = _joined(found, _register(target, source, hypothesis, settings))
-    return tuple(sorted(within_baseline(found, max_baseline_m), key=lambda each: -each.evidence))
+        found = _with_competing(target, source, found, hypothesis, settings, config)
+    for hypothesis in _far_slides(found, config):
+        if len(competing_poses(_ranked(found, config), config.acceptance)) > 0:
+            break
+        found = _with_competing(target, source, found, hypothesis, gicp, config)
+    return tuple(_ranked(found, config))
+
+
+def _ranked(found: Sequence[Registration], config: CalibrationConfig) -> list[Registration]:
+    return sorted(within_baseline(found, config.acceptance.max_baseline_m), key=lambda each: -each.evidence)
+
+
+def _with_competing(
+    target: VerificationCloud,
+    source: VerificationCloud,
+    found: list[Registration],
+    hypothesis: Hypothesis,
+    gicp: FineConfig,
+    config: CalibrationConfig,
+) -> list[Registration]:
+    """Register a hypothesis that is new and may compete with the best pose, and add it."""
+    pose = hypothesis.T_target_source
+    if not is_distinct(pose, (other.T_target_source for other in found)):
+        return found
+    rough = score_pose(target.view, source.view, pose, *COMPETING_TOLERANCES)
+    best = _ranked(found, config)[0]
+    if rough.evidence_beside(best) <= min_competing_evidence(best.evidence, config.acceptance):
+        return found
+    return _joined(found, _register(target, source, hypothesis, gicp))
 
 
 def _promising(
@@ -143,16 +164,17 @@ def _joined(found: Sequence[Registration], further: Registration) -> list[Regist
 def _competing_hypotheses(
     target: SensorView, source: SensorView, found: Sequence[Registration], gicp: FineConfig, config: CalibrationConfig
 ) -> list[tuple[Hypothesis, FineConfig]]:
-    """Return poses that may score as well as the best, with their GICP: turned, or slid if it is not well constrained.
+    """Return poses that may score as well as the best, with their GICP: turned, repeated, or slid.
 
     A pose that only points in empty space speak against may be turned or slid from the true one. A pose of the prior
     is turned even if nothing speaks for it: a LiDAR may be drawn the wrong way round.
 
-    A turned pose is off by less than a cell; a slid one needs the longest correspondence distance.
+    Turned and repeated poses are off by less than a cell; slid ones, of a pose that is not well constrained, need the
+    longest correspondence distance.
     """
     acceptance = config.acceptance
     max_baseline_m = acceptance.max_baseline_m
-    best = max(within_baseline(found, max_baseline_m), key=lambda each: each.evidence, default=None)
+    best = next(iter(_ranked(found, config)), None)
     if best is None:
         return []
     uncontradicted = best.evidence + best.visibility.contradiction
@@ -161,22 +183,42 @@ def _competing_hypotheses(
     pose, up = best.T_target_source, best.visibility.commonest_normal
     near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
     turned = symmetric_poses(target, source, pose, up, max_baseline_m, _MAX_SYMMETRIC_POSES)
-    start = Hypothesis(pose, origin=best.origin, index=best.hypothesis)
-    along: list[Hypothesis] = []
-    if not is_well_constrained(best.visibility, acceptance):
-        along = slid_hypotheses(start, best.visibility.slide_direction, max_baseline_m)
+    start = _start_of(best)
+    repeated = repeated_hypotheses(target.alone, source.alone, start, up, max_baseline_m)
     return [
-        *(
-            (
-                replace(
-                    start, T_target_source=each, derivation=f"turned by {np.degrees(pose.distance_to(each)[1]):.0f} deg"
-                ),
-                near,
-            )
-            for each in turned
-        ),
-        *((each, gicp) for each in along),
+        *((replace(start, T_target_source=each, derivation=_turned_words(pose, each)), near) for each in turned),
+        *((each, near) for each in repeated),
+        *((each, gicp) for each in _slides(best, _NEAR_SLIDE_M, config)),
     ]
+
+
+def _start_of(found: Registration) -> Hypothesis:
+    return Hypothesis(found.T_target_source, origin=found.origin, index=found.hypothesis)
+
+
+def _turned_words(pose: RigidTransform, turned: RigidTransform) -> str:
+    return f"turned by {np.degrees(pose.distance_to(turned)[1]):.0f} deg"
+
+
+def _slides(best: Registration, reach_m: float, config: CalibrationConfig) -> list[Hypothesis]:
+    """Return poses along the weakest direction of a pose; none if it is well constrained."""
+    if is_well_constrained(best.visibility, config.acceptance):
+        return []
+    steps = round(reach_m / SLIDE_STEP_M)
+    direction, max_baseline_m = best.visibility.slide_direction, config.acceptance.max_baseline_m
+    return slid_hypotheses(_start_of(best), direction, max_baseline_m, steps)
+
+
+def _far_slides(found: Sequence[Registration], config: CalibrationConfig) -> list[Hypothesis]:
+    """Return farther slid poses, as the largest baseline allows: posts of a rail repeat after any number of periods.
+
+    The nearer ones come first.
+    """
+    best = next(iter(_ranked(found, config)), None)
+    if best is None or cannot_be_accepted(best.evidence, config.acceptance):
+        return []
+    slides = _slides(best, 2.0 * config.acceptance.max_baseline_m, config)
+    return [each for each in slides if best.T_target_source.distance_to(each.T_target_source)[0] > _NEAR_SLIDE_M + 0.5]
 
 
 def _registered(
@@ -221,81 +263,3 @@ def _is_settled(found: Sequence[Registration], config: CalibrationConfig) -> boo
         and best.evidence >= acceptance.min_evidence
         and second.evidence <= min_competing_evidence(best.evidence, acceptance)
     )
-
-
-def symmetric_poses(
-    target: SensorView, source: SensorView, pose: RigidTransform, up: FloatArray, max_baseline_m: float, most: int
-) -> list[RigidTransform]:
-    """Find poses at which the walls of both sensors coincide after a turn by 90, 180 or 270 degrees.
-
-    A hall, a garage or a street looks much the same from its other end, and a search by descriptors finds either pose
-    by chance. Plans of the walls, seen along `up`, are correlated over all shifts to find the other one.
-
-    Args:
-        pose: ``T_target_source`` to find competing poses of.
-        up: (3,) unit, the commonest surface normal in the target's frame, the axis of the turns.
-
-    Returns:
-        Poses whose plans share at least half as many cells as those of `pose`, the best first.
-    """
-    walls_m, seen_m = _walls(target, up), pose.rotate(_walls(source, pose.rotation.T @ up))
-    if min(len(walls_m), len(seen_m)) < _MIN_POINTS:
-        return []
-    across = np.linalg.svd(up[None])[2][1:]
-    plan: npt.NDArray[np.complex128] = np.fft.rfft2(
-        scipy.ndimage.maximum_filter(_plan((walls_m - pose.xyz_m) @ across.T), 3, mode="wrap")
-    )
-    needed = 0.5 * _overlap(plan, seen_m @ across.T)[0, 0]
-    found: list[tuple[float, RigidTransform]] = []
-    for quarter in (1, 2, 3):
-        turn = Rotation.from_rotvec(0.5 * np.pi * quarter * up).as_matrix()
-        cells, shifts_m = _maxima(_overlap(plan, seen_m @ turn.T @ across.T), max(needed, 1.0))
-        positions_m = pose.xyz_m + shifts_m @ across
-        near = np.flatnonzero(np.linalg.norm(positions_m, axis=1) <= max_baseline_m)
-        for index in near[_apart(shifts_m[near], most)]:
-            turned = RigidTransform.from_rotation_translation(
-                pose.target, pose.source, turn @ pose.rotation, positions_m[index]
-            )
-            found.append((float(cells[index]), turned))
-    return [turned for _, turned in sorted(found, key=lambda each: -each[0])[:most]]
-
-
-def _walls(view: SensorView, up: FloatArray) -> FloatArray:
-    upright = np.abs(view.normals @ up) < _STRUCTURE
-    return np.asarray(view.probes_m[upright & np.any(view.normals, axis=1)])
-
-
-def _plan(points_m: FloatArray) -> FloatArray:
-    """Compute the (C, C) occupancy of cells seen from above; the origin in cell (0, 0), negative ones wrapped."""
-    plan = np.zeros((_CELLS, _CELLS))
-    cells = np.floor(points_m / _CELL_M + 0.5).astype(np.int64)
-    cells = cells[np.all(np.abs(cells) < _CELLS // 2, axis=1)] % _CELLS
-    plan[cells[:, 0], cells[:, 1]] = 1.0
-    return plan
-
-
-def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArray:
-    """Count, per shift of the points in cells, the cells that coincide; (C, C)."""
-    overlap = np.fft.irfft2(plan * np.conj(np.fft.rfft2(_plan(points_m))), s=(_CELLS, _CELLS))
-    return np.asarray(np.rint(overlap), dtype=np.float64)
-
-
-def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]:
-    """Return local maxima with at least this many cells: their cells (N,), most first, and shifts (N, 2) in metres."""
-    width = int(_APART_M / _CELL_M) + 1
-    highest = scipy.ndimage.maximum_filter(overlap, width, mode="wrap")
-    cells = np.argwhere((overlap >= highest - 0.5) & (overlap >= needed))
-    cells = cells[np.argsort(-overlap[cells[:, 0], cells[:, 1]], kind="stable")]
-    shifts_m = _CELL_M * (((cells + _CELLS // 2) % _CELLS) - _CELLS // 2).astype(np.float64)
-    return overlap[cells[:, 0], cells[:, 1]], shifts_m
-
-
-def _apart(shifts_m: FloatArray, most: int) -> list[int]:
-    """Select the first shifts that are not near an earlier one."""
-    kept: list[int] = []
-    for index, shift_m in enumerate(shifts_m):
-        if len(kept) == most:
-            break
-        if np.all(np.linalg.norm(shifts_m[kept] - shift_m, axis=1) >= _APART_M):
-            kept.append(index)
-    return kept

@@ -40,6 +40,8 @@ _GRAZING = float(np.sin(np.deg2rad(15.0)))
 
 ROUGH_TOLERANCES = (0.15, 0.5)
 """Metres and degrees: a point nearer than this to a measured surface lies on it; the degrees are a rotation's error."""
+COMPETING_TOLERANCES = (0.6, ROUGH_TOLERANCES[1])
+"""The same for poses that may compete: they come from plans with cells of 0.5 m, or from steps of 1 m."""
 FINE_TOLERANCES = (0.08, 0.2)
 """The same after the fine registration."""
 
@@ -125,7 +127,8 @@ def score_visibility(
             labelled.append(_Labelled(source, forth, T_target_placed))
             labelled.append(_Labelled(target, back, T_target_member))
             shown = (forth, back) if shown is None else shown
-    counts = _counts(np.concatenate([probes.labels for probes in labelled]))
+    all_labels = np.concatenate([probes.labels for probes in labelled])
+    counts = _counts(all_labels)
     information = sum((_information(probes, T_target_source.xyz_m) for probes in labelled), start=np.zeros((6, 6)))
     commonest = np.linalg.eigh(information[3:, 3:])[1][:, -1]
     structure = _counts(np.concatenate([_structure(probes, commonest) for probes in labelled]))
@@ -142,6 +145,7 @@ def score_visibility(
         structure_violate=structure[BeamLabel.VIOLATE],
         structure_occluded=structure[BeamLabel.OCCLUDED],
         target_labels=target_labels,
+        violating=all_labels == BeamLabel.VIOLATE,
     )
 
 

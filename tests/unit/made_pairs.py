@@ -7,6 +7,7 @@ from multilica.geometry import RigidTransform
 from multilica.results import PairRegistration, Reason, Registration, Stability, Verdict, VisibilityScore
 
 ACCEPTED = Verdict("accept")
+UNCERTAIN = Verdict("uncertain", (Reason("imprecise", 0.03, 0.02, "sigma 30 mm, limit 20 mm"),))
 
 
 def undecided(*codes):

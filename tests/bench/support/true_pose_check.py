@@ -28,6 +28,7 @@ _KINDS = {
     "not_observable": "other poses explain as much",
     "imprecise": "other poses explain as much",
     "ambiguous": "other poses explain as much",
+    "held_by_repetition": "other poses explain as much",
 }
 # The true pose puts nothing into empty space: refusing it for that is a fault of the stages.
 _NEVER_TRUE = ("empty_space_violated",)

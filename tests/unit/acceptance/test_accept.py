@@ -137,6 +137,41 @@ def test_a_competing_pose_along_the_slide_is_not_observable():
     assert "perturbed by" in both.text
 
 
+@pytest.mark.parametrize("which", ["best", "competing"])
+def test_a_competing_pose_where_the_scene_repeats_is_named_so(which):
+    repeated = pose("t", "s", (0.0, 7.5, 0.0))
+    best, competing = _registration(), _registration(repeated)
+    if which == "best":
+        best = replace(best, derivation="repeated after 7.5 m")
+    else:
+        competing = replace(competing, derivation="repeated after 7.5 m")
+    verdict = _accept(best, competing)
+    assert (verdict.outcome, verdict.codes) == ("undecided", ("held_by_repetition",))
+    assert verdict.text.startswith("the scene repeats: a pose 7.50 m away fits as well")
+    assert verdict.reasons[0].competing is competing
+    turned = replace(competing, T_target_source=_ELSEWHERE, derivation="turned by 90 deg")
+    assert _accept(best, turned).codes == ("ambiguous",)
+
+
+def test_poses_compete_by_the_points_where_they_differ():
+    """Chance excuses 3 of 1000 points in empty space, but not those that only one of two poses puts there."""
+    violating = np.zeros((2, 20), dtype=bool)
+    violating[0, :12] = True
+    clean, dirty = (
+        replace(each, visibility=replace(each.visibility, violating=where))
+        for each, where in (
+            (_registration(distinctive=9000), violating[1]),
+            (_registration(_ELSEWHERE, distinctive=9000, violate=12), violating[0]),
+        )
+    )
+    assert clean.evidence - dirty.evidence < _CONFIG.min_log_odds_margin
+    assert competing_poses([clean, dirty], _CONFIG) == []
+    assert _accept(clean, dirty).accepted
+    (reason,) = _accept(dirty, clean).reasons
+    assert (reason.code, reason.competing) == ("ambiguous", clean)
+    assert reason.value == dirty.lead_over(clean) < 0.0
+
+
 @pytest.mark.parametrize(
     ("moved", "value", "figures"),
     [

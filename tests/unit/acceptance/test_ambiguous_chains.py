@@ -9,7 +9,7 @@ from multilica.acceptance.rig import check_ambiguous_chains, is_contradicted
 from multilica.config import AcceptanceConfig
 from multilica.results import Stability, Verdict
 from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
-from tests.unit.made_pairs import pose, undecided
+from tests.unit.made_pairs import UNCERTAIN, pose, undecided
 
 _CONFIG = AcceptanceConfig()
 _SLIDES = Stability(sigma_m=0.005, sigma_rad=1e-4, perturbation_m=0.3, perturbed_offset_m=0.3, thinned_offset_m=0.0)
@@ -33,6 +33,12 @@ def test_the_weakest_pair_of_an_excluded_chain_is_doubted():
     assert [is_contradicted(pair) for pair in doubted] == [False, True, False, False]
     assert doubted[1].verdict.outcome == "undecided"
     assert "178 deg from where a fits d, so one of the pairs is wrong" in doubted[1].verdict.text
+
+
+def test_an_uncertain_pair_of_an_excluded_chain_is_doubted_first():
+    chain = [_CHAIN[0], _CHAIN[1], replace(_CHAIN[2], verdict=UNCERTAIN)]
+    doubted = check_ambiguous_chains([*chain, _undecided("d", "a")], _nothing_in_common, _CONFIG)
+    assert [is_contradicted(pair) for pair in doubted] == [False, False, True, False]
 
 
 def test_pairs_are_doubted_until_no_chain_is_left():

@@ -8,7 +8,7 @@ import pytest
 from multilica.acceptance.rig import check_cycles, is_contradicted
 from multilica.config import AcceptanceConfig
 from tests.unit.acceptance.made_rig import linked, moved_to, scored, true_pose
-from tests.unit.made_pairs import pose, undecided
+from tests.unit.made_pairs import UNCERTAIN, pose, undecided
 
 _CONFIG = AcceptanceConfig()
 
@@ -89,3 +89,16 @@ def test_of_a_cycle_that_does_not_close_the_weakest_goes(evidence, doubted):
 def test_pairs_without_a_score_are_left_alone():
     pairs = [replace(linked("a", "b"), registrations=()), replace(linked("a", "c"), registrations=())]
     assert _doubted(pairs, _contradict("b", "c")) == []
+
+
+def test_an_uncertain_pair_of_a_chain_is_doubted_first():
+    pairs = [linked("a", "b"), linked("b", "c", 300, UNCERTAIN)]
+    assert _doubted(pairs, _contradict("a", "c")) == ["bc"]
+    assert _doubted([linked("a", "b"), linked("b", "c", 300)], _contradict("a", "c")) == ["ab", "bc"]
+
+
+@pytest.mark.parametrize(("evidence", "doubted"), [(60, ["bc"]), (600, ["ab", "ac", "bc"])])
+def test_an_uncertain_pair_may_contradict_a_cycle(evidence, doubted):
+    elsewhere = pose("b", "b", (1.0, 0.0, 0.0)) @ true_pose("b", "c")
+    uncertain = moved_to(linked("b", "c", evidence, UNCERTAIN), elsewhere)
+    assert _doubted([linked("a", "b"), linked("a", "c"), uncertain], scored) == doubted

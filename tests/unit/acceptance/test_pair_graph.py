@@ -5,6 +5,7 @@ import pytest
 
 from multilica.acceptance.pair_graph import PairGraph
 from tests.unit.acceptance.made_rig import linked, true_pose
+from tests.unit.made_pairs import UNCERTAIN
 
 _EXACT = pytest.approx((0.0, 0.0), abs=1e-9)
 
@@ -44,3 +45,9 @@ def test_the_tree_has_the_pairs_with_the_most_evidence(order):
     graph = PairGraph.of("abc", [linked(*pair) for pair in order])
     assert _names(graph.tree) == [("a", "b"), ("c", "b")]
     assert _names(graph.loops) == [("a", "c")]
+
+
+def test_uncertain_pairs_come_after_accepted_ones():
+    graph = PairGraph.of("abc", [linked("a", "b", 900, UNCERTAIN), linked("a", "c", 500), linked("c", "b", 700)])
+    assert _names(graph.tree) == [("c", "b"), ("a", "c")]
+    assert _names(graph.loops) == [("a", "b")]

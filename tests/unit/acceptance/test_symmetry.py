@@ -9,7 +9,7 @@ import pytest
 from multilica.acceptance.rig import check_scene_symmetry
 from multilica.config import AcceptanceConfig
 from tests.unit.acceptance.made_rig import registered, scored
-from tests.unit.made_pairs import pose, undecided
+from tests.unit.made_pairs import ACCEPTED, UNCERTAIN, pose, undecided
 
 _CONFIG = AcceptanceConfig()
 # The hall looks the same turned about the point (2, 0) of the first LiDAR's frame.
@@ -30,14 +30,15 @@ def _turned(violate=0):
     return lambda motion: scored(motion, violate=violate).visibility
 
 
+@pytest.mark.parametrize("verdict", [ACCEPTED, UNCERTAIN], ids=["accepted", "uncertain"])
 @pytest.mark.parametrize("known_as", ["target", "source"])
 @pytest.mark.parametrize("seen_as", ["target", "source"])
-def test_a_pair_whose_turned_pose_is_possible_is_doubted(known_as, seen_as):
+def test_a_pair_whose_turned_pose_is_possible_is_doubted(known_as, seen_as, verdict):
     symmetric = _symmetric()
     if seen_as == "source":
         turned = (_SYMMETRY @ _SEEN).inverse()
         symmetric = registered(_SEEN.inverse(), verdict=undecided("ambiguous"), competing=[turned])
-    accepted = registered(_OTHER if known_as == "target" else _OTHER.inverse())
+    accepted = registered(_OTHER if known_as == "target" else _OTHER.inverse(), verdict=verdict)
     motions = []
 
     def score_turned(motion):

@@ -4,9 +4,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from multilica.acceptance.accept import competing_poses
 from multilica.config import AcceptanceConfig, CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
-from multilica.registration import poses, widening
+from multilica.registration import widening
 from multilica.registration.gicp import register
 from multilica.registration.plane_fit import PlaneFit
 from multilica.registration.sensor_biases import BIAS_COUNT, prior_sigmas
@@ -285,10 +286,27 @@ def test_a_sliding_pose_is_searched_along_the_slide(corridor, along_m, monkeypat
     assert best.stability.perturbed_offset_m < _CONFIG.acceptance.max_perturbed_offset_m
     assert best.hypothesis == 4
     assert all(other.evidence < best.evidence for other in others)
-    monkeypatch.setattr(poses, "_SLIDE_STEPS", 0)
+    monkeypatch.setattr(fine, "slid_hypotheses", lambda *_: [])
     (stuck,) = register_best(*corridor, [_hypothesis(start, 4)], _CONFIG).registrations
     assert stuck.T_target_source.distance_to(_TRUTH)[0] > 1.0
     assert stuck.stability.perturbed_offset_m > _CONFIG.acceptance.max_perturbed_offset_m
+
+
+@pytest.mark.slow
+def test_groups_have_competing_poses_where_the_scene_repeats():
+    """Pillars repeat every 3 m; pairs get such poses before, but groups have fewer of them."""
+    aisle = [*box((-60.0, -3.0, 0.0), (60.0, 3.0, 3.0))]
+    for x_m in np.arange(-58.5, 60.0, 3.0):
+        aisle += box((x_m, 2.6, 0.0), (x_m + 0.6, 3.0, 3.0))
+        aisle += box((x_m, -3.0, 0.0), (x_m + 0.6, -2.6, 3.0))
+    clouds = [scan(name, at, aisle, seed=seed, columns=720) for seed, (name, at) in enumerate(_PLACES)]
+    group, single = (_side(cloud) for cloud in clouds)
+    group = replace(group, views=(*group.views, *group.views))
+    start = [_hypothesis(_near(_TRUTH))]
+    assert len(register_best(group, single, start, _CONFIG, fit=False).registrations) == 1
+    found = register_best(group, single, start, _CONFIG).registrations
+    assert competing_poses(found, _CONFIG.acceptance)
+    assert any(each.derivation.startswith("repeated after ") for each in found)
 
 
 def test_without_views_the_first_hypothesis_is_taken(clouds):

@@ -5,6 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+from multilica.acceptance.accept import competing_poses
 from multilica.config import AcceptanceConfig, CalibrationConfig, FineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud, register_narrower
@@ -46,12 +47,14 @@ def hall():
     return _prepared(HALL)
 
 
-def _verified(lidars, *poses, limits=_LIMITS, prior=None, slide_steps=6, **changed):
-    """Verify without symmetric poses, and with constants of the stage changed."""
+def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, far=False, **changed):
+    """Verify without symmetric and repeated poses and far slides, and with constants of the stage changed."""
     origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
     hypotheses = tuple(Hypothesis(pose, origin=origin, index=index) for index, (pose, origin) in enumerate(origins))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("multilica.registration.poses._SLIDE_STEPS", slide_steps)
+        patch.setattr("multilica.visibility.plans._MAX_REPEATED", max_repeated)
+        if not far:
+            patch.setattr(verify, "_far_slides", lambda *_: [])
         for name, value in ({"max_symmetric_poses": 0} | changed).items():
             patch.setattr(verify, f"_{name.upper()}", value)
         config = CalibrationConfig(acceptance=limits)
@@ -104,7 +107,7 @@ def test_what_beams_contradict_before_gicp_is_not_registered(hall, monkeypatch):
 
 
 def test_the_best_hypothesis_is_registered_however_bad(hall):
-    (found,) = _verified(hall, _near(_TRUTH, (0, 0, 0), 0.8), slide_steps=0)
+    (found,) = _verified(hall, _near(_TRUTH, (0, 0, 0), 0.8), near_slide_m=0.0)
     assert found.evidence < _LIMITS.min_evidence
 
 
@@ -149,7 +152,7 @@ def test_turned_poses_start_with_a_shorter_distance(hall, monkeypatch):
 
     monkeypatch.setattr(verify, "register_narrower", watched)
     monkeypatch.setattr(verify, "min_competing_evidence", lambda *_: -np.inf)
-    _verified(hall, _TRUTH, limits=_NEVER_FIRM, max_symmetric_poses=2, slide_steps=2)
+    _verified(hall, _TRUTH, limits=_NEVER_FIRM, max_symmetric_poses=2, near_slide_m=2.0)
     every = len(_GICP.max_correspondence_distances_m)
     assert {*started} == {(False, every), (True, every - 1)}
 
@@ -166,7 +169,7 @@ def test_a_hypothesis_carried_away_is_tried_with_near_points(hall, monkeypatch):
         return replace(registered, T_target_source=carried)
 
     monkeypatch.setattr(verify, "register_narrower", carried_away_by_far_points)
-    best, *_ = _verified(hall, _near(_TRUTH), slide_steps=0)
+    best, *_ = _verified(hall, _near(_TRUTH), near_slide_m=0.0)
     assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
     assert reaches_m == [2.0, 0.5]
 
@@ -183,8 +186,37 @@ def test_a_pose_that_slid_along_pillars_is_corrected():
     best, *others = _verified(lidars, slid, limits=_NEVER_FIRM)
     assert best.T_target_source.distance_to(_TRUTH)[0] < 0.05
     assert all(other.evidence < best.evidence - _LIMITS.min_log_odds_margin for other in others)
-    (stuck,) = _verified(lidars, slid, limits=_NEVER_FIRM, slide_steps=0)
+    (stuck,) = _verified(lidars, slid, limits=_NEVER_FIRM, near_slide_m=0.0)
     assert stuck.T_target_source.distance_to(slid)[0] < 0.1
+
+
+@pytest.fixture(scope="module")
+def aisle():
+    """Pillars repeat every 3 m, and nothing tells which is which."""
+    walls = [*box((-60.0, -3.0, 0.0), (60.0, 3.0, 3.0))]
+    for x_m in np.arange(-58.5, 60.0, 3.0):
+        walls += box((x_m, 2.6, 0.0), (x_m + 0.6, 3.0, 3.0))
+        walls += box((x_m, -3.0, 0.0), (x_m + 0.6, -2.6, 3.0))
+    return _prepared(walls, columns=720)
+
+
+@pytest.mark.slow
+def test_a_pose_among_equal_pillars_has_competing_poses(aisle):
+    best, *others = _verified(aisle, _near(_TRUTH), near_slide_m=0.0, max_repeated=4)
+    assert competing_poses([best, *others], _LIMITS)
+    assert any(other.derivation.startswith("repeated after ") for other in others)
+    for other in others:
+        along_m = other.T_target_source.distance_to(best.T_target_source)[0]
+        assert along_m / 3.0 == pytest.approx(round(along_m / 3.0), abs=0.1)
+
+
+@pytest.mark.slow
+def test_far_slides_are_tested_until_one_competes(aisle):
+    best, *others = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0, far=True)
+    assert len(competing_poses([best, *others], _LIMITS)) == 1
+    assert [each.derivation[:8] for each in (best, *others) if each.derivation] == ["slid by "]
+    (alone,) = _verified(aisle, _near(_TRUTH), limits=_NEVER_FIRM, near_slide_m=0.0)
+    assert alone.evidence in {each.evidence for each in (best, *others)}
 
 
 def _labels(found):
@@ -230,7 +262,7 @@ def test_of_two_starts_with_one_end_the_better_stays(hall):
 
 def test_only_a_hopeless_pose_of_the_prior_is_turned(hall):
     """A LiDAR may be drawn the wrong way round; what a solver found is not right for being turned."""
-    settings = {"limits": AcceptanceConfig(min_evidence=60.0), "max_symmetric_poses": 6, "slide_steps": 0}
+    settings = {"limits": AcceptanceConfig(min_evidence=60.0), "max_symmetric_poses": 6, "near_slide_m": 0.0}
     (found,) = _verified(hall, _near(_HALF_TURN), **settings)
     assert found.T_target_source.distance_to(_HALF_TURN)[0] < 1.0
     best, *_ = _verified(hall, prior=_near(_HALF_TURN), **settings)

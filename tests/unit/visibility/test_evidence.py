@@ -7,12 +7,14 @@ from math import log
 import numpy as np
 import pytest
 
+from multilica.config import AcceptanceConfig
 from multilica.results import Registration
 from multilica.results.visibility_score import (
     DISTANCE_WEIGHT,
     DISTINCTIVE_WEIGHT,
     FEW_POINTS,
     HIDDEN_WEIGHT,
+    MOVED_POINTS,
     PRIOR_LOG_ODDS,
     STRAY_SHARE,
     VIOLATION_WEIGHT,
@@ -84,3 +86,45 @@ def test_the_evidence_of_a_registration_counts_its_distance():
 def test_evidence_does_not_depend_on_rounding(rounding):
     assert _score(90, 40.0 + rounding).evidence(1.0) == _score(90, 40.0).evidence(1.0)
     assert _score(40, 40.0 + rounding).evidence(0.0) == PRIOR_LOG_ODDS
+
+
+def _violating(*where, violate=None, agree=1000):
+    """Score a pose that puts those of 20 points into empty space, and some among others."""
+    violating = np.zeros(20, dtype=bool)
+    violating[list(where)] = True
+    score = _score(agree=agree, violate=len(where) if violate is None else violate)
+    return replace(score, violating=violating)
+
+
+def test_only_points_that_differ_tell_two_poses_apart():
+    here, there = _violating(0, 1, 2), _violating(1, 2, 3, 4, 5, 6, 7, 8, 9)
+    expected = VIOLATION_WEIGHT * log((7 + MOVED_POINTS) / (1 + MOVED_POINTS))
+    assert there.contradiction_against(here) == pytest.approx(expected)
+    assert here.contradiction_against(there) == pytest.approx(-expected)
+    assert here.contradiction_against(here) == 0.0
+
+
+def test_what_agrees_at_both_poses_excuses_nothing():
+    """Without the others they would: 12 of 10,000 points are fewer than chance puts there."""
+    here, there = _violating(agree=10_000), _violating(*range(12), agree=10_000)
+    assert there.contradiction == 0.0
+    assert there.evidence(1.0) == here.evidence(1.0)
+    lead = here.evidence(1.0) - there.evidence_beside(here, 1.0)
+    assert lead == pytest.approx(VIOLATION_WEIGHT * log((12 + MOVED_POINTS) / MOVED_POINTS), abs=1e-6)
+
+
+def test_one_person_who_moved_does_not_decide_between_two_poses():
+    seen = _violating(*range(4)).contradiction_against(_violating())
+    assert 0.0 < seen < AcceptanceConfig().min_log_odds_margin
+
+
+def test_the_evidence_beside_itself_is_the_evidence():
+    score = _violating(*range(9))
+    assert score.evidence_beside(score, 2.0) == score.evidence(2.0)
+
+
+@pytest.mark.parametrize("other", [_score(violate=5), replace(_score(violate=5), violating=np.ones(5, dtype=bool))])
+def test_without_labels_only_the_counts_are_compared(other):
+    score = _violating(*range(9))
+    assert score.contradiction_against(other) == score.contradiction - other.contradiction
+    assert other.evidence_beside(score, 2.0) == other.evidence(2.0)

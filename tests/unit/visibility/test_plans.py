@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Poses at which the plans of the walls coincide after a turn."""
+"""Poses at which the plans of the walls coincide after a turn, and of what stands above the ground after a shift."""
 
 from itertools import combinations
 from types import SimpleNamespace
@@ -7,7 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from multilica.stages.verify import symmetric_poses
+from multilica.geometry import RigidTransform
+from multilica.results import Hypothesis
+from multilica.visibility.plans import repeated_hypotheses, symmetric_poses
 from tests.unit.made_pairs import pose
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -94,3 +96,52 @@ def test_near_maxima_are_one_pose():
     assert all(one.distance_to(other)[0] >= 2.0 for one, other in combinations(found, 2))
     assert any(one.distance_to(other)[0] < 3.5 for one, other in combinations(found, 2))
     assert len(_found(pillars, most=2)) == 2
+
+
+_PERIOD_M = 7.5
+_FLAT = np.stack(np.meshgrid(np.arange(-40.0, 40.0, 0.5), np.arange(-8.0, 8.0, 0.5), [-1.8]), axis=-1).reshape(-1, 3)
+
+
+def _row(xs_m, height_m=2.0, sides_m=(-5.0, 4.0)):
+    """Sample thin posts, each by a probe per quarter of a metre, on both sides of a road."""
+    levels_m = np.arange(-1.8, height_m - 1.8, 0.25)
+    return np.array([(x_m, y_m, z_m) for x_m in xs_m for y_m in sides_m for z_m in levels_m])
+
+
+def _repeated(standing_m, max_baseline_m=_FAR_M, up=_UP, ground_m=_FLAT):
+    """Let both LiDARs see the same things on flat ground."""
+    points_m = np.concatenate([ground_m, standing_m])
+    normals = np.zeros_like(points_m)
+    normals[: len(ground_m)] = _UP
+    target = SimpleNamespace(probes_m=points_m, normals=normals)
+    source = SimpleNamespace(probes_m=_POSE.inverse().apply(points_m), normals=_POSE.inverse().rotate(normals))
+    sides = [(RigidTransform.identity("t", "t"), target)], [(RigidTransform.identity("s", "s"), source)]
+    return repeated_hypotheses(*sides, Hypothesis(_POSE, origin="cliques", index=3), up, max_baseline_m)
+
+
+@pytest.mark.parametrize("up", [_UP, -_UP], ids=["up", "down"])
+def test_a_row_of_equal_things_repeats_to_both_sides(up):
+    found = _repeated(_row(np.arange(-30.0, 31.0, _PERIOD_M)), up=up)
+    shifts_m = np.array([each.T_target_source.xyz_m - _POSE.xyz_m for each in found])
+    assert {round(x_m / _PERIOD_M) for x_m in shifts_m[:, 0]} >= {-2, -1, 1, 2}
+    np.testing.assert_allclose(shifts_m[:, 0] / _PERIOD_M, np.rint(shifts_m[:, 0] / _PERIOD_M), atol=0.1)
+    np.testing.assert_allclose(shifts_m[:, 1:], 0.0, atol=0.75)
+    assert all(each.T_target_source.distance_to(_POSE)[1] < 1e-6 for each in found)
+    assert all(one.T_target_source.distance_to(other.T_target_source)[0] > 2.0 for one, other in combinations(found, 2))
+    assert {(each.origin, each.index) for each in found} == {("cliques", 3)}
+    assert all(each.derivation.startswith("repeated after ") for each in found)
+
+
+def test_repeated_poses_beyond_the_baseline_are_none():
+    found = _repeated(_row(np.arange(-30.0, 31.0, _PERIOD_M)), max_baseline_m=9.5)
+    assert 0 < len(found) < len(_repeated(_row(np.arange(-30.0, 31.0, _PERIOD_M))))
+    assert all(np.linalg.norm(each.T_target_source.xyz_m) <= 9.5 for each in found)
+
+
+def test_single_things_do_not_repeat():
+    posts = [_row([-22.0, -9.0, 12.5], sides_m=[-5.0]), _row([-3.0, 8.0, 29.0], sides_m=[4.0])]
+    assert _repeated(np.concatenate(posts)) == []
+
+
+def test_what_lies_on_the_ground_does_not_stand():
+    assert _repeated(_row(np.arange(-30.0, 31.0, _PERIOD_M), height_m=0.3)) == []

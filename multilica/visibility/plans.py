@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses at which the plans of two LiDARs, seen from above, coincide as well as at a known one."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+from scipy.spatial.transform import Rotation
+
+from multilica.geometry import FloatArray, RigidTransform
+from multilica.registration.poses import is_distinct, is_near, moved
+from multilica.results import Hypothesis
+from multilica.results.hypotheses import REPEATED
+from multilica.visibility.sensor_view import PlacedView, SensorView
+
+# GICP corrects an error of one cell; 256 cells span the common view of two LiDARs.
+_CELL_M = 0.5
+_CELLS = 256
+_TURNED_SHARE = 0.5
+# Nearer maxima belong to one pose.
+_APART_M = 2.0
+# Points that are lower over the lowest one around them are ground, on slopes up to 15 %.
+_ABOVE_GROUND_M = 0.3
+_AROUND_M = 2.0
+# A shift that leaves more of what stands unexplained hides it or puts it into empty space. To score one pose takes as
+# long as the plans.
+_REPEATED_SHARE = 0.75
+_MAX_REPEATED = 3
+# Surfaces steeper than 45 deg are walls.
+_STRUCTURE = float(np.cos(np.deg2rad(45.0)))
+# Fewer points of walls make no plan.
+_MIN_POINTS = 50
+
+
+def symmetric_poses(
+    target: SensorView, source: SensorView, pose: RigidTransform, up: FloatArray, max_baseline_m: float, most: int
+) -> list[RigidTransform]:
+    """Find poses at which the walls of both sensors coincide after a turn by 90, 180 or 270 degrees.
+
+    A hall, a garage or a street looks much the same from its other end, and a search by descriptors finds either pose
+    by chance. Plans of the walls, seen along `up`, are correlated over all shifts to find the other one.
+
+    Args:
+        pose: ``T_target_source`` to find competing poses of.
+        up: (3,) unit, the commonest surface normal in the target's frame, the axis of the turns.
+
+    Returns:
+        Poses whose plans share at least half as many cells as those of `pose`, the best first.
+    """
+    walls_m, seen_m = _walls(target, up), pose.rotate(_walls(source, pose.rotation.T @ up))
+    return _coinciding(walls_m, seen_m, pose, up, (1, 2, 3), _TURNED_SHARE, max_baseline_m, most)
+
+
+def repeated_hypotheses(
+    targets: Sequence[PlacedView],
+    sources: Sequence[PlacedView],
+    start: Hypothesis,
+    up: FloatArray,
+    max_baseline_m: float,
+) -> list[Hypothesis]:
+    """Find poses at which what stands above the ground coincides after a shift, as `symmetric_poses` after a turn.
+
+    Trees of an avenue, bays of a car park and pillars repeat in equal steps, in any direction and number. A row also
+    repeats after the opposite shift, where the views may share less.
+
+    Args:
+        targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
+        start: a pose between the roots.
+        up: (3,) unit, the commonest surface normal in the target's frame.
+    """
+    pose = start.T_target_source
+    standing_m, seen_m = _above_ground(targets, up), pose.rotate(_above_ground(sources, pose.rotation.T @ up))
+    shifted = _coinciding(standing_m, seen_m, pose, up, (0,), _REPEATED_SHARE, max_baseline_m, _MAX_REPEATED)
+    kept: list[RigidTransform] = []
+    for shift_m in (side * (each.xyz_m - pose.xyz_m) for each in shifted for side in (1.0, -1.0)):
+        repeated = moved(pose, np.zeros(3), shift_m)
+        if is_near(repeated, max_baseline_m) and is_distinct(repeated, kept, _APART_M):
+            kept.append(repeated)
+    return [
+        replace(start, T_target_source=each, derivation=f"{REPEATED} after {pose.distance_to(each)[0]:.1f} m")
+        for each in kept
+    ]
+
+
+def _coinciding(
+    target_m: FloatArray,
+    seen_m: FloatArray,
+    pose: RigidTransform,
+    up: FloatArray,
+    quarters: Sequence[int],
+    share: float,
+    max_baseline_m: float,
+    most: int,
+) -> list[RigidTransform]:
+    """Find poses at which the plans of both sides share nearly as many cells as at a pose, after turns and any shift.
+
+    Args:
+        target_m, seen_m: (N, 3) along the target's axes, about the origin of each side.
+        quarters: turns about `up`, in right angles.
+        share: of the cells that coincide at `pose`, how many are enough.
+    """
+    if min(len(target_m), len(seen_m)) < _MIN_POINTS:
+        return []
+    across = np.linalg.svd(up[None])[2][1:]
+    plan: npt.NDArray[np.complex128] = np.fft.rfft2(
+        scipy.ndimage.maximum_filter(_plan((target_m - pose.xyz_m) @ across.T), 3, mode="wrap")
+    )
+    unturned = _overlap(plan, seen_m @ across.T)
+    needed = max(1.0, share * unturned[0, 0])
+    found: list[tuple[float, RigidTransform]] = []
+    for quarter in quarters:
+        turn = Rotation.from_rotvec(0.5 * np.pi * quarter * up).as_matrix()
+        overlap = _overlap(plan, seen_m @ turn.T @ across.T) if quarter else unturned
+        cells, shifts_m = _maxima(overlap, needed)
+        positions_m = pose.xyz_m + shifts_m @ across
+        near_m = max_baseline_m if quarter else np.inf
+        elsewhere = (quarter > 0) | (np.linalg.norm(shifts_m, axis=1) >= _APART_M)
+        near = np.flatnonzero((np.linalg.norm(positions_m, axis=1) <= near_m) & elsewhere)
+        for index in near[_apart(shifts_m[near], most)]:
+            turned = RigidTransform.from_rotation_translation(
+                pose.target, pose.source, turn @ pose.rotation, positions_m[index]
+            )
+            found.append((float(cells[index]), turned))
+    return [turned for _, turned in sorted(found, key=lambda each: -each[0])[:most]]
+
+
+def _walls(view: SensorView, up: FloatArray) -> FloatArray:
+    upright = np.abs(view.normals @ up) < _STRUCTURE
+    return np.asarray(view.probes_m[upright & np.any(view.normals, axis=1)])
+
+
+def _above_ground(members: Sequence[PlacedView], up: FloatArray) -> FloatArray:
+    """Select the probes of a group that stand above the lowest ones around them; `up` may point down."""
+    points_m = np.concatenate([pose.apply(view.probes_m) for pose, view in members])
+    normals = np.concatenate([pose.rotate(view.normals) for pose, view in members])
+    level = np.abs(normals @ up) > _STRUCTURE
+    height_m = points_m @ (-up if np.sum(points_m[level] @ up) > 0.0 else up)
+    cells = np.floor(points_m @ np.linalg.svd(up[None])[2][1:].T / _AROUND_M).astype(np.int64)
+    _, around = np.unique(cells[:, 0] * 2**32 + cells[:, 1], return_inverse=True)
+    lowest_m = np.full(len(height_m), np.inf)
+    np.minimum.at(lowest_m, around, height_m)
+    return np.asarray(points_m[height_m > lowest_m[around] + _ABOVE_GROUND_M])
+
+
+def _plan(points_m: FloatArray) -> FloatArray:
+    """Compute the (C, C) occupancy of cells seen from above; the origin in cell (0, 0), negative ones wrapped."""
+    plan = np.zeros((_CELLS, _CELLS))
+    cells = np.floor(points_m / _CELL_M + 0.5).astype(np.int64)
+    cells = cells[np.all(np.abs(cells) < _CELLS // 2, axis=1)] % _CELLS
+    plan[cells[:, 0], cells[:, 1]] = 1.0
+    return plan
+
+
+def _overlap(plan: npt.NDArray[np.complex128], points_m: FloatArray) -> FloatArray:
+    """Count, per shift of the points in cells, the cells that coincide; (C, C)."""
+    overlap = np.fft.irfft2(plan * np.conj(np.fft.rfft2(_plan(points_m))), s=(_CELLS, _CELLS))
+    return np.asarray(np.rint(overlap), dtype=np.float64)
+
+
+def _maxima(overlap: FloatArray, needed: float) -> tuple[FloatArray, FloatArray]:
+    """Return local maxima with at least this many cells: their cells (N,), most first, and shifts (N, 2) in metres."""
+    width = int(_APART_M / _CELL_M) + 1
+    highest = scipy.ndimage.maximum_filter(overlap, width, mode="wrap")
+    cells = np.argwhere((overlap >= highest - 0.5) & (overlap >= needed))
+    cells = cells[np.argsort(-overlap[cells[:, 0], cells[:, 1]], kind="stable")]
+    shifts_m = _CELL_M * (((cells + _CELLS // 2) % _CELLS) - _CELLS // 2).astype(np.float64)
+    return overlap[cells[:, 0], cells[:, 1]], shifts_m
+
+
+def _apart(shifts_m: FloatArray, most: int) -> list[int]:
+    """Select the first shifts that are not near an earlier one."""
+    kept: list[int] = []
+    for index, shift_m in enumerate(shifts_m):
+        if len(kept) == most:
+            break
+        if np.all(np.linalg.norm(shifts_m[kept] - shift_m, axis=1) >= _APART_M):
+            kept.append(index)
+    return kept
