@@ -50,10 +50,10 @@ nightly: export MULTILICA_NIGHTLY := 1
 nightly: lint pytest test-kernels ## Run all tests with all their cases, and the kernels of three CPUs.
 
 test-kernel: $(READY)
-	$(BIN)/python tests/kernels.py --push
+	$(BIN)/python -m tests.kernels --push
 
 test-kernels: $(READY) ## Run the tests that could depend on the CPU with the kernels of three CPUs.
-	$(BIN)/python tests/kernels.py
+	$(BIN)/python -m tests.kernels
 
 mutate: $(READY) ## Change one place of a module at a time, and count the changes that its tests notice; an hour or less.
 	$(BIN)/python tests/mutate.py

@@ -12,13 +12,16 @@ import os
 import subprocess
 import sys
 
+from tests.selection import some_of
+
 FOLDERS = ("tests/unit", "tests/property", "tests/pipeline", "tests/sinks")
 # What a push runs, with the kernel that differs most from those of today's CPUs: the numbers and what they decide.
 NUMERIC = (
     *(f"tests/unit/{name}" for name in ("acceptance", "registration", "solvers", "stages", "visibility")),
     "tests/property/test_geometry.py",
-    *(f"tests/pipeline/test_{name}.py" for name in ("prior", "real_scans", "simulated")),
 )
+# One of these, another from push to push.
+DECISIONS = tuple(f"tests/pipeline/test_{name}.py" for name in ("prior", "real_scans", "simulated"))
 PUSH_KERNEL = "Prescott"
 # What no kernel changes: two runs of the same kernel, and the stages that ran.
 SAME_WITH_ANY_KERNEL = "not same_bits and not stopping_after_any_stage"
@@ -81,7 +84,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--push", action="store_true", help=f"only {PUSH_KERNEL}, and only tests of numbers")
     given, others = parser.parse_known_args()
-    kernels, folders = ([PUSH_KERNEL], (*NUMERIC, "-k", SAME_WITH_ANY_KERNEL)) if given.push else (ALLOWED, FOLDERS)
+    of_push = (*NUMERIC, *some_of(DECISIONS, 1), "-k", SAME_WITH_ANY_KERNEL)
+    kernels, folders = ([PUSH_KERNEL], of_push) if given.push else (ALLOWED, FOLDERS)
     outcomes = {kernel: run_tests(kernel, [*folders, *others], beside_others=given.push) for kernel in kernels}
     print("", *(f"{kernel}: {outcome}" for kernel, outcome in outcomes.items()), sep="\n")
     return int(any(outcome.startswith("failed") for outcome in outcomes.values()))
