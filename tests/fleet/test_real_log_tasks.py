@@ -27,11 +27,14 @@ from multilica.geometry import RigidTransform
 from multilica.simulate import true_extrinsics
 from tests.fleet.support.buckets import bucket
 from tests.fleet.support.small_fleet import PLAN, link_logs, tables, write_ideal_fleet
+from tests.selection import some_of
 
 pytestmark = pytest.mark.slow
 OPTIONS = FleetOptions(CalibrationConfig(target="left", ingest=IngestConfig(window="auto")), workers=2)
 BROKEN = {log.path for log in PLAN.logs if log.fault}
 COPIES = {log.path for log in PLAN.logs if log.duplicate_of}
+ELSEWHERE = some_of(("cluster", "bucket"), 1)
+OTHER_PUSH = "another push runs it, and make nightly"
 
 
 @pytest.fixture(scope="module")
@@ -169,6 +172,7 @@ def test_a_dask_cluster_gives_the_same_tables(whole, few, tmp_path):
     assert tables(store, few) == tables(whole, few)
 
 
+@pytest.mark.skipif("cluster" not in ELSEWHERE, reason=OTHER_PUSH)
 @pytest.mark.filterwarnings("ignore")
 def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, few, tmp_path):
     import dask
@@ -191,6 +195,7 @@ def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, few, tmp_path):
     assert tables(store, few) == tables(whole, few)
 
 
+@pytest.mark.skipif("bucket" not in ELSEWHERE, reason=OTHER_PUSH)
 def test_a_bucket_holds_the_logs_and_the_store(whole, fleet, tmp_path, monkeypatch):
     logs = link_logs(fleet, tmp_path, [log for log in PLAN.logs if not log.dead])
     with bucket(monkeypatch) as address:
