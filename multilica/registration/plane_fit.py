@@ -18,6 +18,7 @@ from multilica.registration.sensor_biases import (
     ring_sigmas,
     shifts_per_bias,
     shifts_per_ring_bias,
+    slopes_per_bias,
 )
 from multilica.results import BiasInformation, IndexArray
 
@@ -127,8 +128,7 @@ class _Residuals:
         target's scale is therefore taken at the point of the source: what they have in common moves the source only.
         """
         in_source = self.normals @ pose.rotation
-        of_target = shifts_per_bias(overlap.target.points_m[self.index], self.normals)
-        by_target = np.einsum("ij,kij->ik", self.normals, of_target)
+        by_target = slopes_per_bias(overlap.target.points_m[self.index], self.normals)
         by_target[:, SCALE] = np.einsum("ij,ij->i", self.normals, self.points_m)
         by_source = -np.einsum("ij,kij->ik", in_source, overlap.shifts[:, self.rows])
         (x, y, z), (a, b, c) = self.arms.T, self.normals.T
@@ -330,10 +330,9 @@ def _residuals(
     arms, points_m, index = arms[matched], points_m[matched], index[matched]
     normals, flatness = overlap.target.surface.at(index)
     found_m = overlap.target.points_m[index]
-    away_m = points_m - found_m
+    residual_m = np.einsum("ij,ij->i", normals, points_m - found_m)
     if np.any(of_target):
-        away_m += np.tensordot(of_target, shifts_per_bias(found_m, normals), 1)
-    residual_m = np.einsum("ij,ij->i", normals, away_m)
+        residual_m += slopes_per_bias(found_m, normals) @ of_target
     agreement = np.einsum("ij,ij->i", normals, pose.rotate(overlap.normals[matched]))
     if sigma_m is None:
         sigma_m = max(_NOISE_M, _MAD_TO_SIGMA * float(np.median(np.abs(residual_m))))

@@ -60,6 +60,17 @@ def shifts_per_bias(points_m: FloatArray, normals: FloatArray) -> FloatArray:
     return np.stack([beams, _upwards(points_m), points_m, beams * glancing[:, None]])
 
 
+def slopes_per_bias(points_m: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return (N, 4) how far the shifts of `shifts_per_bias` go along the normals."""
+    range_m = np.maximum(lengths(points_m), 1e-9)
+    along_m = np.einsum("ij,ij->i", points_m, normals)
+    cosine = along_m / range_m
+    flat_m = np.maximum(np.hypot(points_m[:, 0], points_m[:, 1]), 1e-9)
+    # The upward direction is the vertical less its part along the beam, times the range by the flat range.
+    upwards_m = (normals[:, 2] * range_m - points_m[:, 2] * cosine) * range_m / flat_m
+    return np.column_stack([cosine, upwards_m, along_m, cosine * (1.0 - np.abs(cosine))])
+
+
 def shifts_per_ring_bias(points_m: FloatArray) -> FloatArray:
     """Return (3, N, 3) by how much each point (N, 3) in the LiDAR's frame is off per unit of each bias of its ring."""
     left = np.column_stack([-points_m[:, 1], points_m[:, 0], np.zeros(len(points_m))])

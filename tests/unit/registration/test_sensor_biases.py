@@ -10,6 +10,7 @@ from multilica.registration.sensor_biases import (
     prior_sigmas,
     shifts_per_bias,
     shifts_per_ring_bias,
+    slopes_per_bias,
 )
 
 _SIGMAS = np.array([0.02, 3e-4, 2e-4, 3e-4])
@@ -42,6 +43,14 @@ def test_a_grazed_surface_shifts_points_along_their_beams():
     normals = -np.column_stack([np.cos(angle_rad), np.sin(angle_rad), np.zeros(3)])
     expected = [[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0]]
     np.testing.assert_allclose(shifts_per_bias(points_m, normals)[3], expected, atol=1e-12)
+
+
+def test_slopes_are_the_shifts_along_the_normals():
+    rng = np.random.default_rng(1)
+    points_m, normals = rng.normal(scale=20.0, size=(200, 3)), rng.normal(size=(200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    expected = np.einsum("ij,kij->ik", normals, shifts_per_bias(points_m, normals))
+    np.testing.assert_allclose(slopes_per_bias(points_m, normals), expected, atol=1e-9)
 
 
 def test_shifts_of_points_on_the_axis_are_finite():
