@@ -15,13 +15,15 @@ import sys
 from tests.selection import some_of
 
 FOLDERS = ("tests/unit", "tests/property", "tests/pipeline", "tests/sinks")
-# What a push runs, with the kernel that differs most from those of today's CPUs: the numbers and what they decide.
+# Of these a push runs one row, another each time, with the kernel that differs most from those of today's CPUs: the
+# numbers, or what they decide.
 NUMERIC = (
-    *(f"tests/unit/{name}" for name in ("acceptance", "registration", "solvers", "stages", "visibility")),
-    "tests/property/test_geometry.py",
+    (
+        *(f"tests/unit/{name}" for name in ("acceptance", "registration", "solvers", "stages", "visibility")),
+        "tests/property/test_geometry.py",
+    ),
+    *((f"tests/pipeline/test_{name}.py",) for name in ("prior", "real_scans", "simulated")),
 )
-# One of these, another from push to push.
-DECISIONS = tuple(f"tests/pipeline/test_{name}.py" for name in ("prior", "real_scans", "simulated"))
 PUSH_KERNEL = "Prescott"
 # What no kernel changes: two runs of the same kernel, the stages that ran, and how often random errors are covered.
 SAME_WITH_ANY_KERNEL = "not same_bits and not stopping_after_any_stage and not as_the_covariance_says"
@@ -84,7 +86,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--push", action="store_true", help=f"only {PUSH_KERNEL}, and only tests of numbers")
     given, others = parser.parse_known_args()
-    of_push = (*NUMERIC, *some_of(DECISIONS, 1), "-k", SAME_WITH_ANY_KERNEL)
+    of_push = (*some_of(NUMERIC, 1)[0], "-k", SAME_WITH_ANY_KERNEL)
     kernels, folders = ([PUSH_KERNEL], of_push) if given.push else (ALLOWED, FOLDERS)
     outcomes = {kernel: run_tests(kernel, [*folders, *others], beside_others=given.push) for kernel in kernels}
     print("", *(f"{kernel}: {outcome}" for kernel, outcome in outcomes.items()), sep="\n")

@@ -33,7 +33,7 @@ pytestmark = pytest.mark.slow
 OPTIONS = FleetOptions(CalibrationConfig(target="left", ingest=IngestConfig(window="auto")), workers=2)
 BROKEN = {log.path for log in PLAN.logs if log.fault}
 COPIES = {log.path for log in PLAN.logs if log.duplicate_of}
-ELSEWHERE = some_of(("cluster", "bucket"), 1)
+CHOSEN = some_of(("cluster", "bucket", "kill"), 1)
 OTHER_PUSH = "another push runs it, and make nightly"
 
 
@@ -132,6 +132,7 @@ def killed_workers():
         killer.join()
 
 
+@pytest.mark.skipif("kill" not in CHOSEN, reason=OTHER_PUSH)
 def test_a_killed_driver_and_killed_workers_lose_nothing(whole, few, tmp_path):
     store = open_store(tmp_path / "store", create=True)
     command = [sys.executable, "-m", "multilica_cli", "fleet", "run", str(few), "--out", store.root]
@@ -172,7 +173,7 @@ def test_a_dask_cluster_gives_the_same_tables(whole, few, tmp_path):
     assert tables(store, few) == tables(whole, few)
 
 
-@pytest.mark.skipif("cluster" not in ELSEWHERE, reason=OTHER_PUSH)
+@pytest.mark.skipif("cluster" not in CHOSEN, reason=OTHER_PUSH)
 @pytest.mark.filterwarnings("ignore")
 def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, few, tmp_path):
     import dask
@@ -195,7 +196,7 @@ def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, few, tmp_path):
     assert tables(store, few) == tables(whole, few)
 
 
-@pytest.mark.skipif("bucket" not in ELSEWHERE, reason=OTHER_PUSH)
+@pytest.mark.skipif("bucket" not in CHOSEN, reason=OTHER_PUSH)
 def test_a_bucket_holds_the_logs_and_the_store(whole, fleet, tmp_path, monkeypatch):
     logs = link_logs(fleet, tmp_path, [log for log in PLAN.logs if not log.dead])
     with bucket(monkeypatch) as address:
