@@ -46,7 +46,7 @@ _OUTLIER_SIGMAS = 3.0
 _PATCH_M = 1.0
 # Size of a facade, a hedge, a piece of road: one surface of one material, at one angle to the beams.
 _SURFACE_M = 6.0
-# A surface is not known better: incidence and reflectivity change a range by millimetres.
+# A surface is not known better: its reflectivity changes a range by millimetres.
 _SURFACE_SIGMA_M = 0.002
 # Share of the sums of rings that counts, measured on simulated vehicles: their biases and the noise count already.
 _OF_RINGS = 0.15

@@ -61,3 +61,8 @@ def test_single_lidars_keep_their_registration(lidars):
 def test_members_that_do_not_meet_leave_the_registration(lidars):
     merge = _merge((0.0, 0.0, 80.0))
     assert fit_members(merge, _GROUP, Group.of_one("c"), lidars, _CONFIG.refine) == (merge,)
+
+
+def test_fits_that_end_elsewhere_are_left_out(lidars):
+    merge = _merge((0.08, 0.0, 0.0))
+    assert fit_members(merge, _GROUP, Group.of_one("c"), lidars, _CONFIG.refine) == (merge,)

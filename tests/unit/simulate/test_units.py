@@ -145,6 +145,13 @@ def test_errors_have_the_stated_deviations():
         assert abs(values.mean()) < 0.2 * expected
 
 
+def test_azimuth_errors_do_not_rotate_the_frame():
+    unit = draw_unit(_SPINNING, _rng())
+    assert unit.azimuth_rad.mean() == pytest.approx(0.0, abs=1e-12)
+    assert abs(unit.elevation_rad.mean()) > 1e-6
+    assert np.std(unit.azimuth_rad) > 0.5 * np.deg2rad(_SPINNING.accuracy.ring_azimuth_deg)
+
+
 def test_ranges_are_in_steps():
     unit = _exact_unit(replace(_SPINNING, range_step_m=0.004))
     _, ranges_m, _ = _measured(unit, _all_around(10.0))
