@@ -164,6 +164,15 @@ def test_an_accepted_pair_constrains_the_registration_of_groups(monkeypatch, cod
         assert_true(result, sides().truth)
 
 
+def test_merged_groups_count_as_pairs_of_their_members():
+    """`right` is accepted against no single LiDAR here, but against two of them together."""
+    snapshot = simulate_snapshot("chain", "street", 33, build_seed=33).snapshot
+    result, _ = watched(snapshot, "target=front_left")
+    assert result["right"].T_target_source is not None
+    assert {"front_right", "right"} in [pair.lidars for pair in result.trusted]
+    assert all(pair.bias_information is not None for pair in result.trusted)
+
+
 def test_a_pose_with_a_sigma_above_the_limit_is_uncertain():
     strict, _ = watched(_half(), "acceptance.max_sigma_m=0.0004")
     assert strict.status == "partial"
