@@ -39,7 +39,12 @@ MUTANTS = 6
 OUTPUT = "output.txt"
 SEED = 17
 SURVIVORS = ROOT / "tests" / "mutation_survivors.toml"
-STAGES, NUMBERS, SINKS = "tests/unit/stages", "tests/sinks/numbers", "tests/sinks"
+STAGES, REGISTRATION, NUMBERS, SINKS = (
+    "tests/unit/stages",
+    "tests/unit/registration",
+    "tests/sinks/numbers",
+    "tests/sinks",
+)
 AGREE, FILES = f"{NUMBERS}/test_files_agree.py", f"{SINKS}/files/test_result_files.py"
 CHECK = "tests/cli/saved_runs/test_check.py"
 # The first pattern that a module fits names its tests, the fastest first.
@@ -47,9 +52,9 @@ TARGETS = {
     "multilica/geometry.py": ("tests/property/test_geometry.py", "tests/unit/test_derivatives.py"),
     "multilica/extrinsics.py": ("tests/unit/test_extrinsics.py", FILES),
     "multilica/documents.py": ("tests/unit/test_documents.py",),
-    "multilica/registration/plane_equations.py": ("tests/unit/test_derivatives.py",),
-    "multilica/registration/plane_fit.py": (
-        "tests/unit/test_derivatives.py",
+    "multilica/registration/plane_equations.py": (f"{REGISTRATION}/test_plane_derivatives.py",),
+    "multilica/registration/plane_[fm]*.py": (
+        f"{REGISTRATION}/test_plane_derivatives.py",
         "tests/unit/registration/test_plane_fit.py",
         "tests/unit/registration/test_biased_rooms.py",
     ),

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Neighbourhoods of points: nearest neighbours, planes, voxels."""
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -87,26 +88,39 @@ class _DistanceGrid:
         return np.asarray(self._cell_m * np.maximum(outside, self._between[cell]))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class MovedPoints:
     """Nearest neighbours of points that move little: most keep theirs, and need no further search.
 
     Args:
         tree: of the neighbours.
         points_m: (M, 3) where the points are at first.
+        index: (M,) of their nearest neighbours.
+        next_m: (M,) distance to the second ones.
     """
 
-    def __init__(self, tree: PointTree, points_m: FloatArray) -> None:
+    tree: PointTree
+    points_m: FloatArray
+    index: IndexArray
+    next_m: FloatArray
+
+    @classmethod
+    def of(cls, tree: PointTree, points_m: FloatArray) -> "MovedPoints":
+        """Find the neighbours of points (M, 3)."""
         index, squared_m2 = tree.engine.batch_knn_search(points_m, min(2, len(tree.points_m)), 1)
-        self._tree, self._points_m = tree, points_m
-        self._index, self._next_m = index[:, 0].astype(np.int64), np.sqrt(squared_m2[:, -1])
+        return cls(tree, points_m, index[:, 0].astype(np.int64), np.sqrt(squared_m2[:, -1]))
+
+    def subset(self, rows: slice) -> "MovedPoints":
+        """Return some of the points."""
+        return MovedPoints(self.tree, self.points_m[rows], self.index[rows], self.next_m[rows])
 
     def nearest(self, points_m: FloatArray) -> tuple[FloatArray, IndexArray]:
         """Return distance (M,) and index (M,) of the nearest neighbour of each point, moved to (M, 3)."""
-        index = self._index.copy()
-        distance_m = lengths(points_m - self._tree.points_m[index])
+        index = self.index.copy()
+        distance_m = lengths(points_m - self.tree.points_m[index])
         # Another neighbour was at least as far as the second one, and has come nearer by the motion at most.
-        open_ = np.flatnonzero(distance_m > self._next_m - lengths(points_m - self._points_m))
-        distance_m[open_], index[open_] = self._tree.nearest(points_m[open_])
+        open_ = np.flatnonzero(distance_m > self.next_m - lengths(points_m - self.points_m))
+        distance_m[open_], index[open_] = self.tree.nearest(points_m[open_])
         return distance_m, index
 
 

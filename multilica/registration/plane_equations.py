@@ -55,6 +55,10 @@ class PlaneEquations:
         """Sum the derivatives, times factors (M,), of the matches of each label: (L, N)."""
         return members(labels, factors) @ self._rows
 
+    def changes(self, step: FloatArray) -> FloatArray:
+        """Return by how much the residuals (M,) change with the unknowns (N,)."""
+        return np.asarray(self._rows @ step)
+
     def gradient(self, factors: FloatArray) -> FloatArray:
         """Sum the derivatives times factors (M,): (N,)."""
         return np.asarray(factors @ self._rows)

@@ -30,6 +30,19 @@ _SWEEPS = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class BiasPrior:
+    """Knowledge of biases before the data, with the shares of the datasheets' sigmas that the data suggest.
+
+    Args:
+        information: (B, B).
+        uncertain: (B, B) covariance of its pull, because the shares are uncertain.
+    """
+
+    information: FloatArray
+    uncertain: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class BiasPosterior:
     """Normal approximation of poses and biases after a prior.
 
@@ -38,12 +51,14 @@ class BiasPosterior:
         covariance: of the poses (6 P, 6 P), with the biases marginalised.
         repeatability: (6 P, 6 P) the part of it that random errors cause.
         bias_sigmas: of the biases of LiDARs.
+        prior: that was used.
     """
 
     step: FloatArray
     covariance: FloatArray
     repeatability: FloatArray
     bias_sigmas: FloatArray
+    prior: BiasPrior
 
 
 def shifts_per_bias(points_m: FloatArray, normals: FloatArray) -> FloatArray:
@@ -117,6 +132,7 @@ def posterior(
     spread: FloatArray | None = None,
     random_spread: FloatArray | None = None,
     rings: Sequence[int] = (),
+    prior: BiasPrior | None = None,
 ) -> BiasPosterior:
     """Combine what the data say about poses and biases with the prior of the biases.
 
@@ -133,15 +149,17 @@ def posterior(
         spread: (N, N) covariance of the gradient; None: equal to the information.
         random_spread: (N, N) the part of it that random errors cause; None: all of it.
         rings: number of rings of each LiDAR, in the order in which their biases end the others.
+        prior: of an earlier step; None: found from these data.
     """
     size, poses = len(gradient), len(gradient) - len(biases)
     shown = size - RING_BIAS_COUNT * sum(rings)
-    prior, uncertain = _priors(information, gradient, biases, sigmas, _groups(len(biases), rings))
+    if prior is None:
+        prior = _prior_of_all(information, gradient, biases, sigmas, _groups(len(biases), rings))
     total, known = information.copy(), np.zeros((size, size))
-    total[poses:, poses:] += prior
-    known[poses:, poses:] = prior + uncertain
+    total[poses:, poses:] += prior.information
+    known[poses:, poses:] = prior.information + prior.uncertain
     pulled = gradient.copy()
-    pulled[poses:] += prior @ biases
+    pulled[poses:] += prior.information @ biases
     scale = 1.0 / np.sqrt(np.maximum(np.diag(total), 1e-12))
     wanted = np.column_stack([-scale * pulled, np.diag(scale)[:, :shown]])
     solved = scale[:, None] * _solved(total * np.outer(scale, scale), wanted)
@@ -149,7 +167,7 @@ def posterior(
     full = bread @ ((information if spread is None else spread) + known) @ bread.T
     repeated = full if random_spread is None else bread @ random_spread @ bread.T
     bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[: shown - poses])
-    return BiasPosterior(solved[:, 0], full[:poses, :poses], repeated[:poses, :poses], bias_sigmas)
+    return BiasPosterior(solved[:, 0], full[:poses, :poses], repeated[:poses, :poses], bias_sigmas, prior)
 
 
 def _groups(biases: int, rings: Sequence[int]) -> list[IndexArray]:
@@ -164,16 +182,16 @@ def _groups(biases: int, rings: Sequence[int]) -> list[IndexArray]:
     return [group for group in groups if len(group)]
 
 
-def _priors(
+def _prior_of_all(
     information: FloatArray, gradient: FloatArray, biases: FloatArray, sigmas: FloatArray, groups: Sequence[IndexArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Return the information (B, B) of the prior, and what is uncertain about it, both as precisions.
+) -> BiasPrior:
+    """Return the prior of all groups of biases.
 
     The share of each group is sought with the prior that the others have, at first all of what datasheets allow.
     """
     prior, uncertain = np.diag(sigmas**-2.0), np.zeros((len(biases), len(biases)))
     if not len(biases):
-        return prior, uncertain
+        return BiasPrior(prior, uncertain)
     reduced, pull = _without_poses(information, gradient, len(biases))
     pull = reduced @ biases - pull
     for _ in range(_SWEEPS):
@@ -183,7 +201,7 @@ def _priors(
             block = np.ix_(group, group)
             own = _inverse(covariance[block])
             prior[block], uncertain[block] = _prior(own - prior[block], own @ means[group], sigmas[group])
-    return prior, uncertain
+    return BiasPrior(prior, uncertain)
 
 
 def _without_poses(information: FloatArray, gradient: FloatArray, biases: int) -> tuple[FloatArray, FloatArray]:

@@ -23,6 +23,8 @@ from multilica.results import IndexArray, PairRegistration, PairResidual, Refine
 _ITERATIONS = 20
 # Converged when no pose moves by more, rad and m.
 _EPSILON = 1e-8
+# After smaller steps, rad and m, the prior of the biases stays.
+_SETTLED = 1e-3
 _POSE_FREEDOM = 6
 # Metres, degrees, millionths and metres.
 _DISPLAYED = np.array([1.0, np.rad2deg(1.0), 1e6, 1.0])
@@ -73,6 +75,7 @@ def refine(
     counts = [len(numbers) for numbers in rings.values()]
     state = _State(dict(poses), np.zeros(len(sigmas)), free, rings)
     before = [_offset(pair, state.poses) for pair in used_pairs]
+    prior = None
     for _ in range(_ITERATIONS):
         equations = _normal_equations(used_pairs, state, config)
         known = posterior(
@@ -83,10 +86,13 @@ def refine(
             equations.spread,
             equations.random_spread,
             counts,
+            prior,
         )
         state = state.moved(known.step)
-        if np.abs(known.step).max() < _EPSILON:
+        longest = np.abs(known.step).max()
+        if longest < _EPSILON:
             break
+        prior = known.prior if longest < _SETTLED else None
     residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used_pairs, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
     return RefinedRig(

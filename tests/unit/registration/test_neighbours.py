@@ -61,9 +61,12 @@ def test_points_in_one_place_have_no_spread_and_no_normal():
 
 @pytest.mark.parametrize("motion_m", [0.0, 1e-3, 0.1, 5.0])
 def test_moved_points_have_the_neighbours_of_a_new_search(motion_m):
-    tree, moved = PointTree(_POINTS_M), MovedPoints(PointTree(_POINTS_M), _ELSEWHERE_M)
+    tree, moved = PointTree(_POINTS_M), MovedPoints.of(PointTree(_POINTS_M), _ELSEWHERE_M)
     there_m = _ELSEWHERE_M + motion_m * _RNG.normal(size=_ELSEWHERE_M.shape)
     for found, expected in zip(moved.nearest(there_m), tree.nearest(there_m), strict=True):
+        assert np.allclose(found, expected)
+    some = slice(1, None, 3)
+    for found, expected in zip(moved.subset(some).nearest(there_m[some]), tree.nearest(there_m[some]), strict=True):
         assert np.allclose(found, expected)
 
 
