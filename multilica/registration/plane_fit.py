@@ -239,8 +239,8 @@ class _Surfaces:
         """Return the covariance (N, N) of the sum of scores by surfaces and rings.
 
         Few surfaces tell little of the size of their errors, and the fit hides those that it follows. Therefore half of
-        what a surface contributes is its own sum, and half is that of a surface with the usual error; and the sum grows
-        as the variance of samples does that determine six means.
+        what a surface contributes is its own sum, and half is that of a surface with the usual error. The sum grows
+        like the variance of Student's distribution.
         """
         pulls = self.weight * residual_m
         sums_m, weights = np.bincount(self.labels, pulls), np.bincount(self.labels, self.weight)
@@ -248,7 +248,7 @@ class _Surfaces:
         usual = sums_m @ sums_m / squares * self._alike
         of_rings = sum(_squared(self.equations, rings, pulls) for rings in self.equations.rings)
         spread = 0.5 * (self.squared(residual_m) + usual) + _OF_RINGS * of_rings + self.least
-        return np.asarray((1.0 + 6.0 * squares / weights.sum() ** 2) * spread)
+        return np.asarray((1.0 + 2.0 * squares / weights.sum() ** 2) * spread)
 
 
 def _squared(equations: PlaneEquations, labels: IndexArray, factors: FloatArray) -> FloatArray:

@@ -139,7 +139,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     sums_m = _summed(here.weight * left_m, surfaces)
     usual = np.sum(sums_m**2) / np.sum(weights**2) * alike
     of_bands = sum(squared(_clusters(each), left_m) for each in bands)
-    freedom = 1.0 + 6.0 * np.sum(weights**2) / np.sum(weights) ** 2
+    freedom = 1.0 + 2.0 * np.sum(weights**2) / np.sum(weights) ** 2
     systematic = freedom * (0.5 * (squared(surfaces, left_m) + usual) + 0.2 * of_bands + uneven)
     random = squared(_clusters(np.floor(here.points_m)), left_m) + noise
     spread = (systematic + noise) / variance**2
