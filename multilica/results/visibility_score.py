@@ -85,11 +85,6 @@ class VisibilityScore:
         return np.asarray(np.linalg.eigh(self.information)[1][:, 0])
 
     @property
-    def commonest_normal(self) -> FloatArray:
-        """(3,) unit normal that most agreeing points share, usually that of the ground."""
-        return np.asarray(np.linalg.eigh(self.information[3:, 3:])[1][:, -1])
-
-    @property
     def slide_direction(self) -> FloatArray:
         """(3,) unit vector of the least constrained shift, the rotation free to follow."""
         turn, cross, shift = self.information[:3, :3], self.information[:3, 3:], self.information[3:, 3:]

@@ -24,7 +24,7 @@ from multilica.registration.sensor_biases import prior_sigmas
 from multilica.registration.widening import widened, widened_with_biases
 from multilica.results import Hypothesis, PairRegistration, Registration, Stability, VisibilityScore
 from multilica.results.registrations import weakest_sigmas
-from multilica.visibility.plans import repeated_hypotheses
+from multilica.visibility.plans import main_axes, repeated_hypotheses
 from multilica.visibility.sensor_view import (
     COMPETING_TOLERANCES,
     FINE_TOLERANCES,
@@ -210,7 +210,8 @@ class _Pair:
         views = self.target.views, self.source.views
         return [
             each
-            for each in repeated_hypotheses(*views, best, known.commonest_normal, acceptance.max_baseline_m)
+            for up in main_axes(*views, best.T_target_source)
+            for each in repeated_hypotheses(*views, best, up, acceptance.max_baseline_m)
             if self._score(each.T_target_source, COMPETING_TOLERANCES).evidence_beside(known, _distance_m(each))
             > needed
         ]

@@ -18,7 +18,7 @@ from multilica.geometry import RigidTransform
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, register_narrower
 from multilica.registration.poses import SLIDE_STEP_M, is_distinct, slid_hypotheses, within_baseline
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
-from multilica.visibility.plans import repeated_hypotheses, symmetric_poses
+from multilica.visibility.plans import main_axes, repeated_hypotheses, symmetric_poses
 from multilica.visibility.sensor_view import (
     COMPETING_TOLERANCES,
     ROUGH_TOLERANCES,
@@ -162,7 +162,7 @@ def _joined(found: Sequence[Registration], further: Registration) -> list[Regist
 
 
 def _competing_hypotheses(
-    target: SensorView, source: SensorView, found: Sequence[Registration], gicp: FineConfig, config: CalibrationConfig
+    target: SensorView, source: SensorView, known: Sequence[Registration], gicp: FineConfig, config: CalibrationConfig
 ) -> list[tuple[Hypothesis, FineConfig]]:
     """Return poses that may score as well as the best, with their GICP: turned, repeated, or slid.
 
@@ -174,20 +174,22 @@ def _competing_hypotheses(
     """
     acceptance = config.acceptance
     max_baseline_m = acceptance.max_baseline_m
-    best = next(iter(_ranked(found, config)), None)
+    best = next(iter(_ranked(known, config)), None)
     if best is None:
         return []
     uncontradicted = best.evidence + best.visibility.contradiction
     if cannot_be_accepted(uncontradicted, acceptance) and best.origin != PRIOR:
         return []
-    pose, up = best.T_target_source, best.visibility.commonest_normal
+    pose = best.T_target_source
     near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
-    turned = symmetric_poses(target, source, pose, up, max_baseline_m, _MAX_SYMMETRIC_POSES)
     start = _start_of(best)
-    repeated = repeated_hypotheses(target.alone, source.alone, start, up, max_baseline_m)
+    found: list[Hypothesis] = []
+    for up in main_axes(target.alone, source.alone, pose):
+        turned = symmetric_poses(target, source, pose, up, max_baseline_m, _MAX_SYMMETRIC_POSES)
+        found += (replace(start, T_target_source=each, derivation=_turned_words(pose, each)) for each in turned)
+        found += repeated_hypotheses(target.alone, source.alone, start, up, max_baseline_m)
     return [
-        *((replace(start, T_target_source=each, derivation=_turned_words(pose, each)), near) for each in turned),
-        *((each, near) for each in repeated),
+        *((each, near) for each in found),
         *((each, gicp) for each in _slides(best, _NEAR_SLIDE_M, config)),
     ]
 

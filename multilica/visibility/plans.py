@@ -30,8 +30,44 @@ _REPEATED_SHARE = 0.75
 _MAX_REPEATED = 3
 # Surfaces steeper than 45 deg are walls.
 _STRUCTURE = float(np.cos(np.deg2rad(45.0)))
+# Normals of one surface differ by 10 deg.
+_ONE_AXIS = float(np.cos(np.deg2rad(10.0)))
+# The vertical and two directions of walls; what fewer points share makes no plan.
+_MAX_AXES = 3
+_AXIS_SHARE = 0.1
+_AXIS_SAMPLE = 1000
 # Fewer points of walls make no plan.
 _MIN_POINTS = 50
+
+
+def main_axes(targets: Sequence[PlacedView], sources: Sequence[PlacedView], pose: RigidTransform) -> list[FloatArray]:
+    """Find the normals (3,) that most surfaces of both sides share, the commonest first: one of them is the vertical.
+
+    Walls may have as many points as the ground, and a LiDAR may be mounted at any tilt, so none is preferred.
+
+    Args:
+        targets, sources: the members of both groups with their poses in their group's root.
+        pose: between the roots; the normals are along the target's axes.
+
+    Returns:
+        At most three, at least 45 deg apart, each of a tenth of the surfaces.
+    """
+    of_targets, of_sources = (
+        np.concatenate([at.rotate(view.normals) for at, view in each]) for each in (targets, sources)
+    )
+    normals = np.concatenate([of_targets, pose.rotate(of_sources)])
+    normals = normals[np.any(normals, axis=1)]
+    left = normals[:: 1 + len(normals) // _AXIS_SAMPLE]
+    least = max(1.0, _AXIS_SHARE * len(left))
+    axes: list[FloatArray] = []
+    while len(axes) < _MAX_AXES and len(left):
+        near = np.abs(left @ left.T) > _ONE_AXIS
+        shared = near[np.argmax(np.sum(near, axis=1))]
+        if np.sum(shared) < least:
+            break
+        axes.append(np.linalg.eigh(left[shared].T @ left[shared])[1][:, -1])
+        left = left[np.abs(left @ axes[-1]) < _STRUCTURE]
+    return axes
 
 
 def symmetric_poses(
@@ -44,7 +80,7 @@ def symmetric_poses(
 
     Args:
         pose: ``T_target_source`` to find competing poses of.
-        up: (3,) unit, the commonest surface normal in the target's frame, the axis of the turns.
+        up: (3,) unit, one of `main_axes`, the axis of the turns.
 
     Returns:
         Poses whose plans share at least half as many cells as those of `pose`, the best first.
@@ -68,7 +104,7 @@ def repeated_hypotheses(
     Args:
         targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
         start: a pose between the roots.
-        up: (3,) unit, the commonest surface normal in the target's frame.
+        up: (3,) unit, one of `main_axes`.
     """
     pose = start.T_target_source
     standing_m, seen_m = _above_ground(targets, up), pose.rotate(_above_ground(sources, pose.rotation.T @ up))
@@ -132,7 +168,10 @@ def _walls(view: SensorView, up: FloatArray) -> FloatArray:
 
 
 def _above_ground(members: Sequence[PlacedView], up: FloatArray) -> FloatArray:
-    """Select the probes of a group that stand above the lowest ones around them; `up` may point down."""
+    """Select the probes of a group that stand above the lowest ones around them; `up` may point down.
+
+    A ceiling or a roof hides what stands below it in a plan, so level surfaces are left out.
+    """
     points_m = np.concatenate([pose.apply(view.probes_m) for pose, view in members])
     normals = np.concatenate([pose.rotate(view.normals) for pose, view in members])
     level = np.abs(normals @ up) > _STRUCTURE
@@ -141,7 +180,7 @@ def _above_ground(members: Sequence[PlacedView], up: FloatArray) -> FloatArray:
     _, around = np.unique(cells[:, 0] * 2**32 + cells[:, 1], return_inverse=True)
     lowest_m = np.full(len(height_m), np.inf)
     np.minimum.at(lowest_m, around, height_m)
-    return np.asarray(points_m[height_m > lowest_m[around] + _ABOVE_GROUND_M])
+    return np.asarray(points_m[~level & (height_m > lowest_m[around] + _ABOVE_GROUND_M)])
 
 
 def _plan(points_m: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import pytest
 
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis
-from multilica.visibility.plans import repeated_hypotheses, symmetric_poses
+from multilica.visibility.plans import main_axes, repeated_hypotheses, symmetric_poses
 from tests.unit.made_pairs import pose
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -143,5 +143,43 @@ def test_single_things_do_not_repeat():
     assert _repeated(np.concatenate(posts)) == []
 
 
+def test_a_ceiling_does_not_hide_what_stands_below_it():
+    roofed_m = np.concatenate([_FLAT, _FLAT + [0.0, 0.0, 4.0]])
+    row, posts = _row(np.arange(-30.0, 31.0, _PERIOD_M)), _row([-22.0, -9.0, 12.5], sides_m=[-5.0])
+    below, open_air = (_repeated(row, ground_m=ground_m) for ground_m in (roofed_m, _FLAT))
+    assert [each.derivation for each in below] == [each.derivation for each in open_air]
+    assert _repeated(posts, ground_m=roofed_m) == []
+
+
 def test_what_lies_on_the_ground_does_not_stand():
     assert _repeated(_row(np.arange(-30.0, 31.0, _PERIOD_M), height_m=0.3)) == []
+
+
+def _side(normals):
+    return [(RigidTransform.identity("t", "t"), SimpleNamespace(normals=np.asarray(normals, dtype=float)))]
+
+
+def _axes(counts, spread=0.0):
+    """Of surfaces that face north, east, up or (0.6, 0.8, 0), as many as are given, for two sides that share them."""
+    rng = np.random.default_rng(4)
+    normals = np.repeat([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], _UP, [0.6, 0.8, 0.0]], counts, axis=0)
+    normals = normals * rng.choice([-1.0, 1.0], size=(len(normals), 1)) + spread * rng.normal(size=normals.shape)
+    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    return main_axes(_side(normals[::2]), _side(_POSE.inverse().rotate(normals[1::2])), _POSE)
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.03])
+def test_walls_as_common_as_the_ground_do_not_hide_it(spread):
+    """The principal direction of all normals would be any between them."""
+    axes = np.abs(_axes([500, 500, 500, 0], spread))
+    assert np.allclose(axes[np.argsort(np.argmax(axes, axis=1))], np.eye(3), atol=0.02)
+
+
+def test_the_commonest_axis_is_the_first():
+    assert np.allclose(np.abs(_axes([300, 100, 200, 0])), [[0.0, 1.0, 0.0], _UP, [1.0, 0.0, 0.0]], atol=1e-6)
+
+
+def test_rare_axes_and_those_beside_another_are_none():
+    assert len(_axes([300, 20, 200, 0])) == 2
+    assert len(_axes([300, 0, 200, 100])) == 2
+    assert _axes([0, 0, 0, 0]) == []
