@@ -20,8 +20,8 @@ _NOISE_M = 0.03
 
 # A smaller share of the information is not worth a second look: sigma changes by less than a fifth.
 _LEAST_SHARE = 0.3
-# A smaller remaining share may be noise and chance matches, and holds nothing.
-_LEAST_LEFT = 0.1
+# A smaller remaining share, near a pose that movable objects chose, may be chance matches, and holds nothing.
+_LEAST_LEFT = 0.3
 _NOTHING_LEFT = 1e-4
 # With a larger standard deviation, what is left does not hold the pose.
 _FREE_M = 0.05
