@@ -144,7 +144,7 @@ def test_single_things_do_not_repeat():
 
 
 def test_a_ceiling_does_not_hide_what_stands_below_it():
-    roofed_m = np.concatenate([_FLAT, _FLAT + [0.0, 0.0, 4.0]])
+    roofed_m = np.concatenate([_FLAT, _FLAT + np.array([0.0, 0.0, 4.0])])
     row, posts = _row(np.arange(-30.0, 31.0, _PERIOD_M)), _row([-22.0, -9.0, 12.5], sides_m=[-5.0])
     below, open_air = (_repeated(row, ground_m=ground_m) for ground_m in (roofed_m, _FLAT))
     assert [each.derivation for each in below] == [each.derivation for each in open_air]
