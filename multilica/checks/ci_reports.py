@@ -40,12 +40,17 @@ def write_reports(
 ) -> list[Path]:
     """Write the reports that are asked for, each whole or not at all, and return their paths.
 
+    Folders that are missing are made.
+
     Args:
         timestamp: of the check, ISO 8601 without a time zone.
         summary: gets a picture beside it, with `.png` added to its name.
         step_summary: file of GitHub Actions that the summary is added to.
     """
     written = []
+    for path in (junit, summary, code_quality):
+        if path is not None:
+            path.parent.mkdir(parents=True, exist_ok=True)
     if junit is not None:
         write_text_atomically(junit, junit_xml(rigs, timestamp))
         written.append(junit)

@@ -169,7 +169,7 @@ def test_the_picture_has_sigmas_where_they_are_known():
 def test_reports_are_written_and_a_step_summary_is_added_to(rigs, tmp_path):
     step = tmp_path / "step.md"
     step.write_text("before\n")
-    names = {"junit": "j.xml", "summary": "s.md", "code_quality": "q.json"}
+    names = {"junit": "of/ci/j.xml", "summary": "pages/s.md", "code_quality": "q.json"}
     written = write_reports(
         rigs, "ref", TIME, **{key: tmp_path / name for key, name in names.items()}, step_summary=str(step)
     )
