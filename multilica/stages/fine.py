@@ -24,7 +24,7 @@ from multilica.registration.sensor_biases import prior_sigmas
 from multilica.registration.widening import widened, widened_with_biases
 from multilica.results import Hypothesis, PairRegistration, Registration, Stability, VisibilityScore
 from multilica.results.registrations import weakest_sigmas
-from multilica.visibility.plans import main_axes, repeated_hypotheses
+from multilica.visibility.plans import alike_hypotheses
 from multilica.visibility.sensor_view import (
     COMPETING_TOLERANCES,
     FINE_TOLERANCES,
@@ -108,7 +108,7 @@ def register_best(
     pair = _Pair(target, source, config, fit)
     finalists = pair.finalists(hypotheses)
     if fit and max(len(target.views), len(source.views)) > 1:
-        finalists += pair.repeated(finalists[0])
+        finalists += pair.alike(finalists[0])
     evidence = finalists[0].evidence
     hopeless = evidence is not None and cannot_be_accepted(evidence, config.acceptance)
     thinned = len(finalists) > 1 or hopeless
@@ -202,16 +202,15 @@ class _Pair:
     def _score(self, pose: RigidTransform, tolerances: tuple[float, float] = ROUGH_TOLERANCES) -> VisibilityScore:
         return score_visibility(self.target.views, self.source.views, pose, *tolerances)
 
-    def repeated(self, best: Hypothesis) -> list[Hypothesis]:
-        """Return the poses of two groups at which what stands above the ground repeats, and that may compete."""
+    def alike(self, best: Hypothesis) -> list[Hypothesis]:
+        """Return the poses of two groups that may compete with a known one: turned, or shifted where things repeat."""
         acceptance = self.config.acceptance
         known = self._score(best.T_target_source, COMPETING_TOLERANCES)
         needed = min_competing_evidence(known.evidence(_distance_m(best)), acceptance)
         views = self.target.views, self.source.views
         return [
             each
-            for up in main_axes(*views, best.T_target_source)
-            for each in repeated_hypotheses(*views, best, up, acceptance.max_baseline_m)
+            for each in alike_hypotheses(*views, best, acceptance.max_baseline_m)
             if self._score(each.T_target_source, COMPETING_TOLERANCES).evidence_beside(known, _distance_m(each))
             > needed
         ]

@@ -14,11 +14,10 @@ from multilica.acceptance.accept import (
     min_competing_evidence,
 )
 from multilica.config import CalibrationConfig, FineConfig
-from multilica.geometry import RigidTransform
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, register_narrower
 from multilica.registration.poses import SLIDE_STEP_M, is_distinct, slid_hypotheses, within_baseline
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
-from multilica.visibility.plans import main_axes, repeated_hypotheses, symmetric_poses
+from multilica.visibility.plans import alike_hypotheses
 from multilica.visibility.sensor_view import (
     COMPETING_TOLERANCES,
     ROUGH_TOLERANCES,
@@ -180,26 +179,17 @@ def _competing_hypotheses(
     uncontradicted = best.evidence + best.visibility.contradiction
     if cannot_be_accepted(uncontradicted, acceptance) and best.origin != PRIOR:
         return []
-    pose = best.T_target_source
     near = gicp.model_copy(update={"max_correspondence_distances_m": gicp.max_correspondence_distances_m[1:]})
     start = _start_of(best)
-    found: list[Hypothesis] = []
-    for up in main_axes(target.alone, source.alone, pose):
-        turned = symmetric_poses(target, source, pose, up, max_baseline_m, _MAX_SYMMETRIC_POSES)
-        found += (replace(start, T_target_source=each, derivation=_turned_words(pose, each)) for each in turned)
-        found += repeated_hypotheses(target.alone, source.alone, start, up, max_baseline_m)
+    alike = alike_hypotheses(target.alone, source.alone, start, max_baseline_m, _MAX_SYMMETRIC_POSES)
     return [
-        *((each, near) for each in found),
+        *((each, near) for each in alike),
         *((each, gicp) for each in _slides(best, _NEAR_SLIDE_M, config)),
     ]
 
 
 def _start_of(found: Registration) -> Hypothesis:
     return Hypothesis(found.T_target_source, origin=found.origin, index=found.hypothesis)
-
-
-def _turned_words(pose: RigidTransform, turned: RigidTransform) -> str:
-    return f"turned by {np.degrees(pose.distance_to(turned)[1]):.0f} deg"
 
 
 def _slides(best: Registration, reach_m: float, config: CalibrationConfig) -> list[Hypothesis]:

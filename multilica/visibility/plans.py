@@ -13,7 +13,7 @@ from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.poses import is_distinct, is_near, moved
 from multilica.results import Hypothesis
 from multilica.results.hypotheses import REPEATED
-from multilica.visibility.sensor_view import PlacedView, SensorView
+from multilica.visibility.sensor_view import PlacedView
 
 # GICP corrects an error of one cell; 256 cells span the common view of two LiDARs.
 _CELL_M = 0.5
@@ -52,9 +52,7 @@ def main_axes(targets: Sequence[PlacedView], sources: Sequence[PlacedView], pose
     Returns:
         At most three, at least 45 deg apart, each of a tenth of the surfaces.
     """
-    of_targets, of_sources = (
-        np.concatenate([at.rotate(view.normals) for at, view in each]) for each in (targets, sources)
-    )
+    (_, of_targets), (_, of_sources) = _surfaces(targets), _surfaces(sources)
     normals = np.concatenate([of_targets, pose.rotate(of_sources)])
     normals = normals[np.any(normals, axis=1)]
     left = normals[:: 1 + len(normals) // _AXIS_SAMPLE]
@@ -70,8 +68,37 @@ def main_axes(targets: Sequence[PlacedView], sources: Sequence[PlacedView], pose
     return axes
 
 
+def alike_hypotheses(
+    targets: Sequence[PlacedView],
+    sources: Sequence[PlacedView],
+    start: Hypothesis,
+    max_baseline_m: float,
+    most_turned: int = 6,
+) -> list[Hypothesis]:
+    """Find poses at which two groups may fit as well as at a known one: turned by right angles, or repeated.
+
+    Args:
+        targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
+        start: a pose between the roots.
+        most_turned: turned poses about each of `main_axes`.
+    """
+    pose = start.T_target_source
+    found: list[Hypothesis] = []
+    for up in main_axes(targets, sources, pose):
+        for turned in symmetric_poses(targets, sources, pose, up, max_baseline_m, most_turned):
+            words = f"turned by {np.degrees(pose.distance_to(turned)[1]):.0f} deg"
+            found.append(replace(start, T_target_source=turned, derivation=words))
+        found += repeated_hypotheses(targets, sources, start, up, max_baseline_m)
+    return found
+
+
 def symmetric_poses(
-    target: SensorView, source: SensorView, pose: RigidTransform, up: FloatArray, max_baseline_m: float, most: int
+    targets: Sequence[PlacedView],
+    sources: Sequence[PlacedView],
+    pose: RigidTransform,
+    up: FloatArray,
+    max_baseline_m: float,
+    most: int,
 ) -> list[RigidTransform]:
     """Find poses at which the walls of both sensors coincide after a turn by 90, 180 or 270 degrees.
 
@@ -79,13 +106,14 @@ def symmetric_poses(
     by chance. Plans of the walls, seen along `up`, are correlated over all shifts to find the other one.
 
     Args:
-        pose: ``T_target_source`` to find competing poses of.
+        targets, sources: the members of both groups with their poses in their group's root; one each for a pair.
+        pose: ``T_target_source`` between the roots to find competing poses of.
         up: (3,) unit, one of `main_axes`, the axis of the turns.
 
     Returns:
         Poses whose plans share at least half as many cells as those of `pose`, the best first.
     """
-    walls_m, seen_m = _walls(target, up), pose.rotate(_walls(source, pose.rotation.T @ up))
+    walls_m, seen_m = _walls(targets, up), pose.rotate(_walls(sources, pose.rotation.T @ up))
     return _coinciding(walls_m, seen_m, pose, up, (1, 2, 3), _TURNED_SHARE, max_baseline_m, most)
 
 
@@ -162,9 +190,16 @@ def _coinciding(
     return [turned for _, turned in sorted(found, key=lambda each: -each[0])[:most]]
 
 
-def _walls(view: SensorView, up: FloatArray) -> FloatArray:
-    upright = np.abs(view.normals @ up) < _STRUCTURE
-    return np.asarray(view.probes_m[upright & np.any(view.normals, axis=1)])
+def _surfaces(members: Sequence[PlacedView]) -> tuple[FloatArray, FloatArray]:
+    """Return the probes (N, 3) of a group and their normals, along the axes of its root."""
+    points_m = np.concatenate([pose.apply(view.probes_m) for pose, view in members])
+    return points_m, np.concatenate([pose.rotate(view.normals) for pose, view in members])
+
+
+def _walls(members: Sequence[PlacedView], up: FloatArray) -> FloatArray:
+    points_m, normals = _surfaces(members)
+    upright = np.abs(normals @ up) < _STRUCTURE
+    return np.asarray(points_m[upright & np.any(normals, axis=1)])
 
 
 def _above_ground(members: Sequence[PlacedView], up: FloatArray) -> FloatArray:
@@ -172,8 +207,7 @@ def _above_ground(members: Sequence[PlacedView], up: FloatArray) -> FloatArray:
 
     A ceiling or a roof hides what stands below it in a plan, so level surfaces are left out.
     """
-    points_m = np.concatenate([pose.apply(view.probes_m) for pose, view in members])
-    normals = np.concatenate([pose.rotate(view.normals) for pose, view in members])
+    points_m, normals = _surfaces(members)
     level = np.abs(normals @ up) > _STRUCTURE
     height_m = points_m @ (-up if np.sum(points_m[level] @ up) > 0.0 else up)
     cells = np.floor(points_m @ np.linalg.svd(up[None])[2][1:].T / _AROUND_M).astype(np.int64)

@@ -33,6 +33,16 @@ def test_in_a_symmetric_garage_nothing_is_placed():
 
 
 @pytest.mark.slow
+def test_a_group_in_a_court_is_not_turned_either():
+    """Two LiDARs that found each other fit the third at four poses, as each of them alone does."""
+    made = simulate_snapshot("sides", "court", 3004, frames=1)
+    result = calibrate(made.snapshot)
+    for each in result.placements:
+        if each.placed:
+            assert each.T_target_source.distance_to(made.truth.between(result.target, each.lidar))[0] < GOOD_M
+
+
+@pytest.mark.slow
 def test_all_are_placed_within_2_cm_and_a_tenth_of_a_degree(complete):
     result, _ = complete
     assert result.status == "complete"

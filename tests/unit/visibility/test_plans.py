@@ -9,7 +9,7 @@ import pytest
 
 from multilica.geometry import RigidTransform
 from multilica.results import Hypothesis
-from multilica.visibility.plans import main_axes, repeated_hypotheses, symmetric_poses
+from multilica.visibility.plans import alike_hypotheses, main_axes, repeated_hypotheses, symmetric_poses
 from tests.unit.made_pairs import pose
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -37,7 +37,8 @@ def _found(walls_m, normal=(1.0, 0.0, 0.0), max_baseline_m=_FAR_M, most=6):
     normals = np.broadcast_to(normal, walls_m.shape)
     target = SimpleNamespace(probes_m=walls_m, normals=normals)
     source = SimpleNamespace(probes_m=_POSE.inverse().apply(walls_m), normals=_POSE.inverse().rotate(normals))
-    return symmetric_poses(target, source, _POSE, _UP, max_baseline_m, most)
+    sides = [(RigidTransform.identity("t", "t"), target)], [(RigidTransform.identity("s", "s"), source)]
+    return symmetric_poses(*sides, _POSE, _UP, max_baseline_m, most)
 
 
 # The centre is (1.5, 1): half a turn takes x to 3 - x and y to 2 - y.
@@ -51,6 +52,19 @@ def test_a_hall_looks_the_same_from_its_other_end():
     metres, radians = best.distance_to(_TURNED)
     assert radians < 1e-9
     assert metres < 0.75 * np.sqrt(2.0) + 1e-9
+
+
+def test_a_group_in_a_hall_is_turned_about_an_axis_it_finds():
+    ground_m = _HALL[::2] * [1.0, 1.0, 0.0]
+    points_m = np.concatenate([_HALL, ground_m])
+    normals = np.concatenate([np.broadcast_to([1.0, 0.0, 0.0], _HALL.shape), np.broadcast_to(_UP, ground_m.shape)])
+    here = RigidTransform.identity("t", "t")
+    parts = [SimpleNamespace(probes_m=points_m[side::2], normals=normals[side::2]) for side in (0, 1)]
+    other = SimpleNamespace(probes_m=_POSE.inverse().apply(points_m), normals=_POSE.inverse().rotate(normals))
+    source = [(RigidTransform.identity("s", "s"), other)]
+    found = alike_hypotheses([(here, part) for part in parts], source, Hypothesis(_POSE, origin="cliques"), _FAR_M)
+    turned = [each.T_target_source for each in found if each.derivation == "turned by 180 deg"]
+    assert min(each.distance_to(_TURNED)[0] for each in turned) < 0.75 * np.sqrt(2.0) + 1e-9
 
 
 def test_a_square_hall_looks_the_same_from_four_sides():
@@ -156,7 +170,8 @@ def test_what_lies_on_the_ground_does_not_stand():
 
 
 def _side(normals):
-    return [(RigidTransform.identity("t", "t"), SimpleNamespace(normals=np.asarray(normals, dtype=float)))]
+    view = SimpleNamespace(normals=np.asarray(normals, dtype=float), probes_m=np.zeros((len(normals), 3)))
+    return [(RigidTransform.identity("t", "t"), view)]
 
 
 def _axes(counts, spread=0.0):
