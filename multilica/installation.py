@@ -53,7 +53,9 @@ CORE_LIBRARIES: Mapping[str, str] = {
     "typing-extensions": "typing_extensions",
     "zstandard": "zstandard",
 }
-"""Name in the package index -> the part whose import takes least time and shows that the library can be loaded."""
+"""Needed by every calibration: name in the package index -> the part whose import takes least time and shows that the
+library can be loaded.
+"""
 
 State = Literal["works", "missing", "broken"]
 
@@ -169,9 +171,10 @@ class Installation:
 def examine_installation() -> Installation:
     """Look at the installation in about a second; what is found is tried, in a process of its own."""
     core = [OptionalLibrary(module, (name,), "", "", f"pip install {name}") for name, module in CORE_LIBRARIES.items()]
-    optional = OPTIONAL_LIBRARIES.values()
+    core += [library for library in OPTIONAL_LIBRARIES.values() if library.core]
+    optional = [library for library in OPTIONAL_LIBRARIES.values() if not library.core]
     versions = {library.module: _version(library.distributions) for library in (*core, *optional)}
-    tried = [module for module in (*CORE_LIBRARIES.values(), "open3d", *_COMPILED) if versions[module]]
+    tried = [module for module in (*(library.module for library in core), *_COMPILED) if versions[module]]
     problems = _problems(tried)
     examined_core, examined_optional = (
         tuple(_examined(each, versions[each.module], problems.get(each.module, "")) for each in libraries)

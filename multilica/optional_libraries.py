@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional libraries: what each is for, and the command that installs it."""
+"""Libraries that are imported when they are used: what each is for, and the command that installs it."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,17 +10,20 @@ from typing import NoReturn
 from multilica.errors import MissingDependencyError
 from multilica.system_libraries import OPEN3D, apt_command, missing_for_open3d
 
+CORE_COMMAND = "pip install multilica"
+"""Installs what an installation without its requirements lacks."""
+
 
 @dataclass(frozen=True, slots=True)
 class OptionalLibrary:
-    """A library that multilica works without.
+    """A library that the preset `default` works without.
 
     Args:
         module: the name that is imported.
         distributions: alternative names in the package index; one is installed.
         extra: the extra of multilica that installs it; empty if none does.
         purpose: what works with it only.
-        command: installs it where no extra does.
+        command: installs it where no extra does; `CORE_COMMAND` for a requirement of the plain installation.
     """
 
     module: str
@@ -30,14 +33,21 @@ class OptionalLibrary:
     command: str = ""
 
     @property
+    def core(self) -> bool:
+        """True if the plain installation has it."""
+        return self.command == CORE_COMMAND
+
+    @property
     def install_command(self) -> str:
         """The command that installs it."""
         return self.command or f"pip install 'multilica[{self.extra}]'"
 
 
 _ALL = (
-    OptionalLibrary("open3d", ("open3d-cpu", "open3d"), "open3d", "presets of the paper, simulate, engines open3d"),
-    OptionalLibrary("networkx", ("networkx",), "open3d", "solver maximum_clique of the presets of the paper"),
+    OptionalLibrary(
+        "open3d", ("open3d-cpu", "open3d"), "", "presets of the paper, simulate, engines open3d", CORE_COMMAND
+    ),
+    OptionalLibrary("networkx", ("networkx",), "", "solver maximum_clique of the presets of the paper", CORE_COMMAND),
     OptionalLibrary("kiss_matcher", ("kiss-matcher",), "kiss", "solver kiss_matcher (Python up to 3.12)"),
     OptionalLibrary("laspy", ("laspy",), "las", "LAS and LAZ files"),
     OptionalLibrary("lazrs", ("lazrs",), "las", "LAZ files"),

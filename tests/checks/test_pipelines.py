@@ -15,6 +15,7 @@ import pytest
 import tomli_w
 import yaml
 
+from multilica import system_libraries
 from multilica_cli.commands.calibrate import find_sample
 from tests.cli.support import write_thinned_sample
 from tests.selection import some_of
@@ -121,8 +122,14 @@ def test_the_image_is_small_and_not_run_by_root():
     assert lines.index("USER 1000") < next(i for i, line in enumerate(lines) if line.startswith("ENTRYPOINT"))
     (install,) = (line for line in lines if "pip install" in line)
     assert "--no-cache-dir" in install
-    assert "open3d" not in install
+    assert "--no-deps" not in install
     assert ".git" in (ROOT / ".dockerignore").read_text().split()
+
+
+def test_the_image_has_the_libraries_of_open3d():
+    text = (ROOT / "Dockerfile").read_text()
+    (packages,) = re.findall(r"apt-get install --yes --no-install-recommends \\\n(.+?) \\\n", text)
+    assert sorted(packages.split()) == sorted(system_libraries.OPEN3D.values())
 
 
 def test_the_linter_has_nothing_to_say_of_the_image():

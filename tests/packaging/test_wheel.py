@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The wheel as a user gets it: built, installed without extras into an environment of its own, and used there."""
+"""The wheel as a user gets it: built, installed without extras into environments of its own, and used there."""
 
 from __future__ import annotations
 
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from tests.selection import NIGHTLY
 
@@ -25,7 +27,6 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
 SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
-LIMIT_BYTES = 1_000_000_000
 OF_A_CHECKOUT = {"PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV"}
 SMOKE = """
 import sys
@@ -42,8 +43,12 @@ WANTED = {
     "gcs": ["inspect", "gs://bucket/a.mcap"],
     "live": ["record", "ws://localhost:1", "--out", "a.mcap"],
     "fleet": ["fleet", "run", "scans", "--out", "store"],
-    "open3d": ["simulate", "--rig", "sides", "--scene", "garage", "--out", "a.mcap"],
 }
+OF_THE_PAPER = {
+    "open3d": ["simulate", "--rig", "sides", "--scene", "garage", "--out", "a.mcap"],
+    "networkx": ["calibrate", str(SAMPLE), "--set", "coarse.solver=maximum_clique"],
+}
+SIMULATE = ["simulate", "--rig", "sides", "--scene", "garage", "--sensors", "ideal", "--out", "simulated.mcap"]
 
 
 @dataclass(frozen=True)
@@ -78,32 +83,64 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
     """The wheel with the packages that it requires: at night as pip chooses them, else those of this environment."""
-    folder = tmp_path_factory.mktemp("clean")
     (wheel,) = built.glob("*.whl")
+    requirements = requirements_of(wheel)
+    made = install(wheel, tmp_path_factory.mktemp("clean"), None if NIGHTLY else requirements)
+    (made.folder / "scans").mkdir()
+    for name in ("left.las", "right.las"):
+        (made.folder / "scans" / name).write_bytes(b"LASF" + bytes(400))
+    return made
+
+
+@pytest.fixture(scope="module")
+def without_open3d(built: Path, tmp_path_factory: pytest.TempPathFactory) -> Installed:
+    """The wheel with the first list of the page on smaller installations."""
+    (wheel,) = built.glob("*.whl")
+    return install(wheel, tmp_path_factory.mktemp("small"), smaller_lists()[0])
+
+
+def install(wheel: Path, folder: Path, requirements: list[str] | None) -> Installed:
+    """Install a wheel with packages of this environment, as the requirements name them; without these, pip chooses."""
     venv.create(folder / "venv", symlinks=True)
     options = ["--quiet", "--no-compile", "--constraint", str(ROOT / "constraints.txt")]
-    if not NIGHTLY:
+    if requirements is not None:
         options += ["--no-deps"]
         (site,) = folder.glob("venv/lib/*/site-packages")
-        for name in required(wheel):
+        for name in closure(requirements):
             link_package(name, site)
     programs = folder / "venv" / "bin"
     pip = [sys.executable, "-m", "pip", "--python", str(programs / "python"), "install"]
     ended = run([*pip, *options, str(wheel)], folder)
     assert ended.returncode == 0, ended.stderr
-    (folder / "scans").mkdir()
-    for name in ("left.las", "right.las"):
-        (folder / "scans" / name).write_bytes(b"LASF" + bytes(400))
     return Installed(programs, folder)
 
 
-def required(wheel: Path) -> set[str]:
-    """The packages that a wheel needs without extras, and those that they need."""
+def smaller_lists() -> list[list[str]]:
+    """The requirements that the page names for each smaller installation."""
+    page = (ROOT / "docs" / "inputs.md").read_text(encoding="utf-8")
+    blocks = re.findall(
+        r"^```console\n(.*?)^```", page.partition("\n## Smaller installations\n")[2], re.MULTILINE | re.DOTALL
+    )
+    commands = [[shlex.split(line)[3:] for line in block.splitlines()] for block in blocks]
+    return [
+        [name for command in block for name in command if not {"--no-deps", "multilica"} & {*command}]
+        for block in commands
+        if ["--no-deps", "multilica"] in block
+    ]
+
+
+def requirements_of(wheel: Path) -> list[str]:
+    """The requirements that the metadata of a wheel name."""
     with zipfile.ZipFile(wheel) as file:
         (name,) = [name for name in file.namelist() if name.endswith(".dist-info/METADATA")]
         lines = file.read(name).decode().splitlines()
+    return [line.partition(":")[2].strip() for line in lines if line.startswith("Requires-Dist:")]
+
+
+def closure(requirements: list[str]) -> set[str]:
+    """The packages that are required without extras, and those that they need."""
     found: set[tuple[str, str]] = set()
-    waiting = [(line.partition(":")[2], "") for line in lines if line.startswith("Requires-Dist:")]
+    waiting = [(text, "") for text in requirements]
     while waiting:
         text, extra = waiting.pop()
         needed = Requirement(text)
@@ -143,9 +180,14 @@ def test_the_sources_can_be_tested(built: Path) -> None:
     assert {"Makefile", "constraints.txt", ".ci/run", "tests/conftest.py", "multilica/py.typed"} <= names
 
 
-def test_the_environment_is_below_a_gigabyte(installed: Installed) -> None:
-    files = (file for file in (installed.folder / "venv").rglob("*") if "__pycache__" not in file.parts)
-    assert sum(file.stat().st_size for file in files if file.is_file() and not file.is_symlink()) < LIMIT_BYTES
+def test_the_environment_is_below_its_limit(installed: Installed, without_open3d: Installed) -> None:
+    assert size_bytes(installed) < 1_550_000_000
+    assert size_bytes(without_open3d) < 1_000_000_000
+
+
+def size_bytes(environment: Installed) -> int:
+    files = (file for file in (environment.folder / "venv").rglob("*") if "__pycache__" not in file.parts)
+    return sum(file.stat().st_size for file in files if file.is_file() and not file.is_symlink())
 
 
 def test_the_demo_places_every_lidar(installed: Installed) -> None:
@@ -160,6 +202,70 @@ def test_python_calibrates_in_one_line(installed: Installed) -> None:
     ended = installed.run("python", "-c", SMOKE, str(SAMPLE))
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.startswith(str(installed.folder))
+
+
+def test_the_method_of_the_paper_works(installed: Installed) -> None:
+    ended = installed.run("multilica", "calibrate", str(SAMPLE), "--preset", "paper", "--out", "paper")
+    assert ended.returncode == 0, ended.stderr
+    assert "All 4 LiDARs are placed" in ended.stdout + ended.stderr
+    assert 'accepted_by": "fitness' in (installed.folder / "paper" / "result.json").read_text()
+
+
+def test_its_algorithm_1_works(installed: Installed) -> None:
+    ended = installed.run("multilica", *SIMULATE)
+    assert ended.returncode == 0, ended.stderr
+    command = [
+        "calibrate",
+        "simulated.mcap",
+        "--preset",
+        "paper-algorithm1",
+        "--until",
+        "coarse",
+        "--out",
+        "algorithm1",
+    ]
+    ended = installed.run("multilica", *command)
+    assert ended.returncode == 0, ended.stderr
+
+
+@pytest.mark.parametrize("module", OF_THE_PAPER)
+def test_a_small_installation_tells_what_it_lacks(module: str, without_open3d: Installed) -> None:
+    ended = without_open3d.run("multilica", *OF_THE_PAPER[module])
+    assert ended.returncode == 1
+    assert f" needs the library {module}, which is not installed; `pip install multilica` installs it" in ended.stderr
+    assert "Traceback" not in ended.stderr
+
+
+def test_a_small_installation_calibrates(without_open3d: Installed) -> None:
+    ended = without_open3d.run("multilica", "demo", "--out", "run")
+    assert ended.returncode == 0, ended.stderr
+    assert "All 4 LiDARs are placed" in ended.stdout
+
+
+def test_the_smaller_list_is_the_core_without_two(built: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    core = [each for each in map(Requirement, requirements_of(wheel)) if "extra" not in str(each.marker)]
+    named = {canonicalize_name(Requirement(text).name) for text in smaller_lists()[0]}
+    assert {canonicalize_name(each.name) for each in core} - named == {"open3d", "open3d-cpu", "networkx"}
+
+
+def test_open3d_works_without_its_requirements(built: Path, tmp_path: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    small = install(wheel, tmp_path, smaller_lists()[0])
+    (site,) = tmp_path.glob("venv/lib/*/site-packages")
+    for name in ("open3d-cpu", "networkx"):
+        link_package(name, site)
+    for command in (SIMULATE, ["calibrate", "simulated.mcap", "--preset", "paper", "--until", "fine"]):
+        ended = small.run("multilica", *command)
+        assert ended.returncode == 0, ended.stderr
+
+
+def test_python_alone_calibrates_with_few_libraries(built: Path, tmp_path: Path) -> None:
+    (wheel,) = built.glob("*.whl")
+    tiny = install(wheel, tmp_path, smaller_lists()[1])
+    assert size_bytes(tiny) < 300_000_000
+    ended = tiny.run("python", "-c", SMOKE, str(SAMPLE))
+    assert ended.returncode == 0, ended.stderr
 
 
 @pytest.mark.parametrize("extra", WANTED)

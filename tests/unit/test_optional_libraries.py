@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Optional libraries: their table is that of the package, and what is missing is told in one sentence."""
+"""Libraries imported when used: their table is that of the package, and what is missing is told in one sentence."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from multilica import optional_libraries
 from multilica.errors import MissingDependencyError
@@ -27,7 +28,16 @@ def names(requirements: list[str]) -> set[str]:
 
 
 def test_the_core_is_that_of_the_package() -> None:
-    assert {*CORE_LIBRARIES} == names(PROJECT["dependencies"])
+    used_late = {name for library in OPTIONAL_LIBRARIES.values() if library.core for name in library.distributions}
+    assert used_late == {"open3d", "open3d-cpu", "networkx"}
+    assert {*CORE_LIBRARIES} | used_late == names(PROJECT["dependencies"])
+
+
+def test_each_machine_gets_one_open3d() -> None:
+    wanted = [Requirement(text) for text in PROJECT["dependencies"] if text.startswith("open3d")]
+    for system, machine, name in (("Linux", "x86_64", "open3d-cpu"), ("Linux", "aarch64", "open3d")):
+        here = {"platform_system": system, "platform_machine": machine}
+        assert [each.name for each in wanted if each.marker.evaluate(here)] == [name]
 
 
 def test_each_library_is_in_its_extra() -> None:

@@ -62,7 +62,7 @@ def _lines(found: Installation) -> Iterator[str]:
     for folder, free in found.machine.free_bytes.items():
         yield from _fact("free disk", f"{free / 1e9:.1f} GB in {folder}")
     yield ""
-    yield "The core works." if found.works else "The core does not work."
+    yield "The core works." if found.works else "A part of the core is missing or broken."
     if found.commands:
         yield "To install or repair the other parts:"
         yield from (f"  {command}" for command in found.commands)
