@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The documentation as a site; `make site` builds it from the Markdown pages, which are readable without it."""
 
+import os
+
 import multilica
 
 project = "multilica"
@@ -40,3 +42,11 @@ html_theme_options = {
     "secondary_sidebar_items": ["page-toc"],
     "navigation_with_keys": False,
 }
+
+# Path on the server of the sites of all versions; a release has it (`.ci/release.py pages`), `make site` does not.
+if _versions := os.environ.get("MULTILICA_SITE_BASE"):
+    html_theme_options |= {
+        "navbar_end": ["version-switcher", "theme-switcher"],
+        "switcher": {"json_url": f"{_versions}versions.json", "version_match": release},
+        "check_switcher": False,
+    }

@@ -173,11 +173,20 @@ def test_the_wheel_holds_types_pages_and_the_sample(built: Path) -> None:
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == {"multilica", "multilica_cli"}
 
 
+def test_the_package_index_takes_both(built: Path) -> None:
+    pytest.importorskip("twine", reason="make installs it")
+    files = [str(path) for path in sorted(built.glob("multilica-*"))]
+    assert len(files) == 2
+    ended = run([sys.executable, "-m", "twine", "check", "--strict", *files], built)
+    assert ended.returncode == 0, ended.stdout
+
+
 def test_the_sources_can_be_tested(built: Path) -> None:
     (sources,) = built.glob("*.tar.gz")
     with tarfile.open(sources) as file:
         names = {name.partition("/")[2] for name in file.getnames()}
     assert {"Makefile", "constraints.txt", ".ci/run", "tests/conftest.py", "multilica/py.typed"} <= names
+    assert {"CITATION.cff", "Dockerfile", ".dockerignore", "action.yml", ".github/workflows/release.yml"} <= names
 
 
 def test_the_environment_is_below_its_limit(installed: Installed, without_open3d: Installed) -> None:
