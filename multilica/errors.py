@@ -12,6 +12,7 @@
     │   ├── UnreadableSourceError   broken, truncated, or not what its name says
     │   ├── UnfitSnapshotError      readable, yet nothing that can be calibrated
     │   └── UnfitPriorError         readable, yet no poses of this rig's LiDARs
+    ├── StorageError                a disk or bucket is full or refuses     exit code 1
     ├── MissingDependencyError      an optional library is not installed    exit code 1
     ├── ViewerError                 no viewer can be shown on this machine  exit code 1
     └── WorkerDiedError             a worker process was killed or crashed  exit code 1
@@ -103,6 +104,14 @@ class UnfitPriorError(InputError):
 
 class UnfitRunError(InputError):
     """A readable run whose poses cannot be accepted as a reference."""
+
+
+class StorageError(MultilicaError):
+    """A disk or bucket that is full, read-only or refuses access; `passes` if trying again may help."""
+
+    def __init__(self, message: str, *, passes: bool = False) -> None:
+        self.passes = passes
+        super().__init__(message)
 
 
 class ViewerError(MultilicaError):

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from itertools import islice
@@ -19,6 +19,7 @@ import pyarrow as pa
 import multilica
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
+from multilica.errors import StorageError
 from multilica.fleet.listing import FleetLog, LogPattern, find_logs
 from multilica.fleet.store.records import PASSING, LogRow
 from multilica.fleet.store.store import Store, vehicle_name
@@ -109,10 +110,12 @@ def run_fleet(
 
     Raises:
         MultilicaError: as `find_logs` and `open_executor`.
+        StorageError: the store or a disk is full or refuses. The log at hand has no row, so the next run goes on.
     """
     outcome, digest = FleetOutcome(), _config_digest(options.config, options.calibrate)
     with (
         scratch_folder() as folder,
+        _full_disk_named(),
         open_executor(options.workers, options.scheduler) as (executor, slots),
         closing(Plan(folder, store, digest, newest_first=options.newest_first)) as plan,
     ):
@@ -126,6 +129,17 @@ def run_fleet(
             outcome.states[row.state] = outcome.states.get(row.state, 0) + 1
             observe(row)
     return outcome
+
+
+@contextmanager
+def _full_disk_named() -> Iterator[None]:
+    try:
+        yield
+    except duckdb.IOException as error:
+        told = " ".join(str(error).split())[:200].rstrip(".")
+        raise StorageError(
+            f"The plan of the run cannot be kept ({told}); free space, or choose another TMPDIR."
+        ) from error
 
 
 def _config_digest(config: CalibrationConfig, calibrate: str) -> str:

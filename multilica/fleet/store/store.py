@@ -17,11 +17,11 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 from urllib.parse import quote
 
 import pyarrow as pa
@@ -29,10 +29,17 @@ import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
 
-from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError, escape_controls
+from multilica.errors import (
+    MultilicaError,
+    SourceNotFoundError,
+    StorageError,
+    UnreadableSourceError,
+    UsageError,
+    escape_controls,
+)
 from multilica.fleet.store.records import SCHEMA_VERSION, TABLES, LidarRow, LogRow, month_of, table_of
 from multilica.ingest.remote.address import scheme_of, without_secrets
-from multilica.ingest.remote.remote_file import open_file_system, remote_failures_named
+from multilica.ingest.remote.remote_file import ConnectionLostError, open_file_system, remote_failures_named
 from multilica.optional_libraries import needed_for
 from multilica.sinks.files.atomic import atomic_file
 
@@ -83,68 +90,74 @@ class Store:
 
     def exists(self, path: str) -> bool:
         """Return whether a file is there; `path` is relative to the store."""
-        if self.system is None:
-            return Path(self.root, path).exists()
-        with self._named(path):
+        with self._named("read", path):
+            if self.system is None:
+                return Path(self.root, path).exists()
             self.system.invalidate_cache()  # other processes write as well
             return bool(self.system.exists(f"{self.root}/{path}"))
 
     def read(self, path: str) -> bytes:
         """Return the content of a file; raise SourceNotFoundError if it is not there."""
         try:
-            if self.system is None:
-                return Path(self.root, path).read_bytes()
-            with self._named(path):
+            with self._named("read", path):
+                if self.system is None:
+                    return Path(self.root, path).read_bytes()
                 return bytes(self.system.cat_file(f"{self.root}/{path}"))
         except (FileNotFoundError, SourceNotFoundError) as error:
             raise SourceNotFoundError(f"The store {self} has no {path}.") from error
 
     def write(self, path: str, content: bytes) -> None:
         """Write a file, whole or not at all."""
-        if self.system is None:
-            place = Path(self.root, path)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with atomic_file(place) as file:
-                file.write(content)
-            return
-        with self._named(path):
-            self.system.pipe_file(f"{self.root}/{path}", content)
+        with self._named("write", path):
+            if self.system is None:
+                place = Path(self.root, path)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                with atomic_file(place) as file:
+                    file.write(content)
+            else:
+                self.system.pipe_file(f"{self.root}/{path}", content)
 
     def put(self, local: Path, path: str) -> int:
         """Copy a file into the store; return its size in bytes."""
         if self.system is None:
             self.write(path, local.read_bytes())
         else:
-            with self._named(path):
+            with self._named("write", path):
                 self.system.put_file(os.fspath(local), f"{self.root}/{path}")
         return local.stat().st_size
 
     def remove(self, path: str) -> None:
         """Remove a file; one that is not there is no error."""
-        with suppress(FileNotFoundError, SourceNotFoundError):
+        with suppress(FileNotFoundError, SourceNotFoundError), self._named("remove", path):
             if self.system is None:
                 Path(self.root, path).unlink()
             else:
-                with self._named(path):
-                    self.system.rm_file(f"{self.root}/{path}")
+                self.system.rm_file(f"{self.root}/{path}")
 
     def files(self, folder: str) -> Iterator[tuple[str, int]]:
         """Yield path and size in bytes of all files below a folder, relative to the store."""
         if self.system is None:
-            top = Path(self.root)
-            for place, folders, names in os.walk(top / folder):
-                folders.sort()
-                for name in sorted(names):
-                    if not name.startswith("."):
-                        path = Path(place, name)
-                        yield path.relative_to(top).as_posix(), path.stat().st_size
+            yield from self._files_on_disk(folder)
             return
-        with self._named(folder):
+        with self._named("read", folder):
             self.system.invalidate_cache()
             there = self.system.exists(f"{self.root}/{folder}")
             found = self.system.find(f"{self.root}/{folder}", detail=True) if there else {}
         for path, details in sorted(found.items()):
             yield path[len(self.root) + 1 :], int(details["size"])
+
+    def _files_on_disk(self, folder: str) -> Iterator[tuple[str, int]]:
+        def refuse(error: OSError) -> None:
+            if not isinstance(error, FileNotFoundError):
+                raise self._refusal("read", folder, error) from error
+
+        top = Path(self.root)
+        for place, folders, names in os.walk(top / folder, onerror=refuse):
+            folders.sort()
+            for name in sorted(names):
+                if not name.startswith("."):
+                    path = Path(place, name)
+                    yield path.relative_to(top).as_posix(), path.stat().st_size
 
     def parts(self, table: str) -> Iterator[str]:
         """Yield the paths of the parts of a table."""
@@ -168,8 +181,36 @@ class Store:
         pq.write_table(rows, buffer, compression="zstd")
         self.write(path, buffer.getvalue())
 
-    def _named(self, path: str) -> Any:  # noqa: ANN401 - a context manager
-        return remote_failures_named(f"{self}/{path}", scheme_of(self.address))
+    @contextmanager
+    def _named(self, what: Literal["read", "write", "remove"], path: str) -> Iterator[None]:
+        """Turn a failure of the disk or the bucket into StorageError, unless a file to read or remove is not there."""
+        named = remote_failures_named(f"{self}/{path}", scheme_of(self.address)) if self.system else nullcontext()
+        try:
+            with named:
+                yield
+        except (MultilicaError, OSError) as error:
+            if what != "write" and isinstance(error, FileNotFoundError | SourceNotFoundError):
+                raise
+            raise self._refusal(what, path, error) from error
+
+    def _refusal(self, what: str, path: str, error: MultilicaError | OSError) -> StorageError:
+        if isinstance(error, OSError):
+            told = f"{self}/{path} ({error.strerror or error}); free space or permit access"
+        else:
+            told = str(error).rstrip(".") + _code_of(error)
+        passes = isinstance(error, ConnectionLostError)
+        return StorageError(f"The store cannot be used to {what} a file: {told}.", passes=passes)
+
+
+def _code_of(error: BaseException | None) -> str:
+    """Return the error code of S3 behind a refusal, such as ``QuotaExceeded``, in brackets; empty if there is none."""
+    while error is not None:
+        response = getattr(error, "response", None)
+        code = response.get("Error", {}).get("Code") if isinstance(response, dict) else None
+        if isinstance(code, str) and code.isalnum():
+            return f" ({code})"
+        error = error.__cause__
+    return ""
 
 
 def damaged_part(store: Store, path: str) -> UnreadableSourceError:
@@ -190,7 +231,8 @@ def open_store(address: str | Path, *, create: bool) -> Store:
     Raises:
         UsageError: another kind of address, or a folder with other things in it.
         SourceNotFoundError: there is no store, and it is not to be created.
-        UnreadableSourceError: the store is of a newer version, or the bucket does not answer.
+        UnreadableSourceError: the store is of a newer version.
+        StorageError: the disk or the bucket refuses, or does not answer.
     """
     address = str(address)
     if not (scheme := scheme_of(address)):

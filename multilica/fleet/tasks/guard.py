@@ -24,9 +24,9 @@ from typing import Any, Literal
 import multilica
 from multilica.checks import RigTolerances
 from multilica.config import CalibrationConfig
-from multilica.errors import SourceNotFoundError, UsageError
+from multilica.errors import SourceNotFoundError, StorageError, UsageError
 from multilica.fleet.listing import FleetLog
-from multilica.fleet.store.records import PASSING, LogRow
+from multilica.fleet.store.records import LogRow
 from multilica.fleet.store.store import open_store
 from multilica.ingest.metadata import LogIdentity
 from multilica.optional_libraries import needed_for
@@ -71,10 +71,11 @@ class LogTask(FleetLog):
 
 @dataclass(frozen=True, slots=True)
 class LogTaskFailure:
-    """Reason why a task ended without a row."""
+    """Reason why a task ended without a row; `passes` if it may be gone at the next try."""
 
     reason: str
     text: str
+    passes: bool = False
 
 
 def failed_row(request: LogTask, reason: str, text: str, *, state: Literal["refused", "failed"] = "failed") -> LogRow:
@@ -153,7 +154,11 @@ def _connected(connect: Callable[[], Any]) -> Any:  # noqa: ANN401 - a type of D
 
 
 def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
-    """Run a task, again after what may pass; write the row of one that ended without."""
+    """Run a task, again after what may pass; write the row of one that ended without.
+
+    Raises:
+        StorageError: as `_tried`.
+    """
     answer: LogRow | LogTaskFailure
     answer, attempt = _tried(lambda attempt: replace(request, attempt=attempt), limits.time_s, limits)
     if isinstance(answer, LogTaskFailure):
@@ -163,22 +168,32 @@ def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
 
 
 def identify_guarded(address: str, limits: LogTaskLimits) -> LogIdentity:
-    """Read vehicle and time of a log, again after what may pass; nothing if that takes too much."""
+    """Read vehicle and time of a log, again after what may pass; nothing if that takes too much.
+
+    Raises:
+        StorageError: as `_tried`.
+    """
     answer: LogIdentity | LogTaskFailure
     answer, _ = _tried(lambda _: address, min(_IDENTIFY_S, limits.time_s), limits)
     return LogIdentity("", None) if isinstance(answer, LogTaskFailure) else answer
 
 
 def _tried(request: Callable[[int], LogTask | str], time_s: float, limits: LogTaskLimits) -> tuple[Any, int]:
-    """Make the request of each attempt up to an answer, or a failure that does not pass; with the number of tries."""
+    """Make the request of each attempt up to an answer, or a failure that does not pass; with the number of tries.
+
+    Raises:
+        StorageError: a disk or the store is full or refuses, which says nothing about the log.
+    """
     for attempt in range(1, limits.retries + 2):
         if attempt > 1:
             _STOPPED.wait(_PAUSES_S[min(attempt - 1, len(_PAUSES_S)) - 1])
         answer = _process(limits).ask(request(attempt), time_s)
         if _STOPPED.is_set():
             raise CancelledError
-        if not (isinstance(answer, LogTaskFailure) and answer.reason in PASSING):
+        if not (isinstance(answer, LogTaskFailure) and answer.passes):
             break
+    if isinstance(answer, LogTaskFailure) and answer.reason == "storage":
+        raise StorageError(answer.text)
     return answer, attempt
 
 
@@ -237,7 +252,8 @@ class _TaskProcess:
         self.end()
         code = self._process.returncode
         if -code in _KILLED:
-            return LogTaskFailure("killed", f"The process of the log was killed ({signal.Signals(-code).name}).")
+            text = f"The process of the log was killed ({signal.Signals(-code).name})."
+            return LogTaskFailure("killed", text, passes=True)
         how = f"signal {signal.Signals(-code).name}" if code < 0 else f"code {code}"
         return LogTaskFailure("crashed", f"The process of the log ended with {how}; a library crashed on it.")
 

@@ -6,6 +6,7 @@ The process ends when its stdin does, so never outlives the one that started it.
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
 import signal
@@ -25,7 +26,7 @@ import tomli_w
 import multilica
 from multilica.checks import check_found, relative_covariance
 from multilica.diagnosis import explain
-from multilica.errors import InputError, MultilicaError, SourceNotFoundError, UnfitSnapshotError
+from multilica.errors import InputError, MultilicaError, SourceNotFoundError, StorageError, UnfitSnapshotError
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import POSE_COLUMNS, LidarRow, LogRow
@@ -52,22 +53,28 @@ _REASONS = {
     InputError: "unreadable",
     MultilicaError: "unusable",
 }
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 
 def run_log_task(request: LogTask) -> LogRow:
     """Verify or calibrate a log, and write its files and rows into the store.
 
     A log that another driver has finished meanwhile is written again, with the same content.
+
+    Raises:
+        ConnectionLostError: the server of the log does not answer.
+        StorageError: the store, or the disk for temporary files, is full or refuses.
     """
     start_s, start_cpu_s = time.monotonic(), _cpu_s()
     store = open_store(request.store, create=False)
     try:
         row, lidars = _outcome(request, store)
-    except ConnectionLostError:
+    except (ConnectionLostError, StorageError):
         raise
     except UnfitSnapshotError as refusal:
         row, lidars = failed_row(request, refusal.code, str(refusal), state="refused"), []
     except MultilicaError as failure:
+        _require_space(failure)
         reason = next(name for kind, name in _REASONS.items() if isinstance(failure, kind))
         row, lidars = failed_row(request, reason, str(failure)), []
     usage = resource.getrusage(resource.RUSAGE_SELF)
@@ -80,6 +87,16 @@ def run_log_task(request: LogTask) -> LogRow:
     )
     store.finish(row, lidars)
     return row
+
+
+def _require_space(failure: BaseException) -> None:
+    """Raise StorageError if a failure comes from a disk of this machine that is full or read-only."""
+    cause: BaseException | None = failure
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in _FULL:
+            told = f"A temporary file cannot be written ({cause.strerror}); free space, or choose another TMPDIR."
+            raise StorageError(told) from failure
+        cause = cause.__cause__ or cause.__context__
 
 
 def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]]:
@@ -223,14 +240,24 @@ def main() -> None:
 
 def _answer(request: LogTask | str) -> LogRow | LogIdentity | LogTaskFailure:
     try:
-        return identify_log(request) if isinstance(request, str) else run_log_task(_below_folder(request))
+        return _treated(request)
     except ConnectionLostError as failure:
-        return LogTaskFailure("network", str(failure))
+        return LogTaskFailure("network", str(failure), passes=True)
+    except StorageError as failure:
+        return LogTaskFailure("storage", str(failure), passes=failure.passes)
     except MemoryError:
         return LogTaskFailure("memory", "The log takes more memory than a task may have.")
     except Exception as failure:  # noqa: BLE001 - one log must not end the others
         text = f"This is a bug in multilica, not in the log ({type(failure).__name__}: {failure})."
         return LogTaskFailure("bug", text[:500])
+
+
+def _treated(request: LogTask | str) -> LogRow | LogIdentity:
+    try:
+        return identify_log(request) if isinstance(request, str) else run_log_task(_below_folder(request))
+    except OSError as failure:
+        _require_space(failure)
+        raise
 
 
 def _below_folder(request: LogTask) -> LogTask:

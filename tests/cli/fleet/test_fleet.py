@@ -26,8 +26,6 @@ from tests.cli.support import (
 from tests.fleet.support.made_store import add_log, lidar_row, made_store
 from tests.sinks.conftest import record
 
-SAMPLE = Path(__file__).parents[2] / "recordings" / "samples" / "edgar-street.mcap"
-
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory) -> Path:
