@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from multilica_cli import options
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import argument, option, output
-from multilica_cli.terminal import print_json, stdout_console
+from multilica_cli.terminal import print_json, stderr_console, stdout_console
 
 if TYPE_CHECKING:
     from multilica.fleet.store.store import Store
@@ -135,10 +135,17 @@ def query(
 
 @fleet.command()
 def status(*, store: options.FleetStore, form: _Format = "table") -> None:
-    """List the vehicles: logs by outcome, and LiDARs without a certain pose in the last one."""
-    from multilica.fleet.store.query import STATUS
+    """List the vehicles: logs by outcome, and LiDARs without a certain pose in the last one; without damaged parts."""
+    from multilica.fleet.store.query import ask_status
+    from multilica_cli.terminal import print_answer
 
-    _print_answer(_opened(store), STATUS, form)
+    answer, damaged = ask_status(_opened(store))
+    if damaged:
+        stderr_console().print(
+            f"note: parts that are damaged and left out: {len(damaged)}; "
+            f"`multilica fleet repair --store {store}` sets them aside."
+        )
+    print_answer(answer, form, stdout_console(), keys=1)
 
 
 @fleet.command()
@@ -227,6 +234,24 @@ def compact(*, store: options.FleetStore, quiet: options.Quiet = False) -> None:
 
     before, after = compact_store(_opened(store))
     stdout_console(quiet=quiet).print(f"{before} parts are now {after}.")
+
+
+@fleet.command()
+def repair(*, store: options.FleetStore, quiet: options.Quiet = False) -> None:
+    """Set damaged parts of the tables aside, so that the next run treats their logs again; not while a run writes."""
+    from multilica.fleet.store.repair import ASIDE, repair_store
+
+    opened, console = _opened(store), stdout_console(quiet=quiet)
+    done = repair_store(opened)
+    if not done.parts:
+        console.print("No part is damaged.")
+        return
+    for path in done.parts:
+        console.print(f"{path} is damaged; it is now in {opened}/{ASIDE}.")
+    for vehicle, source in done.logs:
+        console.print(f"{vehicle}: {source}: the next run treats it again.")
+    if done.unnamed:
+        console.print(f"{done.unnamed} of the parts held rows of logs, of which some may not be named here.")
 
 
 @fleet.command()

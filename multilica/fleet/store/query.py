@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
 
-from multilica.errors import SourceNotFoundError, UsageError
+from multilica.errors import SourceNotFoundError, UnreadableSourceError, UsageError
 from multilica.fleet.store.records import TABLES
-from multilica.fleet.store.store import Store, damaged_part
+from multilica.fleet.store.repair import damaged_part, damaged_parts
+from multilica.fleet.store.store import Store
 from multilica.optional_libraries import needed_for
 
 with needed_for("`multilica fleet`", "duckdb"):
@@ -21,7 +21,8 @@ with needed_for("`multilica fleet`", "duckdb"):
 
 _LONGEST = 300
 _BATCH = 1000
-_DAMAGED = re.compile(r"Parquet input source '([^']+)'")
+_READING = "arrow_scan"
+"""Word in errors of the database that come from a part, and not from the question."""
 _VIEWS = """
 SET TimeZone='UTC';
 CREATE VIEW logs AS SELECT * EXCLUDE (turn) FROM (
@@ -46,18 +47,26 @@ class QueryAnswer:
 
 
 @contextmanager
-def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[QueryAnswer]:
+def ask(
+    store: Store, sql: str, values: Sequence[object] = (), *, without: Collection[str] = ()
+) -> Iterator[QueryAnswer]:
     """Answer a question in the SQL of DuckDB, with the tables `lidars` and `logs`.
 
     A log that was treated again, by another version or configuration, stands there once, by its last row. A row of
     `lidars` is there if the row of its log is.
 
+    Args:
+        without: paths of parts that are left out.
+
     Raises:
         UsageError: the database does not understand it.
+        UnreadableSourceError: a part is damaged.
     """
     with duckdb.connect() as base:
         for table in TABLES:
-            base.register(f"{table}_parts", store.dataset(table))
+            base.register(
+                f"{table}_parts", store.dataset(table, [path for path in store.parts(table) if path not in without])
+            )
         base.execute(_VIEWS)
         try:
             done = base.execute(sql, list(values))
@@ -66,10 +75,25 @@ def ask(store: Store, sql: str, values: Sequence[object] = ()) -> Iterator[Query
             batches = done.fetch_record_batch(_BATCH)
             yield QueryAnswer(tuple(batches.schema.names), batches)
         except (duckdb.Error, pa.ArrowException) as error:
-            if damaged := _DAMAGED.search(str(error)):
-                raise damaged_part(store, damaged[1]) from error
+            if _READING in str(error) and (damaged := damaged_parts(store)):
+                raise damaged_part(store, damaged[0]) from error
             text = " ".join(str(error).partition("\nLINE ")[0].split())[:_LONGEST].rstrip(".!")
             raise UsageError(f"The question cannot be answered: {text}.") from error
+
+
+def ask_status(store: Store) -> tuple[QueryAnswer, list[str]]:
+    """Answer `STATUS` from the parts that are whole; with the paths of damaged parts."""
+    damaged: list[str] = []
+    try:
+        return _whole_answer(store, STATUS, damaged), damaged
+    except UnreadableSourceError:
+        damaged = damaged_parts(store)
+        return _whole_answer(store, STATUS, damaged), damaged
+
+
+def _whole_answer(store: Store, sql: str, without: Collection[str]) -> QueryAnswer:
+    with ask(store, sql, without=without) as answer:
+        return QueryAnswer(answer.columns, answer.batches.read_all().to_reader())
 
 
 STATUS = """

@@ -213,14 +213,6 @@ def _code_of(error: BaseException | None) -> str:
     return ""
 
 
-def damaged_part(store: Store, path: str) -> UnreadableSourceError:
-    """Return the error of a part that is no Parquet file."""
-    return UnreadableSourceError(
-        f"The part {path} of the store {store} is damaged; remove it, and the part of the same name in `logs`, then "
-        "`multilica fleet run` writes both again."
-    )
-
-
 def open_store(address: str | Path, *, create: bool) -> Store:
     """Open a store, or lay out a new one.
 

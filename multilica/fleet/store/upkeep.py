@@ -6,16 +6,15 @@ from __future__ import annotations
 import hashlib
 from collections import defaultdict
 from datetime import UTC, datetime, timedelta
-from io import BytesIO
 from pathlib import Path, PurePosixPath
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from multilica.errors import SourceNotFoundError
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.records import TABLES
-from multilica.fleet.store.store import Store, damaged_part, folder_name
+from multilica.fleet.store.repair import read_part
+from multilica.fleet.store.store import Store, folder_name
 
 _LARGE = ("recording.rrd", "report.html", "result.mcap")
 _RUNS = """
@@ -89,7 +88,7 @@ def compact_store(store: Store) -> tuple[int, int]:
     always has its rows.
     """
     before = after = 0
-    for table, schema in TABLES.items():
+    for table in TABLES:
         folders: dict[str, list[str]] = defaultdict(list)
         for path in store.parts(table):
             folders[str(PurePosixPath(path).parent)].append(path)
@@ -98,18 +97,11 @@ def compact_store(store: Store) -> tuple[int, int]:
             if len(parts) > 1:
                 digest = hashlib.sha256("\n".join(sorted(parts)).encode()).hexdigest()[:32]
                 joined = f"{folder}/joined-{digest}.parquet"
-                rows = pa.concat_tables([_part(store, path).cast(schema) for path in parts])
+                rows = pa.concat_tables([read_part(store, path) for path in parts])
                 store.write_part(joined, _distinct(rows))
                 for path in sorted({*parts} - {joined}):
                     store.remove(path)
     return before, after
-
-
-def _part(store: Store, path: str) -> pa.Table:
-    try:
-        return pq.read_table(BytesIO(store.read(path)))
-    except pa.ArrowException as error:
-        raise damaged_part(store, path) from error
 
 
 def _distinct(rows: pa.Table) -> pa.Table:

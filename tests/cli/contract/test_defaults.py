@@ -123,6 +123,7 @@ DEFAULTS = {
     "fleet prune": {"--store": None, "--successes": 30.0, "--failures": 365.0, "--quiet": False},
     "fleet browse": {**dict.fromkeys(("--store", "--vehicle")), "--host": "127.0.0.1", "--port": 51234},
     "fleet compact": {"--store": None, "--quiet": False},
+    "fleet repair": {"--store": None, "--quiet": False},
 }
 
 

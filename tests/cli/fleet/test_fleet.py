@@ -23,7 +23,7 @@ from tests.cli.support import (
     environment_of_process,
     write_thinned_sample,
 )
-from tests.fleet.support.made_store import add_log, lidar_row, made_store
+from tests.fleet.support.made_store import add_log, key_of, lidar_row, made_store
 from tests.sinks.conftest import record
 
 
@@ -205,6 +205,26 @@ def test_a_damaged_part_is_named(content, store, invoke: Invoke):
             assert_one_sentence(outcome, ExitCode.INPUT)
             assert f"The part {part.relative_to(store)} of the store" in outcome.err
     assert invoke("fleet", "drift", "--store", store).code == ExitCode.INPUT
+
+
+@pytest.mark.slow
+def test_a_damaged_store_is_repaired(store, invoke: Invoke):
+    part = min(store.glob("lidars/*/*/*.parquet"))
+    part.write_bytes(b"no Parquet")
+    whole = invoke("fleet", "status", "--store", store, "--format", "csv")
+    assert (whole.code, len(rows(whole))) == (ExitCode.DONE, 4)
+    assert whole.err == (
+        f"note: parts that are damaged and left out: 1; `multilica fleet repair --store {store}` sets them aside.\n"
+    )
+    assert invoke("fleet", "failures", "--store", store).code == ExitCode.INPUT
+    source = next(f"v01/{day}.mcap" for day in range(400) if key_of(f"v01/{day}.mcap") == part.stem)
+    assert invoke("fleet", "repair", "--store", store).out.splitlines() == [
+        f"{part.relative_to(store)} is damaged; it is now in {store}/damaged.",
+        f"v01: {source}: the next run treats it again.",
+    ]
+    assert invoke("fleet", "failures", "--store", store).code == ExitCode.DONE
+    assert invoke("fleet", "status", "--store", store).err == ""
+    assert invoke("fleet", "repair", "--store", store).out == "No part is damaged.\n"
 
 
 @pytest.mark.slow
