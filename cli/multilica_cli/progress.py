@@ -170,6 +170,9 @@ def show_fleet(*, quiet: bool) -> Iterator[FleetObserver]:
             to_do = event.found - event.skipped
             bars.update(task, total=to_do, description="logs")
             console.print(f"{event.found} logs, {event.skipped} of them finished before.")
+            if event.unlike_pattern:
+                told = f"note: logs that the pattern does not fit: {event.unlike_pattern}"
+                console.print(f"{told}; their vehicle is from the manifest, the log or its folder.")
             return
         done += 1
         if event.state in ("refused", "failed"):

@@ -75,11 +75,16 @@ class FleetOptions:
 
 @dataclass(slots=True)
 class FleetOutcome:
-    """Outcome of a run so far: logs per state, those of earlier runs as `skipped`."""
+    """Outcome of a run so far: logs per state, those of earlier runs as `skipped`, and those unlike the pattern."""
 
     found: int = 0
     skipped: int = 0
+    unlike_pattern: int = 0
     states: dict[str, int] = field(default_factory=dict)
+
+    def count_unlike(self, _: FleetLog) -> None:
+        """Count a log that the pattern does not fit."""
+        self.unlike_pattern += 1
 
     @property
     def without_result(self) -> int:
@@ -119,7 +124,7 @@ def run_fleet(
         open_executor(options.workers, options.scheduler) as (executor, slots),
         closing(Plan(folder, store, digest, newest_first=options.newest_first)) as plan,
     ):
-        plan.add(find_logs(logs, options.pattern))
+        plan.add(find_logs(logs, options.pattern, outcome.count_unlike))
         plan.settle(lambda addresses: executor.map(partial(identify_guarded, limits=options.limits), addresses))
         outcome.found, to_do = plan.counts()
         outcome.skipped = outcome.found - to_do

@@ -6,8 +6,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, time
 from glob import has_magic
@@ -25,6 +24,7 @@ from multilica.ingest.remote.remote_file import open_file_system, remote_failure
 
 _MANIFESTS = (".csv", ".parquet")
 _FIELD = re.compile(r"\{(vehicle|time)(?::([^{}]+))?\}")
+_BRACES = re.compile(r"\{[^{}]*\}|[{}]")
 _DIRECTIVES = {"Y": 4, "m": 2, "d": 2, "H": 2, "M": 2, "S": 2, "y": 2, "j": 3}
 _END_BYTES = 1 << 20
 
@@ -55,7 +55,7 @@ class LogPattern:
             any characters within a folder's name. Times are UTC.
 
     Raises:
-        UsageError: no field, one twice, or a part of a time that is not supported.
+        UsageError: no field, one twice, other braces, or a part of a time that is not supported.
     """
 
     def __init__(self, text: str) -> None:
@@ -65,24 +65,31 @@ class LogPattern:
                 f"Found the pattern '{text}'; expected {{vehicle}}, {{time:%Y-%m-%d}} or both, for example "
                 "{vehicle}/{time:%Y-%m-%d_%H%M%S}."
             )
-        self._time_format, parts = "", iter(_FIELD.split(text))
+        if unknown := _BRACES.search(_FIELD.sub("", text)):
+            raise UsageError(
+                f"Found {unknown[0]} in the pattern '{text}'; expected {{vehicle}} or {{time:%Y-%m-%d}}, and * for "
+                "characters that do not matter."
+            )
+        self.text, self._time_format, parts = text, "", iter(_FIELD.split(text))
         pattern = _literal(next(parts))
         for name, time_format, literal in zip(parts, parts, parts, strict=True):
             pattern += self._time(time_format, text) if name == "time" else r"(?P<vehicle>[^/]+?)"
             pattern += _literal(literal)
         self._pattern = re.compile(pattern)
 
-    def of(self, source: str) -> tuple[str, int | None]:
-        """Return vehicle and time in nanoseconds; empty and None where the path does not have them."""
+    def of(self, source: str) -> tuple[str, int | None] | None:
+        """Return vehicle and time in nanoseconds, empty and None if not asked for; None if the path does not fit."""
         found = self._pattern.search(source)
         if found is None:
-            return "", None
-        vehicle, time_ns = found.groupdict().get("vehicle") or "", None
-        with suppress(ValueError):  # digits that are no date
-            if text := found.groupdict().get("time"):
-                begin = datetime.strptime(text, self._time_format).replace(tzinfo=UTC)
-                time_ns = round(begin.timestamp()) * 10**9
-        return vehicle, time_ns
+            return None
+        vehicle, text = (found.groupdict().get(name) or "" for name in ("vehicle", "time"))
+        if not text:
+            return vehicle, None
+        try:
+            begin = datetime.strptime(text, self._time_format).replace(tzinfo=UTC)
+        except ValueError:  # digits that are no date
+            return None
+        return vehicle, round(begin.timestamp()) * 10**9
 
     def _time(self, given: str | None, text: str) -> str:
         self._time_format = given or "%Y-%m-%d"
@@ -96,26 +103,36 @@ class LogPattern:
         return f"(?P<time>{''.join(digits)})"
 
 
-def find_logs(given: Sequence[str], pattern: LogPattern | None = None) -> Iterator[FleetLog]:
+def find_logs(
+    given: Sequence[str], pattern: LogPattern | None = None, unlike: Callable[[FleetLog], None] = lambda _: None
+) -> Iterator[FleetLog]:
     """Yield the logs in what was given, each once it is found.
 
     Args:
         given: files, folders (searched to their ends), globs, ``s3://`` or ``gs://`` prefixes and globs, addresses of
             files, or CSV or Parquet manifests with the columns `source` and, if known, `vehicle` and `time`.
         pattern: vehicle and time in the paths of logs; what a manifest says comes first.
+        unlike: called with each log that the pattern does not fit.
 
     Raises:
-        UsageError: nothing was given, or an address of another kind.
+        UsageError: nothing was given, an address of another kind, or, at the end, a pattern that fits no log.
         SourceNotFoundError: nothing exists there.
         UnreadableSourceError: a manifest or a bucket cannot be read.
     """
     if not given:
         raise UsageError("No logs were given; expected folders, files, globs, s3:// prefixes or a manifest.")
+    first, fits = "", 0
     for log in (log for each in given for log in _found(each)):
-        vehicle, time_ns = pattern.of(log.source) if pattern else ("", None)
+        found = pattern.of(log.source) if pattern else None
+        if pattern and found is None:
+            unlike(log)
+        first, fits = first or log.source, fits + (found is not None)
+        vehicle, time_ns = found or ("", None)
         name = log.vehicle or vehicle
         time_ns = time_ns if log.time_ns is None else log.time_ns
         yield replace(log, vehicle=vehicle_name(name) if name else "", time_ns=time_ns)
+    if pattern and first and not fits:
+        raise UsageError(f"The pattern '{pattern.text}' fits no log; the first of them is {first}.")
 
 
 def _found(given: str) -> Iterator[FleetLog]:

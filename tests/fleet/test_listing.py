@@ -108,18 +108,55 @@ def test_a_date_of_a_manifest_is_its_first_moment(folder):
         ("/{vehicle}_{time:%Y%m%d%H%M}_*.bag", "x/v 1_202603011230_front.bag", "v 1", MARCH_NS),
         ("{time:%Y/%m/%d}", "2026/03/01/a.mcap", "", MARCH_NS - 45_000 * 10**9),
         ("cars/{vehicle}/", "logs/cars/v(1)/a.mcap", "v(1)", None),
-        ("{vehicle}/{time:%Y-%m-%d}", "logs/2026-13-99.mcap", "logs", None),
-        ("cars/{vehicle}/", "trucks/v1/a.mcap", "", None),
+        ("logs-*-{vehicle}/", "logs-{x}-v1/a.mcap", "v1", None),
     ],
 )
 def test_a_pattern_reads_paths(pattern, source, vehicle, time):
     assert LogPattern(pattern).of(source) == (vehicle, time)
 
 
+@pytest.mark.parametrize(
+    ("pattern", "source"),
+    [("{vehicle}/{time:%Y-%m-%d}", "logs/2026-13-99.mcap"), ("cars/{vehicle}/", "trucks/v1/a.mcap")],
+)
+def test_a_pattern_does_not_fit_every_path(pattern, source):
+    assert LogPattern(pattern).of(source) is None
+
+
 @pytest.mark.parametrize("pattern", ["", "logs/*", "{vehicle}/{vehicle}", "{time:%Y-%B}", "{name}"])
 def test_a_pattern_without_sense_is_refused(pattern):
     with pytest.raises(UsageError, match="pattern"):
         LogPattern(pattern)
+
+
+@pytest.mark.parametrize(
+    ("pattern", "words"),
+    [
+        ("{}/{vehicle}", r"Found \{\} in"),
+        ("{name}/{vehicle}", r"Found \{name\} in"),
+        ("{vehicle}/{time", r"Found \{ in"),
+        ("{vehicle:%Y}}", r"Found \} in"),
+        ("{vehicle}/{ time }", r"expected \{vehicle\} or \{time:%Y-%m-%d\}"),
+    ],
+)
+def test_other_braces_are_told(pattern, words):
+    with pytest.raises(UsageError, match=words):
+        LogPattern(pattern)
+
+
+def test_logs_that_a_pattern_does_not_fit_are_counted(folder):
+    unlike = []
+    logs = list(find_logs([str(folder / "logs")], LogPattern("{vehicle}/a"), unlike.append))
+    assert [(log.source, log.vehicle) for log in logs if log.vehicle] == [("logs/v1/a.mcap", "v1")]
+    assert [log.source for log in unlike] == [log.source for log in logs if not log.vehicle]
+    assert len(unlike) == 4
+
+
+def test_a_pattern_that_fits_no_log_is_refused(folder):
+    with pytest.raises(UsageError, match=r"'cars/\{vehicle\}/' fits no log; the first of them is logs/v1/a\.mcap"):
+        list(find_logs([str(folder / "logs")], LogPattern("cars/{vehicle}/")))
+    (folder / "none").mkdir()
+    assert list(find_logs([str(folder / "none")], LogPattern("cars/{vehicle}/"))) == []
 
 
 @pytest.mark.parametrize(

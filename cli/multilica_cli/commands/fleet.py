@@ -112,7 +112,8 @@ def run(
     with show_fleet(quiet=quiet or as_json) as observe:
         outcome = run_fleet(logs, store, chosen, observe)
     if as_json:
-        print_json({"found": outcome.found, "skipped": outcome.skipped, **outcome.states})
+        unlike = {"unlike_pattern": outcome.unlike_pattern} if pattern else {}
+        print_json({"found": outcome.found, "skipped": outcome.skipped, **unlike, **outcome.states})
     else:
         counts = ", ".join(f"{count} {state}" for state, count in sorted(outcome.states.items())) or "nothing to do"
         console = stdout_console(quiet=quiet)

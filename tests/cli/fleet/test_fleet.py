@@ -77,12 +77,29 @@ def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
     assert len(rows(invoke("fleet", "failures", "--store", "store", "--format", "csv"))) == 2
 
 
+@pytest.mark.slow
+def test_logs_unlike_the_pattern_are_told(invoke: Invoke, tmp_path):
+    for name in ("cars/v1", "trucks"):
+        (tmp_path / "logs" / name).mkdir(parents=True)
+        (tmp_path / "logs" / name / "log.mcap").write_bytes(bytes(100))
+    command = ("fleet", "run", "logs", "--out", "store", "--pattern")
+    assert_one_sentence(invoke(*command, "bikes/{vehicle}/"), ExitCode.USAGE)
+    outcome = invoke(*command, "cars/{vehicle}/")
+    assert outcome.code == ExitCode.NOT_PLACED
+    assert "note: logs that the pattern does not fit: 1; their vehicle is from" in outcome.err
+    outcome = invoke(*command, "cars/{vehicle}/", "--json")
+    assert json.loads(outcome.out) == {"found": 2, "skipped": 2, "unlike_pattern": 1}
+    found = rows(invoke("fleet", "query", "SELECT vehicle FROM logs ORDER BY 1", "--store", "store", "--format", "csv"))
+    assert found[1:] == [["trucks"], ["v1"]]
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
         (("run", "none", "--out", "new"), ExitCode.INPUT, "Nothing exists at none"),
         (("run", ".", "--out", "https://host/store"), ExitCode.USAGE, "s3://BUCKET/PREFIX"),
         (("run", ".", "--out", "new", "--pattern", "*"), ExitCode.USAGE, "pattern"),
+        (("run", ".", "--out", "new", "--pattern", "{}/{vehicle}"), ExitCode.USAGE, "Found {} in the pattern"),
         (("run", ".", "--out", "new", "--scheduler", "host"), ExitCode.USAGE, "tcp://HOST:PORT"),
         (("run", ".", "--out", "new", "--set", "fine.none=1"), ExitCode.USAGE, "fine.none"),
         (("status", "--store", "none"), ExitCode.INPUT, "no fleet store at none"),
