@@ -6,11 +6,11 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, date, datetime, time
 from glob import has_magic
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -197,20 +197,45 @@ def _with_source(path: Path, source: Path) -> FleetLog:
 
 
 def _in_bucket(given: str) -> Iterator[FleetLog]:
+    """Yield the recordings below a prefix, a folder with a ROS 2 bag as one; its address ends in ``/``."""
     scheme = scheme_of(given)
     with remote_failures_named(without_secrets(given), scheme):
         system, path = open_file_system(given)
-        found: Mapping[str, Mapping[str, Any]] = (
+        found: dict[str, Mapping[str, Any]] = (
             system.glob(path, detail=True) if has_magic(path) else system.find(path, detail=True)
         )
-    logs = [each for each in sorted(found) if named_content(Path(each)) == "recording"]
+        for folder in [each for each, details in found.items() if details["type"] == "directory"]:
+            del found[folder]
+            found |= system.find(folder, detail=True)
+    logs: dict[str, list[str]] = {}
+    bags = _bags(found)
+    for each in sorted(found):
+        bag = next((f"{above}/" for above in reversed(PurePosixPath(each).parents) if str(above) in bags), "")
+        if named_content(Path(each)) == "recording" or bag:
+            logs.setdefault(bag or each, []).append(each)
     if not logs:
         raise SourceNotFoundError(f"There is no recording at {without_secrets(given)}.")
-    for each in logs:
-        address = f"{scheme}://{each}"
-        details = found[each]
-        etag = details.get("ETag") or details.get("etag") or details.get("md5Hash") or ""
-        yield FleetLog(address, address, int(details["size"]), str(etag).strip('"'))
+    for log, files in logs.items():
+        address, tags = f"{scheme}://{log}", [_tag(found[each]) for each in files]
+        size = sum(int(found[each]["size"]) for each in files)
+        if log not in found:
+            lines = (f"{each.removeprefix(log)} {tag}\n" for each, tag in zip(files, tags, strict=True))
+            tags = [hashlib.sha256("".join(lines).encode()).hexdigest()[:32]]
+        yield FleetLog(address, address, size, tags[0])
+
+
+def _bags(files: Iterable[str]) -> set[str]:
+    """Return the folders with the metadata and with a file of a ROS 2 bag."""
+    folders: dict[bool, set[str]] = {True: set(), False: set()}
+    for each in map(PurePosixPath, files):
+        if each.name == "metadata.yaml" or named_content(Path(each)) == "recording":
+            folders[each.name == "metadata.yaml"].add(str(each.parent))
+    return folders[True] & folders[False]
+
+
+def _tag(details: Mapping[str, Any]) -> str:
+    """Return what a server tells of the content of a file."""
+    return str(details.get("ETag") or details.get("etag") or details.get("md5Hash") or "").strip('"')
 
 
 def _behind(address: str) -> FleetLog:

@@ -94,7 +94,7 @@ def require_distinct(paths: Sequence[SourceFile]) -> None:
 
 
 def _look_at(path: SourceFile) -> Source:
-    if isinstance(path, Path) and path.is_dir():
+    if path.is_dir():
         return _folder(path)
     if not path.is_file():
         raise UnreadableSourceError(f"{path} is neither a file nor a folder.")
@@ -120,7 +120,7 @@ def _several(paths: list[SourceFile]) -> Source:
     return Source(label, frames=tuple(lidars))
 
 
-def _folder(folder: Path) -> Source:
+def _folder(folder: SourceFile) -> Source:
     entries = sorted((entry for entry in folder.iterdir() if not entry.name.startswith(".")), key=_natural)
     files = [entry for entry in entries if entry.is_file()]
     recordings = [path for path in files if named_content(path) == "recording"]
@@ -143,14 +143,17 @@ def _folder(folder: Path) -> Source:
     return Source(str(folder), tuple(recordings), tuple(frames), missing=_missing_parts(folder, recordings))
 
 
-def _frames(entries: list[Path]) -> list[FrameFiles]:
+def _frames(entries: list[SourceFile]) -> list[FrameFiles]:
     clouds = [entry for entry in entries if _is_cloud_file(entry)]
     stems = Counter(map(_stem, clouds))
     single = [FrameFiles(path.name, _stem(path) if stems[_stem(path)] == 1 else path.name, (path,)) for path in clouds]
     folders = [
         FrameFiles(entry.name, entry.name, files)
         for entry in entries
-        if entry.is_dir() and (files := tuple(sorted(filter(_is_cloud_file, entry.iterdir()), key=_natural)))
+        # A bucket may have any number of folders, with a request for each.
+        if isinstance(entry, Path)
+        and entry.is_dir()
+        and (files := tuple(sorted(filter(_is_cloud_file, entry.iterdir()), key=_natural)))
     ]
     return single + folders
 
@@ -160,35 +163,36 @@ def _stem(path: SourceFile) -> str:
     return path.name.removesuffix(_NUSCENES) if path.name.endswith(_NUSCENES) else path.stem
 
 
-def _is_cloud_file(path: Path) -> bool:
+def _is_cloud_file(path: SourceFile) -> bool:
     return named_content(path) == "cloud" and not path.name.startswith(".") and path.is_file()
 
 
-def _natural(path: Path) -> tuple[list[int | str], str]:
+def _natural(path: SourceFile) -> tuple[list[int | str], str]:
     parts = re.split(r"(\d+)", path.name)
     return [int(part) if index % 2 else part for index, part in enumerate(parts)], path.name
 
 
-def _names(paths: list[Path]) -> str:
+def _names(paths: list[SourceFile]) -> str:
     shown = ", ".join(path.name for path in paths[:_LISTED])
     return f"{shown}, ..." if len(paths) > _LISTED else shown
 
 
-def _are_one_bag(folder: Path, recordings: Sequence[Path]) -> bool:
+def _are_one_bag(folder: SourceFile, recordings: Sequence[SourceFile]) -> bool:
     """Return whether files of a folder are parts of one bag rather than separate recordings."""
     if any(named_format(path) is FORMATS["ros1"] for path in recordings):
         return False
     # The parts of a split bag are NAME_0.db3, NAME_1.db3, ... If the recorder dies, metadata.yaml is missing, and the
     # last part is not compressed yet where the others are (NAME_0.db3.zstd).
     stems = {re.sub(r"_\d+$", "", Path(name_unpacked(path.name)).stem) for path in recordings}
-    return (folder / _METADATA).is_file() or len(stems) == 1
+    return (folder / _METADATA).exists() or len(stems) == 1
 
 
-def _missing_parts(folder: Path, recordings: Sequence[Path]) -> tuple[str, ...]:
+def _missing_parts(folder: SourceFile, recordings: Sequence[SourceFile]) -> tuple[str, ...]:
     """Return the files that metadata.yaml names and that do not exist, compressed or not."""
     try:
-        lines = (folder / _METADATA).read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
+        with (folder / _METADATA).open("rb") as file:
+            lines = file.read().decode(errors="replace").splitlines()
+    except (OSError, SourceNotFoundError):
         return ()
     existing = {name_unpacked(path.name) for path in recordings}
     behind = list(dropwhile(lambda line: line.strip() != "relative_file_paths:", lines))[1:]

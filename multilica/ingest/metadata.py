@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from multilica.config import IngestConfig
-from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_json, parse_yaml, read_limited
-from multilica.errors import MultilicaError
+from multilica.documents import MAX_YAML_BYTES, DocumentError, parse_json, parse_yaml
+from multilica.errors import MultilicaError, SourceNotFoundError
 from multilica.ingest.containers.mcap_file import mcap_metadata
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
@@ -105,7 +105,7 @@ def identify_log(source: PathLike) -> LogIdentity:
 
 
 def _metadata(file: SourceFile) -> Iterator[Mapping[str, str]]:
-    if isinstance(file, Path) and file.is_dir():
+    if file.is_dir():
         yield _custom_data(file / "metadata.yaml")
         return
     yield from (record.metadata for record in mcap_metadata(file))
@@ -113,8 +113,10 @@ def _metadata(file: SourceFile) -> Iterator[Mapping[str, str]]:
         yield _custom_data(file.parent / "metadata.yaml")
 
 
-def _custom_data(path: Path) -> Mapping[str, str]:
-    with suppress(OSError, DocumentError, TypeError, KeyError, AttributeError):
-        values = parse_yaml(read_limited(path, MAX_YAML_BYTES))["rosbag2_bagfile_information"]["custom_data"]
+def _custom_data(path: SourceFile) -> Mapping[str, str]:
+    with suppress(OSError, SourceNotFoundError, DocumentError, TypeError, KeyError, AttributeError):
+        with path.open("rb") as file:
+            data = file.read(MAX_YAML_BYTES + 1)
+        values = parse_yaml(data)["rosbag2_bagfile_information"]["custom_data"]
         return {str(key): str(value) for key, value in values.items()}
     return {}

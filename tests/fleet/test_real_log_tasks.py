@@ -200,13 +200,14 @@ def test_a_dask_cluster_with_tls_gives_the_same_tables(whole, few, tmp_path):
 def test_a_bucket_holds_the_logs_and_the_store(whole, fleet, tmp_path, monkeypatch):
     logs = link_logs(fleet, tmp_path, [log for log in PLAN.logs if not log.dead])
     with bucket(monkeypatch) as address:
-        files = [path for path in sorted(logs.glob("*/*")) if path.is_file()]
+        listed = sorted(logs.glob("*/*"))
         system = fsspec.filesystem("s3", skip_instance_cache=True)
-        for path in files:
+        for path in (each for log in listed for each in ([log] if log.is_file() else log.iterdir())):
             system.put_file(str(path), f"bucket/fleet/{path.relative_to(logs)}")
         store = open_store(f"{address}-store", create=True)
         outcome = run_fleet(["s3://bucket/fleet/"], store, OPTIONS)
-        assert outcome.found == len(files) > 3
+        assert outcome.found == len(listed) > 3
+        assert any(log.is_dir() for log in listed)
         assert "killed" not in outcome.states
         found, wanted = (_poses(each) for each in (store, whole))
         (recording, *_) = [path for path, _ in store.files("runs") if path.endswith(".rrd")]
@@ -221,7 +222,7 @@ def _poses(store):
     """Those of uncertain LiDARs as well: in logs of one frame, parked cars hold some."""
     query = "SELECT source, lidar, x_m, y_m, z_m FROM lidars WHERE status IN ('placed', 'uncertain')"
     with ask(store, query) as answer:
-        return {("/".join(source.split("/")[-2:]), lidar): pose for source, lidar, *pose in answer.rows()}
+        return {("/".join(source.rstrip("/").split("/")[-2:]), lidar): pose for source, lidar, *pose in answer.rows()}
 
 
 def test_an_address_that_is_no_scheduler_is_refused(fleet, tmp_path):

@@ -56,12 +56,13 @@ _BAD_REDIRECTS = {"InvalidURL", "InvalidUrlClientError", "RedirectClientError"}
 
 
 class RemoteFile:
-    """A file that is read by byte ranges, with no request before the first access.
+    """A file that is read by byte ranges, or a folder of a bucket, with no request before the first access.
 
     If a web server does not support ranges, the whole file is downloaded.
 
     Args:
-        url: ``s3://``, ``gs://``, ``https://`` or ``http://``; only the part without secrets is ever shown.
+        url: ``s3://``, ``gs://``, ``https://`` or ``http://``; only the part without secrets is ever shown. A folder
+            ends in ``/``.
     """
 
     def __init__(self, url: str) -> None:
@@ -87,16 +88,29 @@ class RemoteFile:
     def exists(self) -> bool:
         """Return whether the server has it."""
         with suppress(SourceNotFoundError):
-            return bool(self._cache.size >= 0)
+            return any(True for _ in self.iterdir()) if self.is_dir() else bool(self._cache.size >= 0)
         return False
 
     def is_file(self) -> bool:
-        """Return True."""
-        return True
+        """Return whether it is no folder."""
+        return not self.is_dir()
 
     def is_dir(self) -> bool:
-        """Return False."""
-        return False
+        """Return whether it is a folder of a bucket, by its address."""
+        return not self._is_web and self._url.endswith("/")
+
+    def __truediv__(self, name: str) -> RemoteFile:
+        return RemoteFile(f"{self._url}{name}")
+
+    def iterdir(self) -> Iterator[RemoteFile]:
+        """Yield files and folders in a folder; raise SourceNotFoundError if there are none."""
+        with remote_failures_named(str(self), self._scheme):
+            system, path = open_file_system(self._url)
+            entries = system.ls(path.rstrip("/"), detail=True)
+        for entry in entries:
+            name = entry["name"].rstrip("/").rpartition("/")[2]
+            if entry["name"].strip("/") != path.strip("/"):  # some tools make an object for the folder itself
+                yield self / (f"{name}/" if entry["type"] == "directory" else name)
 
     def stat(self) -> os.stat_result:
         """Return mode and size in bytes; all else is zero."""
@@ -140,7 +154,9 @@ class RemoteFile:
                 options = {"size": found["size"]} if found.get("size") and found.get("partial", True) else {}
             handle = system.open(path, "rb", block_size=BLOCK_BYTES, cache_type="none", **options)
             if handle.details.get("type") == "directory":
-                raise UnreadableSourceError(f"{self} is a folder; expected the address of a file.")
+                raise UnreadableSourceError(
+                    f"{self} is a folder; expected the address of a file, or {self}/ for a bag in a bucket."
+                )
             stack = ExitStack()
             on_disk = stack.enter_context(scratch_folder()) / (self.name or "download")
             weakref.finalize(self, stack.close)

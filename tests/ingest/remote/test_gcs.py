@@ -10,10 +10,17 @@ from urllib.request import Request, urlopen
 
 import pytest
 
+from multilica.config import IngestConfig
 from multilica.errors import SourceNotFoundError, UnreadableSourceError
+from multilica.fleet.listing import find_logs
 from multilica.ingest import read_snapshot
 from tests.ingest.support.processes import served
-from tests.ingest.support.served_files import BUCKET, assert_a_window_costs_its_chunks, write_files
+from tests.ingest.support.served_files import (
+    BUCKET,
+    assert_a_window_costs_its_chunks,
+    assert_equal_to_the_file,
+    write_files,
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +34,8 @@ def gcs_port(folder: Path) -> Iterator[int]:
         _post(f"http://127.0.0.1:{port}/storage/v1/b?project=fleet", json.dumps({"name": BUCKET}).encode(), "json")
         upload = f"http://127.0.0.1:{port}/upload/storage/v1/b/{BUCKET}/o?uploadType=media&name="
         _post(f"{upload}june%2Flong.mcap", (folder / "long.mcap").read_bytes(), "octet-stream")
+        for path in (folder / "bag").iterdir():
+            _post(f"{upload}june%2Fbag%2F{path.name}", path.read_bytes(), "octet-stream")
         yield port
 
 
@@ -47,6 +56,13 @@ def test_a_window_of_a_gcs_object_costs_its_chunks(gs: str, folder: Path, monkey
     from gcsfs.core import GCSFile
 
     assert_a_window_costs_its_chunks(GCSFile, gs, folder / "long.mcap", monkeypatch)
+
+
+@pytest.mark.slow
+def test_a_bag_in_a_bucket_is_read_as_one(gs: str, folder: Path) -> None:
+    bag = gs.replace("long.mcap", "bag/")
+    assert_equal_to_the_file(bag, folder / "bag", IngestConfig(frames=3))
+    assert [log.source for log in find_logs([gs.replace("june/long.mcap", "")])] == [bag, gs]
 
 
 def test_what_gcs_does_not_have_is_told(gs: str) -> None:

@@ -20,7 +20,9 @@ from multilica.errors import (
     UnreadableSourceError,
     UsageError,
 )
+from multilica.fleet.listing import LogPattern, find_logs
 from multilica.ingest import find_snapshots, inspect_source, read_snapshot
+from multilica.ingest.metadata import identify_log
 from multilica.ingest.remote import remote_file
 from multilica.ingest.remote.remote_file import RemoteFile
 from tests.ingest.support.processes import served
@@ -59,6 +61,9 @@ def s3_port(folder: Path) -> Iterator[int]:
         )
         client.create_bucket(Bucket=BUCKET)
         client.upload_file(str(folder / "long.mcap"), BUCKET, "june/long.mcap")
+        client.put_object(Bucket=BUCKET, Key="june/bag/")  # as some tools make for a folder
+        for path in (folder / "bag").iterdir():
+            client.upload_file(str(path), BUCKET, f"june/bag/{path.name}")
         client.close()
         yield port
 
@@ -97,6 +102,30 @@ def test_inspect_reads_it_too(s3: str) -> None:
     assert summary.source == s3
     assert [cloud.frames for cloud in summary.clouds] == [150, 150]
     assert summary.objection == ""
+
+
+@pytest.mark.slow
+def test_a_bag_in_a_bucket_is_read_as_one(s3: str, folder: Path) -> None:
+    bag = s3.replace("long.mcap", "bag/")
+    assert_equal_to_the_file(bag, folder / "bag", IngestConfig(frames=3))
+    assert read_snapshot(bag).source_sha256 == read_snapshot(folder / "bag").source_sha256
+    assert identify_log(bag) == identify_log(folder / "bag")
+    assert identify_log(bag).vehicle == "bus 7"
+
+
+@pytest.mark.usefixtures("s3")
+@pytest.mark.slow
+def test_a_bag_in_a_bucket_is_one_log_of_a_fleet(folder: Path) -> None:
+    listed = [
+        [log.source for log in find_logs([f"s3://{BUCKET}/{given}"])]
+        for given in ("", "june/bag", "june/*", "june/*/*", "june/bag/*.db3*")
+    ]
+    bag, file, part = (f"s3://{BUCKET}/june/{name}" for name in ("bag/", "long.mcap", "bag/bag.db3"))
+    assert listed == [[bag, file], [bag], [bag, file], [bag], [part]]
+    log = next(find_logs([f"s3://{BUCKET}/june/"], LogPattern("{vehicle}/bag/")))
+    assert log.vehicle == "june"
+    assert log.size_bytes == sum(path.stat().st_size for path in (folder / "bag").iterdir())
+    assert len(log.fingerprint) == 32
 
 
 def test_the_hash_of_a_large_file_needs_only_its_ends(web: str, s3: str) -> None:
@@ -211,7 +240,8 @@ def test_a_server_that_is_not_there_is_one_sentence() -> None:
     [
         (f"{BUCKET}/june/none.mcap", SourceNotFoundError, "Nothing exists at"),
         ("another-bucket/june/long.mcap", SourceNotFoundError, "Nothing exists at"),
-        (f"{BUCKET}/june", UnreadableSourceError, "is a folder"),
+        (f"{BUCKET}/june/bag", UnreadableSourceError, f"is a folder; .* s3://{BUCKET}/june/bag/ for a bag"),
+        (f"{BUCKET}/july/", SourceNotFoundError, "Nothing exists at"),
     ],
 )
 def test_what_is_no_object_is_told(place: str, error: type[MultilicaError], text: str) -> None:

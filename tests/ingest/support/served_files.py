@@ -18,6 +18,7 @@ from tests.ingest.support.recording_writers import (
     make_snapshot,
     write_mcap,
     write_ros1_bag,
+    write_ros2_bag,
 )
 
 CHUNK_BYTES = 1 << 20
@@ -34,6 +35,10 @@ def write_files(folder: Path) -> Path:
     )
     write_mcap(make_snapshot(), folder / "unindexed.mcap", indexed=False)
     write_ros1_bag(make_snapshot(), folder / "drive.bag")
+    write_ros2_bag(make_snapshot(), folder / "bag")
+    metadata = folder / "bag" / "metadata.yaml"
+    text = metadata.read_text(encoding="utf-8")
+    metadata.write_text(text.replace("custom_data: null", "custom_data: {vehicle: bus 7}"), encoding="utf-8")
     (folder / "notes.txt").write_text("It rained.", encoding="utf-8")
     return folder
 
