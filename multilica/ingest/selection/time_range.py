@@ -130,11 +130,20 @@ def _start_ns(span: Span, config: IngestConfig, label: str) -> int:
 
 def _still_range(recording: Recording, config: IngestConfig, start_ns: int, span: Span, label: str) -> TimeRange:
     first_ns, last_ns, evidence = _standstill(recording, (start_ns, span[1]), label)
+    if _has_single_frames(recording):
+        return TimeRange(start_ns, notes=("There is one frame per LiDAR, so no standstill to choose.",))
     longest_s = config.window_s or _MAX_SPREAD_S
     end_ns = min(last_ns, first_ns + round(longest_s * _NS_PER_S))
     first_s, last_s = ((time_ns - span[0]) / _NS_PER_S for time_ns in (first_ns, last_ns))
     note = f"The vehicle stands still from {first_s:.1f} to {last_s:.1f} s by {evidence}; frames are from there."
     return TimeRange(first_ns, end_ns, (note,))
+
+
+def _has_single_frames(recording: Recording) -> bool:
+    counts: Counter[str] = Counter()
+    for topic in filter(is_cloud, recording.topics):
+        counts[topic.name] += topic.count
+    return max(counts.values(), default=0) == 1
 
 
 def _standstill(recording: Recording, span: Span, label: str) -> tuple[int, int, str]:
@@ -147,7 +156,7 @@ def _standstill(recording: Recording, span: Span, label: str) -> tuple[int, int,
     name, samples = next(
         found for look in (_by_odometry, _by_imu, _by_clouds) if (found := look(recording, span)) is not None
     )
-    if samples and all(still for _, still in samples):
+    if (samples and all(still for _, still in samples)) or (not samples and _has_single_frames(recording)):
         return *span, name
     runs = [[time_ns for time_ns, _ in run] for still, run in groupby(samples, key=lambda s: s[1]) if still]
     longest = max(runs, key=lambda run: run[-1] - run[0], default=[0])

@@ -12,9 +12,14 @@ from pathlib import Path
 import psutil
 import pytest
 
+from multilica import read_snapshot
+from multilica.config import IngestConfig
 from multilica.fleet.store.query import ask
 from multilica.fleet.store.store import open_store
 from multilica.fleet.store.upkeep import prune_recordings
+from multilica.simulate import thinned
+from multilica.sinks.snapshots import write_snapshot_mcap
+from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import (
     Invoke,
@@ -75,6 +80,15 @@ def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
     again = invoke("fleet", "run", logs.parent, "--out", "store", "--json")
     assert (again.code, json.loads(again.out)) == (ExitCode.DONE, {"found": 2, "skipped": 2})
     assert len(rows(invoke("fleet", "failures", "--store", "store", "--format", "csv"))) == 2
+
+
+@pytest.mark.slow
+def test_a_log_of_one_frame_needs_no_flag(invoke: Invoke, tmp_path):
+    (tmp_path / "v1").mkdir()
+    sample = thinned(read_snapshot(find_sample().recording, config=IngestConfig(frames=1)), 3)
+    write_snapshot_mcap(sample, tmp_path / "v1" / "log.mcap")
+    outcome = invoke("fleet", "run", "v1", "--out", "store", "--workers", "1")
+    assert outcome.out == "1 logs, 0 of them finished before: 1 calibrated.\n"
 
 
 @pytest.mark.slow

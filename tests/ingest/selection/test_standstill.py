@@ -203,6 +203,15 @@ def test_a_recording_of_less_than_a_second_is_taken_whole(tmp_path: Path) -> Non
         assert len(snapshot["roof"].scans) == 3
 
 
+@pytest.mark.parametrize("indexed", [True, False])
+def test_a_recording_of_one_frame_is_taken(indexed: bool, tmp_path: Path) -> None:
+    snapshot = make_snapshot(lidars=3, frames=1)
+    write_mcap(snapshot, tmp_path / "one.mcap", indexed=indexed)
+    found = read_snapshot(tmp_path / "one.mcap", config=IngestConfig(window="auto"))
+    assert {lidar.name: len(lidar.scans) for lidar in found.lidars} == dict.fromkeys(snapshot.names, 1)
+    assert found.notes == ("There is one frame per LiDAR, so no standstill to choose.",)
+
+
 def test_odd_messages_are_no_evidence(tmp_path: Path) -> None:
     store = ros2_types()
     messages = [*clouds(store, store.serialize_cdr, real=False), *odometry(store, store.serialize_cdr)]
