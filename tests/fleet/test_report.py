@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from multilica.extrinsics import Extrinsics
 from multilica.fleet.drift.drift import find_drift, find_offsets, find_outages
 from multilica.fleet.drift.findings import DriftEvent
 from multilica.fleet.lidar_series import read_series
@@ -25,7 +26,8 @@ from multilica.fleet.report.page import (
 )
 from multilica.fleet.store.query import FAILURES, STATUS, ask
 from multilica.fleet.store.store import open_store
-from tests.fleet.support.made_store import SIGMA_DEG, SIGMA_MM, add_log, key_of, lidar_row, made_store
+from multilica.geometry import RigidTransform
+from tests.fleet.support.made_store import NOMINAL, SIGMA_DEG, SIGMA_MM, add_log, key_of, lidar_row, made_store
 from tests.fleet.support.requests import DAY_NS, START_NS
 
 TIMES = (START_NS + 121 * DAY_NS, START_NS + 151 * DAY_NS)
@@ -189,6 +191,28 @@ def test_a_vehicle_unlike_the_others_is_told(tmp_path):
     ]
     assert "1 LiDAR sits elsewhere than on the other vehicles." in text
     assert "<h1>No LiDAR moved on 6 vehicles.</h1>" in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("vehicles", "whose"), [(3, ["all vehicles"]), (2, ["v0", "v1"])])
+def test_a_wrong_design_is_told_with_nominal_poses(vehicles, whose, tmp_path):
+    store = open_store(tmp_path / "store", create=True)
+    for number in range(vehicles):
+        for day in range(4):
+            shift_mm = (0.1 * number - 0.1 * day, 0.1 * day, 0.0)
+            add_log(store, f"v{number}", day, lambda *log, s=shift_mm: [lidar_row(*log, "rear", shift_mm=s)])
+    xyz_m, rpy_deg = NOMINAL["rear"]
+    designed = RigidTransform.from_xyz_rpy("top", "rear", np.add(xyz_m, (0.0, 0.0, 0.2)), np.deg2rad(rpy_deg))
+    nominal = Extrinsics("top", {"rear": designed})
+    text = store_report(store, tmp_path / "page.html", nominal)
+    rows = Tables(text).body("events")
+    assert [row[:4] for row in rows] == [[name, "rear", "offset", "all logs"] for name in whose]
+    assert [row[5] for row in rows] == [each.sentence for each in find_offsets(list(read_series(store)), nominal)]
+    assert all(row[4].startswith("200.") or row[4].startswith("199.") for row in rows)
+    count = "1 LiDAR sits" if len(whose) == 1 else "2 LiDARs sit"
+    assert f"{count} elsewhere than designed." in text
+    assert "elsewhere than on the other vehicles" not in text
+    assert "designed" not in store_report(store, tmp_path / "page.html")
 
 
 def test_marks_tell_verified_from_calibrated_and_lost(text):

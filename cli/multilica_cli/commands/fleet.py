@@ -25,6 +25,13 @@ fleet = options.App(
 
 _Format = Annotated[Literal["table", "csv", "json"], option("--format table|csv|json", "Form of the answer.")]
 
+_Nominal = Annotated[
+    Path | None,
+    option(
+        "--nominal FILE", "Poses as designed, to find wrong ones: TOML, URDF or another file of poses.", default=False
+    ),
+]
+
 
 @fleet.command()
 def run(
@@ -176,14 +183,7 @@ def show(
 def drift(
     *,
     store: options.FleetStore,
-    nominal: Annotated[
-        Path | None,
-        option(
-            "--nominal FILE",
-            "Poses as designed, to find wrong ones: TOML, URDF or another file of poses.",
-            default=False,
-        ),
-    ] = None,
+    nominal: _Nominal = None,
     false_alarm_rate: Annotated[
         float, option("--false-alarm-rate SHARE", "Share of unmoved LiDARs that are reported nevertheless.")
     ] = 0.001,
@@ -218,13 +218,16 @@ def report(
     *,
     store: options.FleetStore,
     out: Annotated[Path, output("--out FILE", "File to write.")] = Path("fleet-report.html"),
+    nominal: _Nominal = None,
     quiet: options.Quiet = False,
 ) -> None:
     """Write one HTML page: LiDARs that moved, vehicles, failures by cause, and the pose of each LiDAR over time."""
+    from multilica.exports import read_extrinsics
     from multilica.fleet.report.page import store_report
     from multilica.sinks.files.atomic import write_text_atomically
 
-    write_text_atomically(out, store_report(_opened(store), out))
+    designed = read_extrinsics(nominal) if nominal else None
+    write_text_atomically(out, store_report(_opened(store), out, designed))
     stdout_console(quiet=quiet).print(f"wrote {out}")
 
 

@@ -20,6 +20,7 @@ from markupsafe import Markup
 
 import multilica
 from multilica.errors import escape_controls
+from multilica.extrinsics import Extrinsics
 from multilica.fleet.drift.drift import find_drift, find_offsets, find_outages
 from multilica.fleet.drift.findings import DriftEvent, Finding
 from multilica.fleet.lidar_series import LidarSeries, read_series
@@ -81,15 +82,15 @@ class PageFailure:
     recording: str = ""
 
 
-def store_report(store: Store, page: Path) -> str:
-    """Render the report of a store, with the findings of `fleet drift` without nominal poses.
+def store_report(store: Store, page: Path, nominal: Extrinsics | None = None) -> str:
+    """Render the report of a store, with the findings of `fleet drift`.
 
     Args:
         page: where it will lie; files of the store are linked if that is within the store.
+        nominal: poses as designed.
     """
     series, failures = list(read_series(store)), _failures(store)
-    unlike = [offset for offset in find_offsets(series) if offset.vehicle is not None]
-    events: list[Finding] = [*find_drift(series), *find_outages(store), *unlike]
+    events: list[Finding] = [*find_drift(series), *find_outages(store), *find_offsets(series, nominal)]
     with ask(store, STATUS) as answer:
         rows = list(answer.rows())
     drawn = drawn_vehicles([vehicle for vehicle, *_ in rows], events, failures)

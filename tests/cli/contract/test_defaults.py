@@ -119,7 +119,7 @@ DEFAULTS = {
     "fleet failures": {"--store": None, "--format": "table"},
     "fleet show": {**dict.fromkeys(("VEHICLE", "--store")), "--format": "table"},
     "fleet drift": {**dict.fromkeys(("--store", "--nominal")), "--false-alarm-rate": 0.001, "--json": False},
-    "fleet report": {"--store": None, "--out": Path("fleet-report.html"), "--quiet": False},
+    "fleet report": {"--store": None, "--out": Path("fleet-report.html"), "--nominal": None, "--quiet": False},
     "fleet prune": {"--store": None, "--successes": 30.0, "--failures": 365.0, "--quiet": False},
     "fleet browse": {**dict.fromkeys(("--store", "--vehicle")), "--host": "127.0.0.1", "--port": 51234},
     "fleet compact": {"--store": None, "--quiet": False},

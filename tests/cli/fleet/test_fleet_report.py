@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 from pathlib import Path
 
+import numpy as np
 import pytest
+import tomli_w
 
+from multilica.extrinsics import Extrinsics, extrinsics_table
+from multilica.geometry import RigidTransform
 from multilica_cli.exit_codes import ExitCode
-from tests.cli.support import Invoke
-from tests.fleet.support.made_store import made_store
+from tests.cli.support import Invoke, assert_one_sentence
+from tests.fleet.support.made_store import NOMINAL, made_store
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +31,16 @@ def test_a_page_in_the_store_links_its_recordings(store, invoke: Invoke):
     outcome = invoke("fleet", "report", "--store", store, "--out", store / "report.html", "--quiet")
     assert (outcome.code, outcome.out) == (ExitCode.DONE, "")
     assert 'href="./runs/v02/' in (store / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_nominal_poses_come_from_a_file(store, invoke: Invoke):
+    xyz_m, rpy_deg = NOMINAL["front"]
+    pose = RigidTransform.from_xyz_rpy("top", "front", np.add(xyz_m, (0.0, 0.0, 1.0)), np.deg2rad(rpy_deg))
+    Path("design.toml").write_text(tomli_w.dumps(extrinsics_table(Extrinsics("top", {"front": pose}))))
+    assert invoke("fleet", "report", "--store", store, "--nominal", "design.toml").code == ExitCode.DONE
+    assert "1 LiDAR sits elsewhere than designed." in Path("fleet-report.html").read_text(encoding="utf-8")
+    assert_one_sentence(invoke("fleet", "report", "--store", store, "--nominal", "none.toml"), ExitCode.INPUT)
 
 
 @pytest.mark.parametrize("address", ["s3://bucket/report.html", "https://example.com/report.html"])
