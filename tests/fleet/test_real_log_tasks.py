@@ -45,7 +45,7 @@ def fleet(tmp_path_factory):
 @pytest.fixture(scope="module")
 def whole(fleet, tmp_path_factory):
     store = open_store(tmp_path_factory.mktemp("store"), create=True)
-    outcome = run_fleet([str(fleet)], store, OPTIONS)
+    outcome = run_fleet([str(fleet)], store, replace(OPTIONS, workers=1))
     assert outcome.found == len(PLAN.logs)
     return store
 
@@ -109,6 +109,14 @@ def test_the_poses_that_hold_can_be_read(whole):
     with ask(whole, "SELECT DISTINCT calibration FROM logs WHERE state = 'verified'") as answer:
         (path,), *_ = answer.rows()
     assert read_extrinsics(Path(whole.root, path)).members == {"front", "left", "rear", "right"}
+
+
+def test_one_vehicle_on_several_workers_has_the_same_tables(whole, fleet, tmp_path):
+    (event,) = PLAN.events  # a dead sensor, after which each log is calibrated
+    logs = link_logs(fleet, tmp_path, [log for log in PLAN.logs if log.vehicle == event.vehicle])
+    store = open_store(tmp_path / "store", create=True)
+    run_fleet([str(logs)], store, replace(OPTIONS, workers=3))
+    assert tables(store, logs) == tables(whole, logs)
 
 
 @contextmanager

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import Literal, get_args, get_type_hints
 
@@ -93,6 +93,10 @@ class LogRow:
     artifacts_mb: float = 0.0
     attempts: int = 1
     finished_at: datetime | None = None
+
+    def as_duplicate(self, first: str) -> LogRow:
+        """Return the row of a log with the same bytes as the log `first`."""
+        return replace(self, state="duplicate", reason="duplicate", reason_text=f"the same bytes as {first}")
 
 
 _ARROW_TYPES = {

@@ -29,6 +29,7 @@ import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 from pyarrow.fs import FSSpecHandler, LocalFileSystem, PyFileSystem, SubTreeFileSystem
 
+import multilica
 from multilica.errors import (
     MultilicaError,
     SourceNotFoundError,
@@ -79,10 +80,28 @@ class Store:
 
     def finish(self, log: LogRow, lidars: Sequence[LidarRow]) -> None:
         """Write the rows of a log, the row that makes it finished last."""
-        part = f"vehicle={folder_name(log.vehicle)}/month={month_of(log.time_ns)}/{log.key}.parquet"
+        self.write_lidars(log, lidars)
+        self.write_log(log)
+
+    def write_lidars(self, log: LogRow, lidars: Sequence[LidarRow]) -> None:
+        """Write the rows of a log's LiDARs in place of those of earlier tries; they count once the log has its row."""
         if lidars:
-            self.write_part(f"lidars/{part}", table_of(lidars, TABLES["lidars"]))
-        self.write_part(f"logs/{part}", table_of([log], TABLES["logs"]))
+            self.write_part(f"lidars/{_part_of(log)}", table_of(lidars, TABLES["lidars"]))
+        else:
+            self.remove(f"lidars/{_part_of(log)}")
+
+    def write_log(self, log: LogRow) -> None:
+        """Write the row that makes a log finished."""
+        self.write_part(f"logs/{_part_of(log)}", table_of([log], TABLES["logs"]))
+
+    def first_with(self, sha256: str, vehicle: str, config_sha256: str, source: str) -> str:
+        """Return the first log of a vehicle that had these bytes; that is `source` if none had them before."""
+        path = f"digests/{folder_name(vehicle)}/{config_sha256}-{multilica.__version__}/{sha256}"
+        try:
+            return self.read(path).decode()
+        except SourceNotFoundError:
+            self.write(path, source.encode())
+            return source
 
     def run_folder(self, vehicle: str, time_ns: int | None, key: str) -> str:
         """Return the path of a log's run files, relative to the store."""
@@ -200,6 +219,10 @@ class Store:
             told = str(error).rstrip(".") + _code_of(error)
         passes = isinstance(error, ConnectionLostError)
         return StorageError(f"The store cannot be used to {what} a file: {told}.", passes=passes)
+
+
+def _part_of(log: LogRow) -> str:
+    return f"vehicle={folder_name(log.vehicle)}/month={month_of(log.time_ns)}/{log.key}.parquet"
 
 
 def _code_of(error: BaseException | None) -> str:

@@ -51,6 +51,7 @@ class LogTask(FleetLog):
 
     Args:
         reference: path in the store of the vehicle's last accepted poses; empty if there are none.
+        ahead: logs of the vehicle before this one are not decided; so neither is its row to be written.
     """
 
     key: str
@@ -60,6 +61,7 @@ class LogTask(FleetLog):
     tolerances: RigTolerances
     calibrate: Calibrate
     reference: str
+    ahead: bool = False
     attempt: int = 1
 
     def row(self) -> LogRow:
@@ -163,7 +165,8 @@ def run_guarded(request: LogTask, limits: LogTaskLimits) -> LogRow:
     answer, attempt = _tried(lambda attempt: replace(request, attempt=attempt), limits.time_s, limits)
     if isinstance(answer, LogTaskFailure):
         answer = failed_row(replace(request, attempt=attempt), answer.reason, answer.text)
-        open_store(request.store, create=False).finish(answer, [])
+        if not request.ahead:
+            open_store(request.store, create=False).finish(answer, [])
     return answer
 
 

@@ -23,14 +23,13 @@ from typing import Any, Literal
 import numpy as np
 import tomli_w
 
-import multilica
-from multilica.checks import check_found, relative_covariance
+from multilica.checks import RigTolerances, check_found, relative_covariance
 from multilica.diagnosis import explain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, StorageError, UnfitSnapshotError
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import POSE_COLUMNS, LidarRow, LogRow
-from multilica.fleet.store.store import Store, folder_name, open_store
+from multilica.fleet.store.store import Store, open_store
 from multilica.fleet.tasks.guard import LogTask, LogTaskFailure, failed_row
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.ingest import read_snapshot, require_calibratable
@@ -39,6 +38,7 @@ from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.ingest.remote.remote_file import ConnectionLostError
 from multilica.results.document import ResultDocument
 from multilica.run import run_calibration
+from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import read_run_document
 from multilica.scratch import scratch_folder
 from multilica.snapshot import Snapshot
@@ -57,7 +57,7 @@ _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EROFS}
 
 
 def run_log_task(request: LogTask) -> LogRow:
-    """Verify or calibrate a log, and write its files and rows into the store.
+    """Verify or calibrate a log, and write its files and rows into the store, ahead without the row of the log.
 
     A log that another driver has finished meanwhile is written again, with the same content.
 
@@ -85,7 +85,10 @@ def run_log_task(request: LogTask) -> LogRow:
         memory_mb=usage.ru_maxrss / 1024.0,
         finished_at=datetime.now(UTC),
     )
-    store.finish(row, lidars)
+    if request.ahead:
+        store.write_lidars(row, lidars)
+    else:
+        store.finish(row, lidars)
     return row
 
 
@@ -103,9 +106,10 @@ def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]
     config, row = request.config, request.row()
     snapshot = read_snapshot(request.address, config=config.ingest)
     row = replace(row, source_sha256=snapshot.source_sha256, lidars=len(snapshot.names))
-    first = _first_with(snapshot.source_sha256, request, store)
-    if first != request.source:
-        return replace(row, state="duplicate", reason="duplicate", reason_text=f"the same bytes as {first}"), []
+    if not request.ahead:
+        first = store.first_with(row.source_sha256, request.vehicle, request.config_sha256, request.source)
+        if first != request.source:
+            return row.as_duplicate(first), []
     require_calibratable(snapshot)
     known = None
     if request.reference:
@@ -118,16 +122,6 @@ def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]
         if rows:
             return replace(row, state="verified", placed=len(rows)), rows
     return _calibrated(request, store, row, known, snapshot)
-
-
-def _first_with(sha256: str, request: LogTask, store: Store) -> str:
-    """Return the first log of the vehicle that had these bytes, which is this one if none had them before."""
-    path = f"digests/{folder_name(request.vehicle)}/{request.config_sha256}-{multilica.__version__}/{sha256}"
-    try:
-        return store.read(path).decode()
-    except SourceNotFoundError:
-        store.write(path, request.source.encode())
-        return request.source
 
 
 def _calibrated(
@@ -160,12 +154,23 @@ def _stored(
         if known is not None and target in known.members:
             kept = {name: known.between(target, name) for name in known.members if name != target}
         reference = Extrinsics(target, {**kept, **Extrinsics(target, poses).T_target_source})
-        store.write(f"{place}/{_REFERENCE}", tomli_w.dumps(extrinsics_table(reference)).encode())
-        row = replace(row, calibration=f"{place}/{_REFERENCE}")
+        if known is None or not _agree(reference, known, request.tolerances):
+            store.write(f"{place}/{_REFERENCE}", tomli_w.dumps(extrinsics_table(reference)).encode())
+            row = replace(row, calibration=f"{place}/{_REFERENCE}")
     names = [name for name in (*_COLUMNS, *_ALSO) if (out / name).exists()]
     size = sum(store.put(out / name, f"{place}/{name}") for name in names)
     written: dict[str, Any] = {column: f"{place}/{name}" for name, column in _COLUMNS.items() if name in names}
     return replace(row, placed=len(poses), artifacts_mb=size / 1e6, **written)
+
+
+def _agree(found: Extrinsics, known: Extrinsics, tolerances: RigTolerances) -> bool:
+    """Return whether poses are those that hold already, within the tolerances, so that these go on to hold."""
+    if not found.members <= known.members:
+        return False
+    errors = {
+        name: PoseError.between(pose, known.between(found.target, name)) for name, pose in found.T_target_source.items()
+    }
+    return all(tolerances.of(name).holds(error) for name, error in errors.items())
 
 
 def _cpu_s() -> float:
