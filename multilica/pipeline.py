@@ -16,7 +16,7 @@ from multilica.orchestration import clouds, open_calibration_workers
 from multilica.orchestration.pairs import PAIR_STAGES
 from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refine_rig, refused, result_of
 from multilica.orchestration.search import search_pairs
-from multilica.orchestration.state import CalibrationState
+from multilica.orchestration.state import CalibrationState, deadline_of
 from multilica.results import CalibrationResult, Refusal
 from multilica.snapshot import Snapshot
 from multilica.stages.known_poses import require_usable_prior, require_usable_rig
@@ -85,11 +85,6 @@ def calibrate(
     del state  # prepared LiDARs take most of the memory, and the sinks need some for the last files
     observe(events.CalibrationFinished(result))
     return result
-
-
-def deadline_of(config: CalibrationConfig) -> float:
-    """Return the end of `runtime.max_time_s` from now, on `time.monotonic`; infinite without a limit."""
-    return time.monotonic() + config.runtime.max_time_s if config.runtime.max_time_s else float("inf")
 
 
 def _run_stages(state: CalibrationState) -> None:

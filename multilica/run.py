@@ -27,7 +27,8 @@ from multilica.ingest.remote.address import local_output, stem_of
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
-from multilica.pipeline import calibrate, deadline_of
+from multilica.orchestration.state import deadline_of
+from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run

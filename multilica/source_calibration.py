@@ -9,6 +9,7 @@ from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.locate import PathLike
+from multilica.orchestration.state import deadline_of
 from multilica.results import CalibrationResult
 from multilica.snapshot import Snapshot
 from multilica.workers import Workers
@@ -43,7 +44,7 @@ def calibrate(
         MissingDependencyError: the source or the configuration needs a library that is not installed.
         WorkerDiedError: a worker process was killed or crashed.
     """
-    deadline_s = pipeline.deadline_of(config or CalibrationConfig())
+    deadline_s = deadline_of(config or CalibrationConfig())
     if isinstance(source, Snapshot):
         snapshot = source
     else:

@@ -13,8 +13,15 @@ from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds
 from multilica.orchestration.pairs import register_sides, score_implied
-from multilica.orchestration.state import CalibrationState
-from multilica.results import CalibrationResult, Hypothesis, LidarPlacement, PairKey, PairRegistration, Registration
+from multilica.orchestration.state import CalibrationState, deadline_of
+from multilica.results import (
+    CalibrationResult,
+    Hypothesis,
+    LidarPlacement,
+    PairKey,
+    PairRegistration,
+    Registration,
+)
 from multilica.snapshot import Snapshot
 from multilica.stages.known_poses import require_usable_prior
 from multilica.stages.refine import refine
@@ -29,6 +36,7 @@ def register_from_known(
     known: Extrinsics,
     config: CalibrationConfig | None = None,
     observe: Observer = events.ignore,
+    deadline_s: float | None = None,
 ) -> CalibrationResult:
     """Register the LiDARs of a snapshot from their known poses.
 
@@ -39,6 +47,7 @@ def register_from_known(
         snapshot: at least two LiDARs with returns.
         known: poses of two or more of them, by name.
         config: the default preset if None.
+        deadline_s: on `time.monotonic`, after which no pair is registered; by default `runtime.max_time_s` from now.
 
     Returns:
         A placement per LiDAR, relative to the LiDAR that most others are linked to.
@@ -50,7 +59,8 @@ def register_from_known(
     config = config or CalibrationConfig()
     clouds.require_two_lidars(snapshot)
     require_usable_prior(known, snapshot, config)
-    state = CalibrationState(snapshot, config, observe, known, Workers())
+    deadline_s = deadline_of(config) if deadline_s is None else deadline_s
+    state = CalibrationState(snapshot, config, observe, known, Workers(), deadline_s=deadline_s)
     with threadpool_limits(1):
         clouds.preprocess_clouds(state)
         clouds.prepare_lidars(state, described=False)
@@ -62,13 +72,20 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     poses = {pair: known.between(*pair) for pair in state.pairs if {*pair} <= {*names}}
     scores = dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
     found, accepted = list[PairRegistration](), list[PairRegistration]()
-    for config in (state.config, _trusting(state.config)):
-        for pair in _by_common_points(scores):
-            if PairGraph.of(names, accepted).implied(*pair) is None:
-                target, source = (state.lidars[name].side for name in pair)
-                found.append(register_sides(target, source, [Hypothesis(poses[pair])], config))
-                if found[-1].verdict.outcome in ("accept", "uncertain") and found[-1].information is not None:
-                    accepted.append(found[-1])
+    ordered = _by_common_points(scores)
+    attempts = [(config, pair) for config in (state.config, _trusting(state.config)) for pair in ordered]
+    for number, (config, pair) in enumerate(attempts):
+        graph = PairGraph.of(names, accepted)
+        if graph.implied(*pair) is not None:
+            continue
+        if state.out_of_time:
+            left = {other for _, other in attempts[number:] if graph.implied(*other) is None}
+            state.cut_short, state.not_reached = True, tuple(sorted(left))
+            break
+        target, source = (state.lidars[name].side for name in pair)
+        found.append(register_sides(target, source, [Hypothesis(poses[pair])], config))
+        if found[-1].verdict.outcome in ("accept", "uncertain") and found[-1].information is not None:
+            accepted.append(found[-1])
     graph = PairGraph.of(names, accepted)
     root = max(names, key=lambda name: (len(graph.poses(name)), sum(name in pair.lidars for pair in accepted)))
     rig = refine(root, graph.poses(root), accepted, state.config.refine)
@@ -77,10 +94,12 @@ def _register(state: CalibrationState, known: Extrinsics) -> CalibrationResult:
     def placement(name: str) -> LidarPlacement:
         if name in rig.poses:
             return place(rig.poses[name], rig.covariances.get(name), limits)
-        return unplaced_near_known(name, rig.poses, scores, found, limits)
+        return unplaced_near_known(name, rig.poses, scores, found, limits, state.not_reached)
 
     placements = tuple(map(placement, state.snapshot.names))
-    return CalibrationResult(root, "most LiDARs are linked to it", placements, pairs=tuple(found))
+    return CalibrationResult(
+        root, "most LiDARs are linked to it", placements, pairs=tuple(found), time_limit=state.time_limit
+    )
 
 
 def _trusting(config: CalibrationConfig) -> CalibrationConfig:

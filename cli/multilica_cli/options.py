@@ -85,6 +85,10 @@ Settings = Annotated[
 Workers = Annotated[
     int | None, option("--workers N", "Worker processes; 1: none. Any number gives the same result.", "one per core")
 ]
+MaxTime = Annotated[
+    float | None,
+    option("--max-time S", "Start no pair of LiDARs later than this, then finish with the pairs found."),
+]
 WithinM = Annotated[float, option("--within-m M", "Largest position error of a success.")]
 WithinDeg = Annotated[float, option("--within-deg DEG", "Largest rotation error of a success.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]

@@ -118,9 +118,8 @@ def why_unplaced(
         return "it has no returns in range"
     if until in STAGES[: STAGES.index("merge")]:
         return f"the run stopped after stage {until} (--until)"
-    missed = sorted({*chain.from_iterable(pair for pair in not_reached if lidar in pair)} - {lidar})
-    if missed:
-        return f"the time limit (--max-time) ended the search before its pairs with {', '.join(missed)} were searched"
+    if missed := _missed_with(lidar, not_reached):
+        return f"the time limit (--max-time) ended the search before its pairs with {missed} were searched"
     best = _best_of(lidar, pairs)
     if best is None:
         return "no pose was found against any other LiDAR"
@@ -172,12 +171,18 @@ def _why_not_in(
     return f"{snapshot}: {alone.status} relative to {result.target}, but no accepted pair connects it to {target}"
 
 
+def _missed_with(lidar: str, not_reached: Sequence[PairKey]) -> str:
+    """Return the other LiDARs of its pairs for which there was no time, as a list in words."""
+    return ", ".join(sorted({*chain.from_iterable(pair for pair in not_reached if lidar in pair)} - {lidar}))
+
+
 def unplaced_near_known(
     lidar: str,
     placed: Collection[str],
     scores: Mapping[PairKey, Registration],
     found: Sequence[PairRegistration],
     config: AcceptanceConfig,
+    not_reached: Sequence[PairKey] = (),
 ) -> LidarPlacement:
     """Return why a LiDAR has no pose near its known one, and whether beams contradict that one.
 
@@ -185,7 +190,12 @@ def unplaced_near_known(
         placed: the LiDARs that have a pose.
         scores: of the known poses of all pairs.
         found: the registrations that were tried from there.
+        not_reached: pairs for which there was no time.
     """
+    if missed := _missed_with(lidar, not_reached):
+        return LidarPlacement(
+            lidar, f"the time limit (--max-time) ended the check before its pairs with {missed} were registered"
+        )
     contradicted = any(
         lidar in pair and {*pair} - {lidar} <= {*placed} and score.visibility.contradiction > config.min_log_odds_margin
         for pair, score in scores.items()

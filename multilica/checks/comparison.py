@@ -293,19 +293,25 @@ def _and(names: Sequence[str]) -> str:
 
 
 def verify_snapshot(
-    snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances, config: CalibrationConfig | None = None
+    snapshot: Snapshot,
+    known: Extrinsics,
+    tolerances: RigTolerances,
+    config: CalibrationConfig | None = None,
+    deadline_s: float | None = None,
 ) -> RigCheck:
     """Test which LiDARs are still at their known poses.
 
     Args:
         known: poses of two or more of the LiDARs, by name.
         config: the default preset if None.
+        deadline_s: as for `register_from_known`.
 
     Raises:
         UnfitSnapshotError: fewer than two LiDARs have returns in range, or the vehicle moves.
         UsageError: the poses lack two of the LiDARs, or a tolerance is for none of them.
     """
-    return check_found(register_from_known(snapshot, known, config), snapshot, known, tolerances)
+    rig = register_from_known(snapshot, known, config, deadline_s=deadline_s)
+    return check_found(rig, snapshot, known, tolerances)
 
 
 def check_found(rig: CalibrationResult, snapshot: Snapshot, known: Extrinsics, tolerances: RigTolerances) -> RigCheck:
@@ -333,15 +339,19 @@ def decide_unplaced(
     known: Extrinsics,
     tolerances: RigTolerances,
     config: CalibrationConfig | None = None,
+    deadline_s: float | None = None,
 ) -> RigCheck:
     """Return the check of a calibration of the snapshot, with `verify_snapshot`'s word on LiDARs that it did not place.
 
     A search asks for more evidence than a test of known poses.
+
+    Args:
+        deadline_s: as for `register_from_known`.
     """
     unplaced = {each.lidar for each in check.lidars if each.verdict == "undecided" and each.distance_m is None}
     if not unplaced & known.members:
         return check
-    near = verify_snapshot(snapshot, known, tolerances, config)
+    near = verify_snapshot(snapshot, known, tolerances, config, deadline_s)
     decided = {each.lidar: each for each in near.lidars if each.verdict != "undecided"}
     if check.root in decided and decided[check.root].verdict == "outside":
         return check

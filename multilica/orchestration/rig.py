@@ -32,7 +32,6 @@ from multilica.results import (
     PreprocessedCloud,
     Refusal,
     SensorBias,
-    TimeLimit,
     Verdict,
     connected,
 )
@@ -292,7 +291,7 @@ def result_of(state: CalibrationState) -> CalibrationResult:
         refinement=state.refinement,
         ground=state.ground,
         ground_refusal=state.ground_refusal,
-        time_limit=TimeLimit(state.config.runtime.max_time_s, state.not_reached) if state.cut_short else None,
+        time_limit=state.time_limit,
         trusted=tuple(
             state.fixed_pairs.get((pair.target, pair.source), pair)
             for pair in trusted_pairs(state.registrations.values(), state.merges)

@@ -24,12 +24,18 @@ from multilica.results import (
     Refinement,
     Registration,
     SensorHealth,
+    TimeLimit,
     VisibilityScore,
 )
 from multilica.snapshot import Snapshot
 from multilica.stages.fine import RegistrationCloud
 from multilica.visibility.sensor_view import FINE_TOLERANCES, ROUGH_TOLERANCES, SensorView, score_pose, score_visibility
 from multilica.workers import Workers
+
+
+def deadline_of(config: CalibrationConfig) -> float:
+    """Return the end of `runtime.max_time_s` from now, on `time.monotonic`; infinite without a limit."""
+    return time.monotonic() + config.runtime.max_time_s if config.runtime.max_time_s else float("inf")
 
 
 @dataclass(slots=True)
@@ -80,6 +86,11 @@ class CalibrationState:
     def out_of_time(self) -> bool:
         """True if the time of the whole calibration is over."""
         return time.monotonic() > self.deadline_s
+
+    @property
+    def time_limit(self) -> TimeLimit | None:
+        """What was left out because the time was over; None if nothing was."""
+        return TimeLimit(self.config.runtime.max_time_s, self.not_reached) if self.cut_short else None
 
     @property
     def accepted(self) -> list[PairRegistration]:

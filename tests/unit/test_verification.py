@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+
 import numpy as np
 import pytest
 
 from multilica import read_extrinsics, read_snapshot
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, with_overrides
 from multilica.errors import UsageError
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import RigidTransform
-from multilica.results import CalibrationResult
+from multilica.orchestration.state import CalibrationState
+from multilica.results import CalibrationResult, TimeLimit
 from multilica.verification import _trusting, register_from_known
 from multilica_cli.commands.calibrate import find_sample
 
@@ -64,3 +67,37 @@ def test_poses_of_other_lidars_are_refused() -> None:
     other = Extrinsics("a", {"a": RigidTransform.identity("a", "a"), "b": RigidTransform.identity("a", "b")})
     with pytest.raises(UsageError):
         register_from_known(read_snapshot(find_sample().recording), other)
+
+
+def _registered_in(monkeypatch: pytest.MonkeyPatch, known: Extrinsics, pairs: int) -> CalibrationResult:
+    """Let the time be over after so many pairs."""
+    asked = iter(range(1000))
+    monkeypatch.setattr(CalibrationState, "out_of_time", property(lambda _: next(asked) >= pairs))
+    config = with_overrides(CalibrationConfig(), ["runtime.max_time_s=600.0"])
+    return register_from_known(read_snapshot(find_sample().recording), known, config)
+
+
+@pytest.mark.slow
+def test_pairs_for_which_there_is_no_time_are_told(monkeypatch: pytest.MonkeyPatch, truth: Extrinsics) -> None:
+    none = _registered_in(monkeypatch, truth, 0)
+    assert none.pairs == ()
+    pairs = [pair for pair in combinations(("front", "left", "rear", "right"), 2) if pair != ("front", "rear")]
+    assert none.time_limit == TimeLimit(600.0, tuple(pairs))  # front and rear share nothing
+    some = _registered_in(monkeypatch, truth, 1)
+    assert some.time_limit is not None
+    assert len(some.pairs) == 1
+    assert {*some.poses} == some.pairs[0].lidars
+    for name in {"left", "right", "rear", "front"} - {*some.poses}:
+        assert some[name].reason.startswith("the time limit (--max-time) ended the check before its pairs with ")
+    assert _registered_in(monkeypatch, truth, 1000).time_limit is None
+
+
+@pytest.mark.slow
+def test_a_lidar_that_time_leaves_out_is_not_called_moved(monkeypatch: pytest.MonkeyPatch, truth: Extrinsics) -> None:
+    moved = RigidTransform.from_xyz_rpy(truth.target, truth.target, (3.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    known = Extrinsics(truth.target, {**truth.T_target_source, MOVED: moved @ truth.T_target_source[MOVED]})
+    cut = _registered_in(monkeypatch, known, 2)
+    assert any(MOVED in pair for pair in cut.time_limit.not_reached)
+    assert not any(each.contradicts_prior for each in cut.placements)
+    whole = _registered_in(monkeypatch, known, 1000)
+    assert [each.lidar for each in whole.placements if each.contradicts_prior] == [MOVED]

@@ -17,6 +17,7 @@ from multilica_cli.exit_codes import exit_code
 from multilica_cli.options import (
     NEW_RUN_DIRECTORY,
     Json,
+    MaxTime,
     Parameters,
     Quiet,
     Reading,
@@ -65,10 +66,7 @@ def calibrate(
     ] = None,
     until: Annotated[str | None, option("--until STAGE", "Stop after this stage.")] = None,
     workers: Workers = None,
-    max_time_s: Annotated[
-        float | None,
-        option("--max-time S", "Start no search of a pair later than this, then finish with the pairs found."),
-    ] = None,
+    max_time_s: MaxTime = None,
     ground: Annotated[bool, option("--ground", "Also estimate roll, pitch and height above ground.")] = False,
     base: Annotated[
         str | None,

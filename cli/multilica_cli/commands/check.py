@@ -67,10 +67,14 @@ class _Recording:
     frames: options.Frames = None
     config_file: options.ConfigFile = None
     settings: options.Settings = None
+    max_time_s: options.MaxTime = None
 
     def resolve(self, workers: int | None = None, recorded_frames: int | None = None) -> CalibrationConfig:
         """Build the configuration."""
-        given = options.Reading(self.topics, self.frames).values | {"runtime.workers": workers}
+        given = options.Reading(self.topics, self.frames).values | {
+            "runtime.workers": workers,
+            "runtime.max_time_s": self.max_time_s,
+        }
         return options.Parameters(None, self.config_file, self.settings).resolve(given, recorded_frames)
 
 
@@ -103,10 +107,12 @@ def check(
         )
     directories = [Path(source) for source in sources]
     if not all(runs):
+        from multilica.orchestration.state import deadline_of
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
 
         config = recording.resolve(workers)
+        deadline_s = deadline_of(config)
         with show_progress(quiet=quiet or as_json) as observe:
             run = run_calibration(sources, out, config, observe=observe)
         directories = [run.directory, *(path for path in run.written if path.is_dir())]
@@ -119,7 +125,8 @@ def check(
         if not all(runs) and len(directories) == 1:
             from multilica.ingest import read_snapshot
 
-            checks = [decide_unplaced(checks[0], read_snapshot(sources, config=config.ingest), known, limits, config)]
+            snapshot = read_snapshot(sources, config=config.ingest)
+            checks = [decide_unplaced(checks[0], snapshot, known, limits, config, deadline_s)]
     return _finish(checks, against, gate, quiet=quiet, as_json=as_json)
 
 
@@ -139,13 +146,15 @@ def verify(
     from multilica.checks import read_reference, verify_snapshot
     from multilica.ingest import frames_recorded, read_snapshot
     from multilica.ingest.locate import locate
+    from multilica.orchestration.state import deadline_of
 
     limits = gate.limits(calibration)
     files = [locate(source) for source in sources]
     config = recording.resolve(recorded_frames=frames_recorded(files))
+    deadline_s = deadline_of(config)
     snapshot = read_snapshot(files, config=config.ingest)
     known = read_reference(calibration, {lidar.name: lidar.frame_id for lidar in snapshot.lidars})
-    found = verify_snapshot(snapshot, known, limits, config)
+    found = verify_snapshot(snapshot, known, limits, config, deadline_s)
     for note in () if quiet or as_json else snapshot.notes:
         stdout_console().print(f"note: {note}")
     return _finish([found], calibration, gate, quiet=quiet, as_json=as_json)

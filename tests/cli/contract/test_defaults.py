@@ -22,7 +22,10 @@ READING = dict.fromkeys(("--topic", "--frames", "--start", "--window", "--durati
 RESOLVING = dict.fromkeys(("--preset", "--config", "--set"))
 TOLERANCES = {"--max-translation": 0.03, "--max-rotation": 0.3}
 CHECKING = dict.fromkeys(
-    ("--tolerances", "--junit", "--summary", "--code-quality", "--topic", "--frames", "--config", "--set")
+    (
+        *("--tolerances", "--junit", "--summary", "--code-quality"),
+        *("--topic", "--frames", "--config", "--set", "--max-time"),
+    )
 )
 DEFAULTS = {
     "check": {

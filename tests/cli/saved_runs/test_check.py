@@ -134,3 +134,18 @@ def test_a_run_that_places_too_little_is_not_accepted(invoke: Invoke, result: Pa
     assert_one_sentence(outcome, ExitCode.INPUT)
     assert "does not place rear" in outcome.err
     assert not Path("calibration.toml").exists()
+
+
+@pytest.mark.slow
+def test_a_check_ends_in_time_with_what_is_undecided(invoke: Invoke, two_lidars: Path, tmp_path: Path) -> None:
+    truth = truth_with(tmp_path / "truth.toml")
+    for command in (
+        ("verify", find_sample().recording, "--calibration", truth),
+        ("check", two_lidars, "--against", truth, "--out", "run", "--workers", "1"),
+    ):
+        outcome = invoke(*command, "--max-time", "0.001", "--json")
+        assert outcome.code == ExitCode.NOT_PLACED
+        (rig,) = json.loads(outcome.out)["rigs"]
+        assert {each["verdict"] for each in rig["lidars"].values()} == {"undecided"}
+        assert all("the time limit (--max-time)" in each["reason"] for each in rig["lidars"].values())
+    assert_one_sentence(invoke(*command, "--max-time", "-1"), ExitCode.USAGE)
