@@ -13,7 +13,7 @@ import typer
 
 from multilica.errors import InputError, MultilicaError, UsageError
 from multilica_cli.signals import PREFIX, Interrupted, print_line
-from multilica_cli.terminal import printable, wrapped
+from multilica_cli.terminal import printable, without_commands, wrapped
 
 if TYPE_CHECKING:
     from multilica.run import CalibrationRun
@@ -48,7 +48,7 @@ def print_failure(failure: BaseException) -> int:
     """Print the failure on stderr and return the exit code."""
     code, sentence = describe_failure(failure)
     if sentence:
-        line = printable(" ".join(sentence.split()))
+        line = without_commands(printable(" ".join(sentence.split())))
         if len(line) > _LONGEST:  # by a name or a text of the input
             line = f"{line[: _LONGEST // 2]} ... {line[-_LONGEST // 2 :]}"
         print_line(wrapped(line, get_terminal_size().columns - len(PREFIX)) if sys.stderr.isatty() else line)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
@@ -18,6 +19,7 @@ from rich import box
 from rich.cells import cell_len
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.measure import Measurement
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -33,10 +35,15 @@ POSE_COLUMNS = ("x\nm", "y\nm", "z\nm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg")
 ERROR_COLUMNS = ("x\nmm", "y\nmm", "z\nmm", "total\nmm", "roll\ndeg", "pitch\ndeg", "yaw\ndeg", "total\ndeg")
 _NARROWEST = 8
 _MOST_ROWS = 1000
+_COMMAND = re.compile(r"^([^\S\n]*):(?=:)|#(?=#\w*\[)", re.MULTILINE)
+"""First character of a command in a line, as GitHub Actions, Azure Pipelines and TeamCity read them."""
 
 
 class _PlainConsole(Console):
-    """A rich console that prints control characters as escapes, also in cells of tables, and breaks no word."""
+    """A rich console that prints control characters as escapes, also in cells of tables, and breaks no word.
+
+    It prints no command to a CI service either.
+    """
 
     def print(self, *objects: Any, **options: Any) -> None:  # noqa: ANN401 - those of rich
         """Print; a terminal's lines end between words, those of a file where the text does."""
@@ -48,11 +55,20 @@ class _PlainConsole(Console):
         """Render text that has no style yet."""
         return super().render_str(printable(text), **options)
 
+    def _render_buffer(self, buffer: Iterable[Segment]) -> str:
+        """Return the lines as they are written."""
+        return without_commands(super()._render_buffer(buffer))
+
 
 def printable(text: str) -> str:
     """Escape control characters: names from a recording could otherwise send commands to the terminal."""
     lines = ("\t".join(map(escape_controls, line.split("\t"))) for line in text.split("\n"))
     return "\n".join(lines).encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def without_commands(text: str) -> str:
+    """Escape commands to CI services: a name from a recording could otherwise begin one, such as ``::error::``."""
+    return _COMMAND.sub(lambda found: f"{found[1] or ''}\\x{ord(found[0][-1]):02x}", text)
 
 
 def print_json(document: object) -> None:
@@ -243,14 +259,22 @@ def print_answer(
 def answer_lines(
     columns: Sequence[str], rows: Iterable[Sequence[object]], form: Literal["csv", "json"]
 ) -> Iterator[str]:
-    """Yield the lines of a table: CSV with a header, or a JSON object per row; what is unknown is empty or null."""
-    csv_line = csv.writer(SimpleNamespace(write=str), lineterminator="\n").writerow  # returns what `write` does
+    """Yield the lines of a table: CSV with a header, or a JSON object per row; what is unknown is empty or null.
+
+    CSV quotes all values of a line that would else be a command to a CI service.
+    """
+    stream = SimpleNamespace(write=str)  # `writerow` returns what this does
+    csv_line, quoted_line = (
+        csv.writer(stream, lineterminator="\n", quoting=quoting).writerow
+        for quoting in (csv.QUOTE_MINIMAL, csv.QUOTE_ALL)
+    )
     if form == "csv":
         yield csv_line(columns)
     for row in rows:
         values = [_plain(value) for value in row]
         if form == "csv":
-            yield csv_line(values)
+            line = csv_line(values)
+            yield quoted_line(values) if _COMMAND.match(line) else line
         else:
             named = dict(zip(columns, values, strict=True))
             yield json.dumps(named, ensure_ascii=False, allow_nan=False) + "\n"

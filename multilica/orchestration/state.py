@@ -89,7 +89,7 @@ class CalibrationState:
 
     @property
     def time_limit(self) -> TimeLimit | None:
-        """What was left out because the time was over; None if nothing was."""
+        """Searches left out because the time was over; None if nothing was."""
         return TimeLimit(self.config.runtime.max_time_s, self.not_reached) if self.cut_short else None
 
     @property

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from multilica.checks import RigCheck, RigTolerances
     from multilica.config import CalibrationConfig
 
-_COLUMNS = ("LiDAR", "verdict", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
+_COLUMNS = ("verdict", "LiDAR", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
 _MaxTranslation = Annotated[
     float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6)
 ]
@@ -215,19 +215,19 @@ def _print_check(checks: Sequence[RigCheck], written: Sequence[Path], console: C
     from multilica.checks.ci_reports import VERDICT_WORDS
 
     for rig in checks:
-        table = FoldingTable(f"{rig.name}, compared to {rig.root}", _COLUMNS, numbers_from=2, keys=2)
+        table = FoldingTable(f"compared to {rig.root}: {rig.name}", _COLUMNS, numbers_from=2, keys=2)
         for each in rig.lidars:
             lengths = number_cells((each.distance_m, each.sigma_m), 1000.0, 1)
             angles = number_cells((each.angle_deg, each.sigma_deg), 1.0, 3)
             limits = f"{1000.0 * each.max_translation_m:g}", f"{each.max_rotation_deg:g}"
-            table.add_row(each.lidar, VERDICT_WORDS[each.verdict], *lengths, limits[0], *angles, limits[1])
+            table.add_row(VERDICT_WORDS[each.verdict], each.lidar, *lengths, limits[0], *angles, limits[1])
         console.print(table)
         for each in rig.lidars:
             if each.verdict != "within":
-                console.print(f"{each.lidar}: {each.reason}")
+                console.print(f"LiDAR {each.lidar}: {each.reason}")
         for note in rig.notes:
             console.print(f"note: {note}")
     for path in written:
         console.print(f"wrote {path}")
     for rig in checks:
-        console.print(rig.sentence if len(checks) == 1 else f"{rig.name}: {rig.sentence}")
+        console.print(f"result: {rig.sentence}" if len(checks) == 1 else f"result of {rig.name}: {rig.sentence}")
