@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -10,6 +11,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
@@ -19,14 +21,18 @@ from multilica import system_libraries
 from multilica_cli.commands.calibrate import find_sample
 from tests.cli.support import write_thinned_sample
 from tests.selection import some_of
+from tests.sinks.made_documents import made_document
 
 ROOT = Path(__file__).parents[2]
 PIPELINES = ROOT / "docs" / "pipelines"
 
 
+def github_job() -> list[dict[str, Any]]:
+    return yaml.safe_load((PIPELINES / "github.yml").read_text())["jobs"]["check"]["steps"]
+
+
 def github_steps() -> list[str]:
-    jobs = yaml.safe_load((PIPELINES / "github.yml").read_text())["jobs"]
-    return [step["run"] for step in jobs["check"]["steps"] if "run" in step]
+    return [step["run"] for step in github_job() if "run" in step]
 
 
 def gitlab_steps() -> list[str]:
@@ -56,11 +62,14 @@ def action_steps() -> tuple[list[str], dict[str, str]]:
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A project with a recording, its extrinsics, and programs of the service that only note their calls."""
+    """A checkout with a recording, its extrinsics, and programs of the service that only note their calls."""
     for name in ("recordings", "bin"):
         (tmp_path / name).mkdir()
     write_thinned_sample(tmp_path / "recordings" / "drive.mcap")
     shutil.copy(find_sample().truth, tmp_path / "calibration.toml")
+    git(tmp_path, "init", "--quiet", "--bare", "origin.git")
+    git(tmp_path, "init", "--quiet")
+    git(tmp_path, "remote", "add", "origin", "origin.git")
     for name in ("pip", "gh"):
         program = tmp_path / "bin" / name
         program.write_text(f'#!/bin/sh\necho "{name} $*" >> "{tmp_path}/calls.txt"\n')
@@ -71,11 +80,16 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def git(folder: Path, *words: str) -> bytes:
+    return subprocess.run(["git", *words], cwd=folder, capture_output=True, check=True).stdout
+
+
 def run(project: Path, steps: list[str], **variables: str) -> int:
     """Run steps as `bash -e` does, and return the first exit code that is not 0."""
     path = f"{project / 'bin'}{os.pathsep}{os.environ['PATH']}"
     python = f"{ROOT}{os.pathsep}{ROOT / 'cli'}"
-    environment = {**os.environ, "PATH": path, "PYTHONPATH": python, **variables}
+    service = {"NUMBER": "7", "GITHUB_SERVER_URL": "https://github.com", "GITHUB_REPOSITORY": "o/r"}
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": python, **service, **variables}
     for step in steps:
         shown = re.sub(r"\$\{\{[^}]+\}\}", "7", step)
         command = ["bash", "-e", "-o", "pipefail", "-c", shown]
@@ -94,7 +108,90 @@ def test_each_recipe_passes_and_leaves_its_artifacts(project, steps):
     assert (project / "artifacts" / "run" / "recording.rrd").exists()
     assert "pip install multilica" in (project / "calls.txt").read_text()
     if steps is github_steps:
-        assert "gh pr comment 7 --body-file artifacts/check.md" in (project / "calls.txt").read_text()
+        assert "gh pr comment 7 --body-file artifacts/comment.md" in (project / "calls.txt").read_text()
+
+
+def run_github(project: Path, *, fork: bool = False) -> tuple[int, list[str]]:
+    """Run the job of GitHub Actions, and return its exit code and the names of the steps that ran."""
+    failed, ran = 0, []
+    for step in github_job():
+        holds = {
+            "always()": True,
+            "hashFiles('artifacts/check.md') != ''": (project / "artifacts" / "check.md").exists(),
+            "github.event.pull_request.head.repo.full_name == github.repository": not fork,
+        }
+        clauses = step.get("if", "").split(" && ") if "if" in step else []
+        if not all(holds[each] for each in clauses) or (failed and "always()" not in clauses):
+            continue
+        ran.append(step.get("name") or step.get("uses") or step["run"])
+        code = run(project, [step["run"]], GITHUB_STEP_SUMMARY=f"{project}/page.md") if "run" in step else 0
+        failed = failed or (0 if step.get("continue-on-error") else code)
+    return failed, ran
+
+
+@pytest.fixture
+def checked(project: Path) -> Path:
+    """The project, where the check of its recording is that of a run which agrees."""
+    run_of = project / "recordings" / "run"
+    run_of.mkdir()
+    (run_of / "result.json").write_text(json.dumps(made_document("complete")))
+    check = f'"{sys.executable}" -m multilica_cli check recordings/run --against'
+    script = f'#!/bin/sh\nshift 4\nexec {check} "${{REFERENCE-recordings/run}}" "$@"\n'
+    (project / "bin" / "multilica").write_text(script)
+    return project
+
+
+def test_the_picture_in_the_comment_is_at_an_address(checked):
+    code, ran = run_github(checked)
+    assert (code, "Comment" in ran) == (0, True)
+    shown = re.findall(r"!\[[^]]*\]\(([^)]*)\)", (checked / "artifacts" / "comment.md").read_text())
+    (commit,) = {re.fullmatch(r"https://github\.com/o/r/raw/(\w{40})/check\.png", each)[1] for each in shown}
+    assert git(checked / "origin.git", "rev-parse", "refs/extrinsics/7").decode().strip() == commit
+    assert git(checked / "origin.git", "show", f"{commit}:check.png").startswith(b"\x89PNG")
+    assert git(checked / "origin.git", "branch").strip() == b""
+    assert run_github(checked)[0] == 0  # a second push to the pull request
+
+
+def test_a_pull_request_from_a_fork_has_summary_and_artifact(checked):
+    code, ran = run_github(checked, fork=True)
+    assert code == 0
+    assert "Comment" not in ran
+    assert "upload-artifact" in ran[-1]
+    assert "## LiDAR extrinsics: within" in (checked / "page.md").read_text()
+    assert "gh" not in (checked / "calls.txt").read_text().split()
+
+
+@pytest.mark.parametrize("broken", ["gh", "push"])
+def test_a_comment_that_is_refused_does_not_fail_the_job(checked, broken):
+    if broken == "push":
+        shutil.rmtree(checked / "origin.git")
+    else:
+        (checked / "bin" / "gh").write_text("#!/bin/sh\nexit 1\n")
+    code, ran = run_github(checked)
+    assert code == 0
+    assert "upload-artifact" in ran[-1]
+
+
+def test_a_lidar_that_moved_is_commented_on_and_fails_the_job(checked, monkeypatch):
+    moved = made_document("complete")
+    moved["lidars"]["rear"]["T_target_source"][2][3] += 0.1
+    (checked / "moved.json").write_text(json.dumps(moved))
+    monkeypatch.setenv("REFERENCE", "moved.json")
+    code, ran = run_github(checked)
+    assert code == 5
+    assert "Comment" in ran
+    assert "OUTSIDE" in (checked / "artifacts" / "comment.md").read_text()
+
+
+def test_actions_and_images_have_a_version():
+    """A version has three numbers: a tag with fewer is another image tomorrow."""
+    named = re.findall(r"uses: \S+?@v(\S+)", (PIPELINES / "github.yml").read_text())
+    named += re.findall(
+        r"python:([\w.]+)", "".join((PIPELINES / each).read_text() for each in ("gitlab.yml", "Jenkinsfile"))
+    )
+    assert len(named) == 5
+    assert [each for each in named if not re.fullmatch(r"\d+\.\d+\.\d+", each)] == []
+    assert "uses:" not in (ROOT / "action.yml").read_text()
 
 
 @pytest.mark.slow
