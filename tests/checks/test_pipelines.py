@@ -185,11 +185,10 @@ def test_a_lidar_that_moved_is_commented_on_and_fails_the_job(checked, monkeypat
 
 def test_actions_and_images_have_a_version():
     """A version has three numbers: a tag with fewer is another image tomorrow."""
+    images = PIPELINES / "gitlab.yml", PIPELINES / "Jenkinsfile", ROOT / "Dockerfile"
     named = re.findall(r"uses: \S+?@v(\S+)", (PIPELINES / "github.yml").read_text())
-    named += re.findall(
-        r"python:([\w.]+)", "".join((PIPELINES / each).read_text() for each in ("gitlab.yml", "Jenkinsfile"))
-    )
-    assert len(named) == 5
+    named += re.findall(r"python:([\w.]+)", "".join(each.read_text() for each in images))
+    assert len(named) == 6
     assert [each for each in named if not re.fullmatch(r"\d+\.\d+\.\d+", each)] == []
     assert "uses:" not in (ROOT / "action.yml").read_text()
 
@@ -227,6 +226,13 @@ def test_the_image_has_the_libraries_of_open3d():
     text = (ROOT / "Dockerfile").read_text()
     (packages,) = re.findall(r"apt-get install --yes --no-install-recommends \\\n(.+?) \\\n", text)
     assert sorted(packages.split()) == sorted(system_libraries.OPEN3D.values())
+
+
+def test_no_layer_of_the_image_holds_the_sources():
+    """They are mounted while they are installed: a layer keeps files that a later command removes."""
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    assert [line for line in lines if line.startswith(("COPY", "ADD"))] == []
+    assert [line.split()[1] for line in lines if "/src" in line] == ["--mount=type=bind,target=/src,rw"]
 
 
 def test_the_linter_has_nothing_to_say_of_the_image():
