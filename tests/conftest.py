@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 import gc
 import signal
-from contextlib import ExitStack
+import tempfile
+from contextlib import ExitStack, contextmanager
 
 import pytest
 
@@ -32,6 +33,23 @@ def browser():
         except NoBrowserError as error:
             pytest.skip(str(error))
         yield started
+
+
+@contextmanager
+def temporary_folder():
+    """Lend this process, and those that it starts, a folder for temporary files, which ends with all that they left."""
+    with tempfile.TemporaryDirectory(prefix="multilica-tests-") as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TMPDIR", folder)
+        patch.setattr(tempfile, "tempdir", folder)
+        yield folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _temporary_folder(tmp_path_factory):
+    """Clusters of Dask, viewers and killed processes leave folders."""
+    tmp_path_factory.getbasetemp()  # pytest keeps its own for some runs
+    with temporary_folder():
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

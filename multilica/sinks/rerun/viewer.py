@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
 from multilica.errors import ViewerError
+from multilica.scratch import scratch_folder
 from multilica.system_libraries import apt_command
 
 if TYPE_CHECKING:
@@ -45,7 +46,9 @@ def show_recording(recording: Path) -> None:
             f"Cannot open {recording} in a window: neither DISPLAY nor WAYLAND_DISPLAY is set; write a picture with "
             "--png FILE, or open the file with `rerun` on a machine with a screen."
         )
-    code = subprocess.run([*_COMMAND, *_LOOPBACK, str(recording)], check=False).returncode  # noqa: S603
+    with _environment() as environment:
+        command = [*_COMMAND, *_LOOPBACK, str(recording)]
+        code = subprocess.run(command, env=environment, check=False).returncode  # noqa: S603
     if code != 0:
         raise ViewerError(
             f"Rerun's viewer failed on {recording} with exit code {code}; write a picture with --png FILE."
@@ -64,7 +67,10 @@ def serve_catalog(datasets: Mapping[str, Path], host: str, port: int) -> None:
     """
     folders = [argument for name, path in datasets.items() for argument in ("--dataset", f"{name}={path}")]
     command = [*_COMMAND, "server", "--host", host, "--port", str(port), *folders]
-    with subprocess.Popen(command, env={**os.environ, "CI": "1"}, start_new_session=True) as process:  # noqa: S603
+    with (
+        _environment(CI="1") as environment,
+        subprocess.Popen(command, env=environment, start_new_session=True) as process,  # noqa: S603
+    ):
         try:
             code = process.wait()
         finally:
@@ -92,6 +98,13 @@ def viewer_picture(recording: Path, size_px: tuple[int, int]) -> bytes:
 
 
 @contextmanager
+def _environment(**variables: str) -> Iterator[dict[str, str]]:
+    """Provide the variables of a process of Rerun, which leaves a folder of its own where temporary files are."""
+    with scratch_folder() as folder:
+        yield {**os.environ, "TMPDIR": str(folder), **variables}
+
+
+@contextmanager
 def _headless_viewer(size_px: tuple[int, int]) -> Iterator[ViewerClient]:
     """Start a viewer on a free port; stop it at the end of the block."""
     with socket.socket() as free:
@@ -101,13 +114,14 @@ def _headless_viewer(size_px: tuple[int, int]) -> Iterator[ViewerClient]:
     arguments += ["--window-size", f"{size_px[0]}x{size_px[1]}"]
     # It counts its runs unless CI is set; it starts a process of its own, so both end as a group.
     with (
+        _environment(CI="1") as environment,
         tempfile.TemporaryFile() as output,
         subprocess.Popen(  # noqa: S603
             [*_COMMAND, *arguments],
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
-            env={**os.environ, "CI": "1"},
+            env=environment,
             start_new_session=True,
         ) as process,
     ):

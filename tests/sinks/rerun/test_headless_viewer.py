@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import socket
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import suppress
@@ -18,6 +19,7 @@ from rerun.experimental import ViewerClient
 from multilica import events
 from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.rerun.recording import RerunRecording
+from multilica.sinks.rerun.viewer import viewer_picture
 from tests.selection import NIGHTLY, RUN_FILES
 from tests.sinks.conftest import record
 from tests.sinks.made_events import made_events
@@ -33,13 +35,14 @@ STEPS = 10 if NIGHTLY else 4
 
 
 @pytest.fixture(scope="module")
-def only_viewer() -> Iterator[ViewerClient]:
+def only_viewer(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ViewerClient]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     binary = str(Path(sys.executable).parent / "rerun")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CI", "1")  # else it counts its runs
+        patch.setenv("TMPDIR", str(tmp_path_factory.mktemp("viewer")))  # where it leaves a folder
         with ViewerClient.spawn(headless=True, port=port, hide_welcome_screen=True, executable_path=binary) as client:
             yield client
 
@@ -179,3 +182,13 @@ def test_entities_without_a_path_are_noticed(viewer, tmp_path, monkeypatch):
         "rear <- top: 20 of 80 matches kept (green)",
         "rear <- top, competing pose",
     } <= complaining
+
+
+def test_a_picture_leaves_nothing_in_the_temporary_folder(tmp_path, monkeypatch):
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    monkeypatch.setenv("TMPDIR", str(temporary))
+    picture = viewer_picture(record(tmp_path / "made.rrd", "complete"), (320, 200))
+    assert picture.startswith(b"\x89PNG")
+    assert list(temporary.iterdir()) == []

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Neither commands nor tests leave anything in the folder for temporary files."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from multilica.sinks.rerun import viewer
+from tests.cli.support import command_of_process, environment_of_process, write_thinned_sample
+from tests.conftest import temporary_folder
+
+LEAVE = "import sys, tempfile; tempfile.mkdtemp(); sys.exit()"
+
+
+@pytest.fixture
+def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "temporary"
+    folder.mkdir()
+    monkeypatch.setenv("TMPDIR", str(folder))
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    return folder
+
+
+@pytest.mark.slow
+def test_commands_leave_nothing(temporary: Path, tmp_path: Path) -> None:
+    drive = write_thinned_sample(tmp_path / "drive.mcap")
+    for words in (
+        ("calibrate", drive, "--out", "run", "--workers", "2"),
+        ("explain", "run"),
+        ("report", "run", "--out", "page.html"),
+        ("query", "run", "pairs"),
+        ("verify", drive, "--calibration", "run", "--summary", "check.md"),
+    ):
+        command = command_of_process(*words)
+        ended = subprocess.run(command, cwd=tmp_path, env=environment_of_process(), capture_output=True, check=False)
+        assert ended.returncode == 0, ended.stderr
+        assert list(temporary.iterdir()) == [], words
+
+
+@pytest.mark.parametrize("show", ["window", "catalog"])
+def test_processes_of_rerun_leave_nothing(show: str, temporary: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(viewer, "_COMMAND", (sys.executable, "-c", LEAVE))
+    monkeypatch.setenv("DISPLAY", ":0")
+    if show == "window":
+        viewer.show_recording(Path("recording.rrd"))
+    else:
+        viewer.serve_catalog({}, "127.0.0.1", 0)
+    assert list(temporary.iterdir()) == []
+
+
+def test_what_tests_leave_goes_with_them() -> None:
+    before = tempfile.gettempdir(), os.environ["TMPDIR"]
+    assert Path(before[0]).name.startswith("multilica-tests-")  # of the session
+    with temporary_folder() as folder:
+        subprocess.run([sys.executable, "-c", LEAVE], check=True)
+        assert len(list(Path(folder).iterdir())) == 1
+        assert tempfile.gettempdir() == folder
+    assert not Path(folder).exists()
+    assert (tempfile.gettempdir(), os.environ["TMPDIR"]) == before
