@@ -21,7 +21,7 @@ from multilica.ingest import (
     require_calibratable,
     require_lidar,
 )
-from multilica.ingest.locate import PathLike, locate
+from multilica.ingest.locate import PathLike, locate, names_of, without_folders
 from multilica.ingest.metadata import config_for
 from multilica.ingest.remote.address import local_output, stem_of
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
@@ -191,7 +191,11 @@ def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _R
         require_lidar(config.target, sources)
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
-        alone = [_run_alone(source, run.place / source.name, request) for source in sources]
+        names = names_of([source.paths[0] for source in sources])
+        alone = [
+            _run_alone(source, name, run.place / source.name, request)
+            for source, name in zip(sources, names, strict=True)
+        ]
         result = join(alone, config)
         shown = next(source for source in sources if source.name == shown_snapshot(result))
         result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run, request.rig)
@@ -199,10 +203,10 @@ def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _R
     return CalibrationRun(result, config, directory, run.written + directories)
 
 
-def _run_alone(source: SnapshotSource, directory: Path, request: _Request) -> SnapshotRun:
+def _run_alone(source: SnapshotSource, name: str, directory: Path, request: _Request) -> SnapshotRun:
     """Calibrate one of several snapshots; the others can do without one that is refused."""
     request.observe(events.SnapshotStarted(source.name))
-    path, config = str(source.paths[0]), request.config
+    config = request.config
     try:
         snapshot = _read(source, config.model_copy(update={"target": ""}), request.observe)
         if config.target not in snapshot.names:
@@ -213,5 +217,6 @@ def _run_alone(source: SnapshotSource, directory: Path, request: _Request) -> Sn
         result = _run_one(snapshot, directory, replace(request, config=config)).result
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(source.name, str(refusal)))
-        return SnapshotRun(source.name, None, path, refusal=str(refusal))
-    return SnapshotRun(source.name, result, path, snapshot.source_sha256)
+        (told,) = without_folders([str(refusal)], source.paths)
+        return SnapshotRun(source.name, None, name, refusal=told)
+    return SnapshotRun(source.name, result, name, snapshot.source_sha256)

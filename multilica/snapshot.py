@@ -105,6 +105,7 @@ class Snapshot:
 
     Args:
         lidars: one entry per LiDAR, names unique, sorted by name.
+        source: name of the file without folders, or address; "" if the snapshot was made in memory.
         source_sha256: hash of the bytes that were read, "" if the snapshot was made in memory.
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
         notes: findings of the reader that the user should know ("12 of 20 scans, then the file ends").

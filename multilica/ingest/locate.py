@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os.path
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from pathlib import Path
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
 from multilica.ingest.formats import FORMATS, detect_format, name_unpacked, named_content, named_format
+from multilica.ingest.recording import sanitize_text
 from multilica.ingest.remote.address import require_readable, scheme_of
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 
@@ -84,6 +86,33 @@ def locate(source: PathLike) -> SourceFile:
         return source
     require_readable(source)
     return RemoteFile(str(source)) if scheme_of(source) else Path(source).expanduser()
+
+
+def names_of(paths: Sequence[SourceFile]) -> tuple[str, ...]:
+    """Return the sources as results name them, without the folders of this machine; addresses stay as they are.
+
+    Files of one name are named from the folder that holds all of them.
+    """
+    local = [Path(os.path.abspath(path)) for path in paths if isinstance(path, Path)]  # noqa: PTH100 - links stay
+    above = Path(os.path.commonpath([path.parent for path in local])) if local else Path()
+    repeated = len({path.name for path in local}) < len(local)
+    names = iter([str(path.relative_to(above)) if repeated else path.name for path in local])
+    return tuple(next(names) if isinstance(path, Path) else str(path) for path in paths)
+
+
+def listed_names(paths: Sequence[SourceFile]) -> str:
+    """Return the sources as results name them, the first of many."""
+    return ", ".join(names_of(paths)[:_LISTED]) + (", ..." if len(paths) > _LISTED else "")
+
+
+def without_folders(texts: Sequence[str], paths: Sequence[SourceFile]) -> tuple[str, ...]:
+    """Return texts about sources with their names in place of their paths."""
+    named = zip(paths, names_of(paths), strict=True)
+    names = {sanitize_text(path): name for path, name in named if isinstance(path, Path) and len(path.parts) > 1}
+    longest_first = sorted(names, key=len, reverse=True) if texts else []
+    for path in longest_first:
+        texts = [text.replace(path, sanitize_text(names[path])) for text in texts]
+    return tuple(texts)
 
 
 def require_distinct(paths: Sequence[SourceFile]) -> None:

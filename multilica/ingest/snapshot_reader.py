@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.ingest.locate import PathLike, find_source, locate, require_distinct
+from multilica.ingest.locate import PathLike, find_source, listed_names, locate, require_distinct, without_folders
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
@@ -89,7 +89,8 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         UsageError: several recordings of the same LiDAR, or a topic with two names.
     """
     start_s = time.perf_counter()
-    found = find_source(source)
+    paths = [locate(each) for each in ([source] if isinstance(source, PathLike) else source)]
+    found = find_source(paths)
     config = config or config_for(found.files)
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         given = choose_topics(recording, config.topics, found.label, config.only)
@@ -99,7 +100,9 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         unread = unread_notes(recording)
         snapshot = assemble_snapshot(found.label, given, window, static, sha256_of_files(found.files), unread)
         noted = with_recorded_notes(snapshot, recording, found.files)
-    return replace(noted, reading_s=time.perf_counter() - start_s)
+    notes = without_folders(without_folders(noted.notes, found.files), paths)
+    name = sanitize_text(listed_names(paths))
+    return replace(noted, source=name, notes=notes, reading_s=time.perf_counter() - start_s)
 
 
 def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObserver | None = None) -> TakenSnapshot:

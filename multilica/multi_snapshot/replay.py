@@ -92,7 +92,7 @@ def _of_all(snapshot: Snapshot, result: CalibrationResult) -> Snapshot:
         for place in result.placements
         if place.lidar not in snapshot.names
     )
-    note = f"one of {len(result.snapshots)} snapshots of the rig is shown: {snapshot.source}"
+    note = f"one of {len(result.snapshots)} snapshots of the rig is shown: {shown_snapshot(result)}"
     return replace(
         snapshot,
         lidars=snapshot.lidars + missing,

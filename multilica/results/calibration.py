@@ -81,7 +81,7 @@ class SnapshotReport:
     """The contribution of one snapshot to a joint result."""
 
     name: Annotated[str, Field(description="Name of the snapshot.")]
-    source: Annotated[str, Field(description="File or address.")]
+    source: Annotated[str, Field(description="Name of the file, or address.")]
     sha256: Annotated[str, Field(description="Hash of the file; empty if it is not known.")]
     refusal: Annotated[str | None, Field(description="Reason why the snapshot was left out; null if it was used.")] = (
         None

@@ -42,7 +42,7 @@ class InputLidarEntry(Entry):
 class InputEntry(Entry):
     """The snapshot that was calibrated."""
 
-    source: str = Field(description="File or address; empty for data in memory.")
+    source: str = Field(description="Name of the file, or address; empty for data in memory.")
     sha256: str = Field(description="Hash of the file; empty if it is not known.")
     lidars: Mapping[str, InputLidarEntry] = Field(description="Per LiDAR.")
     notes: tuple[str, ...] = Field((), description="Warnings of the reader, such as lost scans or implausible points.")

@@ -41,7 +41,7 @@ def test_an_outlier_and_a_refused_snapshot_are_named(invoke: Invoke, snapshots: 
     assert [report["outliers"] for report in document["snapshots"]] == [[], ["left"], [], []]
     assert document["snapshots"][2]["refusal"]
     assert document["lidars"]["left"]["spread"]["snapshots"] == 2
-    assert document["input"]["source"] == ", ".join(map(str, sources))
+    assert document["input"]["source"] == "first.mcap, turned.mcap, alone.mcap, second.mcap"
     evaluated = json.loads(invoke("evaluate", "run", "run/turned", "--truth", find_sample().truth, "--json").out)
     assert [row["outcome"] for row in evaluated["lidars"]] == ["within", "false_accept"]
 

@@ -244,6 +244,6 @@ def test_files_whose_names_are_no_utf8(tmp_path: Path) -> None:
             np.save(file, np.ones((5, 3), np.float32))
     snapshot = read_snapshot(folder)
     assert snapshot.names == ("l?nks", "rechts")
-    assert snapshot.source == str(tmp_path / "?")
+    assert snapshot.source == "?"
     write_snapshot_mcap(snapshot, tmp_path / "a.mcap")
     assert read_snapshot(tmp_path / "a.mcap").names == snapshot.names

@@ -18,6 +18,7 @@ from multilica.sinks.mcap.messages import read_attached_document
 from multilica.sinks.rerun.reading import read_recorded_document
 from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica.snapshot import LidarScans, Scan, Snapshot
+from tests.sinks.recording_reader import Recording
 
 SAMPLE = Path(__file__).parents[2] / "recordings" / "samples" / "edgar-street.mcap"
 FILES = {"calibration.toml", "config.toml", "recording.rrd", "report.html", "result.json", "result.mcap"}
@@ -27,7 +28,7 @@ EARLY = with_overrides(FAST, ["until=preprocess"])
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with two snapshots of two LiDARs of the sample, one of a single LiDAR and one of a moving vehicle."""
+    """A folder with two snapshots of two LiDARs of the sample, others of a single LiDAR, none, and a moving vehicle."""
     folder = tmp_path_factory.mktemp("recordings")
     sample = multilica.read_snapshot(SAMPLE)
     first, second = (
@@ -36,7 +37,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shift_m = np.array([0.4, 0.0, 0.0], np.float32)
     moving = {name: [clouds[0] - index * shift_m for index in range(3)] for name, clouds in first.items()}
     alone = {"right": first["right"]}
-    for name, lidars in {"first": first, "second": second, "moving": moving, "alone": alone}.items():
+    for name, lidars in {"first": first, "second": second, "moving": moving, "alone": alone, "nothing": {}}.items():
         write_recording(folder / f"{name}.mcap", lidars)
     return folder
 
@@ -51,6 +52,31 @@ def write_recording(path: Path, lidars: dict[str, list[np.ndarray]]) -> None:
 
 def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
+
+
+def files_that_name(folder: Path, runs: Path) -> set[str]:
+    """The files of runs that hold the path of a folder, compressed or not."""
+    path = str(folder).encode()
+    found = {str(file) for file in runs.rglob("*.*") if file.is_file() and path in file.read_bytes()}
+    for file in runs.rglob("*.rrd"):
+        columns = [column for chunk in Recording(file).chunks for column in chunk.to_record_batch().columns]
+        if any(each and path in each.to_pybytes() for column in columns for each in column.buffers()):
+            found.add(str(file))
+    return found
+
+
+@pytest.mark.slow
+def test_no_file_of_a_run_names_a_folder_of_the_machine(tmp_path: Path) -> None:
+    cut = tmp_path / "logs" / "cut.mcap"
+    cut.parent.mkdir()
+    cut.write_bytes(SAMPLE.read_bytes()[:-5000])
+    run = multilica.run_calibration(cut, tmp_path / "run", with_overrides(EARLY, ["ingest.frames=1"]))
+    document = json.loads((run.directory / "result.json").read_text())
+    assert document["input"]["source"] == "cut.mcap"
+    assert any("cut.mcap is damaged" in note for note in document["input"]["notes"])
+    assert files_that_name(cut.parent, tmp_path / "run") == set()
+    assert "cut.mcap" in (run.directory / "report.html").read_text()
+    assert Recording(run.directory / "recording.rrd").properties()["input_source"] == "cut.mcap"
 
 
 @pytest.mark.slow
@@ -72,16 +98,20 @@ def test_a_recording_becomes_a_run_directory(recordings: Path, tmp_path: Path) -
 @pytest.mark.slow
 def test_snapshots_of_one_rig_give_a_joint_result(recordings: Path, tmp_path: Path) -> None:
     seen: list[events.RunEvent] = []
-    sources = [str(recordings / f"{name}.mcap") for name in ("first", "alone", "second")]
+    given = "first", "alone", "second", "nothing"
+    sources = [str(recordings / f"{name}.mcap") for name in given]
     run = multilica.run_calibration(sources, tmp_path, FAST, observe=seen.append)
     assert names(tmp_path) == FILES | {"first", "second"}
     assert {path.name for path in run.written} == names(tmp_path)
     assert names(tmp_path / "first") == names(tmp_path / "second") == FILES
-    assert [bool(report.refusal) for report in run.result.snapshots] == [False, True, False]
-    assert [event.name for event in seen if isinstance(event, events.SnapshotStarted)] == ["first", "alone", "second"]
-    (refused,) = (event for event in seen if isinstance(event, events.SnapshotRefused))
-    assert refused.name == "alone"
-    assert "only one LiDAR" in refused.reason
+    assert [bool(report.refusal) for report in run.result.snapshots] == [False, True, False, True]
+    assert [event.name for event in seen if isinstance(event, events.SnapshotStarted)] == [*given]
+    refused = {event.name: event.reason for event in seen if isinstance(event, events.SnapshotRefused)}
+    assert {*refused} == {"alone", "nothing"}
+    assert "only one LiDAR" in refused["alone"]
+    assert "holds no point clouds" in refused["nothing"]
+    assert [report.source for report in run.result.snapshots] == [f"{name}.mcap" for name in given]
+    assert files_that_name(recordings, tmp_path) == set()
     assert run.result["left"].placed
 
 
