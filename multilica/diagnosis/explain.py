@@ -237,14 +237,17 @@ def _missing(document: ResultDocument, name: str) -> Missing:
     decisive = decisive_pair(pairs[0]) if pairs else None
     codes = () if decisive is None else decisive.codes
     fault, next_best = _sensor_fault(document, name), next_best_sentence(pairs)
+    limit = document.time_limit
+    out_of_time = limit is not None and any(name in pair for pair in limit.not_reached)
     if document.snapshots and not codes:
         # The pairs are those of one snapshot, so an accepted one decides nothing.
         disputed = any(snapshot.disputed for snapshot in document.snapshots)
         unplaced = "disputed" if disputed else "unknown" if decisive is None else "not_joined"
+        unplaced = "out_of_time" if out_of_time else unplaced
         by_snapshot = f"{document.lidars[name].reason.rstrip('.')}."
         return replace(_missing_by(document, name, fault or unplaced, None, ""), by_snapshot=by_snapshot)
     if not document.snapshots:
-        if document.time_limit is not None and any(name in pair for pair in document.time_limit.not_reached):
+        if out_of_time:
             return _missing_by(document, name, "out_of_time", None, next_best)
         if decisive is not None and not codes:
             return _missing_from_rig(document, name, decisive, fault, next_best)

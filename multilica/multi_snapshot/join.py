@@ -2,7 +2,7 @@
 """Joint result of several snapshots of one rig."""
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import fsum
 
@@ -29,6 +29,7 @@ from multilica.results import (
     Refinement,
     SnapshotDeviation,
     SnapshotReport,
+    TimeLimit,
 )
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig, refine
@@ -117,6 +118,7 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         placements=tuple(joint.placement(name) for name in lidars),
         timing_s=dict(sum((Counter(result.timing_s) for result in results.values()), Counter())),
         refinement=joint.rig.refinement,
+        time_limit=_time_limit(results.values(), joint.rig.poses),
         snapshots=tuple(joint.report(run) for run in runs),
     )
     shown = results[shown_snapshot(result)]
@@ -177,6 +179,15 @@ def _rig(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> Refine
 
 def _estimates(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> dict[str, Mapping[str, Estimate]]:
     return {name: estimate_poses(target, own, config.refine) for name, own in pairs.items()}
+
+
+def _time_limit(results: Collection[CalibrationResult], placed: Collection[str]) -> TimeLimit | None:
+    """Return the pairs that snapshots did not reach and that could have placed a LiDAR; None if all had time."""
+    limits = [result.time_limit for result in results if result.time_limit is not None]
+    if not limits:
+        return None
+    missed = {pair for limit in limits for pair in limit.not_reached if not {*pair} <= {*placed}}
+    return TimeLimit(limits[0].max_time_s, tuple(sorted(missed)))
 
 
 def _placed_by(placing: int, snapshots: int) -> str:

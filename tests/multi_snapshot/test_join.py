@@ -2,6 +2,7 @@
 """One rig out of made registrations of several snapshots whose truth is known."""
 
 import re
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -9,11 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from multilica.config import CalibrationConfig, preset, with_overrides
+from multilica.diagnosis import explain
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot import SnapshotRun, join, require_joinable, shown_snapshot
 from multilica.multi_snapshot.join import choose_target
-from multilica.results import CalibrationResult, LidarPlacement, PairRegistration
+from multilica.results import CalibrationResult, LidarPlacement, PairRegistration, TimeLimit
+from multilica.results.building import provenance_of, result_document
+from multilica.snapshot import Snapshot
 
 _SIGMA = np.array([1e-4] * 3 + [2e-3] * 3)
 _TRUTH = {
@@ -307,3 +311,20 @@ def test_rounding_does_not_break_a_tie():
     target, reason = choose_target({"only": edges}, ["A", "B", *names], "")
     assert target == "A"
     assert reason == "most overlap in 1 of 1 snapshots"
+
+
+def _cut(run, *not_reached):
+    return replace(run, result=replace(run.result, time_limit=TimeLimit(5.0, not_reached)))
+
+
+def test_a_joint_result_has_the_time_limit_of_its_snapshots():
+    assert _joined(_run("one", 1), _run("two", 2)).time_limit is None
+    few = tuple(pair for pair in _ALL if "C" not in pair)
+    one = _cut(_run("one", 1, few), ("A", "B"), ("C", "T"))
+    other = _cut(_run("two", 2, few), ("A", "C"))
+    result = _joined(one, other, _run("three", 3, few), _refused("four"))
+    assert result.time_limit == TimeLimit(5.0, (("A", "C"), ("C", "T")))  # A and B have poses
+    explanation = explain(result_document(result, CalibrationConfig(), provenance_of(Snapshot(()))))
+    assert {missing.lidar: missing.cause for missing in explanation.missing} == {"C": "out_of_time"}
+    assert "A - C, C - T" in " ".join(explanation.warnings)
+    assert _joined(_cut(_run("one", 1), ("C", "T")), _run("two", 2)).time_limit == TimeLimit(5.0, ())
