@@ -4,14 +4,15 @@
 from collections.abc import Callable, Container, Mapping, Sequence
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from multilica.config import Stage
+from multilica.geometry import RigidTransform
 from multilica.results import PairKey
-from multilica.sinks.drawing import kept_count
+from multilica.sinks.drawing import ellipsoid_label, ellipsoid_scale, kept_count, slot_offsets_m
 from multilica.sinks.rerun import scene
-from multilica.sinks.rerun.lidars import RESIDUAL_SCALE_M, name_pole_m
+from multilica.sinks.rerun.lidars import RESIDUAL_SCALE_M
+from multilica.sinks.rerun.names import names_apart
 from multilica.sinks.rerun.pairs import starting_hypothesis
 from multilica.sinks.rerun.tables import candidate_pairs, matrix_bounds
 from multilica.sinks.rerun.views import (
@@ -37,7 +38,8 @@ _MAX_PAIR_TABS = 15
 _Tab = rrb.Container | rrb.View
 _MATRICES = {scene.FITNESS: "Fitness", scene.COVERAGE: "Coverage", scene.VERDICTS: "Verdicts"}
 _RIG_MARGIN_M = 3.0
-_RIG_NAME_SPACING_M = 0.5
+_MERGED_VIEW_PX, _RIG_VIEW_PX = (760.0, 590.0), (500.0, 280.0)
+"""Sizes of views in a window of 1280 x 720 pixels."""
 
 
 def _residual_tab(state: RunState) -> rrb.Container | None:
@@ -51,7 +53,9 @@ def _residual_tab(state: RunState) -> rrb.Container | None:
         for path in (scene.lidar_path(lidar, "residual"), f"{scene.lidar_path(lidar, 'name')}/**")
     ]
     name = f"Distance to the other LiDARs' surfaces: dark 0 m, bright {RESIDUAL_SCALE_M:g} m or more"
-    view = scene_view(name, scene.lidar_frame(document.target), contents, around_rig(state))
+    eye = around_rig(state)
+    names = _names(state, document.poses, eye, _MERGED_VIEW_PX)
+    view = scene_view(name, scene.lidar_frame(document.target), contents, eye, overrides=names)
     return rrb.Horizontal(view, name="Residual")
 
 
@@ -179,7 +183,9 @@ def _merge_tab(state: RunState) -> _Tab | None:
     contents = [
         f"{scene.lidar_path(lidar, part)}/**" for lidar in state.lidars for part in ("preprocessed", "sensor", "name")
     ]
-    growing = scene_view("Growing cloud", scene.DISPLAY_FRAME, contents, above_group(state))
+    eye = above_group(state)
+    names = _names(state, _poses_in_slots(state), eye, _MERGED_VIEW_PX)
+    growing = scene_view("Growing cloud", scene.DISPLAY_FRAME, contents, eye, overrides=names)
     pairs = [pair for pair in _shown_pairs(state) if pair in candidate_pairs(state)]
     evidence = rrb.TimeSeriesView(
         origin=scene.PAIRS,
@@ -190,6 +196,26 @@ def _merge_tab(state: RunState) -> _Tab | None:
     steps = rrb.Tabs(document_view(scene.MERGE_STEPS, "Merge steps"), evidence)
     side = rrb.Vertical(graph, steps)
     return rrb.Horizontal(growing, side, column_shares=[3, 2], name="Merge")
+
+
+def _names(
+    state: RunState, poses: Mapping[str, RigidTransform], eye: rrb.EyeControls3D, size_px: tuple[float, float]
+) -> Overrides:
+    scale = ellipsoid_scale(state.document)
+    labels = {lidar: ellipsoid_label(state.document, lidar, scale) or lidar for lidar in poses}
+    return names_apart(labels, poses, eye, size_px)
+
+
+def _poses_in_slots(state: RunState) -> dict[str, RigidTransform]:
+    """Return where LiDARs are shown after the last merge step: with the target, or in slots of their own."""
+    poses = state.document.poses
+    offsets_m = {} if state.snapshot is None else slot_offsets_m(state.snapshot)
+    slots = {
+        lidar: RigidTransform.from_xyz_rpy(scene.DISPLAY_FRAME, lidar, (0.0, offset_m, 0.0), (0.0, 0.0, 0.0))
+        for lidar, offset_m in offsets_m.items()
+    }
+    joined = {lidar: slots[state.target] @ pose for lidar, pose in poses.items() if state.target in slots}
+    return slots | joined
 
 
 _STAGE_TABS: Mapping[Stage, Callable[[RunState], _Tab | None]] = {
@@ -273,22 +299,14 @@ def _result_tab(state: RunState) -> rrb.Container | None:
     extents = [scene.lidar_path(lidar, part) for lidar in poses for part in ("field_of_view", "uncertainty")]
     uncertain = [lidar for lidar, entry in document.lidars.items() if entry.status == "uncertain"]
     frame, marks = scene.lidar_frame(document.target), [scene.lidar_path(lidar, "uncertainty") for lidar in uncertain]
-    merged = scene_view("Merged cloud", frame, [*clouds, *sensors, *marks, scene.GROUND], around_rig(state))
+    around = around_rig(state)
+    names = _names(state, poses, around, _MERGED_VIEW_PX)
+    merged = scene_view("Merged cloud", frame, [*clouds, *sensors, *marks, scene.GROUND], around, overrides=names)
     origins_m = np.array([pose.xyz_m for pose in poses.values()])
     centre_m = np.mean(origins_m, axis=0)
     radius_m = _RIG_MARGIN_M + float(np.linalg.norm(origins_m - centre_m, axis=1).max())
     eye = three_quarter(centre_m, radius_m, up_axis(state, document.target))
-    short_names = _short_names(state.lidars, uncertain)
-    rig = scene_view("Rig", frame, [*sensors, *extents], eye, grid=True, overrides=short_names)
+    names = _names(state, poses, eye, _RIG_VIEW_PX)
+    rig = scene_view("Rig", frame, [*sensors, *extents], eye, grid=True, overrides=names)
     side = rrb.Vertical(document_view(scene.SUMMARY, "Summary"), rig, row_shares=[1, 1])
     return rrb.Horizontal(merged, side, column_shares=[3, 2], name="Result")
-
-
-def _short_names(lidars: Sequence[str], uncertain: Sequence[str]) -> Overrides:
-    """Lower the names for a view of the rig alone."""
-    lowered: Overrides = {}
-    for index, lidar in enumerate(lidars):
-        pole_m = name_pole_m(index, top=lidar in uncertain, spacing_m=_RIG_NAME_SPACING_M)
-        lowered[scene.lidar_path(lidar, "name")] = rr.LineStrips3D.from_fields(strips=pole_m)
-        lowered[scene.lidar_path(lidar, "name", "tip")] = rr.Points3D.from_fields(positions=pole_m[0, 1:])
-    return lowered

@@ -39,6 +39,7 @@ _DROP_COLOURS: dict[str, Rgb] = {"too_near": VIOLATE, "too_far": MUTED, "moving"
 _AXIS_LENGTH_M = 1.0
 _NORMAL_LENGTH_M = 0.4
 _NAME_HEIGHTS = 4
+_NAME_SPACING_M = 1.2
 RESIDUAL_SCALE_M = 0.05
 """Residual with the brightest colour: a few times the range noise of vehicle LiDARs."""
 # The darkest colours of the scale can hardly be seen on the background.
@@ -70,13 +71,13 @@ def log_input(scene: RerunScene, event: events.CalibrationStarted) -> None:
         scene.log_points(path, frame, points_m, scene.colour(lidar.name), limit)
 
 
-def name_pole_m(index: int, *, top: bool = False, spacing_m: float = 1.2) -> Float32Array:
+def _name_pole_m(index: int, *, top: bool = False) -> Float32Array:
     """Return the line (1, 2, 3) from the LiDAR of an index to its name, in its own frame; at the top above all others.
 
     Names of neighbours differ in height, to be apart even if the sensors sit close together.
     """
     level = _NAME_HEIGHTS if top else index % _NAME_HEIGHTS
-    return np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, spacing_m * (1 + level)]]], dtype=np.float32)
+    return np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, _NAME_SPACING_M * (1 + level)]]], dtype=np.float32)
 
 
 def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
@@ -88,7 +89,7 @@ def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
     log_in_slot(scene, lidar, start)
     axes = rr.TransformAxes3D(_AXIS_LENGTH_M)
     scene.stream.log(lidar_path(lidar, "sensor"), rr.CoordinateFrame(lidar_frame(lidar)), axes, static=True)
-    pole_m = name_pole_m(index)
+    pole_m = _name_pole_m(index)
     name = rr.LineStrips3D(pole_m, colors=[scene.colour(lidar)], radii=rr.Radius.ui_points(1.0))
     tip = rr.Points3D(pole_m[0, 1:], colors=[scene.colour(lidar)], labels=[lidar], radii=rr.Radius.ui_points(3.0))
     scene.log_in(lidar_frame(lidar), lidar_path(lidar, "name"), name)
@@ -272,7 +273,7 @@ def _log_uncertainty(scene: RerunScene, document: ResultDocument, lidar: str) ->
     )
     scene.log_in(lidar_frame(document.target), lidar_path(lidar, "uncertainty"), shape)
     if label:
-        pole_m = name_pole_m(0, top=True)
+        pole_m = _name_pole_m(0, top=True)
         scene.log(lidar_path(lidar, "name"), rr.LineStrips3D.from_fields(strips=pole_m))
         tip = rr.Points3D.from_fields(positions=pole_m[0, 1:], labels=[label])
         scene.log(lidar_path(lidar, "name", "tip"), tip)
