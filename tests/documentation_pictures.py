@@ -28,6 +28,8 @@ FAILURES = (ROOT / "docs" / "failures.md").read_text(encoding="utf-8")
 SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
 SHORT = ("--frames", "2", "--keep-every", "4")
 SIZE = ("--width", "1280", "--height", "720")
+MENU_PX = 36
+"""Height of the viewer's menu, which warns of the machine that draws."""
 SCREEN = {"width": 1100, "height": 720}
 FLEET_SCREEN = {"width": 1100, "height": 640}
 TALL_SCREEN = {"width": 1100, "height": 1370}
@@ -89,9 +91,10 @@ def calibrate(folder: Path, scene: Scene) -> str:
     return run(folder, "calibrate", recording, *prior, "--out", scene.name)
 
 
-def save(picture: bytes, name: str) -> None:
+def save(picture: bytes, name: str, *, without_top_px: int = 0) -> None:
     """Write a picture with 256 colours."""
     colours = Image.open(io.BytesIO(picture)).convert("RGB")
+    colours = colours.crop((0, without_top_px, *colours.size))
     path = PICTURES / f"{name}.png"
     palette = colours.quantize(256, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE)
     palette.save(path, optimize=True)
@@ -100,7 +103,7 @@ def save(picture: bytes, name: str) -> None:
 
 def draw_recording(folder: Path, name: str) -> None:
     run(folder, "view", name, "--png", f"{name}.png", *SIZE)
-    save((folder / f"{name}.png").read_bytes(), name)
+    save((folder / f"{name}.png").read_bytes(), name, without_top_px=MENU_PX)
 
 
 def draw_report(browser: Browser, directory: Path, name: str, screen: dict[str, int]) -> None:

@@ -8,14 +8,19 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 from playwright.sync_api import Browser
 
 import multilica
 from tests.cli.support import ROOT, environment_of_process
+from tests.documentation_pictures import MENU_PX
 
 SHOWN = ("index", "quickstart", "reference/cli", "reference/python", "recording-layout")
 WIDTHS = (1400, 390)
+CUT = """selector => [...document.querySelectorAll('.bd-article :is(' + selector + ')')]
+  .filter(each => each.scrollWidth > each.clientWidth + 1).map(each => each.innerText)"""
 
 pytestmark = [
     pytest.mark.slow,
@@ -62,3 +67,38 @@ def test_pages_ask_no_host_and_fit_the_screen(site: Path, browser: Browser, widt
             assert page.evaluate("document.documentElement.dataset.theme") == scheme
         assert [url for url in asked if not url.startswith(("file:", "data:"))] == []
         assert any(url.endswith("site.css") for url in (each.partition("?")[0] for each in asked))
+
+
+def test_commands_and_tables_show_whole_beside_the_pages(site: Path, browser: Browser) -> None:
+    with browser.new_context(viewport={"width": 1300, "height": 900}) as context:
+        page = context.new_page()
+        for path in sorted(site.rglob("*.html")):
+            page.goto(path.as_uri())
+            assert page.evaluate(CUT, "pre") == [], path.name
+            assert page.evaluate(CUT, "table, .pst-scrollable-table-container") == [], path.name
+            page.add_style_tag(content=".bd-article pre { white-space: pre !important; }")
+            broken = {
+                line[:40] for block in page.evaluate(CUT, ".highlight-console pre") for line in block.splitlines()
+            }
+            assert broken == set(), path.name
+
+
+def test_the_contents_of_a_page_are_one_click_away(site: Path, browser: Browser) -> None:
+    for width, beside in ((1300, False), (1700, True)):
+        with browser.new_context(viewport={"width": width, "height": 900}) as context:
+            page = context.new_page()
+            page.goto((site / "cookbook.html").as_uri())
+            entry = page.get_by_role("link", name="Keep accepted extrinsics in git").first
+            assert entry.is_visible() is beside
+            if not beside:
+                page.locator("button.secondary-toggle").click()
+                entry.wait_for(state="visible")
+
+
+def test_the_first_picture_warns_of_nothing() -> None:
+    """The viewer's menu warns, in orange, of a machine without a graphics card and of a container."""
+    picture = Image.open(ROOT / "docs" / "pictures" / "result.png").convert("RGB")
+    menu = np.asarray(picture.crop((0, 0, picture.width // 2, 40)), dtype=int)
+    assert picture.size == (1280, 720 - MENU_PX)
+    warning = (menu[..., 0] > 200) & (menu[..., 1] < 150) & (menu[..., 2] < 80)
+    assert int(warning.sum()) == 0
