@@ -27,6 +27,8 @@ from multilica.visibility.sensor_view import ScorePose
 
 # Movable objects hold a pose if its standard deviation grows by this factor without them.
 _HELD_GROWTH = 1.5
+# The length of a car: what is open by more is not held at all, and no covariance of small motions describes it.
+_OPEN_M = 3.0
 
 
 def imprecision(
@@ -63,12 +65,17 @@ def place(
 ) -> LidarPlacement:
     """Place a LiDAR at an accepted pose; it is uncertain if a standard deviation is above the limit.
 
+    It is not placed where nothing holds the pose in some direction.
+
     Args:
         covariance: (6, 6), rotation (rad), then translation (m), along the target's axes; None if it is not known.
         how: the LiDAR was placed, for people.
         held: by objects that can move, if so; the covariance is that of the others then.
     """
     doubt = held or (None if covariance is None else imprecision(*weakest_deviations(covariance), config))
+    if doubt is not None and covariance is not None and weakest_deviations(covariance)[0] > _OPEN_M:
+        reason = f"the scene leaves its pose open in one direction: {doubt.text}"
+        return LidarPlacement(pose.source, reason, T_target_source_prior=known.get("T_target_source_prior"))
     status: PlacementStatus = "placed" if doubt is None else "uncertain"
     reason = how if doubt is None else doubt.text
     return LidarPlacement(

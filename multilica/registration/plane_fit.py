@@ -36,6 +36,8 @@ _RELAXATION = 1.5
 _PATCH_M = 1.0
 # A surface is not known better: its reflectivity changes a range by millimetres.
 _SURFACE_SIGMA_M = 0.002
+# The variance of a direction that n surfaces constrain is larger by this over n.
+_OF_FEW = 3.0
 # Share of the sums of rings that counts, measured on simulated vehicles: their biases and the noise count already.
 _OF_RINGS = 0.2
 # Below this share, what remains is noise of the matches.
@@ -240,7 +242,7 @@ class _Surfaces:
 
         Few surfaces tell little of the size of their errors, and the fit hides those that it follows. Therefore half of
         what a surface contributes is its own sum, and half is that of a surface with the usual error. The sum grows
-        like the variance of Student's distribution.
+        like the variance of Student's distribution, along each direction by the number of surfaces that constrain it.
         """
         pulls = self.weight * residual_m
         sums_m, weights = np.bincount(self.labels, pulls), np.bincount(self.labels, self.weight)
@@ -248,7 +250,21 @@ class _Surfaces:
         usual = sums_m @ sums_m / squares * self._alike
         of_rings = sum(_squared(self.equations, rings, pulls) for rings in self.equations.rings)
         spread = 0.5 * (self.squared(residual_m) + usual) + _OF_RINGS * of_rings + self.least
-        return np.asarray((1.0 + 2.0 * squares / weights.sum() ** 2) * spread)
+        widening = self._widening
+        spread[:6] = widening @ spread[:6]
+        spread[:, :6] = spread[:, :6] @ widening.T
+        return spread
+
+    @cached_property
+    def _widening(self) -> FloatArray:
+        """(6, 6) factor of the scores of the pose: each principal direction by how few surfaces constrain it."""
+        rows = self.equations.jacobian[:, :6] * np.sqrt(self.weight)[:, None]
+        values, directions = np.linalg.eigh((rows.T @ rows) * np.outer(_SCALE, _SCALE))
+        roots = np.sqrt(np.maximum(values, 1e-9))
+        parts = (rows @ (_SCALE[:, None] * directions / roots)) ** 2
+        shares = members(self.labels, np.ones(len(self.labels))) @ parts
+        factors = np.sqrt(1.0 + _OF_FEW * np.sum(shares**2, axis=0))
+        return np.asarray((directions * roots * factors) @ (directions / roots).T * np.outer(1.0 / _SCALE, _SCALE))
 
 
 def _squared(equations: PlaneEquations, labels: IndexArray, factors: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from multilica.acceptance.accept import (
     is_well_constrained,
     min_competing_evidence,
 )
-from multilica.acceptance.placement import imprecision
+from multilica.acceptance.placement import imprecision, place
 from multilica.config import AcceptanceConfig, MergeConfig
 from multilica.results import PairRegistration, Registration, Stability, VisibilityScore
 from tests.unit.made_pairs import pose
@@ -223,6 +223,20 @@ def test_a_margin_asks_for_smaller_sigmas():
     assert imprecision(0.015, 1e-4, _CONFIG) is None
     assert imprecision(0.015, 1e-4, _CONFIG, margin=2.0).code == "imprecise"
     assert imprecision(None, None, _CONFIG) is None
+
+
+@pytest.mark.parametrize(("sigma_m", "status"), [(0.005, "placed"), (2.9, "uncertain"), (3.1, "not_placed")])
+def test_a_pose_that_nothing_holds_in_a_direction_is_none(sigma_m, status):
+    along = np.array([0.6, 0.0, 0.8])
+    covariance = 1e-8 * np.eye(6)
+    covariance[3:, 3:] += sigma_m**2 * np.outer(along, along)
+    prior = pose("left", "right")
+    found = place(prior, covariance, _CONFIG, T_target_source_prior=prior)
+    assert found.status == status
+    assert (found.T_target_source is None) == (status == "not_placed")
+    assert (found.covariance is None) == (status == "not_placed")
+    assert found.T_target_source_prior is prior
+    assert ("leaves its pose open" in found.reason) == (status == "not_placed")
 
 
 _ONE = _registration()

@@ -97,12 +97,22 @@ def _by_all_unknowns(target, overlap, here, pose):
     return np.hstack([dense, *of_rings]), bands, rings
 
 
+def _by_few_surfaces(rows, surfaces):
+    """Principal directions (6, 6) in which the rows have a sum of squares of one, and factors of each (6, 6)."""
+    lengths_m = np.repeat([0.1, 1.0], 3)
+    values, directions = np.linalg.eigh((rows * lengths_m).T @ (rows * lengths_m))
+    whitening = lengths_m[:, None] * directions / np.sqrt(values)
+    shares = _summed((rows @ whitening) ** 2, surfaces)
+    assert np.allclose(shares.sum(axis=0), 1.0)
+    return whitening, np.diag(np.sqrt(1.0 + 3.0 * np.sum(shares**2, axis=0)))
+
+
 @pytest.mark.parametrize("turn_rad", TURNS_RAD)
 def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
 
     B is over cells of 6 m with the main axis, half by their own sums and half by the usual one, and over rings of both
-    LiDARs, 0.2 of each; its random part is over patches of 1 m.
+    LiDARs, 0.2 of each; its random part is over patches of 1 m. Directions of n surfaces have 1 + 3 / n times as much.
     """
     target, source, pose = _rooms(turn_rad)
     overlap = plane_matches.find_overlap(target, source, pose)
@@ -139,8 +149,10 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     sums_m = _summed(here.weight * left_m, surfaces)
     usual = np.sum(sums_m**2) / np.sum(weights**2) * alike
     of_bands = sum(squared(_clusters(each), left_m) for each in bands)
-    freedom = 1.0 + 2.0 * np.sum(weights**2) / np.sum(weights) ** 2
-    systematic = freedom * (0.5 * (squared(surfaces, left_m) + usual) + 0.2 * of_bands + uneven)
+    systematic = 0.5 * (squared(surfaces, left_m) + usual) + 0.2 * of_bands + uneven
+    whitening, wider = _by_few_surfaces(jacobian[:, :6] * np.sqrt(here.weight)[:, None], surfaces)
+    systematic[:6] = np.linalg.inv(whitening.T) @ wider @ whitening.T @ systematic[:6]
+    systematic[:, :6] = systematic[:, :6] @ whitening @ wider @ np.linalg.inv(whitening)
     random = squared(_clusters(np.floor(here.points_m)), left_m) + noise
     spread = (systematic + noise) / variance**2
     information, gradient, spread, random = plane_fit._weighted(information, gradient, spread, random / variance**2)
