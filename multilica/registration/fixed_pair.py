@@ -125,13 +125,11 @@ def _reduced(pair: PairRegistration, keep: FloatArray) -> PairRegistration:
         extended = np.eye(len(found.information))
         extended[:6, :6] = keep
         of_biases = replace(
-            found,
+            found.with_spreads_changed(extended),
             information=extended @ found.information @ extended.T,
             # The pose is the best one, and the prior balances the gradient of the biases. The fit's tolerance would
             # move a pose by metres once little holds it.
             gradient=np.concatenate([np.zeros(6), found.gradient[6:]]),
-            spread=extended @ found.spread @ extended.T,
-            random_spread=extended @ found.random_spread @ extended.T,
         )
     values, directions = np.linalg.eigh(information * np.outer(_SCALE, _SCALE))
     free = directions.T[values < _FREE_M**-2.0]

@@ -132,7 +132,8 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     residuals = find_residuals(overlap, pose, biases)
     if residuals is None:
         return PlaneFit(pose)
-    equations, *rings = _equations(overlap, residuals, pose)
+    equations, target_rings, source_rings = _equations(overlap, residuals, pose)
+    rings = target_rings, source_rings
     hessian = equations.hessian(residuals.weight)
     noise = _noise(hessian)
     remaining = _remaining_hessian(overlap, pose, biases, residuals.sigma_m, hessian)
@@ -152,25 +153,32 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     systematic = surfaces.spread(left_m)
     patches = numbered(np.floor(residuals.points_m / _PATCH_M))
     random = _squared(equations, patches, residuals.weight * left_m)
-    hessian, spread = _floored(remaining, systematic + noise)
-    information, gradient, spread, random = _weighted(
-        hessian / variance, gradient, spread / variance**2, (random + (spread - systematic)) / variance**2
+    few = surfaces.of_few(systematic)
+    hessian, spread = _floored(remaining, systematic + few + noise)
+    random += spread - systematic - few
+    information, gradient, spread, random, few = _weighted(
+        hessian / variance, gradient, *(each / variance**2 for each in (spread, random, few))
     )
     known = posterior(information, gradient, biases, sigmas, spread, random, counts, first.prior)
-    of_biases = BiasInformation(
-        information, gradient + information @ known.step, spread, random, biases + known.step[6:], *rings
-    )
+    gradient, biases = gradient + information @ known.step, biases + known.step[6:]
+    of_biases = BiasInformation(information, gradient, spread, random, biases, target_rings, source_rings, few)
     pose = moved(pose, known.step[:3], known.step[3:6])
     return PlaneFit(pose, np.asarray(np.linalg.pinv(known.covariance, hermitian=True)), of_biases)
 
 
 def _weighted(
-    information: FloatArray, gradient: FloatArray, spread: FloatArray, random_spread: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    information: FloatArray, gradient: FloatArray, spread: FloatArray, *parts: FloatArray
+) -> tuple[FloatArray, ...]:
     """Weaken the equations of the pose along its principal directions whose spread is above their information.
 
     This is the weight of the generalised method of moments (Hansen, Econometrica 1982), of the pose given the biases.
     Directions with less spread gain none: few surfaces agree by chance.
+
+    Args:
+        parts: of the spread.
+
+    Returns:
+        The same, after that.
     """
     scaling = np.outer(_SCALE, _SCALE)
     values, directions = np.linalg.eigh(information[:6, :6] * scaling)
@@ -183,7 +191,7 @@ def _weighted(
     change[:6, :6] = kept
     change[6:, :6] = by_bias.T @ (kept - np.eye(6))
     weaker = change @ information
-    return 0.5 * (weaker + weaker.T), change @ gradient, change @ spread @ change.T, change @ random_spread @ change.T
+    return 0.5 * (weaker + weaker.T), change @ gradient, *(change @ each @ change.T for each in (spread, *parts))
 
 
 def _equations(
@@ -241,30 +249,29 @@ class _Surfaces:
         """Return the covariance (N, N) of the sum of scores by surfaces and rings.
 
         Few surfaces tell little of the size of their errors, and the fit hides those that it follows. Therefore half of
-        what a surface contributes is its own sum, and half is that of a surface with the usual error. The sum grows
-        like the variance of Student's distribution, along each direction by the number of surfaces that constrain it.
+        what a surface contributes is its own sum, and half is that of a surface with the usual error.
         """
         pulls = self.weight * residual_m
         sums_m, weights = np.bincount(self.labels, pulls), np.bincount(self.labels, self.weight)
         squares = weights @ weights
         usual = sums_m @ sums_m / squares * self._alike
         of_rings = sum(_squared(self.equations, rings, pulls) for rings in self.equations.rings)
-        spread = 0.5 * (self.squared(residual_m) + usual) + _OF_RINGS * of_rings + self.least
-        widening = self._widening
-        spread[:6] = widening @ spread[:6]
-        spread[:, :6] = spread[:, :6] @ widening.T
-        return spread
+        return np.asarray(0.5 * (self.squared(residual_m) + usual) + _OF_RINGS * of_rings + self.least)
 
-    @cached_property
-    def _widening(self) -> FloatArray:
-        """(6, 6) factor of the scores of the pose: each principal direction by how few surfaces constrain it."""
+    def of_few(self, spread: FloatArray) -> FloatArray:
+        """Return by how much a spread (N, N) grows because few surfaces constrain a direction of the pose.
+
+        It grows like the variance of Student's distribution.
+        """
         rows = self.equations.jacobian[:, :6] * np.sqrt(self.weight)[:, None]
         values, directions = np.linalg.eigh((rows.T @ rows) * np.outer(_SCALE, _SCALE))
         roots = np.sqrt(np.maximum(values, 1e-9))
         parts = (rows @ (_SCALE[:, None] * directions / roots)) ** 2
         shares = members(self.labels, np.ones(len(self.labels))) @ parts
         factors = np.sqrt(1.0 + _OF_FEW * np.sum(shares**2, axis=0))
-        return np.asarray((directions * roots * factors) @ (directions / roots).T * np.outer(1.0 / _SCALE, _SCALE))
+        widening = np.eye(len(spread))
+        widening[:6, :6] = (directions * roots * factors) @ (directions / roots).T * np.outer(1.0 / _SCALE, _SCALE)
+        return np.asarray(widening @ spread @ widening.T - spread)
 
 
 def _squared(equations: PlaneEquations, labels: IndexArray, factors: FloatArray) -> FloatArray:

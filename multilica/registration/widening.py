@@ -29,9 +29,5 @@ def widened_with_biases(found: BiasInformation, direction: FloatArray, off_m: fl
     step[:6] = off_m * direction / np.repeat([LEVER_ARM_M, 1.0], 3)
     pulled = information @ step
     kept = np.eye(len(information)) - np.outer(pulled, step)
-    return replace(
-        found,
-        information=information,
-        spread=kept @ found.spread @ kept.T + np.outer(pulled, pulled),
-        random_spread=kept @ found.random_spread @ kept.T,
-    )
+    after = found.with_spreads_changed(kept)
+    return replace(after, information=information, spread=after.spread + np.outer(pulled, pulled))

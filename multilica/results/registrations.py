@@ -2,7 +2,7 @@
 """Registrations of pairs with their verdicts."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -173,6 +173,7 @@ class BiasInformation:
         random_spread: (N, N) the part of it that random errors cause.
         biases: (N - 6,) of the target, of the source, and of the rings.
         target_rings, source_rings: (R,) numbers of the rings.
+        few_spread: (N, N) the part of the spread because few surfaces tell of its size; None: nothing.
     """
 
     information: FloatArray
@@ -182,6 +183,20 @@ class BiasInformation:
     biases: FloatArray
     target_rings: IndexArray = field(default_factory=lambda: np.empty(0, np.int64))
     source_rings: IndexArray = field(default_factory=lambda: np.empty(0, np.int64))
+    few_spread: FloatArray | None = None
+
+    def with_spreads_changed(self, change: FloatArray) -> "BiasInformation":
+        """Return the same with the spreads of the gradient times a change (N, N)."""
+        return replace(
+            self,
+            spread=change @ self.spread @ change.T,
+            random_spread=change @ self.random_spread @ change.T,
+            few_spread=None if self.few_spread is None else change @ self.few_spread @ change.T,
+        )
+
+    def spread_among(self, snapshots: int) -> FloatArray:
+        """Return the spread (N, N) if so many snapshots of the pair tell of its size."""
+        return self.spread if self.few_spread is None else self.spread - (1.0 - 1.0 / snapshots) * self.few_spread
 
 
 @dataclass(frozen=True, slots=True, eq=False)

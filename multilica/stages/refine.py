@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Joint refinement of all poses of a rig."""
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -213,6 +213,7 @@ def _normal_equations(pairs: Sequence[PairRegistration], state: _State, config: 
     poses = 6 * len(state.free)
     size = poses + len(state.biases)
     total = _Equations(np.zeros((size, size)), np.zeros(size), np.zeros((size, size)), np.zeros((size, size)))
+    snapshots = Counter((pair.target, pair.source) for pair in pairs)
     for pair in pairs:
         weight = _weight(_squared(pair, state), config)
         biases = state.bias_columns(pair)
@@ -220,7 +221,7 @@ def _normal_equations(pairs: Sequence[PairRegistration], state: _State, config: 
         moving = [(6 * state.free.index(name), block) for name, block in ends if name in state.free]
         columns = np.concatenate([*(start + np.arange(6) for start, _ in moving), poses + biases])
         jacobian = np.hstack([block for _, block in moving])
-        own = _equations_of(pair, state.biases[biases], _offset(pair, state.poses))
+        own = _equations_of(pair, state.biases[biases], _offset(pair, state.poses), snapshots[pair.target, pair.source])
         square = np.ix_(columns, columns)
         total.information[square] += weight * _by_poses(own.information, jacobian)
         total.gradient[columns] += weight * np.concatenate([jacobian.T @ own.gradient[:6], own.gradient[6:]])
@@ -235,14 +236,18 @@ def _by_poses(matrix: FloatArray, jacobian: FloatArray) -> FloatArray:
     return np.block([[jacobian.T @ matrix[:6, :6] @ jacobian, mixed], [mixed.T, matrix[6:, 6:]]])
 
 
-def _equations_of(pair: PairRegistration, biases: FloatArray, offset: FloatArray) -> _Equations:
-    """Return those of one pair, of its pose and perhaps of the biases of target and source."""
+def _equations_of(pair: PairRegistration, biases: FloatArray, offset: FloatArray, snapshots: int) -> _Equations:
+    """Return those of one pair, of its pose and perhaps of the biases of target and source.
+
+    Args:
+        snapshots: that have the pair.
+    """
     found = pair.bias_information
     if found is None:
         information = np.asarray(pair.information)
         return _Equations(information, information @ offset, information, information)
     gradient = found.gradient + found.information @ np.concatenate([offset, biases - found.biases])
-    return _Equations(found.information, gradient, found.spread, found.random_spread)
+    return _Equations(found.information, gradient, found.spread_among(snapshots), found.random_spread)
 
 
 def _sensor_biases(state: _State, sigmas: FloatArray) -> tuple[SensorBias, ...]:

@@ -76,10 +76,9 @@ def _with_biases(pair, rng):
     root = rng.normal(size=(size, size)) * np.repeat([100.0, 1.0, 30.0], [3, 3, size - 6])[:, None]
     information = root @ root.T
     best, biases = rng.normal(size=size), rng.normal(size=size - 6)
-    spread, random = (_symmetric(rng, 100.0, size) for _ in range(2))
-    return replace(
-        pair, bias_information=BiasInformation(information, -information @ best, spread, random, biases, *rings)
-    )
+    spread, random, few = (_symmetric(rng, 100.0, size) for _ in range(3))
+    found = BiasInformation(information, -information @ best, spread, random, biases, *rings, few)
+    return replace(pair, bias_information=found)
 
 
 def _off(pairs, rng):
@@ -119,20 +118,24 @@ def _residual(pair, state):
 
 @pytest.mark.parametrize("turn_rad", TURNS_RAD)
 def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
-    """Sums over the pairs of J' g, J' I J and J' S J by their weights, with J by all poses and biases."""
+    """Sums over the pairs of J' g, J' I J and J' S J by their weights, with J by all poses and biases.
+
+    Two snapshots have the first pair, so half of what few surfaces add to its spread counts.
+    """
     poses, pairs = _rig(turn_rad)
     rng = np.random.default_rng(7)
-    pairs = [_with_biases(pair, rng) for pair in _off(pairs, rng)]
+    pairs = [_with_biases(pair, rng) for pair in _off([pairs[0], *pairs], rng)]
     state = _state(poses, rng.normal(size=4 * BIAS_COUNT + 3 * sum(map(len, _RINGS.values()))))
     size = 18 + len(state.biases)
     gradient, (information, spread, random) = np.zeros(size), np.zeros((3, size, size))
     weights = [1.0 / (1.0 + refine._squared(p, state) / (6.0 * _CONFIG.outlier_sigma**2)) for p in pairs]
     assert min(weights) < 0.85 * max(weights)
-    for pair, weight in zip(pairs, weights, strict=True):
+    for number, (pair, weight) in enumerate(zip(pairs, weights, strict=True)):
         found, jacobian = pair.bias_information, derivative(lambda step, p=pair: _residual(p, state.moved(step)), size)
         gradient += weight * jacobian.T @ (found.gradient + found.information @ _residual(pair, state))
         information += weight * jacobian.T @ found.information @ jacobian
-        spread += weight**2 * jacobian.T @ found.spread @ jacobian
+        own = found.spread - (0.5 if number < 2 else 0.0) * found.few_spread
+        spread += weight**2 * jacobian.T @ own @ jacobian
         random += weight**2 * jacobian.T @ found.random_spread @ jacobian
     found = refine._normal_equations(pairs, state, _CONFIG)
     assert_alike(found.gradient, gradient)

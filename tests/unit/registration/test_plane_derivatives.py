@@ -98,13 +98,20 @@ def _by_all_unknowns(target, overlap, here, pose):
 
 
 def _by_few_surfaces(rows, surfaces):
-    """Principal directions (6, 6) in which the rows have a sum of squares of one, and factors of each (6, 6)."""
+    """Change (6, 6) of the scores: factors along the principal directions, in which squares of the rows sum to one."""
     lengths_m = np.repeat([0.1, 1.0], 3)
     values, directions = np.linalg.eigh((rows * lengths_m).T @ (rows * lengths_m))
     whitening = lengths_m[:, None] * directions / np.sqrt(values)
     shares = _summed((rows @ whitening) ** 2, surfaces)
     assert np.allclose(shares.sum(axis=0), 1.0)
-    return whitening, np.diag(np.sqrt(1.0 + 3.0 * np.sum(shares**2, axis=0)))
+    return np.linalg.inv(whitening.T) @ np.diag(np.sqrt(1.0 + 3.0 * np.sum(shares**2, axis=0))) @ whitening.T
+
+
+def _on_pose(spread, change):
+    """The spread of the scores times a change (6, 6) of those of the pose."""
+    whole = np.eye(len(spread))
+    whole[:6, :6] = change
+    return whole @ spread @ whole.T
 
 
 @pytest.mark.parametrize("turn_rad", TURNS_RAD)
@@ -139,8 +146,7 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     by_surfaces = (squared(surfaces) + uneven + noise)[:6, :6]
     variance = np.median(eigh(by_surfaces, remaining[:6, :6], eigvals_only=True))
     information, gradient = remaining / variance, pulls.T @ here.residual_m / variance
-    sigmas = [ring_sigmas(_BIAS_SIGMAS[:4], len(numbers)) for numbers in rings]
-    sigmas = np.concatenate([_BIAS_SIGMAS, *sigmas])
+    sigmas = np.concatenate([_BIAS_SIGMAS, *(ring_sigmas(_BIAS_SIGMAS[:4], len(numbers)) for numbers in rings)])
     state = np.concatenate([_BIASES, np.zeros(len(sigmas) - 8)])
     counts = [len(numbers) for numbers in rings]
     first = posterior(information, gradient, state, sigmas, rings=counts)
@@ -148,19 +154,19 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     left_m = here.residual_m + jacobian @ first.step
     sums_m = _summed(here.weight * left_m, surfaces)
     usual = np.sum(sums_m**2) / np.sum(weights**2) * alike
-    of_bands = sum(squared(_clusters(each), left_m) for each in bands)
-    systematic = 0.5 * (squared(surfaces, left_m) + usual) + 0.2 * of_bands + uneven
-    whitening, wider = _by_few_surfaces(jacobian[:, :6] * np.sqrt(here.weight)[:, None], surfaces)
-    systematic[:6] = np.linalg.inv(whitening.T) @ wider @ whitening.T @ systematic[:6]
-    systematic[:, :6] = systematic[:, :6] @ whitening @ wider @ np.linalg.inv(whitening)
+    systematic = 0.5 * (squared(surfaces, left_m) + usual) + uneven
+    systematic += 0.2 * sum(squared(_clusters(each), left_m) for each in bands)
+    wider = _by_few_surfaces(jacobian[:, :6] * np.sqrt(here.weight)[:, None], surfaces)
+    few = _on_pose(systematic, wider) - systematic
     random = squared(_clusters(np.floor(here.points_m)), left_m) + noise
-    spread = (systematic + noise) / variance**2
-    information, gradient, spread, random = plane_fit._weighted(information, gradient, spread, random / variance**2)
+    spreads = [each / variance**2 for each in (systematic + few + noise, random, few)]
+    information, gradient, spread, random, few = plane_fit._weighted(information, gradient, *spreads)
     found = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS).biases
     assert all(map(np.array_equal, (found.target_rings, found.source_rings), rings))
     assert_alike(found.information, information, 1e-5)
     assert_alike(found.spread, spread, 1e-5)
     assert_alike(found.random_spread, random, 1e-5)
+    assert_alike(found.few_spread, few, 1e-5)
     known = posterior(information, gradient, state, sigmas, rings=counts, prior=first.prior)
     assert_alike(found.biases, state + known.step[6:], 1e-5)
     fitted = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS)
