@@ -38,7 +38,7 @@ TARGETS = {
     "truck": "roof",
 }
 SCENES = ("street", "parking", "garage", "open_field")
-VEHICLES = (2501, 2502, 2503, 2504, 2505)
+VEHICLES = (2701, 2702, 2703, 2704, 2705)
 """No threshold was chosen on them; keep it so."""
 PEERS = ("kiss", "paper")
 _RIGHT_M, _RIGHT_RAD = 0.05, float(np.deg2rad(0.5))
