@@ -22,12 +22,13 @@ may come from a file, so that its length is bounded and characters that a termin
 """
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Self
 
 _MAX_MESSAGE = 500
 _TAIL = 150
 _MAX_COMPARED = 100
+_MOST_LISTED, _FIRST_LISTED = 20, 5
 
 
 def escape_controls(text: str) -> str:
@@ -38,6 +39,13 @@ def escape_controls(text: str) -> str:
 def _escaped(character: str) -> str:
     code = ord(character)
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names for a sentence: a few as they are, of many the first ones and the number of the others."""
+    if len(names) <= _MOST_LISTED:
+        return ", ".join(names)
+    return f"{', '.join(names[:_FIRST_LISTED])} and {len(names) - _FIRST_LISTED} more"
 
 
 class MultilicaError(Exception):
@@ -67,8 +75,7 @@ class UnknownNameError(UsageError):
         place = f" in {where}" if where else ""
         close = difflib.get_close_matches(name[:_MAX_COMPARED], self.available, n=1)
         hint = f" Did you mean '{close[0]}'?" if close else ""
-        listed = ", ".join(self.available) or "none"
-        super().__init__(f"There is no {kind} '{name}'{place}; available: {listed}.{hint}")
+        super().__init__(f"There is no {kind} '{name}'{place}; available: {listed(self.available) or 'none'}.{hint}")
 
     def __reduce__(self) -> tuple[type[Self], tuple[str, str, tuple[str, ...], str]]:
         return type(self), self._arguments

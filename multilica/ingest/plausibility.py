@@ -7,6 +7,7 @@ from itertools import combinations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from multilica.errors import listed
 from multilica.geometry import FloatArray, RigidTransform, lengths
 from multilica.ingest.transforms import Joint, poses_from
 from multilica.snapshot import LidarScans
@@ -51,7 +52,7 @@ def plausibility_notes(lidars: Sequence[LidarScans], static_transforms: Sequence
     kinds: dict[str, list[str]] = {}
     for name, note in odd.items():
         kinds.setdefault(note.rpartition(":")[2], []).append(name)
-    grouped = (f"The points of {', '.join(names)} {odd[names[0]]}." for names in kinds.values())
+    grouped = (f"The points of {listed(names)} {odd[names[0]]}." for names in kinds.values())
     return [*_copies(lidars), *grouped, *_feet(fine_m), *_mirrored(lidars, fine_m, static_transforms)]
 
 

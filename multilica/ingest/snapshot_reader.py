@@ -10,7 +10,7 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
-from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
+from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError, listed
 from multilica.ingest.locate import PathLike, find_source, listed_names, locate, require_distinct, without_folders
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.metadata import config_for, with_recorded_notes
@@ -147,7 +147,7 @@ def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObse
         window = collect_frames(recording, given.keys(), config, label)
         if not window.clouds:
             raise UnfitSnapshotError(
-                f"{label} sent no readable scan on {', '.join(sorted(given))} within {config.timeout_s:g} s; "
+                f"{label} sent no readable scan on {listed(sorted(given))} within {config.timeout_s:g} s; "
                 "check that the LiDARs run, or give a longer --timeout."
             )
         if config.strict and window.faults:
@@ -184,7 +184,7 @@ def assemble_snapshot(
         }
     )
     frame_notes = [
-        f"{', '.join(topics)} have the same frame id '{frame_id}'; if their points were already transformed to one "
+        f"{listed(topics)} have the same frame id '{frame_id}'; if their points were already transformed to one "
         "frame, the result is the correction, not the pose of the sensors."
         for frame_id, topics in shared.items()
     ]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from multilica.errors import ConfigError, UnknownNameError, UnreadableSourceError, escape_controls
+from multilica.errors import ConfigError, UnknownNameError, UnreadableSourceError, escape_controls, listed
 
 
 def test_a_long_message_keeps_its_beginning_and_its_end() -> None:
@@ -25,3 +25,12 @@ def test_characters_that_a_terminal_obeys_are_escaped(code: int) -> None:
 
 def test_letters_of_all_languages_stay() -> None:
     assert escape_controls("Größe مرحبا 前 \u0301") == "Größe مرحبا 前 \u0301"
+
+
+@pytest.mark.parametrize(
+    ("count", "said"),
+    [(0, ""), (2, "t0, t1"), (21, "t0, t1, t2, t3, t4 and 16 more"), (300, "t0, t1, t2, t3, t4 and 295 more")],
+)
+def test_many_names_are_told_by_their_number(count, said):
+    assert listed([f"t{number}" for number in range(count)]) == said
+    assert listed([f"t{number}" for number in range(20)]).endswith("t18, t19")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from rich.console import Console
 
-from multilica.errors import UnfitSnapshotError, UsageError
+from multilica.errors import UnfitSnapshotError, UsageError, listed
 from multilica_cli.exit_codes import ExitCode
 from multilica_cli.options import Json, Parameters, Quiet, Reading, Sources, argument, mcap_name, option
 from multilica_cli.terminal import (
@@ -86,7 +86,7 @@ def record(
     if not taken.silent:
         return ExitCode.DONE
     stderr_console().print(
-        f"multilica: {taken.snapshot.source} sent no readable scan on {', '.join(taken.silent)}; "
+        f"multilica: {taken.snapshot.source} sent no readable scan on {listed(taken.silent)}; "
         f"{out} holds only the other LiDARs."
     )
     return ExitCode.NOT_PLACED

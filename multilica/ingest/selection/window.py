@@ -13,7 +13,7 @@ from statistics import median
 import numpy as np
 
 from multilica.config import IngestConfig
-from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, UnreadableSourceError
+from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, UnreadableSourceError, listed
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud, is_packets, obstacle
 from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Topic, normal_type
@@ -63,7 +63,7 @@ def unread_notes(recording: Recording) -> list[str]:
     for topic in recording.topics:
         if topic.count and not _is_twin(topic, clouds) and (content := obstacle(topic)):
             topics[content].append(f"'{topic.name}'")
-    return [f"{', '.join(names)} {'hold' if len(names) > 1 else 'holds'} {text}." for text, names in topics.items()]
+    return [f"{listed(names)} {'hold' if len(names) > 1 else 'holds'} {text}." for text, names in topics.items()]
 
 
 def _named(asked_for: Mapping[str, str], clouds: Mapping[str, Topic], label: str) -> dict[str, str]:
@@ -108,11 +108,11 @@ def _is_twin(topic: Topic, clouds: Mapping[str, Topic]) -> bool:
 def _no_clouds(recording: Recording, label: str) -> str:
     silent = sorted(topic.name for topic in recording.topics if is_cloud(topic))
     if silent:
-        return f"{label} holds no point clouds: its topics {', '.join(silent)} have no messages."
+        return f"{label} holds no point clouds: its topics {listed(silent)} have no messages."
     unread = unread_notes(recording)
     if unread:
         return f"{label} holds no point clouds that can be read: {unread[0]}"
-    types = ", ".join(sorted({topic.message_type for topic in recording.topics})) or "no messages"
+    types = listed(sorted({topic.message_type for topic in recording.topics})) or "no messages"
     return f"{label} holds no point clouds; expected sensor_msgs/msg/PointCloud2, found {types}."
 
 

@@ -13,7 +13,7 @@ import pytest
 from websockets.sync.server import ServerConnection, serve
 
 from multilica.config import IngestConfig
-from multilica.errors import UnfitSnapshotError
+from multilica.errors import UnfitSnapshotError, UnknownNameError
 from multilica.ingest import live
 from multilica.ingest.live import Advertised, ConnectionLost, FoxgloveSocket, LiveRecording, UnadvertiseMessage
 from multilica.ingest.recording import Topic
@@ -103,6 +103,33 @@ def test_oddities_are_counted_and_told() -> None:
     )
     assert note.isprintable()
     assert taken.snapshot.lidars[0].points_count == 50
+
+
+@pytest.mark.parametrize(
+    ("schema", "topics", "said"),
+    [
+        (
+            CLOUD,
+            {},
+            "scan on /lidar_000, /lidar_001, /lidar_002, /lidar_003, /lidar_004 and 295 more within",
+        ),
+        (CLOUD, {"a": "/b"}, "available: /lidar_000, /lidar_001, /lidar_002, /lidar_003, /lidar_004 and 295 more."),
+        ("kind", {}, "found kind_000, kind_001, kind_002, kind_003, kind_004 and 295 more."),
+    ],
+)
+def test_hundreds_of_topics_are_told_by_their_number(schema: str, topics: dict[str, str], said: str) -> None:
+    names = [schema if schema == CLOUD else f"{schema}_{number:03d}" for number in range(300)]
+    channels = [
+        {**GOOD, "id": number, "topic": f"/lidar_{number:03d}", "schemaName": name} for number, name in enumerate(names)
+    ]
+    config = IngestConfig(frames=1, timeout_s=0.5, topics=topics)
+    with (
+        saying([json.dumps({"op": "advertise", "channels": channels})]) as url,
+        pytest.raises((UnfitSnapshotError, UnknownNameError)) as caught,
+    ):
+        listen(url, config=config)
+    assert said in str(caught.value)
+    assert "/lidar_150" not in str(caught.value)
 
 
 @pytest.mark.slow
