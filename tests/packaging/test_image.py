@@ -98,8 +98,10 @@ def bare(tmp_path_factory: pytest.TempPathFactory) -> Bare:
 
 @pytest.fixture(scope="module")
 def image(bare: Bare) -> Bare:
-    """The environment after the steps of the Dockerfile."""
+    """The environment after the Dockerfile's steps, but Debian's packages: these would change this machine."""
     for step in values("RUN"):
+        if step.startswith("apt-get"):
+            continue
         ended = bare.run(step)
         assert ended.returncode == 0, f"{step}: {ended.stderr}"
     return bare
