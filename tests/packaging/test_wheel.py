@@ -220,6 +220,7 @@ def test_the_method_of_the_paper_works(installed: Installed) -> None:
     assert 'accepted_by": "fitness' in (installed.folder / "paper" / "result.json").read_text()
 
 
+@pytest.mark.nightly
 def test_its_algorithm_1_works(installed: Installed) -> None:
     ended = installed.run("multilica", *SIMULATE)
     assert ended.returncode == 0, ended.stderr
@@ -258,6 +259,7 @@ def test_the_smaller_list_is_the_core_without_two(built: Path) -> None:
     assert {canonicalize_name(each.name) for each in core} - named == {"open3d", "open3d-cpu", "networkx"}
 
 
+@pytest.mark.nightly
 def test_open3d_works_without_its_requirements(built: Path, tmp_path: Path) -> None:
     (wheel,) = built.glob("*.whl")
     small = install(wheel, tmp_path, smaller_lists()[0])
