@@ -36,7 +36,6 @@ LONGEST = (
     "tests/documentation/test_commands.py",
     "tests/pipeline/test_pair_search.py",
     "tests/packaging/test_wheel.py",
-    "tests/packaging/test_image.py",
     "tests/pipeline/test_driving.py",
     "tests/unit/simulate/test_simulate.py",
     "tests/sinks/rerun/test_headless_viewer.py",

@@ -26,7 +26,7 @@ SAMPLE = ROOT / "recordings" / "samples" / "edgar-street.mcap"
 LINES = (ROOT / "Dockerfile").read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
 IMAGE = "multilica-of-tests"
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.nightly]
 
 
 def values(instruction: str) -> list[str]:
@@ -74,7 +74,7 @@ def needed(extras: list[str]) -> set[str]:
 
 @pytest.fixture(scope="module")
 def bare(tmp_path_factory: pytest.TempPathFactory) -> Bare:
-    """The environment before the first step; on a push it has the packages of this one, at night none."""
+    """The environment before the first step; without MULTILICA_NIGHTLY it has the packages of this one."""
     folder = tmp_path_factory.mktemp("bare")
     ignored = [each for each in (ROOT / ".dockerignore").read_text().splitlines() if not each.startswith("#")]
     shutil.copytree(ROOT, folder / "src", ignore=shutil.ignore_patterns(*ignored, ".*_cache", "__pycache__"))

@@ -246,6 +246,7 @@ def test_a_small_installation_tells_what_it_lacks(module: str, without_open3d: I
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.nightly
 def test_a_small_installation_calibrates(without_open3d: Installed) -> None:
     ended = without_open3d.run("multilica", "demo", "--out", "run")
     assert ended.returncode == 0, ended.stderr
@@ -271,6 +272,7 @@ def test_open3d_works_without_its_requirements(built: Path, tmp_path: Path) -> N
         assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.nightly
 def test_python_alone_calibrates_with_few_libraries(built: Path, tmp_path: Path) -> None:
     (wheel,) = built.glob("*.whl")
     tiny = install(wheel, tmp_path, smaller_lists()[1])

@@ -42,7 +42,7 @@ def disk(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("limit", ["size=3m", "ro"])
+@pytest.mark.parametrize("limit", ["size=3m", pytest.param("ro", marks=pytest.mark.nightly)])
 def test_a_full_or_read_only_disk_ends_the_run(limit, disk, invoke: Invoke, tmp_path):
     place, mount = disk
     (tmp_path / "v1").mkdir()
