@@ -23,6 +23,7 @@ from multilica.results import (
     Registration,
 )
 from multilica.results.registrations import weakest_deviations
+from multilica.results.values import OPEN_POSE
 from multilica.visibility.sensor_view import ScorePose
 
 # Movable objects hold a pose if its standard deviation grows by this factor without them.
@@ -74,7 +75,7 @@ def place(
     """
     doubt = held or (None if covariance is None else imprecision(*weakest_deviations(covariance), config))
     if doubt is not None and covariance is not None and weakest_deviations(covariance)[0] > _OPEN_M:
-        reason = f"the scene leaves its pose open in one direction: {doubt.text}"
+        reason = f"{OPEN_POSE}: {doubt.text}"
         return LidarPlacement(pose.source, reason, T_target_source_prior=known.get("T_target_source_prior"))
     status: PlacementStatus = "placed" if doubt is None else "uncertain"
     reason = how if doubt is None else doubt.text

@@ -21,6 +21,7 @@ from multilica.diagnosis.explanation import (
 )
 from multilica.results.document import LidarEntry, PairEntry, ResultDocument
 from multilica.results.stages import VerifyFigures
+from multilica.results.values import OPEN_POSE
 
 _RANK = {"accept": 0, "uncertain": 1, "undecided": 2, "reject": 3}
 
@@ -233,6 +234,8 @@ def _uncertain(document: ResultDocument, name: str) -> Uncertain:
 
 
 def _missing(document: ResultDocument, name: str) -> Missing:
+    if document.lidars[name].reason.startswith(OPEN_POSE):
+        return _missing_open(document, name)
     pairs = crossing_pairs(document, name)
     decisive = decisive_pair(pairs[0]) if pairs else None
     codes = () if decisive is None else decisive.codes
@@ -258,6 +261,16 @@ def _missing(document: ResultDocument, name: str) -> Missing:
     # The faults of pairs may follow from that of the sensor.
     cause = fault or ("no_overlap" if decisive is None else cause_of_codes(codes))
     return _missing_by(document, name, cause, decisive, next_best)
+
+
+def _missing_open(document: ResultDocument, name: str) -> Missing:
+    """Explain a LiDAR that was joined to the others, but whose pose nothing holds."""
+    own = [pair for pair in document.pairs if name in pair.names and pair.verdict.outcome in ("accept", "uncertain")]
+    best = max(own, key=lambda pair: pair.evidence, default=None)
+    sentence = f"{document.lidars[name].reason.rstrip('.')}."
+    decisive = None if best is None else DecisivePair(best.target, best.source, ("not_observable",), sentence)
+    step = "refine: the joined pairs do not hold its pose"
+    return replace(_missing_by(document, name, "not_observable", decisive, ""), step=step)
 
 
 def _missing_by(

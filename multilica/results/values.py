@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of the numbers, vectors and poses in the documents that a run leaves behind."""
+"""Types of numbers, vectors and poses in the documents that a run leaves behind, with a text that is read back."""
 
 from __future__ import annotations
 
@@ -24,6 +24,9 @@ from typing_extensions import TypeAliasType
 
 from multilica.documents import require_length
 from multilica.geometry import RigidTransform
+
+OPEN_POSE = "the scene leaves its pose open in one direction"
+"""Begins the reason of a LiDAR whose pairs were accepted, but do not hold its pose."""
 
 
 def _plain(value: Any) -> Any:  # noqa: ANN401

@@ -14,6 +14,7 @@ from multilica.diagnosis import explain as explain_document
 from multilica.diagnosis.explanation import PRIOR_ADVICE, cause_of_codes
 from multilica.events import PairRegistered, StageFinished
 from multilica.orchestration.pairs import PAIR_STAGES
+from multilica.results.values import OPEN_POSE
 from tests.sinks.made_documents import made_document, parsed
 from tests.sinks.made_events import UNPLACED, made_events
 
@@ -141,6 +142,16 @@ def test_an_accepted_pair_of_a_group_that_was_not_joined(partial):
     partial["decisions"][-1]["groups"] = [["top"], ["front left/1", "rear"]]
     set_reasons(partial, "accept")
     assert missing_of(partial).cause == "not_joined"
+
+
+def test_a_joined_lidar_whose_pose_is_open_is_not_constrained(partial):
+    set_reasons(partial, "accept")
+    partial["lidars"][UNPLACED]["reason"] = f"{OPEN_POSE}: sigma 5400 mm, limit 20 mm"
+    missing = missing_of(partial)
+    assert missing.cause == "not_observable"
+    assert missing.decisive.sentence == "the scene leaves its pose open in one direction: sigma 5400 mm, limit 20 mm."
+    assert UNPLACED in missing.decisive.key
+    assert missing.step.startswith("refine: ")
 
 
 @pytest.mark.parametrize("code", ["dead", "dirty"])
