@@ -5,18 +5,24 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from multilica import events
 from multilica.acceptance.placement import held_by_movable
+from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.state import CalibrationState
 from multilica.registration.fixed_pair import without_movable
 from multilica.registration.gicp import GicpCloud
 from multilica.registration.movable import MovableCells, find_movable
+from multilica.registration.sensor_biases import prior_sigmas
 from multilica.results import BoolArray, PairRegistration, connected
+from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.ground import estimate_level
 from multilica.stages.refine import RefinedRig, refine
 from multilica.workers import Shared
+
+_POSE_FREEDOM = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,12 +38,12 @@ class _FixedRequest:
         return self.cells.contain(self.poses[lidar].apply(points_m))
 
 
-def doubt_movable(
-    state: CalibrationState, rig: RefinedRig, used: Sequence[PairRegistration]
-) -> Mapping[str, FloatArray]:
-    """Find the LiDARs whose poses only movable objects hold, and return the covariances that count fixed ones only.
+def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairRegistration]) -> RefinedRig:
+    """Return the rig with covariances that count fixed objects only, and find the LiDARs that only movable ones hold.
 
-    With several frames, moving points are left out beforehand. With one, a moving car looks like a parked one.
+    With several frames, moving points are left out beforehand. With one, a moving car looks like a parked one. Movable
+    objects have moved if fixed ones contradict a pose (Hausman, Econometrica 1978); all poses are those of the fixed
+    ones then.
 
     Args:
         used: the pairs with which the poses were refined.
@@ -45,11 +51,38 @@ def doubt_movable(
     single = {lidar.name for lidar in state.snapshot.lidars if len(lidar.scans) == 1} & {*state.lidars}
     chosen = [pair for pair in used if pair.information is not None and pair.lidars <= single]
     if not chosen:
-        return rig.covariances
+        return rig
     cells = _movable_cells(state, rig.poses)
     if not len(cells.keys):
-        return rig.covariances
+        return rig
     _show_movable(state, cells, rig.poses, single)
+    fixed = _without_movable(state, rig, used, chosen, cells)
+    if not fixed:
+        return rig
+    of_fixed = refine(state.target, rig.poses, [fixed.get(id(pair), pair) for pair in used], state.config.refine)
+    offsets = {name: of_fixed.poses[name].offset_from(rig.poses[name]) for name in rig.covariances}
+    squared = [off @ np.linalg.solve(of_fixed.covariances[name], off) for name, off in offsets.items()]
+    moved = bool(chdtrc(_POSE_FREEDOM, max(squared)) < LEAST_PROBABILITY)
+    after = of_fixed if moved else rig
+    covariances = {}
+    for name, off in offsets.items():
+        covariances[name] = of_fixed.covariances[name] + (0.0 if moved else np.outer(off, off))
+        if held := held_by_movable(rig.covariances[name], covariances[name], state.config.acceptance):
+            state.held = {**state.held, name: held}
+    state.fixed_pairs = {
+        (pair.target, pair.source): pair for pair in fixed.values() if moved or pair.lidars & {*state.held}
+    }
+    return replace(after, covariances=covariances)
+
+
+def _without_movable(
+    state: CalibrationState,
+    rig: RefinedRig,
+    used: Sequence[PairRegistration],
+    chosen: Sequence[PairRegistration],
+    cells: MovableCells,
+) -> dict[int, PairRegistration]:
+    """Return the pairs that movable objects hold as fixed ones do, by the `id` of the pair."""
     requests = {
         id(pair): _FixedRequest(_slim(pair), cells, {name: rig.poses[name] for name in pair.lidars}) for pair in chosen
     }
@@ -59,8 +92,8 @@ def doubt_movable(
         if id(pair) in requests and id(pair) not in found:
             before = used[:number] if pair.bias_information is None else ()
             target, source = (_merged_cloud(state, name, before) for name in (pair.target, pair.source))
-            found[id(pair)] = without_movable(pair, (target, source), requests[id(pair)].on_movable)
-    fixed = {
+            found[id(pair)] = _reduced(requests[id(pair)], (target, source), state.config)
+    return {
         id(pair): replace(
             pair,
             T_target_source=each.T_target_source,
@@ -70,17 +103,6 @@ def doubt_movable(
         for pair in chosen
         if (each := found[id(pair)]) is not None
     }
-    if not fixed:
-        return rig.covariances
-    of_fixed = refine(state.target, rig.poses, [fixed.get(id(pair), pair) for pair in used], state.config.refine)
-    covariances = {}
-    for name, covariance in rig.covariances.items():
-        off = of_fixed.poses[name].offset_from(rig.poses[name])
-        covariances[name] = of_fixed.covariances[name] + np.outer(off, off)
-        if held := held_by_movable(covariance, covariances[name], state.config.acceptance):
-            state.held = {**state.held, name: held}
-    state.fixed_pairs = {(pair.target, pair.source): pair for pair in fixed.values() if pair.lidars & {*state.held}}
-    return covariances
 
 
 def _show_movable(
@@ -95,9 +117,16 @@ def _show_movable(
 
 
 def _reduce_pair(lidars: Shared, request: _FixedRequest) -> PairRegistration | None:
-    """Fit a pair to fixed objects, a task for a worker."""
-    target, source = (lidars[name].side.cloud for name in (request.pair.target, request.pair.source))
-    return without_movable(request.pair, (target, source), request.on_movable)
+    """Register a pair to fixed objects, a task for a worker."""
+    target, source = lidars[request.pair.target], lidars[request.pair.source]
+    return _reduced(request, (target.side.cloud, source.side.cloud), target.config)
+
+
+def _reduced(
+    request: _FixedRequest, clouds: tuple[GicpCloud, GicpCloud], config: CalibrationConfig
+) -> PairRegistration | None:
+    sigmas = [prior_sigmas(name, config.refine) for name in (request.pair.target, request.pair.source)]
+    return without_movable(request.pair, clouds, request.on_movable, config.fine, np.concatenate(sigmas))
 
 
 def _merged_cloud(state: CalibrationState, root: str, pairs: Sequence[PairRegistration]) -> GicpCloud:

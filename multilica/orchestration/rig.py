@@ -180,8 +180,9 @@ def refine_rig(state: CalibrationState) -> None:
         _doubt_pairs_of(state, lost)
         poses = {name: pose for name, pose in poses.items() if name not in lost}
     state.doubts = {name: contradiction_of(residual, limits).text for name, residual in doubts.items()}
+    rig = doubt_movable(state, rig, used)
     state.group = Group(state.target, rig.poses)
-    state.covariances = widened(doubt_movable(state, rig, used), doubts)
+    state.covariances = widened(rig.covariances, doubts)
     state.repeatability, state.refinement = rig.repeatability, rig.refinement
     state.observe(events.RigRefined(rig.refinement, tuple(pose for _, pose in sorted(rig.poses.items()))))
 

@@ -203,18 +203,14 @@ def test_the_paper_preset_runs():
         pytest.param("sides", "bridge", 905, "one_way", marks=pytest.mark.nightly, id="a car beside a railing"),
     ],
 )
-def test_a_pose_that_moving_cars_hold_is_not_placed(rig, scene, seed, flow):
-    """Poses follow cars that moved between the scans, by up to 0.36 m with a fit that trusts them.
-
-    They are uncertain, or not found at all, which may hang on the last bits of the registration.
-    """
+def test_no_pose_follows_cars_that_moved(rig, scene, seed, flow):
+    """Poses follow cars that moved between the scans by up to 0.36 m, with a fit that trusts them."""
     simulated = simulate_snapshot(rig, scene, seed, frames=1, disturbances=(f"traffic:{flow}",))
     result = calibrate(simulated.snapshot)
     posed = [each for each in result.placements if each.covariance is not None]
-    found = {each.lidar for each in posed if not each.held_by_movable}
-    assert found < {*simulated.snapshot.names} - {result.target}
+    assert posed
     for each in posed:
         off = each.T_target_source.offset_from(simulated.truth.between(result.target, each.lidar))
         assert off @ np.linalg.solve(each.covariance, off) < 22.5
-        assert each.uncertain or np.linalg.norm(off[3:]) < 0.05
+        assert each.uncertain or np.linalg.norm(off[3:]) < 0.02
         assert each.uncertain or not each.held_by_movable

@@ -26,8 +26,8 @@ def _face(rng, axis, at_m, lowest_m, highest_m, count):
     return points_m
 
 
-def _road(name, seed, *, crossed):
-    """The cloud of a LiDAR 2 m above a road along x; perhaps with a house across."""
+def _road(name, seed, *, crossed, moved_m=0.0):
+    """The cloud of a LiDAR 2 m above a road along x; perhaps with a house across, or with the car moved along."""
     rng = np.random.default_rng(seed)
     fixed = [
         _face(rng, 2, -2.0, (-15.0, -6.0, 0.0), (15.0, 6.0, 0.0), 6000),
@@ -39,6 +39,7 @@ def _road(name, seed, *, crossed):
         *(_face(rng, 0, x, (0.0, 2.0, -1.8), (0.0, 3.8, -0.5), 400) for x in (5.0, 9.4)),
         *(_face(rng, 1, y, (5.0, 0.0, -1.8), (9.4, 0.0, -0.5), 600) for y in (2.0, 3.8)),
     ]
+    car = [points_m + np.array([moved_m, 0.0, 0.0]) for points_m in car]
     return prepare_gicp_cloud(name, np.concatenate([*fixed, *car]), FineConfig())
 
 
@@ -57,7 +58,7 @@ def _registered(*, crossed):
 def _fixed_pair(*, crossed):
     """The pair by all points, and by those on fixed objects."""
     pair, clouds = _registered(crossed=crossed)
-    return pair, without_movable(pair, clouds, _on_car)
+    return pair, without_movable(pair, clouds, _on_car, FineConfig(), _SIGMAS)
 
 
 def _covariance(pair):
@@ -89,18 +90,31 @@ def test_the_joint_estimate_is_as_uncertain_at_the_same_pose():
 
 def test_a_wall_across_the_road_holds_the_pose():
     _, fixed = _fixed_pair(crossed=True)
-    assert fixed is None
+    assert weakest_deviations(_covariance(fixed))[0] < _CONFIG.max_sigma_m
+    assert np.linalg.norm(fixed.T_target_source.xyz_m) < 0.005
+
+
+def test_a_car_that_moved_does_not_choose_the_pose():
+    target, source = _road("t", 1, crossed=True), _road("s", 2, crossed=True, moved_m=0.1)
+    followed = RigidTransform.from_rotation_translation("t", "s", np.eye(3), np.array([-0.1, 0.0, 0.0]))
+    fit = fit_planes(target, source, followed, _SIGMAS)
+    pair = PairRegistration("t", "s", followed, 1.0, 0.0, 100, None, 1, "made", information=fit.information)
+    fixed = without_movable(pair, (target, source), _on_car, FineConfig(), _SIGMAS)
+    assert np.linalg.norm(fixed.T_target_source.xyz_m) < 0.005
 
 
 def test_without_fixed_points_no_direction_is_held():
     pair, clouds = _registered(crossed=False)
-    fixed = without_movable(pair, clouds, lambda _, points_m: np.ones(len(points_m), dtype=bool))
+    fixed = without_movable(pair, clouds, lambda _, points_m: np.ones(len(points_m), dtype=bool), FineConfig(), _SIGMAS)
     assert np.sqrt(np.diag(_covariance(fixed))[3:]).min() > 3.0 / np.sqrt(3.0)
 
 
 def test_without_movable_objects_nothing_changes():
     pair, clouds = _registered(crossed=True)
-    assert without_movable(pair, clouds, lambda _, points_m: np.zeros(len(points_m), dtype=bool)) is None
+    nothing = without_movable(
+        pair, clouds, lambda _, points_m: np.zeros(len(points_m), dtype=bool), FineConfig(), _SIGMAS
+    )
+    assert nothing is None
 
 
 @pytest.mark.parametrize(("by_all_m", "fixed_m"), [(0.003, 0.015), (0.03, 0.035)], ids=["precise", "hardly worse"])
