@@ -284,7 +284,9 @@ def _failed_scene(state: RunState, failure: Failure) -> rrb.Container | rrb.View
     if state.competing(pair) is None:
         return scored_view(state, pair)
     contents = [scene.lidar_path(pair[0], "preprocessed"), f"{scene.pair_path(*pair, 'competing')}/**"]
-    competing = pair_view(pair, f"{pair_label(*pair)}, competing pose", contents, beside_lidar(state, pair[0]))
+    competing = pair_view(
+        pair, f"{pair_label(*pair)}, competing pose: green agrees there as well", contents, beside_lidar(state, pair[0])
+    )
     return rrb.Vertical(scored_view(state, pair, wide=True), competing)
 
 

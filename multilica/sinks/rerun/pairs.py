@@ -170,9 +170,24 @@ def _log_competing(scene: RerunScene, pair: PairKey, words: str) -> None:
     scene.log(pair_path(*pair, "competing", "pose"), rigid(frame, lidar_frame(pair[0]), pose))
     path, limit = pair_path(*pair, "competing"), scene.limits.pair_points // 3
     scene.log_points(path, frame, cloud.points_m, scene.colour(pair[1]), limit)
+    _log_fitting(scene, pair, competing)
     beams = competing.visibility
     label = f"{pair[1]}, {words}: {beams.agree:,} points agree, {beams.violate:,} lie in proven-empty space"
     _log_label(scene, pair_path(*pair, "competing", "label"), frame, label, "undecided")
+
+
+def _log_fitting(scene: RerunScene, pair: PairKey, competing: Registration) -> None:
+    """Log the points of both LiDARs that agree with the other's surfaces at the competing pose as well."""
+    of_source = (competing.probes_m, competing.visibility.labels)
+    of_target = (competing.target_probes_m, competing.visibility.target_labels)
+    if competing.T_target_source.target != pair[0]:
+        of_source, of_target = of_target, of_source
+    frames = {"target": lidar_frame(pair[0]), "source": pair_frame(*pair, "competing")}
+    for (part, frame), (points_m, labels) in zip(frames.items(), (of_target, of_source), strict=True):
+        fitting_m = points_m[labels == BeamLabel.AGREE]
+        rows = sample_indices(len(fitting_m), scene.limits.scored_points)
+        shown = rr.Points3D(fitting_m[rows].astype(np.float32), colors=[drawing.AGREE], radii=rr.Radius.ui_points(2.5))
+        scene.log_in(frame, pair_path(*pair, "competing", "fitting", part), shown)
 
 
 def _log_slide(scene: RerunScene, pair: PairKey, registration: PairRegistration, frame: str) -> None:

@@ -180,7 +180,7 @@ def test_entities_without_a_path_are_noticed(viewer, tmp_path, monkeypatch):
         "Rig",
         "Before GICP",
         "rear <- top: 20 of 80 matches kept (green)",
-        "rear <- top, competing pose",
+        "rear <- top, competing pose: green agrees there as well",
     } <= complaining
 
 

@@ -77,6 +77,7 @@ def test_the_verdict_is_at_the_source(partial, recordings):
 
 def test_a_competing_pose_is_shown_only_where_it_is_a_reason(partial, recordings):
     assert partial.last(f"{PAIR}/competing", "CoordinateFrame:frame") == ["pair/rear/top/competing"]
+    assert len(partial.last(f"{PAIR}/competing/fitting/source", "Points3D:positions"))
     translation = partial.last(f"{PAIR}/competing/pose", "Transform3D:translation")[0]
     truth_m = (TRUTH["rear"].inverse() @ TRUTH["top"]).xyz_m
     np.testing.assert_allclose(translation, truth_m * (-1.0, -1.0, 1.0), atol=1e-5)  # turned by 180 degrees
