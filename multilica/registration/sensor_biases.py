@@ -23,6 +23,9 @@ _RING_DEG = 1.0
 # The elevation of a LiDAR is the mean of up to 64 rings.
 _RING_ANGLE = 8.0
 
+# The mean of all azimuths defines the frame of a LiDAR, so it is no bias. Pairs do not see all rings: the variance of
+# the mean of those that they see is a fifth of that of independent ones.
+_MEAN_AZIMUTH = 4.0
 # The biases of a rig are this share of what its datasheets allow: nothing to all of it, each value as likely.
 _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
 # The shares depend on each other; further sweeps change sigma by less than a hundredth.
@@ -138,9 +141,10 @@ def posterior(
 
     The biases have zero mean and the standard deviations `sigmas`, times a share that is uniform from 0 to 1. Those of
     one kind have it in common: LiDARs that agree to a millimetre are better than their datasheets. The rings of each
-    LiDAR have two shares of their own, one for ranges and one for angles. The shares are integrated out on a grid, by
-    the marginal likelihood of the data (empirical Bayes; Bishop, Pattern Recognition and Machine Learning, 2006,
-    section 3.5). The covariance is a sandwich (White, Econometrica 1980), with the prior as a measurement.
+    LiDAR have two shares of their own, one for ranges and one for angles, and their mean azimuth is nearly zero. The
+    shares are integrated out on a grid, by the marginal likelihood of the data (empirical Bayes; Bishop, Pattern
+    Recognition and Machine Learning, 2006, section 3.5). The covariance is a sandwich (White, Econometrica 1980), with
+    the prior as a measurement.
 
     Args:
         information, gradient: (N, N) and (N,) of the negative log likelihood: poses first, the last B are the biases.
@@ -154,7 +158,7 @@ def posterior(
     size, poses = len(gradient), len(gradient) - len(biases)
     shown = size - RING_BIAS_COUNT * sum(rings)
     if prior is None:
-        prior = _prior_of_all(information, gradient, biases, sigmas, _groups(len(biases), rings))
+        prior = _prior_of_all(information, gradient, biases, sigmas, rings)
     total, known = information.copy(), np.zeros((size, size))
     total[poses:, poses:] += prior.information
     known[poses:, poses:] = prior.information + prior.uncertain
@@ -170,20 +174,21 @@ def posterior(
     return BiasPosterior(solved[:, 0], full[:poses, :poses], repeated[:poses, :poses], bias_sigmas, prior)
 
 
-def _groups(biases: int, rings: Sequence[int]) -> list[IndexArray]:
-    """Return which biases have a share of the prior in common: each kind of LiDARs, then ranges and angles of rings."""
+def _groups(biases: int, rings: Sequence[int]) -> tuple[list[IndexArray], list[IndexArray]]:
+    """Return which biases have a share of the prior in common: each kind of LiDARs; ranges, then angles of rings."""
     start = biases - RING_BIAS_COUNT * sum(rings)
-    groups = [np.arange(start)[kind::BIAS_COUNT] for kind in range(BIAS_COUNT)]
-    for count in rings:
-        of_rings = start + np.arange(RING_BIAS_COUNT * count)
-        is_range = np.arange(len(of_rings)) % RING_BIAS_COUNT == 0
-        groups += [of_rings[is_range], of_rings[~is_range]]
-        start += len(of_rings)
-    return [group for group in groups if len(group)]
+    of_lidars = [np.arange(start)[kind::BIAS_COUNT] for kind in range(BIAS_COUNT)]
+    of_rings = []
+    for count in filter(None, rings):
+        own = start + np.arange(RING_BIAS_COUNT * count)
+        is_range = np.arange(len(own)) % RING_BIAS_COUNT == 0
+        of_rings += [own[is_range], own[~is_range]]
+        start += len(own)
+    return [group for group in of_lidars if len(group)], of_rings
 
 
 def _prior_of_all(
-    information: FloatArray, gradient: FloatArray, biases: FloatArray, sigmas: FloatArray, groups: Sequence[IndexArray]
+    information: FloatArray, gradient: FloatArray, biases: FloatArray, sigmas: FloatArray, rings: Sequence[int]
 ) -> BiasPrior:
     """Return the prior of all groups of biases.
 
@@ -194,13 +199,17 @@ def _prior_of_all(
         return BiasPrior(prior, uncertain)
     reduced, pull = _without_poses(information, gradient, len(biases))
     pull = reduced @ biases - pull
+    of_lidars, of_rings = _groups(len(biases), rings)
     for _ in range(_SWEEPS):
         covariance = _inverse(reduced + prior)
         means = covariance @ pull
-        for group in groups:
+        for group in (*of_lidars, *of_rings):
             block = np.ix_(group, group)
             own = _inverse(covariance[block])
             prior[block], uncertain[block] = _prior(own - prior[block], own @ means[group], sigmas[group])
+    for angles in of_rings[1::2]:
+        azimuths = angles[1::2]
+        prior[np.ix_(azimuths, azimuths)] += _MEAN_AZIMUTH * np.diag(prior)[azimuths].mean() / len(azimuths)
     return BiasPrior(prior, uncertain)
 
 

@@ -41,8 +41,8 @@ SCENES = ("street", "parking", "garage", "open_field")
 VEHICLES = (2701, 2702, 2703, 2704, 2705)
 """No threshold was chosen on them; keep it so."""
 PEERS = ("kiss", "paper")
-# Sigma of white noise by that of random errors, on ideal sensors: the median of 52 poses of the estimate without biases,
-# whose sigma covered the errors of such sensors.
+# Sigma of white noise by that of random errors, on ideal sensors: the median of 52 poses. It is that of the estimate
+# without biases, which covered the errors of such sensors.
 _WHITE_NOISE = 1.48
 _RIGHT_M, _RIGHT_RAD = 0.05, float(np.deg2rad(0.5))
 _BOUND = float(np.sqrt(chi2.isf(0.001, 6)))

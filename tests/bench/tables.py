@@ -171,7 +171,7 @@ def _head() -> str:
 - Rigs, with the target: {rigs}.
 - Scenes: {scenes}. Seeds: {seeds}; no threshold was chosen on them. Each LiDAR has 5 frames.
 - The LiDARs have white noise only. Figures of LiDARs with systematic errors are on [another page](certainty.md),
-  and those of scenes that repeat, with traffic and coverage of sigma, [with the limits](limits.md#scenes-that-repeat-with-traffic).
+  those of scenes that repeat, with the coverage of sigma, [with the limits](limits.md#scenes-that-repeat-with-traffic).
 - Systems: the presets {presets}, and `kiss`: KISS-Matcher and small_gicp of each LiDAR against
   the target, with the libraries' own defaults. `kiss` accepts every pose, so it places every LiDAR.
 - x, y, z, roll, pitch, yaw and angle are the RMSE over all scenes and LiDARs, as in the paper. They cover every

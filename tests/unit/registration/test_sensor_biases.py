@@ -196,6 +196,28 @@ def test_lidars_that_agree_are_better_than_their_datasheets():
     assert elevation > 0.5
 
 
+def test_the_mean_azimuth_of_the_rings_is_no_bias():
+    """Rings that turn a LiDAR as one rotate its frame, which is what a pose is of."""
+    sigmas = np.tile([0.02, 2e-3, 2e-3], 40)
+    gradient, information = np.zeros(1 + len(sigmas)), np.zeros((1 + len(sigmas), 1 + len(sigmas)))
+    for kind, share in ((1, 1.0), (2, 0.2)):
+        row = np.zeros(1 + len(sigmas))
+        row[0], row[1 + kind :: 3] = 1.0, 1.0 / 40
+        turned = information + 1e12 * np.outer(row, row)
+        found = posterior(turned, gradient, np.zeros(len(sigmas)), sigmas, rings=(40,))
+        alone = posterior(turned, gradient, np.zeros(len(sigmas)), sigmas, rings=(40,), prior=_independent(found.prior))
+        assert found.covariance[0, 0] == pytest.approx(share * alone.covariance[0, 0], rel=0.05)
+
+
+def _independent(prior):
+    """The prior of biases that do not depend on each other, with the same variances but for the common part."""
+    information = prior.information - np.where(np.eye(len(prior.information)) > 0, 0.0, prior.information)
+    azimuths = np.arange(2, len(information), 3)
+    common = prior.information[azimuths[0], azimuths[1]]
+    information[azimuths, azimuths] -= common
+    return sensor_biases.BiasPrior(information, np.zeros_like(information))
+
+
 def test_rings_of_each_lidar_are_as_good_as_the_data_say():
     """One LiDAR has rings off by as much as its datasheet allows, the other none; angles have a share of their own."""
     range_m, angle_rad, rings = 0.01, 1e-3, 12
