@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from multilica.errors import UsageError
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.simulate.simulation import random_stream, true_extrinsics
+from multilica.simulate.simulation import true_extrinsics
+from multilica.simulate.world import random_stream
 
 EventKind = Literal["jump", "creep", "dead"]
 LogFormat = Literal["snapshot", "ros2_mcap", "ros2_bag", "ros1_bag"]

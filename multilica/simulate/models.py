@@ -100,3 +100,6 @@ AERIES_II = SensorModel(
 )
 # Narrow solid-state LiDAR of no particular make.
 NARROW = SensorModel(RasterPattern(120, 400, 70.0, 30.0), max_range_m=90.0)
+# Solid-state LiDARs of no particular make: for all of the road, and for the road far ahead.
+SOLID_70 = SensorModel(RasterPattern(96, 400, 70.0, 25.0), max_range_m=150.0, dark_range_m=120.0)
+LONG_25 = SensorModel(RasterPattern(75, 250, 25.0, 15.0), max_range_m=200.0, dark_range_m=180.0)

@@ -11,12 +11,14 @@ from multilica.simulate.models import (
     AERIES_II,
     AVIA,
     FALCON,
+    LONG_25,
     NARROW,
     OS1_64,
     OS1_128,
     OS2_128,
     ROOF_64,
     SIDE_32,
+    SOLID_70,
     VLP_16,
 )
 from multilica.simulate.sensors import SensorModel
@@ -174,6 +176,41 @@ BLIND = Rig(
     car(1.7, 1.2, 1.1),
 )
 
+# Two 120-degree solid-state LiDARs at the ends, without a common view.
+FRONT_BACK = Rig(
+    "front_back",
+    (
+        Mount("front", FALCON, (1.9, 0.0, 1.2), (0.5, 3.0, 1.0)),
+        Mount("rear", FALCON, (-1.5, 0.0, 1.9), (-0.5, 7.0, 180.0)),
+    ),
+    car(1.7, 1.2, 1.1),
+)
+# Four narrow solid-state LiDARs on the corners, without a common view.
+CORNERS = Rig(
+    "corners",
+    tuple(
+        Mount(name, SOLID_70, (x_m, y_m, z_m), (0.0, pitch_deg, yaw_deg))
+        for name, x_m, y_m, z_m, pitch_deg, yaw_deg in (
+            ("front_left", 2.15, 0.95, 0.95, 2.0, 46.0),
+            ("front_right", 2.15, -0.95, 0.95, 3.0, -44.0),
+            ("rear_left", -2.25, 0.98, 1.0, 2.0, 136.0),
+            ("rear_right", -2.25, -0.98, 1.0, 3.0, -134.0),
+        )
+    ),
+    car(1.7, 1.2, 1.1),
+)
+# Three narrow solid-state LiDARs on the roof that share 5 degrees each, and one for the road far ahead.
+NARROW4 = Rig(
+    "narrow4",
+    (
+        Mount("far", LONG_25, (1.0, 0.1, 1.85), (0.0, 2.0, 1.0)),
+        Mount("front", SOLID_70, (1.0, -0.1, 1.85), (0.5, 5.0, -1.0)),
+        Mount("left", SOLID_70, (0.4, 0.55, 1.85), (0.0, 6.0, 64.0)),
+        Mount("right", SOLID_70, (0.4, -0.55, 1.85), (0.0, 5.0, -66.0)),
+    ),
+    car(1.7, 1.2, 1.1),
+)
+
 
 def _sectors(name: str, count: int, roof_edge_m: tuple[float, float, float], body: Mesh) -> Rig:
     """Build a rig of LiDARs that look outwards, at even angles, from the roof's edge."""
@@ -216,9 +253,34 @@ TRUCK = Rig(
     ),
     articulated_truck(),
 )
+# A 120-degree solid-state LiDAR on the cab, narrow ones on the trailer's walls, without a common view.
+TRAILER = Rig(
+    "trailer",
+    (
+        Mount("cab", FALCON, (6.36, 0.0, 1.6), (0.0, 4.0, 0.0)),
+        Mount("trailer_left", SOLID_70, (-4.0, 1.28, 1.7), (0.0, 5.0, 100.0)),
+        Mount("trailer_rear", SOLID_70, (-6.36, 0.0, 1.9), (0.0, 7.0, 180.0)),
+        Mount("trailer_right", SOLID_70, (-4.0, -1.28, 1.7), (0.0, 6.0, -100.0)),
+    ),
+    articulated_truck(),
+)
 
 
 RIGS: Mapping[str, Rig] = {
     rig.name: rig
-    for rig in (BLIND, chain_rig(overlap_deg=22.5), EDGAR, HELIPR, RING6, SECTORS8, SECTORS20, SIDES, TRUCK)
+    for rig in (
+        BLIND,
+        chain_rig(overlap_deg=22.5),
+        CORNERS,
+        EDGAR,
+        FRONT_BACK,
+        HELIPR,
+        NARROW4,
+        RING6,
+        SECTORS8,
+        SECTORS20,
+        SIDES,
+        TRAILER,
+        TRUCK,
+    )
 }

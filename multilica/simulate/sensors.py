@@ -190,8 +190,12 @@ class Surroundings:
 
     def cast(self, T_frame_lidar: RigidTransform, directions: FloatArray) -> Hits:
         """Return the first hits of beams (N, 3) that leave the LiDAR's origin."""
-        turned = T_frame_lidar.rotate(directions).astype(np.float32)
-        origins = np.broadcast_to(T_frame_lidar.xyz_m.astype(np.float32), turned.shape)
+        return self.cast_rays(T_frame_lidar.xyz_m, T_frame_lidar.rotate(directions))
+
+    def cast_rays(self, origins_m: FloatArray, directions: FloatArray) -> Hits:
+        """Return the first hits of beams from one origin (3,) or one each (N, 3), with directions (N, 3)."""
+        turned = directions.astype(np.float32)
+        origins = np.broadcast_to(origins_m.astype(np.float32), turned.shape)
         found = self._scene.cast_rays(self._tensor(np.hstack([origins, turned])))
         ranges = found["t_hit"].numpy().astype(np.float64)
         normals = found["primitive_normals"].numpy()

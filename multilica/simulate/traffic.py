@@ -14,6 +14,8 @@ from multilica.simulate.shapes.objects import random_car
 LONGEST_DELAY_S = 0.06
 """By which a LiDAR scans after another: a car at 25 m/s goes 1.5 m on."""
 _REACH_M = 80.0
+# No car starts within the reach and drives this far within a second.
+_FARTHEST_M = 120.0
 # From the middle of the lane in which the vehicle stands, which stays free.
 _OWN_LANE_M = 1.8
 
@@ -44,8 +46,10 @@ class MovingCar:
     velocity_m_s: float
 
 
-def random_traffic(scene: Scene, flow: Flow, rng: np.random.Generator) -> tuple[MovingCar, ...]:
+def random_traffic(scene: Scene, flow: Flow, rng: np.random.Generator, lasting_s: float = 0.0) -> tuple[MovingCar, ...]:
     """Place cars on the lanes beside the vehicle; one way is that of the vehicle if such a lane is free.
+
+    Further cars follow within the time that the traffic lasts.
 
     Raises:
         UsageError: the scene has no lanes.
@@ -57,13 +61,16 @@ def random_traffic(scene: Scene, flow: Flow, rng: np.random.Generator) -> tuple[
     cars = []
     for y_m, sense in used:
         speed_m_s = rng.uniform(*flow.speed_m_s)
-        x_m = -_REACH_M + rng.uniform(0.0, flow.distance_m[1])
-        while x_m < _REACH_M:
+        behind_m, ahead_m = (speed_m_s * lasting_s if sense == way else 0.0 for way in (1.0, -1.0))
+        x_m = -_REACH_M - behind_m + rng.uniform(0.0, flow.distance_m[1])
+        while x_m < _REACH_M + ahead_m:
             cars.append(MovingCar(random_car(rng), x_m, y_m + rng.normal(scale=0.1), sense * speed_m_s))
             x_m += rng.uniform(*flow.distance_m)
     return tuple(cars)
 
 
 def traffic(scene: Scene, cars: Iterable[MovingCar], time_s: float) -> Mesh:
-    """Build the cars in the world frame at a time after the first scan."""
-    return merged(scene.terrain.place(car.body, car.x_m + car.velocity_m_s * time_s, car.lane_y_m) for car in cars)
+    """Build the cars in the world frame that are near at a time after the first scan."""
+    places_m = [(car, car.x_m + car.velocity_m_s * time_s) for car in cars]
+    near = [(car, x_m) for car, x_m in places_m if abs(x_m) < _FARTHEST_M]
+    return merged(scene.terrain.place(car.body, x_m, car.lane_y_m) for car, x_m in near)

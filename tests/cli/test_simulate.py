@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from multilica import read_extrinsics, read_snapshot
 from multilica.simulate import RIGS, SCENES
@@ -27,6 +29,28 @@ def test_thinning_keeps_every_nth_return(invoke: Invoke) -> None:
     every, some = read_snapshot("all.mcap"), read_snapshot("some.mcap")
     for name in every.names:
         assert some[name].points_count == pytest.approx(every[name].points_count / 10, abs=1)
+
+
+@pytest.mark.slow
+def test_a_drive_lies_beside_its_truth(invoke: Invoke) -> None:
+    """The log holds the frames of all stops and of the way, each point with its time."""
+    few = ("--stops", "2", "--frames", "2", "--keep-every", "300", "--sensors", "ideal")
+    outcome = invoke(
+        "simulate", "--rig", "front_back", "--scene", "yard", "--drive", "turning", *few, "--out", "d.mcap"
+    )
+    assert outcome.code == 0
+    assert outcome.out.splitlines() == ["wrote d.mcap", "wrote d.truth.toml"]
+    truth = tomllib.loads(Path("d.truth.toml").read_text())
+    assert set(read_extrinsics(Path("d.truth.toml")).T_target_source) == {"front", "rear"}
+    first, last = truth["stops"]
+    assert first["xyz_m"] == pytest.approx([0.0, 0.0, 0.0])
+    assert abs(last["rpy_deg"][2]) > 175.0
+    with Path("d.mcap").open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    assert set(summary.statistics.channel_message_counts.values()) == {35}
+    assert summary.statistics.message_start_time == first["first_stamp_ns"]
+    assert summary.statistics.message_end_time == last["last_stamp_ns"]
 
 
 def test_help_names_all_rigs_and_scenes(invoke: Invoke) -> None:
@@ -67,6 +91,8 @@ def test_a_fleet_lies_in_its_folder(invoke: Invoke) -> None:
         ((), "Missing --rig, --scene, --out"),
         (("--rig", "edgar", "--out", "a.mcap"), "Missing --scene"),
         (("--rig", "edgar", "--scene", "street", "--out", "a.mcap", "--logs", "3"), "--logs is for a fleet"),
+        (("--rig", "edgar", "--scene", "yard", "--out", "a.mcap", "--stops", "3"), "--stops is for a drive"),
+        (("--fleet", "logs", "--drive", "yard"), "--drive is for a single recording"),
         (("--fleet", "logs", "--rig", "edgar"), "--rig is for a single recording"),
         (("--fleet", "logs", "--disturb", "rain"), "--disturb is for a single recording"),
         (("--fleet", "logs", "--vehicles", "0"), "0 vehicles"),

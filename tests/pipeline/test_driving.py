@@ -9,6 +9,7 @@ import pytest
 from multilica.config import StillnessConfig
 from multilica.geometry import RigidTransform
 from multilica.simulate import simulate_snapshot, simulation
+from multilica.simulate.scenes import Scene
 from multilica.snapshot import Snapshot
 from multilica.stages.stillness import detect_motion, explain_motion
 from tests.selection import some_of
@@ -37,8 +38,8 @@ def driven(
 ) -> Snapshot:
     """A snapshot on an arc at constant speed and turning rate."""
 
-    def pose(world: simulation._World, time_s: float) -> RigidTransform:
-        place, turned_rad = world._scene, np.deg2rad(turn_deg_s) * time_s
+    def pose(place: Scene, _disturbances: tuple[str, ...], time_s: float) -> RigidTransform:
+        turned_rad = np.deg2rad(turn_deg_s) * time_s
         yaw_rad = place.vehicle_yaw_rad + turned_rad
         # The chord of the arc points half as far round.
         way_m = speed_m_s * time_s * np.sinc(turned_rad / 2.0 / np.pi)
@@ -46,7 +47,7 @@ def driven(
         x_m, y_m = np.array(place.vehicle_xy_m) + way_m * np.array([np.cos(middle_rad), np.sin(middle_rad)])
         return place.terrain.standing_pose(float(x_m), float(y_m), yaw_rad)
 
-    monkeypatch.setattr(simulation._World, "_pose", pose)
+    monkeypatch.setattr(simulation, "_pose", pose)
     return simulate_snapshot("sides", scene, 5, frames=frames).snapshot
 
 

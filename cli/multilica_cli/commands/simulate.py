@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from multilica.extrinsics import Extrinsics
     from multilica.snapshot import Snapshot
 
-_FRAMES = 5
+_FRAMES, _STOPS = 5, 4
 _one = partial(option, rich_help_panel="A recording")
 _many = partial(option, rich_help_panel="A fleet")
 
@@ -25,14 +25,18 @@ def simulate(
     *,
     rig: Annotated[
         str | None,
-        _one("--rig NAME", "Vehicle: edgar, helipr, sides, chain, blind, ring6, sectors8, sectors20, truck. Required."),
+        _one(
+            "--rig NAME",
+            "Vehicle: edgar, helipr, sides, chain, blind, ring6, sectors8, sectors20, truck, front_back, corners, "
+            "narrow4, trailer. Required.",
+        ),
     ] = None,
     scene: Annotated[
         str | None,
         _one(
             "--scene NAME",
             "Scene: street, parking, garage, symmetric_garage, tunnel, tunnel_niches, open_field, fence_field, "
-            "motorway, bridge, avenue, car_park, court. Required.",
+            "motorway, motorway_exit, bridge, avenue, car_park, court, yard, town, equal_houses. Required.",
         ),
     ] = None,
     out: Annotated[
@@ -57,6 +61,18 @@ def simulate(
             "real",
         ),
     ] = None,
+    drive: Annotated[
+        Literal["straight", "turning", "exit", "yard"] | None,
+        _one(
+            "--drive ROUTE",
+            "A whole log: the vehicle stands, drives on and stands again. straight: on, 6 m each time; turning: round "
+            "by half a turn in all; exit: along a bend; yard: round a yard. FILE.truth.toml has its poses, too.",
+        ),
+    ] = None,
+    stops: Annotated[int | None, _one("--stops N", "Stops of a drive.", f"{_STOPS}")] = None,
+    parked: Annotated[
+        int | None, _one("--parked N", "Parked cars beside a drive that leave or come between the stops.", "0")
+    ] = None,
     fleet: Annotated[
         Path | None,
         _many(
@@ -73,7 +89,9 @@ def simulate(
         _many("--workers N", "Worker processes; 1: none. The files are the same with any number.", "one per core"),
     ] = None,
     seed: Annotated[int, option("--seed", "Seed of scenes, mounting, noise and events.")] = 0,
-    frames: Annotated[int | None, option("--frames", "Frames per LiDAR.", f"{_FRAMES}; 2 for a fleet")] = None,
+    frames: Annotated[
+        int | None, option("--frames", "Frames per LiDAR, and per stop of a drive.", f"{_FRAMES}; 2 for a fleet")
+    ] = None,
     keep_every: Annotated[
         int | None, option("--keep-every N", "Keep only every Nth return.", "1; 12 for a fleet", min=1)
     ] = None,
@@ -86,6 +104,9 @@ def simulate(
         "--build-seed": build_seed,
         "--disturb": disturb or None,
         "--sensors": sensors,
+        "--drive": drive,
+        "--stops": stops,
+        "--parked": parked,
     }
     many = {"--vehicles": vehicles, "--logs": logs, "--workers": workers}
     if fleet is not None:
@@ -98,19 +119,33 @@ def simulate(
     if rig is None or scene is None or out is None:
         missing = ", ".join(name for name in ("--rig", "--scene", "--out") if one[name] is None)
         raise UsageError(f"Missing {missing}; give --rig, --scene and --out for a recording, or --fleet for many.")
-    from multilica.simulate import simulate_snapshot, thinned
+    from multilica.simulate import simulate_drive, simulate_snapshot, thinned
+    from multilica.sinks.snapshots import write_ros2_mcap, write_snapshot_mcap
 
-    count = _FRAMES if frames is None else frames
-    made = simulate_snapshot(
-        rig,
-        scene,
-        seed,
-        frames=count,
-        disturbances=tuple(disturb or ()),
-        build_seed=build_seed,
-        sensors=sensors or "real",
+    count, every, kind = _FRAMES if frames is None else frames, keep_every or 1, sensors or "real"
+    disturbances = tuple(disturb or ())
+    if drive is not None:
+        made = simulate_drive(
+            rig,
+            scene,
+            seed,
+            route=drive,
+            stops=_STOPS if stops is None else stops,
+            frames=count,
+            disturbances=disturbances,
+            parked=parked or 0,
+            build_seed=build_seed,
+            sensors=kind,
+            keep_every=every,
+            with_log=True,
+        )
+        _write_recording(write_ros2_mcap, made.log or made.snapshots[0], made.truth, out, stops=made.stops_table())
+        return
+    _refuse({"--stops": stops, "--parked": parked}, "is for a drive; give --drive ROUTE, too, or leave it out")
+    alone = simulate_snapshot(
+        rig, scene, seed, frames=count, disturbances=disturbances, build_seed=build_seed, sensors=kind
     )
-    _write_recording(thinned(made.snapshot, keep_every or 1), made.truth, out)
+    _write_recording(write_snapshot_mcap, thinned(alone.snapshot, every), alone.truth, out)
 
 
 def _refuse(options: Mapping[str, object], reason: str) -> None:
@@ -119,17 +154,18 @@ def _refuse(options: Mapping[str, object], reason: str) -> None:
         raise UsageError(f"{given} {reason}.")
 
 
-def _write_recording(snapshot: Snapshot, truth: Extrinsics, out: Path) -> None:
+def _write_recording(
+    write: Callable[[Snapshot, Path], None], snapshot: Snapshot, truth: Extrinsics, out: Path, **more: object
+) -> None:
     import tomli_w
 
     from multilica.extrinsics import extrinsics_table
     from multilica.sinks.files.atomic import write_text_atomically
-    from multilica.sinks.snapshots import write_snapshot_mcap
 
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_snapshot_mcap(snapshot, out)
+    write(snapshot, out)
     truth_file = out.with_suffix(".truth.toml")
-    write_text_atomically(truth_file, tomli_w.dumps(extrinsics_table(truth)))
+    write_text_atomically(truth_file, tomli_w.dumps(extrinsics_table(truth) | more))
     for path in (out, truth_file):
         stdout_console().print(f"wrote {path}")
 

@@ -6,10 +6,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from multilica.simulate.scenes.outdoors import fence_field, open_field, parking, street
-from multilica.simulate.scenes.roads import avenue, bridge, motorway
+from multilica.simulate.scenes.roads import avenue, bridge, motorway, motorway_exit
 from multilica.simulate.scenes.scene import Scene
+from multilica.simulate.scenes.towns import equal_houses, town
 from multilica.simulate.scenes.underground import garage, symmetric_garage, tunnel, tunnel_niches
-from multilica.simulate.scenes.yards import car_park, court
+from multilica.simulate.scenes.yards import car_park, court, yard
 
 __all__ = ["SCENES", "Scene"]
 
@@ -20,14 +21,18 @@ SCENES: Mapping[str, Callable[[np.random.Generator], Scene]] = {
         bridge,
         car_park,
         court,
+        equal_houses,
         fence_field,
         garage,
         motorway,
+        motorway_exit,
         open_field,
         parking,
         street,
         symmetric_garage,
+        town,
         tunnel,
         tunnel_niches,
+        yard,
     )
 }

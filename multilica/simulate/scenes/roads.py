@@ -5,7 +5,7 @@ import numpy as np
 
 from multilica.simulate.scenes.scene import Scene, Terrain
 from multilica.simulate.shapes.mesh import Mesh, extrusion
-from multilica.simulate.shapes.objects import bench, lamp_post, sign, tree, truck
+from multilica.simulate.shapes.objects import bench, bush, lamp_post, sign, tree, truck
 from multilica.simulate.shapes.roadside import gantry, guard_rail, noise_wall, railing
 
 _LANE_M = 3.6
@@ -13,6 +13,9 @@ _MEDIAN_M = 1.8
 _HALF_ROAD_M = 4.2
 _MOTORWAY_REACH_M, _BRIDGE_REACH_M, _AVENUE_REACH_M = 200.0, 120.0, 120.0
 _KERB_M = 0.14
+EXIT_LEG_M, EXIT_BEND_RAD = 12.0, -0.35
+"""Arc from stop to stop along an exit, and its turn."""
+_EXIT_PIECE_M, _EXIT_REACH_M = 6.0, 110.0
 TWO_LANES = ((-1.9, 1.0), (1.9, -1.0))
 _YAW_SIGMA_RAD = 0.015
 
@@ -40,6 +43,39 @@ def motorway(rng: np.random.Generator) -> Scene:
     lanes = [(sense * -float(y_m), sense) for sense in (1.0, -1.0) for y_m in middles_m]
     stand = (rng.uniform(-2.0, 2.0), own_y_m + rng.normal(scale=0.15))
     return Scene(tuple(parts), terrain, stand, rng.normal(scale=_YAW_SIGMA_RAD), lanes=tuple(lanes))
+
+
+def motorway_exit(rng: np.random.Generator) -> Scene:
+    """Build the right lane of a motorway where a curved exit leaves it, with rails, signs and bushes beside it."""
+    terrain = Terrain(rng.uniform(-0.02, 0.02), rng.uniform(-0.02, 0.02))
+    middles_m = _MEDIAN_M + _LANE_M * (np.arange(2) + 0.5)
+    edge_m = float(middles_m[-1]) + _LANE_M / 2.0 + rng.uniform(1.0, 2.0)
+    ground_m = np.array([-_MOTORWAY_REACH_M, _MOTORWAY_REACH_M])
+    parts = [terrain.surface(ground_m, np.array([-_EXIT_REACH_M, edge_m + 40.0]))]
+    for y_m, yaw_rad in ((-0.6, np.pi), (0.6, 0.0), (edge_m + 0.3, np.pi)):
+        parts.append(terrain.drape(guard_rail(_MOTORWAY_REACH_M, rng.uniform(0.0, 4.0)).moved(0.0, y_m, 0.0, yaw_rad)))
+    for start_m, end_m in ((-90.0, -12.0), (30.0, 120.0)):
+        rail = guard_rail((end_m - start_m) / 2.0, 1.0)
+        parts.append(terrain.drape(rail.moved((start_m + end_m) / 2.0, -edge_m - 0.3)))
+    own_y_m = -float(middles_m[-1])
+    heading_rad, at_m = EXIT_BEND_RAD / 2.0, np.array([-4.0, own_y_m])
+    for _ in range(9):
+        ahead, right = (np.array([np.cos(a), np.sin(a)]) for a in (heading_rad, heading_rad - np.pi / 2.0))
+        middle_m = at_m + _EXIT_PIECE_M / 2.0 * ahead
+        for side in (-1.0, 1.0):
+            x_m, y_m = (middle_m + side * rng.uniform(4.0, 4.5) * right).tolist()
+            if abs(y_m) > edge_m + 0.3:
+                parts.append(terrain.place(guard_rail(_EXIT_PIECE_M / 2.0, 1.0), x_m, y_m, heading_rad))
+            x_m, y_m = (middle_m + side * rng.uniform(7.0, 16.0) * right).tolist()
+            if y_m < -edge_m - 2.0:
+                plant = bush(rng, rng.uniform(0.6, 1.6)) if rng.random() < 0.6 else tree(rng, rng.uniform(4.0, 9.0))
+                parts.append(terrain.place(plant, x_m, y_m))
+        at_m, heading_rad = at_m + _EXIT_PIECE_M * ahead, heading_rad + EXIT_BEND_RAD * _EXIT_PIECE_M / EXIT_LEG_M
+    parts.append(terrain.place(gantry(rng, -edge_m - 1.0, 0.0), rng.uniform(22.0, 45.0), 0.0))
+    parts += [terrain.place(sign(rng), x_m, -edge_m - 1.0) for x_m in rng.uniform(-40.0, -10.0, size=2).tolist()]
+    parts.append(terrain.place(truck(rng.uniform(10.0, 14.0), 3.9), rng.uniform(35.0, 60.0), own_y_m))
+    lanes = [(sense * -float(y_m), sense) for sense in (1.0, -1.0) for y_m in middles_m]
+    return Scene(tuple(parts), terrain, (0.0, own_y_m), rng.normal(scale=_YAW_SIGMA_RAD), lanes=tuple(lanes))
 
 
 def bridge(rng: np.random.Generator) -> Scene:

@@ -5,11 +5,12 @@ import numpy as np
 
 from multilica.simulate.scenes.scene import FLAT, Scene
 from multilica.simulate.shapes.buildings import building
-from multilica.simulate.shapes.mesh import Mesh, box, repeated
-from multilica.simulate.shapes.objects import random_car
+from multilica.simulate.shapes.mesh import Mesh, box, merged, repeated
+from multilica.simulate.shapes.objects import lamp_post, random_car, truck
 
 _BAY_M, _BAY_DEPTH_M, _BAYS, _COLUMN_BAYS = 2.5, 5.6, 24, 3
 _AISLE_M = 6.5
+_YARD_FREE_M = 9.0
 
 
 def car_park(rng: np.random.Generator) -> Scene:
@@ -60,3 +61,38 @@ def court(rng: np.random.Generator) -> Scene:
     sides = [front.moved(yaw_rad=quarter * np.pi / 2.0) for quarter in range(4)]
     stand = (rng.uniform(-2.5, 2.5), rng.uniform(-2.5, 2.5))
     return Scene((FLAT.surface(edges_m, edges_m), *sides), FLAT, stand, rng.uniform(-np.pi, np.pi))
+
+
+def yard(rng: np.random.Generator) -> Scene:
+    """Build the yard of a works: halls around it, containers, lorries, cars, crates and posts, free in the middle."""
+    half_x_m, half_y_m = rng.uniform(22.0, 30.0), rng.uniform(20.0, 26.0)
+    edges_m = np.array([-90.0, 90.0])
+    parts = [FLAT.surface(edges_m, edges_m)]
+    sides = ((half_y_m, half_x_m, 0.0), (half_x_m, half_y_m, np.pi / 2), (half_y_m, half_x_m, np.pi))
+    for away_m, half_m, yaw_rad in sides:
+        hall_m = rng.uniform(1.0, 1.8) * half_m
+        hall = building(rng, hall_m, 12.0).moved(rng.uniform(-half_m, half_m - hall_m), away_m)
+        parts.append(hall.moved(yaw_rad=yaw_rad))
+    for _ in range(int(rng.integers(14, 22))):
+        azimuth_rad, out = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, 1.0)
+        ring_m = _YARD_FREE_M + out * (min(half_x_m, half_y_m) - _YARD_FREE_M - 4.0)
+        x_m, y_m = ring_m * float(np.cos(azimuth_rad)), ring_m * float(np.sin(azimuth_rad))
+        parts.append(_yard_thing(rng).moved(x_m, y_m, 0.0, azimuth_rad + np.pi / 2.0 + rng.normal(scale=0.2)))
+    return Scene(tuple(parts), FLAT, (rng.uniform(-3.0, 3.0), rng.uniform(-3.0, 3.0)), rng.uniform(-np.pi, np.pi))
+
+
+def _yard_thing(rng: np.random.Generator) -> Mesh:
+    """Build what stands in a yard, along x."""
+    kind = rng.choice(["container", "container", "truck", "car", "car", "crates", "post"])
+    if kind == "container":
+        half_m = float(rng.choice([3.03, 6.1]))
+        return box((-half_m, -1.22, 0.0), (half_m, 1.22, 2.6 * float(rng.choice([1.0, 1.0, 2.0]))))
+    if kind == "truck":
+        return truck(rng.uniform(8.0, 12.0), 3.6)
+    if kind == "car":
+        return random_car(rng)
+    if kind == "post":
+        return lamp_post(rng.uniform(5.0, 8.0), 1.0)
+    sizes_m = rng.uniform(0.4, 0.8, size=(int(rng.integers(2, 6)), 3))
+    crates = [box((-0.5, -0.4, 0.0), (0.5, 0.4, 2.0 * size[2])).moved(*rng.uniform(-1.5, 1.5, 2)) for size in sizes_m]
+    return merged(crates)

@@ -24,6 +24,8 @@ _MODELS = {
     "Livox Avia": models.AVIA,
     "Aeva Aeries II": models.AERIES_II,
     "narrow, of no particular make": models.NARROW,
+    "solid-state, 70 x 25 deg, of no particular make": models.SOLID_70,
+    "solid-state, 25 x 15 deg, of no particular make": models.LONG_25,
 }
 
 

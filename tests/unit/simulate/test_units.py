@@ -10,6 +10,7 @@ import pytest
 
 from multilica.simulate import RIGS, plan_fleet, simulate_snapshot, simulation
 from multilica.simulate.rigs import as_built
+from multilica.simulate.scenes import SCENES
 from multilica.simulate.sensors import (
     Accuracy,
     Hits,
@@ -20,9 +21,10 @@ from multilica.simulate.sensors import (
     measure,
     returned_points,
 )
-from multilica.simulate.simulation import random_stream
+from multilica.simulate.shapes.mesh import merged
 from multilica.simulate.units import draw_reflectivities, draw_unit
-from multilica.snapshot import LidarScans, Scan
+from multilica.simulate.world import Exposure, World, random_stream
+from multilica.snapshot import Scan
 
 _SPINNING = SensorModel(SpinningPattern(16, 1800, (-15.0, 15.0)), max_range_m=200.0)
 _RASTER = SensorModel(RasterPattern(100, 200, 20.0, 10.0), max_range_m=200.0, range_noise_m=0.0, dropout=0.0)
@@ -247,16 +249,13 @@ def test_reflectivities_of_bodies():
 def units_of(monkeypatch):
     """Record the units that a simulation gives to the LiDARs, and take no scans."""
 
-    class _Recorded:
-        def __init__(self, *_):
-            self.label = ""
-
-        def scans(self, mount, unit, _frames):
+    class _Recorded(World):
+        def scan(self, mount, unit, _taken):
             found[mount.name] = unit
-            return LidarScans(mount.name, (Scan(np.zeros((1, 3), dtype=np.float32)),))
+            return Scan(np.zeros((1, 3), dtype=np.float32))
 
     found = {}
-    monkeypatch.setattr(simulation, "_World", _Recorded)
+    monkeypatch.setattr(simulation, "World", _Recorded)
 
     def simulate(*arguments, **options):
         found.clear()
@@ -301,8 +300,13 @@ def test_ideal_lidars_are_no_units(units_of):
 
 
 def _scans_of(rig, mount, unit):
-    world = simulation._World(RIGS[rig], "garage", 2, as_built(RIGS[rig], random_stream(rig, "mounting", 2)), (), 0)
-    return world, world.scans(mount, unit, 1).scans[0]
+    scene = SCENES["garage"](random_stream("garage", 2))
+    world = World(RIGS[rig], scene, ("garage", 2), as_built(RIGS[rig], random_stream(rig, "mounting", 2)))
+    return world, world.scan(mount, unit, _exposure(world, mount))
+
+
+def _exposure(world, mount):
+    return Exposure(0, 0, world.T_base_lidar[mount.name], (world.scene.T_world_base,), merged([]))
 
 
 def test_an_ideal_lidar_reports_what_it_measures():
@@ -311,7 +315,9 @@ def test_an_ideal_lidar_reports_what_it_measures():
     world, scan = _scans_of("blind", mount, None)
     rng = random_stream(world.label, mount.name, 0)
     directions = mount.sensor.pattern.directions(0, rng)
-    expected = returned_points(directions, measure(mount.sensor, world._caster(mount, 0.0)(directions), rng))
+    expected = returned_points(
+        directions, measure(mount.sensor, world._caster(_exposure(world, mount))(directions), rng)
+    )
     assert len(expected) > 1000
     np.testing.assert_array_equal(scan.points_m, expected)
     assert (scan.intensity, scan.rings, scan.times_ns) == (None, None, None)
@@ -321,7 +327,7 @@ def test_a_real_lidar_sees_its_own_vehicle():
     """Hundreds of returns lie on the body, above the ground."""
     mount = RIGS["sides"].mounts[1]
     world, scan = _scans_of("sides", mount, draw_unit(mount.sensor, _rng()))
-    points_m = world._poses[mount.name].apply(scan.points_m.astype(np.float64))
+    points_m = world.T_base_lidar[mount.name].apply(scan.points_m.astype(np.float64))
     half_x_m, half_y_m = RIGS["sides"].half_size_m
     on_body = (np.abs(points_m[:, 0]) < half_x_m) & (np.abs(points_m[:, 1]) < half_y_m) & (points_m[:, 2] > 0.25)
     assert 300 < on_body.sum() < 0.5 * len(points_m)
