@@ -62,7 +62,7 @@ Sources = Annotated[
         "SOURCE",
         "MCAP file, ROS 1 or ROS 2 bag, or point files (PCD, PLY, ...) with one file or directory per LiDAR; "
         "local or at s3://, gs:// or https://. Recordings of different LiDARs form one snapshot; recordings of the "
-        "same LiDARs form one snapshot each.",
+        "same LiDARs, or folders with point files of the same names, form one snapshot each.",
     ),
 ]
 Topics = Annotated[

@@ -11,18 +11,22 @@ from multilica.ingest.snapshot_reader import (
     require_lidar,
     take_snapshot,
 )
+from multilica.ingest.stops import Stop, find_stops, read_stops
 from multilica.ingest.summary import SourceSummary, inspect_source
 from multilica.ingest.transforms import read_prior
 
 __all__ = [
     "SnapshotSource",
     "SourceSummary",
+    "Stop",
     "TakenSnapshot",
     "find_snapshots",
+    "find_stops",
     "frames_recorded",
     "inspect_source",
     "read_prior",
     "read_snapshot",
+    "read_stops",
     "require_calibratable",
     "require_lidar",
     "take_snapshot",

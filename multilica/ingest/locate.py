@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import dropwhile, takewhile
 from pathlib import Path
+from typing import Literal
 
 from multilica.errors import SourceNotFoundError, UnfitSnapshotError, UnreadableSourceError, UsageError
 from multilica.ingest.formats import FORMATS, detect_format, name_unpacked, named_content, named_format
@@ -120,6 +121,41 @@ def require_distinct(paths: Sequence[SourceFile]) -> None:
     repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
     if repeated:
         raise UsageError(f"{repeated[0]} is given more than once.")
+
+
+def are_stops(paths: Sequence[SourceFile]) -> bool:
+    """Return whether each path is a folder with a snapshot of the same LiDARs, rather than with frames of one LiDAR.
+
+    Folders of point files are stops if all hold files of the same names, more than one. Names that only count, as in
+    0001.pcd and 0002.pcd, are frames of one LiDAR. Folders of folders with frames are stops if these have the same
+    names.
+    """
+    if len(paths) < 2 or not all(isinstance(path, Path) and path.is_dir() for path in paths):
+        return False
+    sources = [_look_at(path) for path in paths]
+    names = [{lidar.topic for lidar in source.frames} for source in sources]
+    if any(source.recordings for source in sources) or len(names[0]) < 2 or any(each != names[0] for each in names):
+        return False
+    are_folders = all((path / name).is_dir() for path in paths for name in names[0])
+    return are_folders or len({re.sub(r"\d+", "#", name) for name in names[0]}) > 1
+
+
+TakenFor = Literal["a recording", "a point cloud of one LiDAR", "frames of one LiDAR", "LiDARs of one snapshot"]
+
+
+def taken_for(paths: Sequence[SourceFile]) -> tuple[TakenFor, ...]:
+    """Return what each of the sources that are given together is taken for."""
+    are_alone = len(paths) == 1 or are_stops(paths)
+    return tuple(_taken_for(path, is_alone=are_alone) for path in paths)
+
+
+def _taken_for(path: SourceFile, *, is_alone: bool) -> TakenFor:
+    source = _look_at(path)
+    if source.recordings:
+        return "a recording"
+    if not path.is_dir():
+        return "a point cloud of one LiDAR"
+    return "LiDARs of one snapshot" if is_alone else "frames of one LiDAR"
 
 
 def _look_at(path: SourceFile) -> Source:

@@ -11,7 +11,15 @@ from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError, listed
-from multilica.ingest.locate import PathLike, find_source, listed_names, locate, require_distinct, without_folders
+from multilica.ingest.locate import (
+    PathLike,
+    are_stops,
+    find_source,
+    listed_names,
+    locate,
+    require_distinct,
+    without_folders,
+)
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
@@ -19,6 +27,7 @@ from multilica.ingest.plausibility import plausibility_notes
 from multilica.ingest.recording import MessageObserver, sanitize_text
 from multilica.ingest.remote.address import is_live, require_valid, without_secrets
 from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
+from multilica.ingest.selection.time_range import TimeRange
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
 from multilica.ingest.transforms import StaticTransforms, read_static_transforms
 from multilica.snapshot import LidarScans, Snapshot
@@ -88,21 +97,40 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
         UnknownNameError: there is no point cloud topic of that name.
         UsageError: several recordings of the same LiDAR, or a topic with two names.
     """
+    (snapshot,) = read_ranges([source] if isinstance(source, PathLike) else source, [None], config=config)
+    return snapshot
+
+
+def read_ranges(
+    sources: Sequence[PathLike], ranges: Sequence[TimeRange | None], *, config: IngestConfig | None = None
+) -> tuple[Snapshot, ...]:
+    """Read a snapshot of each time range of one recording, None for the configured one; arguments as `read_snapshot`.
+
+    The limit of memory is that of all together.
+    """
     start_s = time.perf_counter()
-    paths = [locate(each) for each in ([source] if isinstance(source, PathLike) else source)]
+    paths = [locate(each) for each in sources]
     found = find_source(paths)
     config = config or config_for(found.files)
+    snapshots = []
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         given = choose_topics(recording, config.topics, found.label, config.only)
-        window = collect_frames(recording, given.keys(), config, found.label)
-        require_frames(window, given.keys(), config, found.label)
-        static = read_static_transforms(recording)
-        unread = unread_notes(recording)
-        snapshot = assemble_snapshot(found.label, given, window, static, sha256_of_files(found.files), unread)
-        noted = with_recorded_notes(snapshot, recording, found.files)
-    notes = without_folders(without_folders(noted.notes, found.files), paths)
-    name = sanitize_text(listed_names(paths))
-    return replace(noted, source=name, notes=notes, reading_s=time.perf_counter() - start_s)
+        static, unread, sha256 = (
+            read_static_transforms(recording),
+            unread_notes(recording),
+            sha256_of_files(found.files),
+        )
+        for times in ranges:
+            window = collect_frames(recording, given.keys(), config, found.label, times)
+            require_frames(window, given.keys(), config, found.label)
+            snapshot = assemble_snapshot(found.label, given, window, static, sha256, unread)
+            noted = with_recorded_notes(snapshot, recording, found.files)
+            notes = without_folders(without_folders(noted.notes, found.files), paths)
+            end_s = time.perf_counter()
+            name = sanitize_text(listed_names(paths))
+            snapshots.append(replace(noted, source=name, notes=notes, reading_s=end_s - start_s))
+            start_s = end_s
+    return tuple(snapshots)
 
 
 def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObserver | None = None) -> TakenSnapshot:
@@ -264,7 +292,8 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig | None =
     """Split sources into snapshots of one rig.
 
     Several recordings, or folders with a bag each, are several snapshots if they share LiDAR names. Recordings without
-    a common LiDAR, as from one recorder per LiDAR, are one snapshot; so are point files.
+    a common LiDAR, as from one recorder per LiDAR, are one snapshot; so are point files. Folders that hold the same
+    LiDARs, with a point file or a folder of frames each, are a snapshot each.
 
     Raises:
         SourceNotFoundError: nothing exists at one of the paths.
@@ -274,6 +303,11 @@ def find_snapshots(sources: Sequence[PathLike], *, config: IngestConfig | None =
     """
     config = config or IngestConfig()
     paths = tuple(locate(source) for source in sources)
+    if are_stops(paths):
+        return tuple(
+            SnapshotSource(name, (path,), tuple(sorted(lidar.lidar for lidar in find_source(path).frames)))
+            for name, path in zip(_snapshot_names(paths), paths, strict=True)
+        )
     if len(paths) < 2 or not all(find_source(path).recordings for path in paths):
         return (SnapshotSource(paths[0].stem if paths else "", paths),)
     require_distinct(paths)

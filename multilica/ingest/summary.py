@@ -8,16 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from multilica.config import IngestConfig
-from multilica.errors import InputError, UnfitSnapshotError
+from multilica.errors import InputError, UnfitSnapshotError, listed
 from multilica.geometry import RigidTransform
-from multilica.ingest.locate import PathLike, find_source
+from multilica.ingest.locate import PathLike, TakenFor, are_stops, find_source, locate, taken_for
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.message_types import OUSTER_TURN, Cloud, is_cloud
 from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
+from multilica.ingest.remote.remote_file import SourceFile
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
 from multilica.ingest.snapshot_reader import assemble_snapshot, require_calibratable
+from multilica.ingest.stops import cloud_span, standstills_of
 from multilica.ingest.transforms import read_static_transforms
 from multilica.snapshot import Snapshot
 
@@ -55,11 +57,21 @@ class CloudTopicSummary:
     last_ns: int | None
 
 
+@dataclass(frozen=True, slots=True)
+class Standstill:
+    """A time in which the vehicle stands still: its beginning after the first scan, and its length."""
+
+    start_s: float
+    length_s: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceSummary:
     """The contents of a source.
 
     Args:
+        taken_for: what each of the sources that were given is taken for.
+        standstills: of a log, by `standstill_evidence`; none if it is shorter than two seconds, or nothing shows any.
         objection: why it cannot be calibrated; empty if it can.
     """
 
@@ -70,6 +82,9 @@ class SourceSummary:
     static_transforms: tuple[RigidTransform, ...]
     notes: tuple[str, ...]
     objection: str
+    taken_for: Mapping[str, TakenFor]
+    standstills: tuple[Standstill, ...] = ()
+    standstill_evidence: str = ""
 
     @property
     def duration_s(self) -> float | None:
@@ -81,20 +96,24 @@ class SourceSummary:
 def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfig | None = None) -> SourceSummary:
     """Summarise a source as `read_snapshot` reads it; an error that this would raise becomes the objection.
 
-    Only the frames of the window are decoded, so a long log takes no longer than a short one.
+    Only the frames of the window and a few samples are decoded, so a long log takes no longer than a short one. If
+    several folders are stops of one drive, the first one is summarised.
 
     Raises:
         SourceNotFoundError: nothing exists at that path.
         UnreadableSourceError: the source is empty, or not what its name says.
         UnknownNameError: there is no point cloud topic of that name.
     """
-    found = find_source(source)
+    paths = [locate(each) for each in ([source] if isinstance(source, PathLike) else source)]
+    further = paths[1:] if are_stops(paths) else []
+    found = find_source(paths[:1] if further else paths)
     config = config or config_for(found.files)
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
         static = read_static_transforms(recording)
         given, window, objection = _read(recording, config, found.label)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
         snapshot = with_recorded_notes(snapshot, recording, found.files)
+        span, still = cloud_span(recording), standstills_of(recording)
         try:
             require_calibratable(snapshot)
         except UnfitSnapshotError as error:
@@ -109,9 +128,22 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
             ),
             others=tuple(topic for topic in recording.topics if not is_cloud(topic)),
             static_transforms=static[0],
-            notes=snapshot.notes,
+            notes=(*snapshot.notes, *_notes_on(further)),
             objection=objection,
+            taken_for=dict(zip(map(str, paths), taken_for(paths), strict=True)),
+            standstills=tuple(_standstill(each, span) for each in still.spans) if still and span else (),
+            standstill_evidence=still.evidence if still else "",
         )
+
+
+def _standstill(standstill: Span, span: Span) -> Standstill:
+    return Standstill((standstill[0] - span[0]) / _NS_PER_S, (standstill[1] - standstill[0]) / _NS_PER_S)
+
+
+def _notes_on(further: Sequence[SourceFile]) -> list[str]:
+    if not further:
+        return []
+    return [f"{listed([str(path) for path in further])} hold the same LiDARs: stops of one drive, a snapshot each."]
 
 
 def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mapping[str, str], Window, str]:

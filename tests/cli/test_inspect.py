@@ -3,13 +3,18 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
+from rich.console import Console
 
-from multilica.ingest import read_snapshot
+from multilica.ingest import inspect_source, read_snapshot
+from multilica.ingest.summary import Standstill
 from multilica.snapshot import Snapshot
 from multilica_cli.commands.calibrate import find_sample
+from multilica_cli.commands.recordings import _print_sources
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke, assert_one_sentence, write_pcd
 from tests.ingest.support.recording_writers import make_snapshot, write_mcap
@@ -73,3 +78,29 @@ def test_a_time_may_be_seconds_since_the_epoch(invoke: Invoke) -> None:
     beyond = invoke("inspect", find_sample().recording, "--start", f"{begin_ns / 1e9 + 1000.0:.0f}")
     assert_one_sentence(beyond, ExitCode.INPUT)
     assert "has no point cloud at" in beyond.err
+
+
+def test_sources_and_standstills(invoke: Invoke) -> None:
+    """Each of several sources is taken for something; a file of a tenth of a second has no standstill to list."""
+    for stop in ("stop1", "stop2"):
+        Path(stop).mkdir()
+        for name in ("front.npy", "rear.npy"):
+            np.save(Path(stop) / name, np.eye(3, dtype=np.float32))
+    lines = invoke("inspect", "stop1", "stop2").out.splitlines()
+    assert [line for line in lines if "taken for" in line] == [
+        "stop1 is taken for LiDARs of one snapshot",
+        "stop2 is taken for LiDARs of one snapshot",
+    ]
+    document = json.loads(invoke("inspect", find_sample().recording, "--json").out)
+    assert list(document["taken_for"].values()) == ["a recording"]
+    assert (document["standstills"], document["standstill_evidence"]) == ([], "")
+
+
+def test_standstills_are_printed() -> None:
+    printed = StringIO()
+    console = Console(file=printed, width=200)
+    standstills = (Standstill(0.0, 2.0), Standstill(5.6, 2.5))
+    found = inspect_source(find_sample().recording)
+    _print_sources(replace(found, standstills=standstills, standstill_evidence="odometry on '/odom'"), console)
+    line = printed.getvalue().splitlines()[1]
+    assert line == "The vehicle stands still, by odometry on '/odom': from 0.0 s for 2.0 s, 5.6 s for 2.5 s"

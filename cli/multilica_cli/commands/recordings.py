@@ -98,6 +98,9 @@ def _summary_document(summary: SourceSummary) -> dict[str, Any]:
         "schema": "multilica/inspect/1",
         "source": summary.source,
         "format": summary.format,
+        "taken_for": dict(summary.taken_for),
+        "standstills": [asdict(each) for each in summary.standstills],
+        "standstill_evidence": summary.standstill_evidence,
         "duration_s": summary.duration_s,
         "clouds": [asdict(cloud) for cloud in summary.clouds],
         "others": [
@@ -120,7 +123,7 @@ def _summary_document(summary: SourceSummary) -> dict[str, Any]:
 
 def _print_summary(summary: SourceSummary, console: Console) -> None:
     """Print the topics and transforms as tables, then the LiDARs that would be used."""
-    console.print(f"{summary.source}: {summary.format}{_span(summary)}")
+    _print_sources(summary, console)
     if summary.clouds:
         columns = ("LiDAR", "topic", "type", "frame", "scans", "Hz", "points\nper scan", "median\nm", "max\nm")
         table = FoldingTable("Point clouds", columns, numbers_from=4, keys=2, spare=("type",))
@@ -143,6 +146,16 @@ def _print_summary(summary: SourceSummary, console: Console) -> None:
         console.print(f"note: {note}")
     used = [f"{cloud.lidar} ({cloud.frames_taken} of {cloud.frames} frames)" for cloud in summary.clouds if cloud.lidar]
     console.print(f"calibrate would use: {', '.join(used) or 'nothing'}")
+
+
+def _print_sources(summary: SourceSummary, console: Console) -> None:
+    console.print(f"{summary.source}: {summary.format}{_span(summary)}")
+    if len(summary.taken_for) > 1:
+        for source, content in summary.taken_for.items():
+            console.print(f"{source} is taken for {content}")
+    if summary.standstills:
+        times = (f"{each.start_s:.1f} s for {each.length_s:.1f} s" for each in summary.standstills)
+        console.print(f"The vehicle stands still, by {summary.standstill_evidence}: from {', '.join(times)}")
 
 
 def _span(summary: SourceSummary) -> str:

@@ -17,7 +17,8 @@ from multilica.errors import ConfigError, UnfitSnapshotError, UnknownNameError, 
 from multilica.ingest.memory import memory_budget
 from multilica.ingest.message_types import Cloud, decode_cloud, is_cloud, is_packets, obstacle
 from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Topic, normal_type
-from multilica.ingest.selection.time_range import PATIENCE_NS, TimeRange, evenly, find_time_range, sampled
+from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
+from multilica.ingest.selection.time_range import TimeRange, find_time_range
 from multilica.snapshot import Scan
 
 _MAX_CLOCK_OFFSET_S = 0.5
@@ -133,8 +134,14 @@ class Window:
     faults: tuple[str, ...] = ()
 
 
-def collect_frames(recording: Recording, topics: Collection[str], config: IngestConfig, label: str) -> Window:
-    """Collect `config.frames` frames of each topic in the configured window.
+def collect_frames(
+    recording: Recording,
+    topics: Collection[str],
+    config: IngestConfig,
+    label: str,
+    times: TimeRange | None = None,
+) -> Window:
+    """Collect `config.frames` frames of each topic in a time range, or in the configured window.
 
     Broken frames are skipped. Reading ends when there are enough frames, when the LiDARs that lack some have fallen
     silent, or where the recording is damaged.
@@ -143,7 +150,7 @@ def collect_frames(recording: Recording, topics: Collection[str], config: Ingest
         UnfitSnapshotError: the recording ends before the window begins.
         UnreadableSourceError: it is damaged before the first frame.
     """
-    times = find_time_range(recording, config, label)
+    times = times or find_time_range(recording, config, label)
     counts: Counter[str] = Counter()
     for topic in filter(is_cloud, recording.topics):
         counts[topic.name] += topic.count

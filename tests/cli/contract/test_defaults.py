@@ -71,7 +71,7 @@ DEFAULTS = {
         **dict.fromkeys(
             ("--rig", "--scene", "--out", "--build-seed", "--disturb", "--sensors", "--frames", "--keep-every")
         ),
-        **dict.fromkeys(("--fleet", "--vehicles", "--logs", "--workers")),
+        **dict.fromkeys(("--drive", "--stops", "--parked", "--fleet", "--vehicles", "--logs", "--workers")),
         "--seed": 0,
     },
     "evaluate": {

@@ -8,7 +8,7 @@ from collections.abc import Collection
 import pytest
 
 from multilica.ingest.recording import Messages, RawMessage
-from multilica.ingest.selection.time_range import sampled
+from multilica.ingest.selection.sampling import sampled
 
 
 class Counted:

@@ -6,11 +6,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from multilica.config import IngestConfig
 from multilica.errors import SourceNotFoundError, UnknownNameError, UnreadableSourceError, UsageError
-from multilica.ingest import find_snapshots, read_snapshot, require_lidar
+from multilica.ingest import find_snapshots, inspect_source, read_snapshot, require_lidar
 from multilica.snapshot import Snapshot
 from tests.ingest.support.recording_writers import make_snapshot, write_mcap, write_ros2_bag
 
@@ -90,3 +91,66 @@ def test_what_is_wrong_with_the_paths_is_said(tmp_path: Path) -> None:
     (tmp_path / "broken.mcap").write_bytes(one.read_bytes()[:60])
     with pytest.raises(UnreadableSourceError):
         find_snapshots([one, tmp_path / "broken.mcap"])
+
+
+def folder(path: Path, *names: str) -> Path:
+    """Point files of a few points each."""
+    for name in names:
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        np.save(path / name, np.eye(3, dtype=np.float32))
+    return path
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("front.npy", "rear.npy"),
+        ("front_1.npy", "rear_2.npy", "top.npy"),
+        ("front/0001.npy", "front/0002.npy", "rear/0001.npy"),
+        ("lidar_0/0001.npy", "lidar_1/0001.npy"),
+    ],
+)
+def test_folders_with_the_same_lidars_are_a_snapshot_each(tmp_path: Path, names: tuple[str, ...]) -> None:
+    paths = [folder(tmp_path / stop, *names) for stop in ("stop1", "stop2", "stop3")]
+    found = find_snapshots(paths)
+    assert [(each.name, each.paths) for each in found] == [(path.name, (path,)) for path in paths]
+    lidars = tuple(sorted({name.partition("/")[0].removesuffix(".npy") for name in names}))
+    assert {each.lidars for each in found} == {lidars}
+    assert all(read_snapshot(each.paths).names == lidars for each in found)
+    assert set(inspect_source(paths).taken_for.values()) == {"LiDARs of one snapshot"}
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (("0001.npy", "0002.npy"), ("0001.npy", "0002.npy")),
+        (("frame_9.npy", "frame_10.npy"), ("frame_9.npy", "frame_10.npy")),
+        (("scan.npy",), ("scan.npy",)),
+        (("front.npy", "rear.npy"), ("front.npy", "rear.npy", "top.npy")),
+    ],
+)
+def test_folders_of_frames_are_a_lidar_each(tmp_path: Path, first: tuple[str, ...], second: tuple[str, ...]) -> None:
+    paths = [folder(tmp_path / "left", *first), folder(tmp_path / "right", *second)]
+    (found,) = find_snapshots(paths)
+    assert found.paths == tuple(paths)
+    snapshot = read_snapshot(found.paths)
+    assert snapshot.names == ("left", "right")
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [len(first), len(second)]
+    assert set(inspect_source(paths).taken_for.values()) == {"frames of one LiDAR"}
+
+
+def test_sources_are_taken_for_what_they_hold(tmp_path: Path) -> None:
+    alone = folder(tmp_path / "stop", "front.npy", "rear.npy")
+    assert inspect_source(alone).taken_for == {str(alone): "LiDARs of one snapshot"}
+    clouds = [alone / "front.npy", alone / "rear.npy"]
+    assert set(inspect_source(clouds).taken_for.values()) == {"a point cloud of one LiDAR"}
+    log = recording(tmp_path / "a.mcap")
+    assert inspect_source(log).taken_for == {str(log): "a recording"}
+
+
+def test_further_stops_are_noted(tmp_path: Path) -> None:
+    paths = [folder(tmp_path / stop, "front.npy", "rear.npy") for stop in ("stop1", "stop2")]
+    summary = inspect_source(paths)
+    assert summary.source == str(paths[0])
+    assert [cloud.lidar for cloud in summary.clouds] == ["front", "rear"]
+    assert f"{paths[1]} hold the same LiDARs: stops of one drive, a snapshot each." in summary.notes

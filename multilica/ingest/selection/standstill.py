@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The times in which the vehicle stands still, by whatever shows it."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
+
+import numpy as np
+
+from multilica.config import StillnessConfig
+from multilica.errors import UnreadableSourceError
+from multilica.geometry import FloatArray
+from multilica.ingest.message_types import decode_cloud, is_cloud
+from multilica.ingest.messages.ros import WireReader
+from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Span
+from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
+from multilica.snapshot import Scan
+
+if TYPE_CHECKING:
+    from multilica.stages.stillness import Motion
+
+_Item = TypeVar("_Item")
+_NS_PER_S = 1_000_000_000
+_MIN_STANDSTILL_NS = 10**9
+"""A vehicle that turns round stands still for less."""
+
+_Samples: TypeAlias = Sequence[tuple[int, bool | None]]
+"""Log times in nanoseconds, and whether the vehicle stands still; None if unknown."""
+_Evidence: TypeAlias = tuple[str, _Samples] | None
+"""Name and samples; None if the recording has no such topic."""
+
+_Look: TypeAlias = Callable[[Recording, Span], _Evidence]
+
+_ODOMETRY, _IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
+
+_MAX_SPEED_MPS = 0.05
+_MAX_TURN_RAD_S = 0.01
+_MAX_STEP_M = 0.05
+"""Limits of odometry at standstill; the step is between the positions of two samples."""
+_MAX_SHAKE_MPS2 = 0.3
+_MIN_SHAKE_MPS2 = 0.05
+_SHAKE_RATIO = 2.5
+"""An idling engine shakes the body by 0.1 m/s2, a smooth road by more than 0.3."""
+_BESIDE_NS = 3 * 10**9
+"""By which the times before and after a sample of standstill that stands alone are looked at, too."""
+_MOST_LONE = 8
+_SHORT_NS = 2 * _BESIDE_NS + _MIN_STANDSTILL_NS
+"""Up to this length, times are sampled twice as densely."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standstills:
+    """When the vehicle stands still.
+
+    Args:
+        evidence: what shows it.
+        spans: log times of the first and the last sample of each standstill, oldest first.
+        is_known: some samples show standstill or motion.
+        is_whole: no sample shows motion; the only span is that which was asked for.
+    """
+
+    evidence: str
+    spans: tuple[Span, ...]
+    is_known: bool = True
+    is_whole: bool = False
+
+
+def find_standstills(recording: Recording, span: Span) -> Standstills:
+    """Find all times of at least a second, or the whole span, of standstill.
+
+    Only a few hundred samples are read, whatever the length of the recording. Motion between two of them is left to
+    the check of the frames. In a damaged recording, samples end where it cannot be read.
+    """
+    # The most direct evidence first.
+    look, (name, samples) = next(
+        (look, found) for look in (_by_odometry, _by_imu, _by_clouds) if (found := look(recording, span)) is not None
+    )
+    if (samples and all(still for _, still in samples)) or (not samples and has_single_frames(recording)):
+        return Standstills(name, (span,), is_known=bool(samples), is_whole=True)
+    runs = list(_runs(samples))
+    lone = [run for run in runs if run[1] - run[0] < _MIN_STANDSTILL_NS][:_MOST_LONE]
+    runs += [found for run in lone for found in _around(recording, look, run, span)]
+    kept = sorted({run for run in runs if run[1] - run[0] >= _MIN_STANDSTILL_NS})
+    return Standstills(name, tuple(kept), is_known=any(still is not None for _, still in samples))
+
+
+def _runs(samples: _Samples) -> Iterator[Span]:
+    for still, run in groupby(samples, key=lambda sample: sample[1]):
+        if still:
+            times_ns = [time_ns for time_ns, _ in run]
+            yield times_ns[0], times_ns[-1]
+
+
+def _around(recording: Recording, look: _Look, run: Span, span: Span) -> list[Span]:
+    """Return the standstill about a lone sample."""
+    near = (max(span[0], run[0] - _BESIDE_NS), min(span[1], run[1] + _BESIDE_NS))
+    found = look(recording, near)
+    return [each for each in _runs(found[1] if found else ()) if each[0] <= run[1] and run[0] <= each[1]]
+
+
+def has_single_frames(recording: Recording) -> bool:
+    """Return whether no LiDAR has a second frame."""
+    counts: Counter[str] = Counter()
+    for topic in filter(is_cloud, recording.topics):
+        counts[topic.name] += topic.count
+    return max(counts.values(), default=0) == 1
+
+
+def _by_odometry(recording: Recording, span: Span) -> _Evidence:
+    """Sample speed, turning rate and position of odometry."""
+    samples = _ros_samples(recording, _ODOMETRY, span, 1)
+    if samples is None:
+        return None
+    topic, times_ns, bursts = samples
+    rows = np.array([[*map(np.linalg.norm, (row[43:46], row[46:49])), *row[:3]] for (row, *_) in bursts])
+    finite = np.isfinite(rows).all(axis=1)
+    steps_m = np.linalg.norm(np.diff(rows[:, 2:], axis=0, prepend=rows[:1, 2:]), axis=1)
+    still = finite & (rows[:, 0] < _MAX_SPEED_MPS) & (rows[:, 1] < _MAX_TURN_RAD_S) & (steps_m < _MAX_STEP_M)
+    return f"odometry on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
+
+
+def _by_imu(recording: Recording, span: Span) -> _Evidence:
+    """Sample the spread of accelerations and the turning rate within bursts of IMU messages."""
+    samples = _ros_samples(recording, _IMU, span, 20)
+    if samples is None:
+        return None
+    topic, times_ns, bursts = samples
+    imu = [np.array(rows) for rows in bursts]
+    shakes_mps2 = np.array([np.linalg.norm(rows[:, 25:28].std(axis=0)) for rows in imu])
+    turns_rad_s = np.array([np.abs(rows[:, 13:16].mean(axis=0)).max() for rows in imu])
+    calm_mps2 = _SHAKE_RATIO * float(np.nanpercentile(shakes_mps2, 10))
+    still = (shakes_mps2 < min(_MAX_SHAKE_MPS2, max(_MIN_SHAKE_MPS2, calm_mps2))) & (turns_rad_s < 2 * _MAX_TURN_RAD_S)
+    return f"the IMU on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
+
+
+def _by_clouds(recording: Recording, span: Span) -> _Evidence:
+    """Compare each sampled cloud of one LiDAR with the next frame and with the next sample.
+
+    The LiDAR is the one with the largest clouds that show enough at all times, else at most times.
+    """
+    found: list[tuple[float, str, _Samples]] = []
+    for topic in richest_topics(recording, span)[:4]:
+        samples = _cloud_samples(recording, topic, span)
+        known = np.mean([still is not None for _, still in samples]) if samples else 0.0
+        found.append((float(known), topic, samples))
+        if known == 1.0:
+            break
+    _, topic, samples = max(found, key=lambda each: each[0])
+    return f"the clouds on '{topic}'", samples
+
+
+def _cloud_samples(recording: Recording, topic: str, span: Span) -> _Samples:
+    from multilica.stages.stillness import detect_motion
+
+    times_ns = _times_ns(span, 90, 0.5 if span[1] - span[0] <= _SHORT_NS else 1.0)
+    scans: dict[int, list[Scan]] = defaultdict(list)
+    logged_ns: dict[int, int] = {}
+    still: list[tuple[int, bool | None]] = []
+    config = StillnessConfig()
+    previous: Scan | None = None
+    # Clouds fill chunks fast, so even jumps within a second save reading.
+    for index, message in _readable(sampled(recording, [topic], times_ns, span[1] + 1, most=2, jump_ns=0)):
+        try:
+            scans[index].append(decode_cloud(message).scan)
+        except UnreadableSourceError:
+            continue
+        logged_ns.setdefault(index, message.log_time_ns)
+        if len(scans[index]) == 2:
+            alone = _stands(detect_motion(scans[index], config))
+            if alone and previous is not None:
+                stayed = _stands(detect_motion([previous, scans[index][0]], config))
+                # Standstill may begin with a sample that the vehicle has just arrived at.
+                still += [] if stayed else [(logged_ns[index] - 1, stayed)]
+            still.append((logged_ns[index], alone))
+            previous = scans.pop(index)[0]
+    return still
+
+
+def _readable(items: Iterable[_Item]) -> Iterator[_Item]:
+    """Yield up to where the recording is damaged."""
+    try:
+        yield from items
+    except DamagedRecordingError:
+        return
+
+
+def _stands(motion: Motion) -> bool | None:
+    return not motion.moving if motion.observable else None
+
+
+def _ros_samples(
+    recording: Recording, message_type: str, span: Span, most: int
+) -> tuple[str, list[int], list[list[FloatArray]]] | None:
+    """Return the topic with the most messages of a type, and log time and the messages' numbers of each sample."""
+    topics = [
+        topic
+        for topic in recording.topics
+        if topic.message_type == message_type and topic.encoding in ("cdr", "ros1") and topic.count
+    ]
+    if not topics:
+        return None
+    name = max(topics, key=lambda topic: (topic.count, topic.name)).name
+    bursts: dict[int, tuple[int, list[FloatArray]]] = {}
+    for index, message in _readable(sampled(recording, [name], _times_ns(span, 240, 0.25), span[1] + 1, most)):
+        if message.message_type != message_type:
+            continue
+        try:
+            numbers = _numbers(message)
+        except ValueError:
+            continue
+        bursts.setdefault(index, (message.log_time_ns, []))[1].append(numbers)
+    found = [bursts[index] for index in sorted(bursts)]
+    return (name, [time_ns for time_ns, _ in found], [rows for _, rows in found]) if found else None
+
+
+def _times_ns(span: Span, most: int, min_step_s: float) -> list[int]:
+    count = int((span[1] - span[0]) / _NS_PER_S / min_step_s) + 1
+    return evenly(span[0], span[1] + 1, min(most, count))
+
+
+def _numbers(message: RawMessage) -> FloatArray:
+    """Return the numbers of a message in their order.
+
+    Odometry (85,): position, quaternion, covariance (36), velocity, rates, covariance (36).
+    IMU (37,): quaternion, covariance (9), rates, covariance (9), acceleration, covariance (9).
+    """
+    reader = WireReader.of_message(message)
+    reader.header()
+    if message.message_type == _IMU:
+        return np.array(reader.float64s(37))
+    reader.text()  # child_frame_id
+    return np.array(reader.float64s(85))
+
+
+def richest_topics(recording: Recording, span: Span) -> list[str]:
+    """Return the cloud topics, those with the largest clouds first."""
+    topics = [topic.name for topic in recording.topics if is_cloud(topic) and topic.count]
+    sizes = dict.fromkeys(topics, 0)
+    # Do not wait for topics that are silent at the beginning.
+    for _, message in _readable(sampled(recording, topics, [span[0]], min(span[1], span[0] + PATIENCE_NS) + 1)):
+        sizes[message.topic] = len(message.data)
+    return sorted(sizes, key=lambda topic: (-sizes[topic], topic))

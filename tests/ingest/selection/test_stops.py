@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The standstills of a log that are chosen as stops, by simulated drives whose stops are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from multilica.config import IngestConfig
+from multilica.errors import UnfitSnapshotError, UsageError
+from multilica.ingest import find_stops, inspect_source, read_stops
+from multilica.ingest.recording import Messages, Recording, Span, Topic
+from multilica.ingest.selection import standstill
+from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
+from multilica.simulate.rigs import FRONT_BACK
+from multilica.simulate.sensors import RasterPattern
+from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
+from multilica.snapshot import Snapshot
+
+pytestmark = pytest.mark.slow
+
+STAND_FRAMES = 25
+SLOW_NS = 200_000_000
+"""In which the vehicle goes millimetres when it sets out or arrives."""
+FEW = IngestConfig(frames=3)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_rig() -> Iterator[None]:
+    """Two LiDARs of a few thousand beams."""
+    coarse = RasterPattern(36, 160, 120.0, 25.0)
+    mounts = tuple(replace(mount, sensor=replace(mount.sensor, pattern=coarse)) for mount in FRONT_BACK.mounts)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setitem(RIGS, "small", replace(FRONT_BACK, name="small", mounts=mounts))
+        yield
+
+
+@pytest.fixture(scope="module")
+def drive() -> SimulatedDrive:
+    """Three stops in a yard, a half turn in all."""
+    options = {"stops": 3, "frames": STAND_FRAMES, "sensors": "ideal", "with_log": True}
+    return simulate_drive("small", "yard", 4, route="turning", **options)
+
+
+@pytest.fixture
+def log(drive: SimulatedDrive, tmp_path: Path) -> Path:
+    write_ros2_mcap(drive.log, tmp_path / "drive.mcap")
+    return tmp_path / "drive.mcap"
+
+
+def part(drive: SimulatedDrive, frames: slice) -> Snapshot:
+    return Snapshot(tuple(replace(lidar, scans=lidar.scans[frames]) for lidar in drive.log.lidars))
+
+
+@pytest.mark.parametrize(
+    "write", [write_ros2_mcap, write_ros2_bag, pytest.param(write_ros1_bag, marks=pytest.mark.nightly)]
+)
+def test_all_stops_are_found(drive: SimulatedDrive, tmp_path: Path, write: Callable[[Snapshot, Path], None]) -> None:
+    path = tmp_path / {"write_ros2_mcap": "a.mcap", "write_ros2_bag": "a", "write_ros1_bag": "a.bag"}[write.__name__]
+    write(drive.log, path)
+    stops = find_stops(path, config=FEW)
+    assert len(stops) == 3
+    for stop, (first_ns, last_ns) in zip(stops, drive.spans_ns, strict=True):
+        assert first_ns - SLOW_NS <= stop.span_ns[0] < stop.span_ns[1] <= last_ns + SLOW_NS
+        assert stop.end_s - stop.start_s >= 1.0
+        assert "cells of 1 m" in stop.why
+    snapshots = read_stops(stops, config=FEW)
+    assert len({snapshot.source for snapshot in snapshots}) == 3
+    for snapshot, stop in zip(snapshots, stops, strict=True):
+        assert snapshot.names == ("front", "rear")
+        stamps_ns = [scan.stamp_ns for lidar in snapshot.lidars for scan in lidar.scans]
+        assert len(stamps_ns) == 6
+        assert stop.span_ns[0] <= min(stamps_ns) < max(stamps_ns) <= stop.span_ns[1]
+        assert snapshot.notes[0].startswith("The vehicle stands still from")
+
+
+def test_as_many_stops_as_asked_for(log: Path) -> None:
+    first, last = find_stops(log, most=2)
+    assert first.end_s < last.start_s
+    with pytest.raises(UsageError, match="expected one or more"):
+        find_stops(log, most=0)
+
+
+def test_stops_after_some_time(drive: SimulatedDrive, log: Path) -> None:
+    """The longest of those is chosen if one is asked for."""
+    after_s = (drive.spans_ns[0][1] - drive.spans_ns[0][0]) / 1e9 + 1.0
+    (stop,) = find_stops(log, config=IngestConfig(start_s=after_s), most=1)
+    assert stop.span_ns[0] >= drive.spans_ns[1][0] - SLOW_NS
+    assert stop.why == "It is the longest standstill."
+
+
+def test_a_metre_further_is_no_new_stop(tmp_path: Path) -> None:
+    options = {"stops": 2, "frames": STAND_FRAMES, "sensors": "ideal", "with_log": True}
+    drive = simulate_drive("small", "yard", 4, route="straight", step_m=1.0, **options)
+    write_ros2_mcap(drive.log, tmp_path / "a.mcap")
+    assert len(inspect_source(tmp_path / "a.mcap").standstills) == 2
+    assert len(find_stops(tmp_path / "a.mcap")) == 1
+
+
+def test_a_log_that_stands_once_has_a_stop(drive: SimulatedDrive, tmp_path: Path) -> None:
+    write_ros2_mcap(part(drive, slice(0, STAND_FRAMES + 20)), tmp_path / "a.mcap")
+    (stop,) = find_stops(tmp_path / "a.mcap")
+    assert (stop.start_s, stop.why) == (0.0, "It is the only standstill.")
+    assert len(read_stops([stop], config=FEW)) == 1
+
+
+def test_a_log_that_never_stands_has_none(drive: SimulatedDrive, tmp_path: Path) -> None:
+    write_ros2_mcap(part(drive, slice(STAND_FRAMES + 6, STAND_FRAMES + 26)), tmp_path / "a.mcap")
+    with pytest.raises(UnfitSnapshotError, match="the vehicle never stands still"):
+        find_stops(tmp_path / "a.mcap")
+    assert inspect_source(tmp_path / "a.mcap").standstills == ()
+
+
+def test_a_log_of_a_single_frame_is_a_stop(drive: SimulatedDrive, tmp_path: Path) -> None:
+    write_ros2_mcap(part(drive, slice(3, 4)), tmp_path / "a.mcap")
+    (stop,) = find_stops(tmp_path / "a.mcap")
+    assert (stop.span_ns, stop.why) == (None, "There is one frame per LiDAR, so no standstill to choose.")
+    (snapshot,) = read_stops([stop])
+    assert [len(lidar.scans) for lidar in snapshot.lidars] == [1, 1]
+    assert inspect_source(tmp_path / "a.mcap").standstills == ()
+
+
+def test_a_log_that_ends_too_early_has_the_stops_before(drive: SimulatedDrive, log: Path) -> None:
+    data = log.read_bytes()
+    log.write_bytes(data[: int(0.75 * len(data))])
+    stops = find_stops(log, config=FEW)
+    assert 1 <= len(stops) <= 2
+    for stop, (first_ns, last_ns) in zip(stops, drive.spans_ns, strict=False):
+        assert first_ns - SLOW_NS <= stop.span_ns[0] < stop.span_ns[1] <= last_ns + SLOW_NS
+    assert len(read_stops(stops, config=FEW)) == len(stops)
+
+
+def test_several_recordings_are_a_stop_each(drive: SimulatedDrive, tmp_path: Path) -> None:
+    paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for path, snapshot in zip(paths, drive.snapshots, strict=False):
+        write_ros2_mcap(snapshot, path)
+    stops = find_stops(paths)
+    assert [stop.paths for stop in stops] == [(path,) for path in paths]
+    assert [snapshot.source for snapshot in read_stops(stops, config=FEW)] == ["a.mcap", "b.mcap"]
+
+
+def test_inspect_tells_the_standstills(drive: SimulatedDrive, log: Path) -> None:
+    summary = inspect_source(log)
+    begin_ns = drive.spans_ns[0][0]
+    assert len(summary.standstills) == 3
+    for found, (first_ns, last_ns) in zip(summary.standstills, drive.spans_ns, strict=True):
+        assert (first_ns - begin_ns - SLOW_NS) / 1e9 <= found.start_s < (last_ns - begin_ns) / 1e9
+        assert 1.0 <= found.length_s <= (last_ns - first_ns + 2 * SLOW_NS) / 1e9
+    assert "the clouds on" in summary.standstill_evidence
+
+
+class _Clock(Recording):
+    """A recording of an hour without messages."""
+
+    topics = (Topic("/points", "sensor_msgs/msg/PointCloud2", "cdr", 36_000),)
+
+    def messages(self, topics: object, start_ns: int = 0) -> Messages:
+        del topics, start_ns
+        yield from ()
+
+
+def test_a_short_standstill_of_a_long_log_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Samples every 15 s meet it once; those about it tell its length."""
+    asked: list[Span] = []
+
+    def look(_: Recording, span: Span) -> tuple[str, list[tuple[int, bool | None]]]:
+        asked.append(span)
+        times_ns = standstill._times_ns(span, 240, 0.25)
+        return "a clock", [(time_ns, 1499e9 <= time_ns < 1503e9 or 2000e9 <= time_ns < 2060e9) for time_ns in times_ns]
+
+    monkeypatch.setattr(standstill, "_by_odometry", look)
+    found = standstill.find_standstills(_Clock(), (0, 3600 * 10**9))
+    assert len(found.spans) == 2
+    first, second = found.spans
+    assert 1499e9 <= first[0] < 1499.5e9
+    assert 1502.5e9 < first[1] < 1503e9
+    assert 2000e9 <= second[0] < second[1] < 2060e9
+    assert len(asked) == 2
