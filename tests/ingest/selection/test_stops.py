@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +13,17 @@ import pytest
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.ingest import find_stops, inspect_source, read_stops
-from multilica.ingest.recording import Messages, Recording, Span, Topic
+from multilica.ingest import stops as stops_module
+from multilica.ingest.locate import find_source
+from multilica.ingest.opening import open_source
+from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic
 from multilica.ingest.selection import standstill
 from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
 from multilica.simulate.rigs import FRONT_BACK
 from multilica.simulate.sensors import RasterPattern
 from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
 from multilica.snapshot import Snapshot
+from tests.ingest.support.processes import served
 
 pytestmark = pytest.mark.slow
 
@@ -75,6 +80,25 @@ def test_all_stops_are_found(drive: SimulatedDrive, tmp_path: Path, write: Calla
         assert len(stamps_ns) == 6
         assert stop.span_ns[0] <= min(stamps_ns) < max(stamps_ns) <= stop.span_ns[1]
         assert snapshot.notes[0].startswith("The vehicle stands still from")
+
+
+@pytest.mark.nightly
+def test_stops_of_a_log_on_a_server_are_the_same(log: Path) -> None:
+    with served("file_server.py", log.parent) as port:
+        stops = find_stops(f"http://127.0.0.1:{port}/files/{log.name}")
+    assert [stop.span_ns for stop in stops] == [stop.span_ns for stop in find_stops(log)]
+
+
+def test_few_of_the_scans_are_decoded(drive: SimulatedDrive, log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most two a second of one LiDAR, and one of two LiDARs per standstill."""
+    decoded: list[int] = []
+    for module in (standstill, stops_module):
+        decode = module.decode_cloud
+        monkeypatch.setattr(module, "decode_cloud", lambda message, of=decode: decoded.append(1) or of(message))
+    find_stops(log)
+    duration_s = (drive.spans_ns[-1][1] - drive.spans_ns[0][0]) / 1e9
+    assert 0 < len(decoded) <= 2 * (duration_s + 1) + 2 * 3
+    assert len(decoded) < sum(len(lidar.scans) for lidar in drive.log.lidars) / 4
 
 
 def test_as_many_stops_as_asked_for(log: Path) -> None:
@@ -150,6 +174,28 @@ def test_inspect_tells_the_standstills(drive: SimulatedDrive, log: Path) -> None
         assert (first_ns - begin_ns - SLOW_NS) / 1e9 <= found.start_s < (last_ns - begin_ns) / 1e9
         assert 1.0 <= found.length_s <= (last_ns - first_ns + 2 * SLOW_NS) / 1e9
     assert "the clouds on" in summary.standstill_evidence
+
+
+class _BreaksOff(Recording):
+    """A recording without index that cannot be read beyond a time."""
+
+    is_indexed = False
+
+    def __init__(self, whole: Recording, end_ns: int) -> None:
+        self._whole, self._end_ns, self.topics = whole, end_ns, whole.topics
+
+    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
+        for message in self._whole.messages(topics, start_ns):
+            if message.log_time_ns > self._end_ns:
+                raise DamagedRecordingError("the log", "its records make no sense")
+            yield message
+
+
+def test_standstills_before_the_damage_are_found(drive: SimulatedDrive, log: Path) -> None:
+    with closing(open_source(find_source(log))) as recording:
+        broken = _BreaksOff(recording, drive.spans_ns[1][1])
+        found = standstill.find_standstills(broken, (drive.spans_ns[0][0], drive.spans_ns[2][1]))
+    assert len(found.spans) == 2
 
 
 class _Clock(Recording):

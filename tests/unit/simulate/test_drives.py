@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from multilica.errors import UnknownNameError, UsageError
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.simulate import FIRST_STOP, RIGS, ROUTES, SimulatedDrive, drives, simulate_drive, simulate_snapshot
-from multilica.simulate.routes import plan_legs
+from multilica.simulate.routes import Leg, plan_legs
 from multilica.simulate.shapes.mesh import merged
 from multilica.simulate.world import Exposure, _rolling
 from tests.selection import some_of
@@ -88,10 +88,12 @@ def test_routes_turn_as_they_say(stops: int) -> None:
 
 
 def test_an_arc_ends_where_its_pieces_end() -> None:
+    x_m, y_m, yaw_rad = Leg(5.0, 0.5).end((0.0, 0.0, 0.0))
+    assert (x_m, y_m, yaw_rad) == pytest.approx((10.0 * np.sin(0.5), 10.0 * (1.0 - np.cos(0.5)), 0.5))
     (leg,) = plan_legs("yard", 2, np.random.default_rng(1), None)
     whole, place = leg.end((1.0, 2.0, 0.3)), (1.0, 2.0, 0.3)
     for _ in range(4):
-        place = type(leg)(leg.length_m / 4, leg.turn_rad / 4).end(place)
+        place = Leg(leg.length_m / 4, leg.turn_rad / 4).end(place)
     np.testing.assert_allclose(place, whole)
     np.testing.assert_allclose(leg.end((1.0, 2.0, 0.3), 0.0), (1.0, 2.0, 0.3))
 
@@ -108,6 +110,7 @@ def test_a_lidar_is_knocked_from_a_stop_on() -> None:
     assert all(frames(drive, stop, "front") == frames(still, stop, "front") for stop in range(3))
 
 
+@pytest.mark.slow
 def test_parked_cars_stand_there_at_some_stops_only(monkeypatch: pytest.MonkeyPatch) -> None:
     still, drive = (driven("front_back", "yard", "turning", parked=count) for count in (0, 3))
     changed = []
@@ -121,6 +124,7 @@ def test_parked_cars_stand_there_at_some_stops_only(monkeypatch: pytest.MonkeyPa
         simulate_drive("front_back", "yard", 2, stops=3, parked=30, **CHEAP)
 
 
+@pytest.mark.slow
 def test_a_log_holds_the_stops_and_the_way(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(drives, "_LEG_FRAMES", 4)
     few = {"stops": 2, "frames": 2, "keep_every": 200, "sensors": "ideal"}
