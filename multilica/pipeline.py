@@ -13,7 +13,7 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds, open_calibration_workers
-from multilica.orchestration.pairs import PAIR_STAGES
+from multilica.orchestration.pairs import PAIR_STAGES, PreparedLidar
 from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refine_rig, refused, result_of
 from multilica.orchestration.search import search_pairs
 from multilica.orchestration.state import CalibrationState, deadline_of
@@ -44,6 +44,7 @@ def calibrate(
     workers: Workers | None = None,
     rig: Extrinsics | None = None,
     deadline_s: float | None = None,
+    prepared: dict[str, PreparedLidar] | None = None,
 ) -> CalibrationResult:
     """Find the pose of every LiDAR of the snapshot relative to the target LiDAR, like `multilica.calibrate`.
 
@@ -52,6 +53,7 @@ def calibrate(
             not corrections to the prior.
         rig: has the target in the base frame, by name or frame id.
         deadline_s: on `time.monotonic`, after which no pair is searched; by default `runtime.max_time_s` from now.
+        prepared: receives the prepared LiDARs, for links to other stops.
 
     Raises:
         UnfitSnapshotError: fewer than two LiDARs have returns in range, the target has none, or the vehicle moves.
@@ -79,6 +81,8 @@ def calibrate(
             _run_stages(state)
             result = result_of(state)
             state.workers.forget()
+            if prepared is not None:
+                prepared.update(state.lidars)
     except UnfitSnapshotError as error:
         observe(events.CalibrationFinished(refused(state, Refusal(error.code, str(error)))))
         raise

@@ -8,6 +8,8 @@ from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
+from threadpoolctl import threadpool_limits
+
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
 from multilica.errors import UnfitSnapshotError
@@ -27,6 +29,8 @@ from multilica.ingest.remote.address import local_output, stem_of
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
+from multilica.orchestration.links import MAX_LINKED_STOPS, DriveStop, search_links
+from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
@@ -78,8 +82,9 @@ def run_calibration(
     """Read recordings, calibrate, and write a run directory.
 
     Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
-    own below `out`, then all of them jointly into `out`. Every file is written under a temporary name and renamed when
-    it is complete. An exception that ends the run carries a note on the files that are left in the directory.
+    own below `out`, then all of them jointly into `out`, with links between those that saw the same. Every file is
+    written under a temporary name and renamed when it is complete. An exception that ends the run carries a note on
+    the files that are left in the directory.
 
     Args:
         sources: as for `read_snapshot`.
@@ -145,7 +150,9 @@ def _read(source: SnapshotSource, config: CalibrationConfig, observe: RunObserve
     return snapshot
 
 
-def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> CalibrationRun:
+def _run_one(
+    snapshot: Snapshot, directory: Path, request: _Request, prepared: dict[str, PreparedLidar] | None = None
+) -> CalibrationRun:
     prior: Extrinsics | None = None
     if request.prior is not None:
         found = read_prior(request.prior, snapshot)
@@ -160,7 +167,9 @@ def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> Calibrat
         open_run(directory, request.config, request.mcap_encoding) as run,
         beside(_told_when_written(run, request.observe)) as observe,
     ):
-        result = calibrate(snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s)
+        result = calibrate(
+            snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s, prepared
+        )
     return CalibrationRun(result, request.config, directory, run.written)
 
 
@@ -192,18 +201,29 @@ def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _R
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
         names = names_of([source.paths[0] for source in sources])
-        alone = [
-            _run_alone(source, name, run.place / source.name, request)
-            for source, name in zip(sources, names, strict=True)
-        ]
-        result = join(alone, config)
+        alone: list[SnapshotRun] = []
+        stops: list[DriveStop] = []
+        for source, name in zip(sources, names, strict=True):
+            prepared: dict[str, PreparedLidar] | None = {} if len(stops) < MAX_LINKED_STOPS else None
+            alone.append(_run_alone(source, name, run.place / source.name, request, prepared))
+            if prepared and (own := alone[-1].result) is not None:
+                stops.append(DriveStop(source.name, prepared, own.trusted))
+        with threadpool_limits(1):
+            links = search_links(stops, config, request.workers, request.deadline_s)
+            result = join(alone, config, links)
         shown = next(source for source in sources if source.name == shown_snapshot(result))
         result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run, request.rig)
     directories = tuple(path for source in sources if (path := directory / source.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 
 
-def _run_alone(source: SnapshotSource, name: str, directory: Path, request: _Request) -> SnapshotRun:
+def _run_alone(
+    source: SnapshotSource,
+    name: str,
+    directory: Path,
+    request: _Request,
+    prepared: dict[str, PreparedLidar] | None,
+) -> SnapshotRun:
     """Calibrate one of several snapshots; the others can do without one that is refused."""
     request.observe(events.SnapshotStarted(source.name))
     config = request.config
@@ -214,7 +234,7 @@ def _run_alone(source: SnapshotSource, name: str, directory: Path, request: _Req
             ground = config.ground.model_copy(update={"enabled": False})
             config = config.model_copy(update={"target": "", "ground": ground})
             request = replace(request, rig=None)
-        result = _run_one(snapshot, directory, replace(request, config=config)).result
+        result = _run_one(snapshot, directory, replace(request, config=config), prepared).result
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(source.name, str(refusal)))
         (told,) = without_folders([str(refusal)], source.paths)

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 
 from multilica import events, pipeline
 from multilica.config import CalibrationConfig
+from multilica.drive_calibration import calibrate_stops
+from multilica.errors import UsageError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import read_snapshot, require_calibratable
@@ -16,7 +18,7 @@ from multilica.workers import Workers
 
 
 def calibrate(
-    source: Snapshot | PathLike | Sequence[PathLike],
+    source: Snapshot | Sequence[Snapshot] | PathLike | Sequence[PathLike],
     config: CalibrationConfig | None = None,
     observe: Observer = events.ignore,
     prior: Extrinsics | None = None,
@@ -25,10 +27,11 @@ def calibrate(
 ) -> CalibrationResult:
     """Find the pose of every LiDAR of a snapshot or a recording relative to the target LiDAR.
 
-    `run_calibration` does the same and writes the files; it also takes several snapshots of one rig.
+    `run_calibration` does the same and writes the files; it also takes recordings of several snapshots of one rig.
 
     Args:
-        source: a snapshot with at least two LiDARs, or a source as for `read_snapshot`.
+        source: a snapshot with at least two LiDARs, several of one vehicle at different stops, or a source as for
+            `read_snapshot`.
         config: the default preset if None.
         observe: called with each event of `multilica.events` as it happens.
         prior: known poses in metres and radians, by the LiDARs' names; tested like other hypotheses.
@@ -45,9 +48,23 @@ def calibrate(
         WorkerDiedError: a worker process was killed or crashed.
     """
     deadline_s = deadline_of(config or CalibrationConfig())
-    if isinstance(source, Snapshot):
-        snapshot = source
+    snapshots = _as_snapshots(source)
+    if len(snapshots) > 1:
+        if prior is not None or rig is not None:
+            raise UsageError("A prior or a rig is for one snapshot; several were given.")
+        return calibrate_stops(snapshots, config, observe, workers, deadline_s)
+    if snapshots:
+        (snapshot,) = snapshots
     else:
-        snapshot = read_snapshot(source, config=config.ingest if config else None)
+        snapshot = read_snapshot(source, config=config.ingest if config else None)  # type: ignore[arg-type]
         require_calibratable(snapshot)
     return pipeline.calibrate(snapshot, config, observe, prior, workers, rig, deadline_s)
+
+
+def _as_snapshots(source: Snapshot | Sequence[Snapshot] | PathLike | Sequence[PathLike]) -> list[Snapshot]:
+    """Return the snapshots of a source that is one or several; none if it has to be read."""
+    if isinstance(source, Snapshot):
+        return [source]
+    if isinstance(source, PathLike):
+        return []
+    return [each for each in source if isinstance(each, Snapshot)]

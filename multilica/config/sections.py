@@ -257,6 +257,14 @@ class JointConfig(Section):
     max_disagreement_deg: Positive = Field(0.5, description="as max_disagreement_m, for rotation: 9 cm at 10 m")
 
 
+class DriveConfig(Section):
+    """Stops of one drive, which what the LiDARs see at several of them links."""
+
+    max_distance_m: Metres = Field(
+        40.0, description="largest distance between LiDARs at two stops that are linked; 0: no links are sought"
+    )
+
+
 class GroundConfig(Section):
     """The plane under the vehicle."""
 
@@ -318,6 +326,7 @@ class CalibrationConfig(Section):
     merge: MergeConfig = MergeConfig()
     refine: RefineConfig = RefineConfig()
     joint: JointConfig = JointConfig()
+    drive: DriveConfig = DriveConfig()
     ground: GroundConfig = GroundConfig()
     runtime: RuntimeConfig = RuntimeConfig()
     record: RecordConfig = RecordConfig()

@@ -11,9 +11,9 @@ import numpy as np
 from multilica.acceptance.placement import contested_place, place, place_target, why_unplaced_jointly
 from multilica.config import STAGES, AcceptanceConfig, CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
+from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.estimate import (
     Estimate,
-    chained,
     chance_of_difference,
     estimate_poses,
     scatter_ratio,
@@ -21,6 +21,7 @@ from multilica.multi_snapshot.estimate import (
 )
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
+from multilica.multi_snapshot.trusted_links import LinkedRig, refine_linked
 from multilica.results import (
     CalibrationResult,
     LidarPlacement,
@@ -29,10 +30,12 @@ from multilica.results import (
     Refinement,
     SnapshotDeviation,
     SnapshotReport,
+    StopPose,
     TimeLimit,
+    ViewPair,
 )
 from multilica.results.placements import LEAST_PROBABILITY
-from multilica.stages.refine import RefinedRig, refine
+from multilica.stages.refine import RefinedRig
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +75,9 @@ def require_joinable(config: CalibrationConfig) -> None:
         )
 
 
-def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -> CalibrationResult:
+def join(
+    runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None, links: Sequence[ViewPair] = ()
+) -> CalibrationResult:
     """Place every LiDAR of a rig from all its snapshots.
 
     Contradictions between snapshots are resolved by majority first. Then one pose graph takes the trusted registrations
@@ -82,6 +87,7 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
     Args:
         runs: each snapshot calibrated with that configuration, or its refusal.
         config: the default preset if None.
+        links: registrations between snapshots that are stops of one drive.
 
     Returns:
         One placement per LiDAR of any snapshot; `snapshots` has the contribution of each. `pairs` and `health` are
@@ -99,14 +105,15 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
     lidars = sorted({placement.lidar for result in results.values() for placement in result.placements})
     given: SnapshotPairs = {name: result.trusted for name, result in results.items()}
     kept, conflicts = resolve_conflicts(given, config)
-    target, reason = choose_target(kept, lidars, config.target)
+    target, reason = choose_target(kept, lidars, config.target, links)
+    linked = _rig(target, kept, links, config)
     alone = _estimates(target, given, config)
     changed = {name: own for name, own in kept.items() if own is not given[name]}
     joint = _JointRig(
         target,
         results,
         kept,
-        _rig(target, kept, config),
+        linked,
         alone,
         alone | _estimates(target, changed, config),
         {name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results},
@@ -118,6 +125,8 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
         placements=tuple(joint.placement(name) for name in lidars),
         timing_s=dict(sum((Counter(result.timing_s) for result in results.values()), Counter())),
         refinement=joint.rig.refinement,
+        stops=joint.stops(),
+        links=joint.linked.links,
         time_limit=_time_limit(results.values(), joint.rig.poses),
         snapshots=tuple(joint.report(run) for run in runs),
     )
@@ -131,13 +140,16 @@ def join(runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None) -
     return replace(result, placements=placements, pairs=shown.pairs, health=shown.health)
 
 
-def choose_target(pairs: SnapshotPairs, lidars: Sequence[str], asked_for: str) -> tuple[str, str]:
+def choose_target(
+    pairs: SnapshotPairs, lidars: Sequence[str], asked_for: str, links: Sequence[ViewPair] = ()
+) -> tuple[str, str]:
     """Choose the LiDAR that the user names, else the one with the most overlap in the most snapshots.
 
     Args:
         pairs: of at least one snapshot, without contradicting ones, so that the target is not disputed.
         lidars: all names, in order.
         asked_for: empty if the user names none.
+        links: decide where no snapshot has a pair.
 
     Returns:
         The name of the target and the reason in words.
@@ -150,6 +162,10 @@ def choose_target(pairs: SnapshotPairs, lidars: Sequence[str], asked_for: str) -
             raise UnknownNameError("LiDAR", asked_for, lidars)
         return asked_for, "set by --target"
     overlaps = [_overlap(own) for own in pairs.values()]
+    if links and not any(overlaps):
+        counts = Counter(name for link in links for name in link.registration.lidars)
+        best = max(lidars, key=lambda name: counts[name])
+        return best, f"it is in {counts[best]} of {len(links)} links between stops"
     first = Counter(max(sorted(overlap), key=overlap.__getitem__) for overlap in overlaps if overlap)
     total = {name: fsum(overlap.get(name, 0.0) for overlap in overlaps) for name in lidars}
     best = max(lidars, key=lambda name: (first[name], total[name]))
@@ -165,16 +181,15 @@ def _overlap(pairs: Sequence[PairRegistration]) -> dict[str, float]:
     return {name: fsum(values) for name, values in fitness.items()}
 
 
-def _rig(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> RefinedRig:
+def _rig(target: str, pairs: SnapshotPairs, links: Sequence[ViewPair], config: CalibrationConfig) -> LinkedRig:
+    linked = refine_linked(target, pairs, links, config.refine)
+    rig = linked.rig
     weighted = [(name, pair) for name, own in pairs.items() for pair in own if pair.information is not None]
-    registrations = [pair for _, pair in weighted]
-    poses = chained(target, registrations)
-    rig = refine(target, poses, registrations, config.refine)
-    used = [name for name, pair in weighted if pair.lidars <= {*poses}]
+    used = [name for name, pair in weighted if pair.lidars <= {*rig.poses}]
     residuals = tuple(
         replace(residual, snapshot=name) for name, residual in zip(used, rig.refinement.pairs, strict=False)
     )
-    return replace(rig, refinement=Refinement.of(residuals, rig.refinement.biases))
+    return replace(linked, rig=replace(rig, refinement=Refinement.of(residuals, rig.refinement.biases)))
 
 
 def _estimates(target: str, pairs: SnapshotPairs, config: CalibrationConfig) -> dict[str, Mapping[str, Estimate]]:
@@ -190,7 +205,9 @@ def _time_limit(results: Collection[CalibrationResult], placed: Collection[str])
     return TimeLimit(limits[0].max_time_s, tuple(sorted(missed)))
 
 
-def _placed_by(placing: int, snapshots: int) -> str:
+def _placed_by(placing: int, snapshots: int, *, linked: bool) -> str:
+    if linked and not placing:
+        return f"placed by links between stops; none of {snapshots} stops places it alone"
     if not placing:
         return f"placed by pairs of several snapshots, though none of {snapshots} snapshots places it alone"
     return f"placed by {placing} of {snapshots} snapshots"
@@ -210,11 +227,25 @@ class _JointRig:
     target: str
     results: Mapping[str, CalibrationResult]
     kept: SnapshotPairs
-    rig: RefinedRig
+    linked: LinkedRig
     alone: Mapping[str, Mapping[str, Estimate]]
     agreed: Mapping[str, Mapping[str, Estimate]]
     inconsistent: Mapping[str, tuple[PoseConflict, ...]]
     limits: AcceptanceConfig
+
+    @property
+    def rig(self) -> RefinedRig:
+        return self.linked.rig
+
+    def stops(self) -> tuple[StopPose, ...]:
+        """Return the poses of the vehicle at the stops that links connect."""
+        found: list[StopPose] = []
+        for group in self.linked.linked.groups():
+            first = group[0]
+            for name in group:
+                pose = RigidTransform(first, name, self.rig.stops[name].matrix)
+                found.append(StopPose(name, first, pose, self.rig.stop_covariances.get(name)))
+        return tuple(found)
 
     def placement(self, lidar: str) -> LidarPlacement:
         if lidar == self.target:
@@ -223,14 +254,14 @@ class _JointRig:
             return LidarPlacement(lidar, why_unplaced_jointly(lidar, self.target, self.results, self.inconsistent))
         estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
         ratio = scatter_ratio(estimates)
-        best = max(
-            (pair for own in self.kept.values() for pair in own if lidar in pair.lidars), key=lambda pair: pair.evidence
-        )
+        of_links = [link.registration for link in self.linked.linked.links]
+        pairs = [*(pair for own in self.kept.values() for pair in own), *of_links]
+        best = max((pair for pair in pairs if lidar in pair.lidars), key=lambda pair: pair.evidence)
         return place(
             self.rig.poses[lidar],
             self.rig.covariances[lidar] * np.outer(ratio, ratio),
             self.limits,
-            _placed_by(len(estimates), len(self.results)),
+            _placed_by(len(estimates), len(self.results), linked=bool(of_links)),
             repeatability=self.rig.repeatability.get(lidar),
             fitness=best.fitness,
             rmse_m=best.rmse_m,

@@ -72,6 +72,20 @@ class PreparedLidar:
         views = [] if self.view is None else self.view.alone
         return prepare_registration_cloud(self.cloud.lidar, self.cloud.points_m, views, self.config)
 
+    def as_view(self, label: str, config: CalibrationConfig) -> "PreparedLidar":
+        """Return the LiDAR under another name, with the clouds that were built so far."""
+        view = None if self.view is None else replace(self.view, lidar=label)
+        cloud, features = replace(self.cloud, lidar=label), replace(self.features, lidar=label)
+        found = PreparedLidar(cloud, features, view, config)
+        if view is not None and "verification_cloud" in self.__dict__:
+            short = VerificationCloud(view, replace(self.verification_cloud.cloud, name=label))
+            found.__dict__["verification_cloud"] = short
+        if view is not None and "side" in self.__dict__:
+            found.__dict__["side"] = replace(
+                self.side, cloud=replace(self.side.cloud, name=label), views=tuple(view.alone)
+            )
+        return found
+
     def __reduce__(self) -> tuple[object, ...]:
         """Leave out what is built on first use: types of the engines cannot be copied to another process."""
         return PreparedLidar, (self.cloud, self.features, self.view, self.config)

@@ -45,6 +45,7 @@ from multilica.results.registrations import (
     Verdict,
     connected,
 )
+from multilica.results.stops import DriveView, LinkedStops, StopLink, StopPose, ViewPair
 from multilica.results.visibility_score import BeamLabel, VisibilityScore
 
 __all__ = [
@@ -57,6 +58,7 @@ __all__ = [
     "CoarseResult",
     "ContestedPlace",
     "Correspondences",
+    "DriveView",
     "FeatureCloud",
     "GicpStep",
     "GroundPlane",
@@ -64,6 +66,7 @@ __all__ = [
     "Hypothesis",
     "IndexArray",
     "LidarPlacement",
+    "LinkedStops",
     "MergeCandidate",
     "MergeDecision",
     "PairKey",
@@ -83,10 +86,13 @@ __all__ = [
     "Solution",
     "Spread",
     "Stability",
+    "StopLink",
+    "StopPose",
     "SurfaceMatches",
     "SurfaceResiduals",
     "TimeLimit",
     "Verdict",
+    "ViewPair",
     "VisibilityScore",
     "connected",
     "hypothesis_label",

@@ -15,7 +15,7 @@ import numpy as np
 import multilica
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray, RigidTransform, largest_index, rotation_angle_rad, rotation_vector
-from multilica.results import CalibrationResult, GroundPlane, LidarPlacement, PairRegistration, SensorHealth
+from multilica.results import CalibrationResult, GroundPlane, LidarPlacement, PairRegistration, SensorHealth, StopPose
 from multilica.results.document import (
     RESULT_SCHEMA,
     GroundEntry,
@@ -26,6 +26,7 @@ from multilica.results.document import (
     PriorEntry,
     RegistrationEntry,
     ResultDocument,
+    StopEntry,
 )
 from multilica.snapshot import Snapshot
 
@@ -87,6 +88,9 @@ def result_document(result: CalibrationResult, config: CalibrationConfig, proven
             each.lidar: _lidar(each, health.get(each.lidar), result.target, exchanged) for each in result.placements
         },
         pairs=tuple(map(pair_entry, result.pairs)),
+        stops=tuple(
+            StopEntry.of(each.T_first_stop, each, T_first_stop=each.T_first_stop.matrix) for each in result.stops
+        ),
         ground=None if result.ground is None else _ground(result.ground),
         config=config,
     )
@@ -122,6 +126,10 @@ def pair_entry(pair: PairRegistration) -> PairEntry:
     ]
     pose = pair.T_target_source
     return PairEntry.of(pose, pair, T_target_source=pose.matrix, registrations=registrations)
+
+
+def _stop(stop: StopPose) -> StopEntry:
+    return StopEntry.of(stop.T_first_stop, stop, T_first_stop=stop.T_first_stop.matrix)
 
 
 def _ground(ground: GroundPlane) -> GroundEntry:

@@ -15,6 +15,7 @@ from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
 from multilica.results.placements import GroundPlane, LidarPlacement, MergeDecision, Refinement
 from multilica.results.registrations import PairRegistration
+from multilica.results.stops import StopLink, StopPose
 from multilica.results.values import Figure
 
 if TYPE_CHECKING:
@@ -139,6 +140,8 @@ class CalibrationResult:
         pairs: registrations of all pairs that were tried, in name order.
         health: of each LiDAR that was examined, in name order.
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
+        stops: the vehicle at each stop that links connect with others; empty without links.
+        links: registrations between stops, also those that are not used.
         level: pose of the target in a frame with z up, for pictures; None without a ground plane.
     """
 
@@ -154,6 +157,8 @@ class CalibrationResult:
     refusal: Refusal | None = None
     trusted: tuple[PairRegistration, ...] = ()
     snapshots: tuple[SnapshotReport, ...] = ()
+    stops: tuple[StopPose, ...] = ()
+    links: tuple[StopLink, ...] = ()
     level: RigidTransform | None = None
     ground_refusal: str = ""
     time_limit: TimeLimit | None = None

@@ -25,6 +25,7 @@ from multilica.results.placements import (
 )
 from multilica.results.registrations import Stability, Verdict
 from multilica.results.stages import StageFigures
+from multilica.results.stops import StopLink
 from multilica.results.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry, Quaternion, Vector3
 
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
@@ -139,6 +140,21 @@ class LidarEntry(Entry):
         return _weakest_direction(covariance[3:, 3:]), (math.degrees(sigma_rad), about)
 
 
+class StopEntry(Entry):
+    """The vehicle at one stop of a drive."""
+
+    name: str = Field(description="Name of the stop.")
+    first: str = Field(description="The first of the stops that links connect with this one.")
+    T_first_stop: Matrix4 = Field(
+        description="The target LiDAR at this stop in its own frame at the first stop: p_first = T_first_stop @ p_stop."
+    )
+    xyz_m: Vector3 = Field(description="Position of that pose.")
+    rpy_deg: Vector3 = Field(description="Roll, pitch, yaw of that pose.")
+    covariance: Matrix6 | None = Field(
+        description="Order: rotation (rad), translation (m), along the axes of the first stop; null at that stop."
+    )
+
+
 class RegistrationEntry(Entry):
     """One hypothesis after GICP, with its visibility score."""
 
@@ -209,6 +225,8 @@ class ResultDocument(Entry):
     pairs: tuple[PairEntry, ...] = Field(description="All registered pairs, in name order.")
     decisions: tuple[MergeDecision, ...] = Field(description="Merge steps, in order.")
     snapshots: tuple[SnapshotReport, ...] = Field(description="Snapshots of a joint result, else empty.")
+    stops: tuple[StopEntry, ...] = Field((), description="Stops of a drive that links connect, else empty.")
+    links: tuple[StopLink, ...] = Field((), description="Registrations between stops, also those that are not used.")
     refinement: Refinement | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     ground_refusal: str = Field("", description="Reason why a requested ground plane is missing; else empty.")

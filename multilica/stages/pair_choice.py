@@ -88,7 +88,9 @@ def is_open(before: PairRegistration | None, implied: RigidTransform) -> bool:
     )
 
 
-def choose_loops(scores: Mapping[PairKey, Registration], min_evidence: float) -> list[PairKey]:
+def choose_loops(
+    scores: Mapping[PairKey, Registration], min_evidence: float, most: int = _LOOPS_PER_LIDAR
+) -> list[PairKey]:
     """Choose the pairs with common surfaces that are registered, the ones with the most evidence first.
 
     No LiDAR is in more than a few of them.
@@ -96,7 +98,7 @@ def choose_loops(scores: Mapping[PairKey, Registration], min_evidence: float) ->
     count: Counter[str] = Counter()
     chosen: list[PairKey] = []
     for pair in sorted(scores, key=lambda pair: (-scores[pair].evidence, pair)):
-        if scores[pair].evidence >= min_evidence and max(count[name] for name in pair) < _LOOPS_PER_LIDAR:
+        if scores[pair].evidence >= min_evidence and max(count[name] for name in pair) < most:
             count.update(pair)
             chosen.append(pair)
     return chosen

@@ -3,14 +3,13 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import chdtrc
 
 from multilica.config import RefineConfig
-from multilica.geometry import FloatArray, RigidTransform, skew
-from multilica.registration.poses import moved
+from multilica.geometry import FloatArray, RigidTransform
 from multilica.registration.sensor_biases import (
     BIAS_COUNT,
     RING_BIAS_COUNT,
@@ -18,7 +17,17 @@ from multilica.registration.sensor_biases import (
     prior_sigmas,
     ring_sigmas,
 )
-from multilica.results import IndexArray, PairRegistration, PairResidual, Refinement, SensorBias, connected
+from multilica.registration.view_poses import ViewPoses
+from multilica.results import (
+    IndexArray,
+    LinkedStops,
+    PairRegistration,
+    PairResidual,
+    Refinement,
+    SensorBias,
+    ViewPair,
+    connected,
+)
 
 _ITERATIONS = 20
 # Converged when no pose moves by more, rad and m.
@@ -39,12 +48,18 @@ class RefinedRig:
         covariances: per LiDAR other than the root (6, 6), order rotation (rad), translation (m) along the root's axes.
         repeatability: per LiDAR the (6, 6) part of it that random errors cause.
         refinement: residuals of the pairs before and after, with the biases of the LiDARs.
+        stops: per linked stop the root LiDAR in its own frame at the first of these stops.
+        stop_covariances: per linked stop other than the first (6, 6), as those of the LiDARs.
+        links: residuals of the links between stops.
     """
 
     poses: Mapping[str, RigidTransform]
     covariances: Mapping[str, FloatArray]
     repeatability: Mapping[str, FloatArray]
     refinement: Refinement
+    stops: Mapping[str, RigidTransform] = field(default_factory=dict)
+    stop_covariances: Mapping[str, FloatArray] = field(default_factory=dict)
+    links: tuple[PairResidual, ...] = ()
 
 
 def refine(
@@ -52,6 +67,7 @@ def refine(
     poses: Mapping[str, RigidTransform],
     pairs: Sequence[PairRegistration],
     config: RefineConfig,
+    linked: LinkedStops | None = None,
 ) -> RefinedRig:
     """Optimise the pose graph over all accepted pairs, loops included (the paper's future work).
 
@@ -60,24 +76,38 @@ def refine(
     whose residual is much larger than its information allows, after the biases, loses its weight (Cauchy), so that one
     bad pair does not bend the rig.
 
+    Links between stops add the poses of the vehicle at these stops: the pose of a view is that of the vehicle times
+    that of its LiDAR. For pairs within a stop it cancels.
+
     Args:
         root: the LiDAR whose pose is fixed.
         poses: initial ``T_root_lidar`` of every placed LiDAR.
         pairs: registrations, of one or more snapshots; those without `information` or with a LiDAR that is not placed
             are left out.
+        linked: links between stops with initial poses; links are left out like pairs. They and the pairs determine the
+            poses of all LiDARs.
     """
+    linked = linked or LinkedStops()
     used_pairs = [pair for pair in pairs if pair.information is not None and pair.lidars <= set(poses)]
-    free = sorted((set(poses) & connected(root, used_pairs)) - {root})
-    if not free:
+    links = [
+        link
+        for link in linked.links
+        if link.registration.information is not None and link.registration.lidars <= set(poses)
+    ]
+    used = [*(ViewPair(pair, "", "") for pair in used_pairs), *links]
+    free = sorted((set(poses) & (set(poses) if links else connected(root, used_pairs))) - {root})
+    stops = {name: linked.poses[name] for link in links for name in sorted(link.stops)}
+    free_stops = sorted(stops.keys() - linked.first)
+    if not free and not free_stops:
         return RefinedRig(dict(poses), {}, {}, Refinement.of())
-    rings = _rings_of(used_pairs)
+    rings = _rings_of(each.registration for each in used)
     sigmas = _bias_sigmas(rings, config)
     counts = [len(numbers) for numbers in rings.values()]
-    state = _State(dict(poses), np.zeros(len(sigmas)), free, rings)
-    before = [_offset(pair, state.poses) for pair in used_pairs]
+    state = _State(ViewPoses(dict(poses), stops, free, free_stops), np.zeros(len(sigmas)), rings)
+    before = [state.views.offset(pair) for pair in used]
     prior = None
     for _ in range(_ITERATIONS):
-        equations = _normal_equations(used_pairs, state, config)
+        equations = _normal_equations(used, state, config)
         known = posterior(
             equations.information,
             equations.gradient,
@@ -93,13 +123,17 @@ def refine(
         if longest < _EPSILON:
             break
         prior = known.prior if longest < _SETTLED else None
-    residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used_pairs, before, strict=True))
+    residuals = tuple(_residual_of(pair, start, state, config) for pair, start in zip(used, before, strict=True))
     blocks = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free)}
+    of_stops = {name: slice(6 * index, 6 * index + 6) for index, name in enumerate(free_stops, start=len(free))}
     return RefinedRig(
-        state.poses,
+        state.views.poses,
         {name: known.covariance[block, block] for name, block in blocks.items()},
         {name: known.repeatability[block, block] for name, block in blocks.items()},
-        Refinement.of(residuals, _sensor_biases(state, known.bias_sigmas)),
+        Refinement.of(residuals[: len(used_pairs)], _sensor_biases(state, known.bias_sigmas)),
+        state.views.stops,
+        {name: known.covariance[block, block] for name, block in of_stops.items()},
+        residuals[len(used_pairs) :],
     )
 
 
@@ -119,20 +153,16 @@ class _State:
 
     Args:
         biases: of each LiDAR of `rings`, then of the rings of each.
-        free: LiDARs with a pose to find.
         rings: of each LiDAR with biases, the numbers of its rings.
     """
 
-    poses: Mapping[str, RigidTransform]
+    views: ViewPoses
     biases: FloatArray
-    free: Sequence[str]
     rings: Mapping[str, IndexArray]
 
     def moved(self, step: FloatArray) -> "_State":
-        after = dict(self.poses)
-        for i, name in enumerate(self.free):
-            after[name] = moved(self.poses[name], step[6 * i : 6 * i + 3], step[6 * i + 3 : 6 * i + 6])
-        return replace(self, poses=after, biases=self.biases + step[6 * len(self.free) :])
+        of_poses = self.views.columns
+        return replace(self, views=self.views.moved(step[:of_poses]), biases=self.biases + step[of_poses:])
 
     def bias_columns(self, pair: PairRegistration) -> IndexArray:
         """Return which of the biases are those of the pair."""
@@ -181,23 +211,17 @@ def trusted_pairs(
     return trusted
 
 
-def _offset(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> FloatArray:
-    """Return the offset (6,) of the poses from the pair: rotation, translation along the target's axes."""
-    return (poses[pair.target].inverse() @ poses[pair.source]).offset_from(pair.T_target_source)
-
-
-def _residual_of(pair: PairRegistration, start: FloatArray, state: _State, config: RefineConfig) -> PairResidual:
-    end, squared = _offset(pair, state.poses), _squared(pair, state)
+def _residual_of(pair: ViewPair, start: FloatArray, state: _State, config: RefineConfig) -> PairResidual:
+    end, squared = state.views.offset(pair), _squared(pair, state)
     probability = float(chdtrc(_POSE_FREEDOM, squared))
-    return PairResidual(
-        pair.target, pair.source, *_sizes(start), *_sizes(end), _weight(squared, config), probability=probability
-    )
+    names = pair.target.lidar, pair.source.lidar
+    return PairResidual(*names, *_sizes(start), *_sizes(end), _weight(squared, config), probability=probability)
 
 
-def _squared(pair: PairRegistration, state: _State) -> float:
+def _squared(pair: ViewPair, state: _State) -> float:
     """Return the squared Mahalanobis distance of the poses from the pair, by its covariance with biases and all."""
-    offset = _offset(pair, state.poses)
-    return float(offset @ pair.information @ offset)  # type: ignore[operator]
+    offset = state.views.offset(pair)
+    return float(offset @ pair.registration.information @ offset)  # type: ignore[operator]
 
 
 def _sizes(residual: FloatArray) -> tuple[float, float]:
@@ -208,26 +232,46 @@ def _weight(squared: float, config: RefineConfig) -> float:
     return 1.0 / (1.0 + squared / (_POSE_FREEDOM * config.outlier_sigma**2))
 
 
-def _normal_equations(pairs: Sequence[PairRegistration], state: _State, config: RefineConfig) -> _Equations:
+def _normal_equations(pairs: Sequence[ViewPair], state: _State, config: RefineConfig) -> _Equations:
     """Sum over the pairs, each with its robust weight."""
-    poses = 6 * len(state.free)
-    size = poses + len(state.biases)
+    of_poses = state.views.columns
+    size = of_poses + len(state.biases)
     total = _Equations(np.zeros((size, size)), np.zeros(size), np.zeros((size, size)), np.zeros((size, size)))
-    snapshots = Counter((pair.target, pair.source) for pair in pairs)
+    snapshots = Counter((pair.target.lidar, pair.source.lidar) for pair in pairs if not pair.is_link)
     for pair in pairs:
         weight = _weight(_squared(pair, state), config)
-        biases = state.bias_columns(pair)
-        ends = zip((pair.target, pair.source), _jacobians(pair, state.poses), strict=True)
-        moving = [(6 * state.free.index(name), block) for name, block in ends if name in state.free]
-        columns = np.concatenate([*(start + np.arange(6) for start, _ in moving), poses + biases])
-        jacobian = np.hstack([block for _, block in moving])
-        own = _equations_of(pair, state.biases[biases], _offset(pair, state.poses), snapshots[pair.target, pair.source])
+        biases = state.bias_columns(pair.registration)
+        jacobian, moving = state.views.jacobian(pair)
+        columns = np.concatenate([moving, of_poses + biases])
+        times = 1 if pair.is_link else snapshots[pair.target.lidar, pair.source.lidar]
+        own = _equations_of(pair.registration, state.biases[biases], state.views.offset(pair), times)
+        columns, own = _summed(
+            columns,
+            _Equations(
+                _by_poses(own.information, jacobian),
+                np.concatenate([jacobian.T @ own.gradient[:6], own.gradient[6:]]),
+                _by_poses(own.spread, jacobian),
+                _by_poses(own.random_spread, jacobian),
+            ),
+        )
         square = np.ix_(columns, columns)
-        total.information[square] += weight * _by_poses(own.information, jacobian)
-        total.gradient[columns] += weight * np.concatenate([jacobian.T @ own.gradient[:6], own.gradient[6:]])
-        total.spread[square] += weight**2 * _by_poses(own.spread, jacobian)
-        total.random_spread[square] += weight**2 * _by_poses(own.random_spread, jacobian)
+        total.information[square] += weight * own.information
+        total.gradient[columns] += weight * own.gradient
+        total.spread[square] += weight**2 * own.spread
+        total.random_spread[square] += weight**2 * own.random_spread
     return total
+
+
+def _summed(columns: IndexArray, own: _Equations) -> tuple[IndexArray, _Equations]:
+    """Sum what belongs to one unknown: both sides of a LiDAR that is registered with itself have its biases."""
+    unique, places = np.unique(columns, return_inverse=True)
+    if len(unique) == len(columns):
+        return columns, own
+    sums = np.zeros((len(unique), len(columns)))
+    sums[places, np.arange(len(columns))] = 1.0
+    square = (sums @ matrix @ sums.T for matrix in (own.information, own.spread, own.random_spread))
+    information, spread, random_spread = square
+    return unique, _Equations(information, sums @ own.gradient, spread, random_spread)
 
 
 def _by_poses(matrix: FloatArray, jacobian: FloatArray) -> FloatArray:
@@ -256,14 +300,3 @@ def _sensor_biases(state: _State, sigmas: FloatArray) -> tuple[SensorBias, ...]:
         SensorBias(name, *np.column_stack([bias * _DISPLAYED, sigma * _DISPLAYED]).ravel().tolist())
         for name, bias, sigma in zip(state.rings, biases, sigmas.reshape(-1, BIAS_COUNT), strict=True)
     )
-
-
-def _jacobians(pair: PairRegistration, poses: Mapping[str, RigidTransform]) -> tuple[FloatArray, FloatArray]:
-    """Return the derivatives of the residual by motions of the target and of the source along the root's axes."""
-    target, source = poses[pair.target], poses[pair.source]
-    to_target = target.rotation.T
-    apart = skew(source.xyz_m - target.xyz_m)
-    zero = np.zeros((3, 3))
-    by_target = np.block([[-to_target, zero], [to_target @ apart, -to_target]])
-    by_source = np.block([[to_target, zero], [zero, to_target]])
-    return by_target, by_source

@@ -22,6 +22,7 @@ from multilica.sinks.drawing import AGREE, EDGE_LABEL_SHARE, OCCLUDED, VIOLATE, 
 from multilica.sinks.files.atomic import write_text_atomically
 from multilica.sinks.files.result_files import REPORT_HTML, calibration_toml, config_toml, matrix_text, urdf_text
 from multilica.sinks.report.contents import ReportContents, contents_of
+from multilica.sinks.report.drive_map import SIZE_PX, drive_maps, links_of
 from multilica.sinks.report.figures import Figure, pair_figures, rig_figures, short_name
 from multilica.sinks.report.rig import BYTES_PER_POINT, MAX_POINTS, refused_poses, rig_drawing, rig_scene
 from multilica.sinks.report.template import own_text, page_template
@@ -115,6 +116,9 @@ def _context(contents: ReportContents) -> dict[str, Any]:
         "matrix": {pair.key: pair for pair in document.pairs},
         "seconds": {stage: seconds for stage, seconds in document.timing_s.items() if seconds is not None},
         "config_toml": config_toml(document.config),
+        "drive_maps": drive_maps(document, contents.shown_level),
+        "map_size": SIZE_PX,
+        "links_of": links_of(document),
     }
 
 

@@ -231,6 +231,10 @@ def _result_parts(document: ResultDocument) -> Iterator[str]:
         yield f"Ellipsoids of the rig: {SIGMAS:g} sigma of the position, {scale:g} times enlarged."
     if document.snapshots:
         yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in document.snapshots)
+    if document.stops:
+        used = sum(link.used for link in document.links)
+        names = ", ".join(escaped(each.name) for each in document.stops)
+        yield f"Stops: {names}, with {used} of {len(document.links)} links between them used."
     if document.ground is not None:
         yield f"Ground, frame {escaped(document.ground.frame)}: {escaped(document.ground.text)}."
 

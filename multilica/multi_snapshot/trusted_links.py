@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Choice of the links between stops that poses may rest on."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from multilica.acceptance.view_graph import ViewGraph
+from multilica.config import RefineConfig
+from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
+from multilica.multi_snapshot.view_solution import solve_views
+from multilica.registration.poses import is_distinct
+from multilica.results import DriveView, LinkedStops, StopLink, ViewPair
+from multilica.stages.refine import RefinedRig, refine
+
+_ALONE = "no other link confirms it"
+_CONTRADICTED = "it contradicts other links and pairs"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkedRig:
+    """A rig after the joint refinement over all stops.
+
+    Args:
+        links: that its poses rest on, as `rig.links` has their residuals.
+        refused: per link that is not used, why.
+    """
+
+    rig: RefinedRig
+    linked: LinkedStops
+    refused: Mapping[ViewPair, str]
+
+    @property
+    def links(self) -> tuple[StopLink, ...]:
+        """All links, used ones with their residuals."""
+        used = (
+            replace(
+                _described(link),
+                used=True,
+                after_m=residual.after_m,
+                after_deg=residual.after_deg,
+                probability=residual.probability,
+            )
+            for link, residual in zip(self.linked.links, self.rig.links, strict=True)
+        )
+        return (*used, *(replace(_described(link), reason=reason) for link, reason in self.refused.items()))
+
+
+def refine_linked(root: str, pairs: SnapshotPairs, links: Sequence[ViewPair], config: RefineConfig) -> LinkedRig:
+    """Refine a rig over all stops, with the links that others confirm and none contradicts.
+
+    Two places may look alike, and between stops no limit of distance helps. So a link counts only where the other links
+    and the pairs within the stops imply its pose as well: by another link between the same stops, or by a cycle over
+    stops. A link that is far from the others goes, the one with the least evidence first. So does one that differs by
+    more than the covariances allow, the least probable first.
+    """
+    within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
+    refused: dict[ViewPair, str] = {}
+    left = _consistent(within, [link for link in links if link.registration.information is not None], refused)
+    while True:
+        solution = solve_views(root, [*within, *left])
+        alone = [link for link in solution.linked.links if not solution.is_confirmed(link)]
+        if alone:
+            refused.update(dict.fromkeys(alone, _ALONE))
+            left = [link for link in left if link not in alone]
+            continue
+        linked = solution.linked
+        rig = refine(root, solution.poses.poses, [pair.registration for pair in within], config, linked)
+        doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
+        if not doubtful:
+            break
+        worst = linked.links[min(doubtful)[1]]
+        refused[worst] = _CONTRADICTED
+        left = [link for link in left if link is not worst]
+    apart = [link for link in left if link not in linked.links]
+    refused.update(dict.fromkeys(apart, f"nothing connects it to {root}"))
+    return LinkedRig(rig, linked, refused)
+
+
+def _described(link: ViewPair) -> StopLink:
+    return StopLink(*link.target, *link.source, link.registration.evidence, used=False)
+
+
+def _views(within: Sequence[ViewPair], links: Sequence[ViewPair]) -> list[DriveView]:
+    return sorted({view for pair in (*within, *links) for view in pair.views})
+
+
+def _implied(
+    link: ViewPair, within: Sequence[ViewPair], links: Sequence[ViewPair], views: Sequence[DriveView]
+) -> RigidTransform | None:
+    """Return the pose of a link that follows from the others."""
+    others = [other for other in links if other is not link]
+    pose = ViewGraph.of(views, [*within, *others]).implied(link.target, link.source)
+    known = link.registration.T_target_source
+    return None if pose is None else RigidTransform(known.target, known.source, pose.matrix)
+
+
+def _consistent(within: Sequence[ViewPair], links: list[ViewPair], refused: dict[ViewPair, str]) -> list[ViewPair]:
+    """Drop links until none is far from where the others put it, the one with the least evidence first."""
+    views = _views(within, links)
+    while True:
+        poses = [(link, _implied(link, within, links, views)) for link in links]
+        far = [
+            link for link, pose in poses if pose is not None and is_distinct(pose, [link.registration.T_target_source])
+        ]
+        if not far:
+            return links
+        worst = min(far, key=lambda link: (link.registration.verdict.accepted, link.registration.evidence))
+        refused[worst] = _CONTRADICTED
+        links = [link for link in links if link is not worst]

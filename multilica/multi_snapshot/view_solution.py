@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of LiDARs and stops by all pairs of views together, also where no chain of pairs tells them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from multilica.acceptance.view_graph import ViewGraph
+from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform, rotation_vector
+from multilica.registration.poses import is_distinct
+from multilica.registration.view_poses import ViewPoses
+from multilica.results import DriveView, LinkedStops, PairRegistration, Verdict, ViewPair
+
+_ITERATIONS = 40
+_EPSILON = 1e-6
+# Squared residuals beyond this, of 6 degrees of freedom, lose weight (Cauchy).
+_OUTLIER = 6.0 * 3.0**2
+# Standard deviation of poses that nothing determines.
+_UNKNOWN_RAD, _UNKNOWN_M = 3.0, 30.0
+# Headings from which the pose of a LiDAR is sought that no chain of pairs tells.
+_HEADINGS = 8
+# A pose that is found so fits within this, per degree of freedom, and every other one by so much less in all.
+_FITTING, _LEAD = 9.0, 100.0
+# Places that look alike are farther apart; rotations count as arcs at 10 m.
+_CONFIRMED_M = 0.3
+# A smaller turn of the vehicle does not tell the vertical.
+_TURN_RAD = float(np.deg2rad(20.0))
+_VERTICAL = 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewSolution:
+    """The poses that fit all pairs best, without systematic errors of the LiDARs.
+
+    Args:
+        pairs: those that count, within stops and between them.
+        first: the first of each group of linked stops.
+        squared: sum of the squared residuals, with their robust loss.
+        information: (N, N) of the unknowns.
+    """
+
+    poses: ViewPoses
+    pairs: Sequence[ViewPair]
+    first: frozenset[str]
+    squared: float
+    information: FloatArray
+
+    @property
+    def linked(self) -> LinkedStops:
+        """The links with the poses of the stops."""
+        return LinkedStops([pair for pair in self.pairs if pair.is_link], self.poses.stops, self.first)
+
+    def is_confirmed(self, link: ViewPair) -> bool:
+        """Return whether the others tell where the link has to be, but for a height that no drive on a plane tells."""
+        jacobian, columns = self.poses.jacobian(link)
+        information = self.information.copy()
+        own = np.asarray(link.registration.information)
+        information[np.ix_(columns, columns)] -= jacobian.T @ own @ jacobian
+        inverse = np.linalg.inv(information + _prior(len(information)))
+        scale = np.repeat([LEVER_ARM_M, 1.0], 3)
+        covariance = jacobian @ inverse[np.ix_(columns, columns)] @ jacobian.T * np.outer(scale, scale)
+        variances, directions = np.linalg.eigh(covariance)
+        loose = directions[:, variances > _CONFIRMED_M**2]
+        if loose.shape[1] == 0:
+            return True
+        up = self._vertical
+        if loose.shape[1] > 1 or up is None:
+            return False
+        rotation = self.poses.pose_of(link.target, within=not link.is_link).rotation
+        return bool(np.abs(loose[3:, 0] @ (rotation.T @ up)) > _VERTICAL)
+
+    @property
+    def _vertical(self) -> FloatArray | None:
+        """The axis (3,) about which the vehicle turns most, in the frame of the root; None if it hardly turns."""
+        turns = [rotation_vector(pose.rotation) for pose in self.poses.stops.values()]
+        largest = max(turns, key=lambda turn: float(np.linalg.norm(turn)), default=np.zeros(3))
+        angle_rad = float(np.linalg.norm(largest))
+        return largest / angle_rad if angle_rad > _TURN_RAD else None
+
+
+def solve_views(root: str, pairs: Sequence[ViewPair]) -> ViewSolution:
+    """Find the poses of LiDARs and stops that follow from the pairs, relative to the root.
+
+    Chains of pairs tell most poses. Two groups of views that no pair connects may still determine each other, as in
+    hand-eye calibration, if the vehicle turns: the pose of such a LiDAR is sought from several headings.
+    """
+    views = sorted({view for pair in pairs for view in pair.views})
+    assumed: list[ViewPair] = []
+    solution = _solved(root, views, pairs, assumed)
+    while (found := _next_lidar(root, views, pairs, assumed, solution)) is not None:
+        assumed.append(found)
+        solution = _solved(root, views, pairs, assumed)
+    return solution
+
+
+def _next_lidar(
+    root: str, views: Sequence[DriveView], pairs: Sequence[ViewPair], assumed: Sequence[ViewPair], known: ViewSolution
+) -> ViewPair | None:
+    """Return the pose on the vehicle of one more LiDAR, as a pair with one that has a pose; None if there is none."""
+    left = sorted({view.lidar for view in views} - known.poses.poses.keys())
+    for lidar in left:
+        anchors = [
+            DriveView(name, view.stop)
+            for view in views
+            if view.lidar == lidar
+            for name in sorted(known.poses.poses)
+            if DriveView(name, view.stop) in views
+        ]
+        if not anchors:
+            continue
+        starts = [_assumed(root, lidar, anchors[0], known, heading) for heading in range(_HEADINGS)]
+        found = [_solved(root, views, pairs, [*assumed, start]) for start in starts]
+        best, *others = sorted(found, key=lambda each: each.squared)
+        poses = [each.poses.poses[lidar] for each in (best, *others) if lidar in each.poses.poses]
+        if len(poses) <= len(others) or len(best.pairs) == len(known.pairs):
+            continue
+        lead = min(
+            (each.squared for each, pose in zip(others, poses[1:], strict=True) if is_distinct(pose, [poses[0]])),
+            default=np.inf,
+        )
+        freedom = 6 * len(best.pairs) - best.poses.columns
+        if freedom > 0 and best.squared < _FITTING * freedom and lead > best.squared + _LEAD:
+            anchor = anchors[0].lidar
+            pose = best.poses.poses[anchor].inverse() @ best.poses.poses[lidar]
+            return _pseudo(pose, anchors[0].stop)
+    return None
+
+
+def _assumed(root: str, lidar: str, anchor: DriveView, known: ViewSolution, heading: int) -> ViewPair:
+    yaw_rad = 2.0 * np.pi * heading / _HEADINGS
+    of_root = RigidTransform.from_xyz_rpy(root, lidar, (0.0, 0.0, 0.0), (0.0, 0.0, yaw_rad))
+    return _pseudo(known.poses.poses[anchor.lidar].inverse() @ of_root, anchor.stop)
+
+
+def _pseudo(pose: RigidTransform, stop: str) -> ViewPair:
+    """Return a pose as a pair without weight."""
+    unknown = float("nan")
+    pair = PairRegistration(
+        pose.target, pose.source, pose, -np.inf, unknown, 0, None, None, "", verdict=Verdict("undecided")
+    )
+    return ViewPair(pair, stop, stop)
+
+
+def _solved(
+    root: str, views: Sequence[DriveView], pairs: Sequence[ViewPair], assumed: Sequence[ViewPair]
+) -> ViewSolution:
+    """Start at the poses that chains of pairs tell, and fit them to all pairs."""
+    graph = ViewGraph.of(views, [*pairs, *assumed])
+    poses = graph.lidar_poses(root)
+    linked = graph.linked_stops(root, [pair for pair in pairs if pair.is_link])
+    used = [pair for pair in pairs if not pair.is_link and pair.registration.lidars <= {*poses}] + [*linked.links]
+    stops = {name: linked.poses[name] for link in linked.links for name in sorted(link.stops)}
+    state = ViewPoses(poses, stops, sorted(poses.keys() - {root}), sorted(stops.keys() - linked.first))
+    squared, information, gradient = _equations(state, used)
+    damping = 1e-3
+    for _ in range(_ITERATIONS):
+        if not state.columns:
+            break
+        system = information + _prior(state.columns)
+        step = np.asarray(np.linalg.solve(system + damping * np.diag(np.diag(system)), -gradient), dtype=np.float64)
+        further = state.moved(step)
+        after = _equations(further, used)
+        if after[0] > squared:
+            damping *= 10.0
+            if damping > 1e6:
+                break
+            continue
+        state, damping = further, damping / 10.0
+        squared, information, gradient = after
+        if np.abs(step).max() < _EPSILON:
+            break
+    return ViewSolution(state, used, linked.first, squared, information)
+
+
+def _equations(poses: ViewPoses, pairs: Sequence[ViewPair]) -> tuple[float, FloatArray, FloatArray]:
+    """Return the sum of the squared residuals, the information (N, N) and the gradient (N,), with robust weights."""
+    information, gradient = np.zeros((poses.columns, poses.columns)), np.zeros(poses.columns)
+    total = 0.0
+    for pair in pairs:
+        offset, weights = poses.offset(pair), np.asarray(pair.registration.information)
+        squared = float(offset @ weights @ offset)
+        weight = 1.0 / (1.0 + squared / _OUTLIER)
+        total += _OUTLIER * float(np.log1p(squared / _OUTLIER))
+        jacobian, columns = poses.jacobian(pair)
+        information[np.ix_(columns, columns)] += weight * jacobian.T @ weights @ jacobian
+        gradient[columns] += weight * jacobian.T @ weights @ offset
+    return total, information, gradient
+
+
+def _prior(columns: int) -> FloatArray:
+    return np.diag(np.tile(np.repeat([_UNKNOWN_RAD**-2.0, _UNKNOWN_M**-2.0], 3), columns // 6))

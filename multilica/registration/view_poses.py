@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of views out of those of LiDARs and stops, with their derivatives."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from multilica.geometry import FloatArray, RigidTransform, skew
+from multilica.registration.poses import moved
+from multilica.results import DriveView, IndexArray, ViewPair
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ViewPoses:
+    """Unknown poses of LiDARs and stops: the pose of a view is that of its stop times that of its LiDAR.
+
+    Within a stop, its pose cancels. A step of all unknowns has six columns per free LiDAR, then six per free stop:
+    rotation (rad), translation (m) along the axes of the root.
+
+    Args:
+        poses: per LiDAR ``T_root_lidar``.
+        stops: per linked stop the root in its own frame at the first of these stops.
+        free, free_stops: those with a pose to find.
+    """
+
+    poses: Mapping[str, RigidTransform]
+    stops: Mapping[str, RigidTransform]
+    free: Sequence[str]
+    free_stops: Sequence[str]
+
+    @property
+    def columns(self) -> int:
+        """Number of unknowns."""
+        return 6 * (len(self.free) + len(self.free_stops))
+
+    def moved(self, step: FloatArray) -> "ViewPoses":
+        """Move the unknown poses by a step (columns,)."""
+        turns = step.reshape(-1, 2, 3)
+        poses = {name: moved(self.poses[name], *by) for name, by in zip(self.free, turns, strict=False)}
+        of_stops = turns[len(self.free) :]
+        stops = {name: moved(self.stops[name], *by) for name, by in zip(self.free_stops, of_stops, strict=True)}
+        return replace(self, poses={**self.poses, **poses}, stops={**self.stops, **stops})
+
+    def pose_of(self, view: DriveView, *, within: bool) -> RigidTransform:
+        """Return the pose of a view; for a pair within a stop that of its LiDAR."""
+        own = self.poses[view.lidar]
+        return own if within else self.stops[view.stop] @ own
+
+    def offset(self, pair: ViewPair) -> FloatArray:
+        """Return the offset (6,) of the poses from the pair: rotation, translation along the target's axes."""
+        target, source = (self.pose_of(view, within=not pair.is_link) for view in (pair.target, pair.source))
+        return (target.inverse() @ source).offset_from(pair.registration.T_target_source)
+
+    def jacobian(self, pair: ViewPair) -> tuple[FloatArray, IndexArray]:
+        """Return the derivatives (6, 6 U) of the offset by the U unknown poses of a pair, and their columns (6 U,)."""
+        target, source = (self.pose_of(view, within=not pair.is_link) for view in (pair.target, pair.source))
+        to_target, zero = target.rotation.T, np.zeros((3, 3))
+        apart = skew(source.xyz_m - target.xyz_m)
+        by_target = np.block([[-to_target, zero], [to_target @ apart, -to_target]])
+        by_source = np.block([[to_target, zero], [zero, to_target]])
+        found: dict[int, FloatArray] = {}
+        for view, block in ((pair.target, by_target), (pair.source, by_source)):
+            for column, by_unknown in self._by_unknowns(view, block, within=not pair.is_link):
+                found[column] = found[column] + by_unknown if column in found else by_unknown
+        columns = np.concatenate([column + np.arange(6) for column in found])
+        return np.hstack(list(found.values())), columns
+
+    def _by_unknowns(self, view: DriveView, by_view: FloatArray, *, within: bool) -> list[tuple[int, FloatArray]]:
+        """Turn derivatives (6, 6) by motions of a view into those by its LiDAR and its stop, each with its column."""
+        found, zero = [], np.zeros((3, 3))
+        stop = None if within else self.stops[view.stop]
+        if view.lidar in self.free:
+            along = by_view if stop is None else by_view @ np.block([[stop.rotation, zero], [zero, stop.rotation]])
+            found.append((6 * self.free.index(view.lidar), along))
+        if stop is not None and view.stop in self.free_stops:
+            arm_m = stop.rotation @ self.poses[view.lidar].xyz_m
+            turned = by_view @ np.block([[np.eye(3), zero], [-skew(arm_m), np.eye(3)]])
+            found.append((6 * (len(self.free) + self.free_stops.index(view.stop)), turned))
+        return found

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A simulated vehicle at several stops of one drive, two of its LiDARs without a common view."""
+
+from dataclasses import replace
+from functools import cache
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+
+from multilica import calibrate
+from multilica.config import CalibrationConfig, with_overrides
+from multilica.geometry import RigidTransform
+from multilica.results.building import provenance_of, result_document
+from multilica.results.document import parse_result
+from multilica.simulate import RIGS, simulate_snapshot, true_extrinsics
+from multilica.simulate.models import FALCON
+from multilica.simulate.rigs import Mount, Rig, car
+from multilica.sinks.report.drive_map import drive_maps, links_of
+
+pytestmark = pytest.mark.slow
+
+_OPPOSITE = Rig(
+    "opposite",
+    (
+        Mount("front", FALCON, (1.2, 0.0, 1.9), (0.0, 5.0, 0.0)),
+        Mount("rear", FALCON, (-1.2, 0.0, 1.9), (1.0, 6.0, 180.0)),
+    ),
+    car(1.7, 1.2, 1.1),
+)
+_LIDARS = ("front", "rear")
+_CONFIG = with_overrides(CalibrationConfig(), ["runtime.workers=1"])
+_TURNING = ((0.0, 0.0, 0.0), (4.0, 2.5, 90.0), (1.0, 6.0, 180.0))
+_STRAIGHT = ((0.0, 0.0, 0.0), (5.0, 0.0, 0.0), (10.0, 0.0, 0.0))
+
+
+def _at(x_m, y_m, yaw_deg):
+    return RigidTransform.from_xyz_rpy("base", "base", (x_m, y_m, 0.0), (0.0, 0.0, np.deg2rad(yaw_deg)))
+
+
+def _truth(seed):
+    with patch.dict(RIGS, {"opposite": _OPPOSITE}):
+        return true_extrinsics("opposite", seed)
+
+
+def _stop(place, seed):
+    """All LiDARs moved on the vehicle as the vehicle moves, which stays behind as a parked car."""
+    poses = {name: _truth(seed).between("base", name) for name in _LIDARS}
+    moved = {name: pose.inverse() @ _at(*place) @ pose for name, pose in poses.items()}
+    with patch.dict(RIGS, {"opposite": _OPPOSITE}):
+        snapshot = simulate_snapshot("opposite", "street", 1, build_seed=seed, frames=1, moved=moved).snapshot
+    return replace(snapshot, static_transforms=())
+
+
+@cache
+def _calibrated(places, seed=3):
+    return calibrate([_stop(place, seed) for place in places], _CONFIG)
+
+
+def _error(result, lidar, seed=3):
+    return result[lidar].T_target_source.distance_to(_truth(seed).between(result.target, lidar))
+
+
+def test_a_drive_that_turns_places_lidars_without_a_common_view():
+    result = _calibrated(_TURNING)
+    (other,) = {*_LIDARS} - {result.target}
+    metres, radians = _error(result, other)
+    assert metres < 0.02
+    assert np.rad2deg(radians) < 0.2
+    assert "links between stops" in result[other].reason
+    own = _truth(3).between("base", result.target)
+    for stop in result.stops:
+        places = [_at(*_TURNING[int(name[-1]) - 1]) @ own for name in (stop.first, stop.name)]
+        assert np.abs((places[0].inverse() @ places[1]).matrix - stop.T_first_stop.matrix).max() < 0.02
+
+
+def test_the_document_and_the_map_have_the_stops():
+    result = _calibrated(_TURNING)
+    provenance = provenance_of(_stop(_TURNING[0], 3))
+    document = parse_result("made", result_document(result, _CONFIG, provenance).model_dump_json())
+    assert [stop.name for stop in document.stops] == [stop.name for stop in result.stops]
+    (shown,) = drive_maps(document, RigidTransform.identity("level", result.target))
+    assert [stop.name for stop in shown.stops] == [stop.name for stop in result.stops]
+    assert sum(links.used for links in shown.links) == sum(link.used for link in result.links)
+    assert min(links_of(document)[stop.name] for stop in result.stops) > 0
+
+
+@pytest.mark.nightly
+def test_a_straight_drive_invents_nothing():
+    result = _calibrated(_STRAIGHT)
+    assert {place.status for place in result.placements if place.lidar != result.target} == {"not_placed"}

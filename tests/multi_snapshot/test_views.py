@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Poses of LiDARs and stops out of made registrations of views."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from multilica.acceptance.view_graph import ViewGraph
+from multilica.config import RefineConfig
+from multilica.multi_snapshot.trusted_links import refine_linked
+from multilica.registration.poses import moved
+from multilica.registration.view_poses import ViewPoses
+from multilica.results import LinkedStops
+from multilica.stages.refine import refine
+from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs
+from tests.unit.derivatives import assert_alike, derivative
+
+_CONFIG = RefineConfig()
+# B is seen by A only across stops, C by A within the first.
+_CROSSED = "A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B2 B1-B2 A1-C1 C1-C2"
+
+
+def _split(every):
+    within = {stop: tuple(each.registration for each in every if each.stops == {stop}) for stop in STOPS}
+    return within, [each for each in every if each.is_link]
+
+
+def _refined(every, root="A", config=_CONFIG):
+    within, links = _split(every)
+    return refine_linked(root, within, links, config)
+
+
+def _errors(found, root="A"):
+    return {
+        name: pose.offset_from(LIDARS[root].inverse() @ LIDARS[name])
+        for name, pose in found.rig.poses.items()
+        if name != root
+    }
+
+
+@pytest.mark.parametrize("text", ["A1-B3 A3-B1 A1-A3 A1-A2 A3-A2 A2-B1", "A1-B1 A1-A2 B1-B2 A2-A3 A1-A3", _CROSSED])
+@pytest.mark.parametrize("root", ["A", "B"])
+def test_exact_pairs_give_exact_lidars_and_stops(text, root):
+    found = _refined(pairs(text), root)
+    assert "B" in found.rig.poses
+    assert max(np.abs(error).max() for error in _errors(found, root).values()) < 1e-7
+    first = min(found.rig.stops)
+    own = LIDARS[root]
+    for name, pose in found.rig.stops.items():
+        truth = own.inverse() @ STOPS[first].inverse() @ STOPS[name] @ own
+        assert np.abs(pose.matrix - truth.matrix).max() < 1e-7
+    assert not found.refused
+
+
+def test_the_covariance_is_that_of_many_noisy_drives():
+    rng = np.random.default_rng(0)
+    normalised = []
+    for _ in range(30):
+        found = _refined(pairs(_CROSSED, rng))
+        for name, error in _errors(found).items():
+            normalised.append(error @ np.linalg.solve(found.rig.covariances[name], error))
+        for name, covariance in found.rig.stop_covariances.items():
+            error = found.rig.stops[name].offset_from(STOPS["stop 1"].inverse() @ STOPS[name])
+            normalised.append(error @ np.linalg.solve(covariance, error))
+    # The refusal of one link in a thousand and the robust weights change little.
+    assert np.mean(normalised) == pytest.approx(6.0, rel=0.15)
+
+
+def test_the_first_stop_may_be_any():
+    """The pose of a LiDAR and its covariance do not depend on which stop is the origin."""
+    rng = np.random.default_rng(1)
+    every = pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1", rng)
+    graph = ViewGraph.of(sorted({view for each in every for view in each.views}), every)
+    poses, linked = graph.lidar_poses("A"), graph.linked_stops("A", every)
+    rigs = []
+    for origin in linked.poses:
+        to_origin = linked.poses[origin].inverse()
+        stops = {name: to_origin @ pose for name, pose in linked.poses.items()}
+        rigs.append(refine("A", poses, [], _CONFIG, LinkedStops(every, stops, frozenset([origin]))))
+    for rig in rigs[1:]:
+        assert np.abs(rig.poses["B"].matrix - rigs[0].poses["B"].matrix).max() < 1e-7
+        np.testing.assert_allclose(rig.covariances["B"], rigs[0].covariances["B"], rtol=1e-4, atol=1e-12)
+
+
+def test_stops_without_links_are_joined_as_before():
+    rng = np.random.default_rng(2)
+    within = pairs("A1-B1 A2-B2 B2-C2 A3-C3", rng)
+    found = _refined(within)
+    plain = refine("A", found.rig.poses, [each.registration for each in within], _CONFIG)
+    for name in "BC":
+        assert np.abs(found.rig.poses[name].matrix - plain.poses[name].matrix).max() < 1e-7
+        np.testing.assert_allclose(found.rig.covariances[name], plain.covariances[name], rtol=1e-5, atol=1e-15)
+    assert not found.rig.stops
+
+
+def test_links_hardly_move_a_lidar_that_they_do_not_hold():
+    """A stop with a single link to the rest takes its place and tells nothing of the LiDARs."""
+    rng = np.random.default_rng(3)
+    within = pairs("A1-B1 A2-B2", rng)
+    alone = refine("A", {name: LIDARS[name] for name in "AB"}, [each.registration for each in within], _CONFIG)
+    link = pairs("A1-A2", rng)
+    linked = LinkedStops(link, {name: STOPS[name] for name in ("stop 1", "stop 2")}, frozenset(["stop 1"]))
+    rig = refine("A", alone.poses, [each.registration for each in within], _CONFIG, linked)
+    assert np.abs(rig.poses["B"].matrix - alone.poses["B"].matrix).max() < 1e-7
+    np.testing.assert_allclose(rig.covariances["B"], alone.covariances["B"], rtol=1e-6)
+
+
+def test_derivatives_of_a_view_by_its_lidar_and_its_stop():
+    """The chain rule against differences, for the gradient at a pose that the link does not agree with."""
+    rng = np.random.default_rng(4)
+    link = pair("B2", "C3", rng, noise=3.0)
+    poses = dict(LIDARS)
+
+    def offset(step):
+        lidars = {
+            name: moved(poses[name], step[6 * at : 6 * at + 3], step[6 * at + 3 : 6 * at + 6])
+            for at, name in enumerate("BC")
+        }
+        stops = {
+            name: moved(STOPS[name], step[6 * at : 6 * at + 3], step[6 * at + 3 : 6 * at + 6])
+            for at, name in ((2, "stop 2"), (3, "stop 3"))
+        }
+        target, source = stops["stop 2"] @ lidars["B"], stops["stop 3"] @ lidars["C"]
+        return (target.inverse() @ source).offset_from(link.registration.T_target_source)
+
+    views = ViewPoses(poses, dict(STOPS), ["B", "C"], ["stop 2", "stop 3"])
+    jacobian, columns = views.jacobian(link)
+    found = np.zeros((6, 24))
+    found[:, columns] = jacobian
+    assert_alike(found, derivative(offset, 24), 1e-2)
+
+
+_ALONE = "A1-A2 A2-A3 A1-A3 A3-A4 A2-A4 B1-B2 B2-B3 B1-B3 B3-B4 B2-B4"
+
+
+def test_what_no_pair_determines_has_no_pose():
+    """The motion of each LiDAR alone, straight on: nothing tells where B is."""
+    found = _refined(pairs(_ALONE, np.random.default_rng(6), stops=STRAIGHT))
+    assert set(found.rig.poses) == {"A"}
+    assert set(found.rig.stops) == {*STRAIGHT}
+    assert {link.target for link in found.links if not link.used} == {"B"}
+
+
+def test_motions_that_turn_determine_unconnected_lidars():
+    """The motion of each LiDAR alone, as in hand-eye calibration."""
+    found = _refined(pairs(_ALONE, np.random.default_rng(6)))
+    error = _errors(found)["B"]
+    assert error @ np.linalg.solve(found.rig.covariances["B"], error) < 20.0
+    assert not found.refused
+
+
+def test_a_crossed_drive_determines_unconnected_lidars():
+    """Each LiDAR saw what the other saw, never both at one stop."""
+    found = _refined(pairs("A1-A2 A1-B3 B3-B4 A1-B4 A2-B3 B1-B2 A4-B1 A3-A4 A4-B2", np.random.default_rng(7)))
+    error = _errors(found)["B"]
+    assert error @ np.linalg.solve(found.rig.covariances["B"], error) < 20.0
+
+
+def test_a_single_link_is_not_trusted():
+    found = _refined(pairs("A1-B1 A2-B2 A1-A2"))
+    assert not found.rig.stops
+    (link,) = found.links
+    assert not link.used
+    assert "confirms" in link.reason
+
+
+@pytest.mark.parametrize(("wrong", "off"), [("A1-A3", [0, 0, 0, 8.0, 0, 0]), ("B1-A3", [0, 0, 0, 0.03, 0, 0])])
+def test_a_link_that_contradicts_the_others_is_refused(wrong, off):
+    rng = np.random.default_rng(5)
+    good = pairs("A1-A2 A2-A3 A1-B2 A2-B1 A2-B3 A3-B2 B1-B2 B2-B3", rng)
+    bad = pair(*wrong.split("-"), rng, off=off)
+    bad = replace(bad, registration=replace(bad.registration, fitness=0.5))
+    found = _refined([*good, bad])
+    assert [(link.target, link.source) for link in found.links if not link.used] == [(wrong[0], wrong[3])]
+    for name, error in _errors(found).items():
+        assert np.all(np.abs(error) < 5.0 * SIGMA), name
