@@ -2,6 +2,7 @@
 """Calibration of a rig from several stops of one drive."""
 
 from collections.abc import Sequence
+from functools import partial
 
 from threadpoolctl import threadpool_limits
 
@@ -11,9 +12,10 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
-from multilica.orchestration.links import DriveStop, search_links
+from multilica.orchestration.links import search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
+from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
 from multilica.snapshot import Snapshot
@@ -57,4 +59,4 @@ def calibrate_stops(
         stops.append(DriveStop(name, prepared, result.trusted))
     with threadpool_limits(1):
         links = search_links(stops, config, workers, deadline_s)
-        return join(runs, config, links)
+        return join(runs, config, links, partial(contradiction_at, stops, config))

@@ -5,6 +5,7 @@ import time
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -29,9 +30,10 @@ from multilica.ingest.remote.address import local_output, stem_of
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
-from multilica.orchestration.links import MAX_LINKED_STOPS, DriveStop, search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
+from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
@@ -210,7 +212,7 @@ def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _R
                 stops.append(DriveStop(source.name, prepared, own.trusted))
         with threadpool_limits(1):
             links = search_links(stops, config, request.workers, request.deadline_s)
-            result = join(alone, config, links)
+            result = join(alone, config, links, partial(contradiction_at, stops, config))
         shown = next(source for source in sources if source.name == shown_snapshot(result))
         result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run, request.rig)
     directories = tuple(path for source in sources if (path := directory / source.name).is_dir())

@@ -21,7 +21,7 @@ from multilica.multi_snapshot.estimate import (
 )
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
-from multilica.multi_snapshot.trusted_links import LinkedRig, refine_linked
+from multilica.multi_snapshot.trusted_links import ContradictionAt, LinkedRig, refine_linked
 from multilica.results import (
     CalibrationResult,
     LidarPlacement,
@@ -76,7 +76,10 @@ def require_joinable(config: CalibrationConfig) -> None:
 
 
 def join(
-    runs: Sequence[SnapshotRun], config: CalibrationConfig | None = None, links: Sequence[ViewPair] = ()
+    runs: Sequence[SnapshotRun],
+    config: CalibrationConfig | None = None,
+    links: Sequence[ViewPair] = (),
+    contradiction_at: ContradictionAt | None = None,
 ) -> CalibrationResult:
     """Place every LiDAR of a rig from all its snapshots.
 
@@ -88,6 +91,7 @@ def join(
         runs: each snapshot calibrated with that configuration, or its refusal.
         config: the default preset if None.
         links: registrations between snapshots that are stops of one drive.
+        contradiction_at: tests the poses of LiDARs that only links connect; None: they are not tested.
 
     Returns:
         One placement per LiDAR of any snapshot; `snapshots` has the contribution of each. `pairs` and `health` are
@@ -106,7 +110,10 @@ def join(
     given: SnapshotPairs = {name: result.trusted for name, result in results.items()}
     kept, conflicts = resolve_conflicts(given, config)
     target, reason = choose_target(kept, lidars, config.target, links)
-    linked = _rig(target, kept, links, config)
+    linked = _rig(target, kept, links, config, contradiction_at)
+    if linked.conflicts:
+        left = {id(pair.registration) for pair in linked.within}
+        kept = {name: tuple(each for each in own if id(each) in left) for name, own in kept.items()}
     alone = _estimates(target, given, config)
     changed = {name: own for name, own in kept.items() if own is not given[name]}
     joint = _JointRig(
@@ -181,11 +188,16 @@ def _overlap(pairs: Sequence[PairRegistration]) -> dict[str, float]:
     return {name: fsum(values) for name, values in fitness.items()}
 
 
-def _rig(target: str, pairs: SnapshotPairs, links: Sequence[ViewPair], config: CalibrationConfig) -> LinkedRig:
-    linked = refine_linked(target, pairs, links, config.refine)
+def _rig(
+    target: str,
+    pairs: SnapshotPairs,
+    links: Sequence[ViewPair],
+    config: CalibrationConfig,
+    contradiction_at: ContradictionAt | None,
+) -> LinkedRig:
+    linked = refine_linked(target, pairs, links, config.refine, contradiction_at)
     rig = linked.rig
-    weighted = [(name, pair) for name, own in pairs.items() for pair in own if pair.information is not None]
-    used = [name for name, pair in weighted if pair.lidars <= {*rig.poses}]
+    used = [pair.target_stop for pair in linked.within if pair.registration.lidars <= {*rig.poses}]
     residuals = tuple(
         replace(residual, snapshot=name) for name, residual in zip(used, rig.refinement.pairs, strict=False)
     )
@@ -251,7 +263,7 @@ class _JointRig:
         if lidar == self.target:
             return place_target(lidar)
         if lidar not in self.rig.covariances:
-            return LidarPlacement(lidar, why_unplaced_jointly(lidar, self.target, self.results, self.inconsistent))
+            return LidarPlacement(lidar, self._why_unplaced(lidar))
         estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
         ratio = scatter_ratio(estimates)
         of_links = [link.registration for link in self.linked.linked.links]
@@ -268,6 +280,21 @@ class _JointRig:
             sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
             spread=spread_of(estimates),
         )
+
+    def _why_unplaced(self, lidar: str) -> str:
+        against = next((each for each in self.linked.conflicts if lidar in (each.target, each.source)), None)
+        if against is not None:
+            return f"the pose that other stops tell is wrong: {against.text}"
+        reason = why_unplaced_jointly(lidar, self.target, self.results, self.inconsistent)
+        links = [link for link in self.linked.links if lidar in (link.target, link.source)]
+        if not self.linked.links:
+            return reason
+        found = (
+            f"{len(links)} registrations with other stops do not tell it either"
+            if links
+            else "no stop sees what it sees"
+        )
+        return f"{found}: turn by 60 degrees or more between two stops. {reason}"
 
     def _chances(self, snapshot: str, lidar: str) -> dict[str, float]:
         """Return how probable the difference to each other snapshot that counts is, if the covariances are right."""

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Choice of the links between stops that poses may rest on."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
@@ -10,11 +11,28 @@ from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import is_distinct
-from multilica.results import DriveView, LinkedStops, StopLink, ViewPair
+from multilica.results import DriveView, LinkedStops, StopLink, ViewPair, connected
 from multilica.stages.refine import RefinedRig, refine
+
+ContradictionAt = Callable[[RigidTransform, Collection[str]], str]
+"""Returns the stop, other than those, at which beams contradict a pose of two LiDARs; "" if none do."""
 
 _ALONE = "no other link confirms it"
 _CONTRADICTED = "it contradicts other links and pairs"
+
+
+@dataclass(frozen=True, slots=True)
+class BeamConflict:
+    """Two LiDARs whose pose beams contradict at a stop."""
+
+    target: str
+    source: str
+    stop: str
+
+    @property
+    def text(self) -> str:
+        """The conflict for people."""
+        return f"it puts {self.source} where its beams and those of {self.target} contradict each other at {self.stop}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,11 +42,15 @@ class LinkedRig:
     Args:
         links: that its poses rest on, as `rig.links` has their residuals.
         refused: per link that is not used, why.
+        within: pairs within stops that its poses rest on.
+        conflicts: poses of LiDARs that beams contradicted.
     """
 
     rig: RefinedRig
     linked: LinkedStops
     refused: Mapping[ViewPair, str]
+    within: Sequence[ViewPair]
+    conflicts: tuple[BeamConflict, ...]
 
     @property
     def links(self) -> tuple[StopLink, ...]:
@@ -46,16 +68,26 @@ class LinkedRig:
         return (*used, *(replace(_described(link), reason=reason) for link, reason in self.refused.items()))
 
 
-def refine_linked(root: str, pairs: SnapshotPairs, links: Sequence[ViewPair], config: RefineConfig) -> LinkedRig:
+def refine_linked(
+    root: str,
+    pairs: SnapshotPairs,
+    links: Sequence[ViewPair],
+    config: RefineConfig,
+    contradiction_at: ContradictionAt | None = None,
+) -> LinkedRig:
     """Refine a rig over all stops, with the links that others confirm and none contradicts.
 
     Two places may look alike, and between stops no limit of distance helps. So a link counts only where the other links
     and the pairs within the stops imply its pose as well: by another link between the same stops, or by a cycle over
     stops. A link that is far from the others goes, the one with the least evidence first. So does one that differs by
     more than the covariances allow, the least probable first.
+
+    A hall whose ends look alike may join views consistently and yet wrongly. The pose of two LiDARs that follows then
+    contradicts their beams at other stops, and no link between different LiDARs counts.
     """
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
     refused: dict[ViewPair, str] = {}
+    contradicted: list[BeamConflict] = []
     left = _consistent(within, [link for link in links if link.registration.information is not None], refused)
     while True:
         solution = solve_views(root, [*within, *left])
@@ -68,13 +100,44 @@ def refine_linked(root: str, pairs: SnapshotPairs, links: Sequence[ViewPair], co
         rig = refine(root, solution.poses.poses, [pair.registration for pair in within], config, linked)
         doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
         if not doubtful:
-            break
+            against = _contradicted(rig, within, contradiction_at) if links and contradiction_at else None
+            if against is None:
+                break
+            crossing = [link for link in left if link.target.lidar != link.source.lidar]
+            refused.update(dict.fromkeys(crossing, against.text))
+            left = [link for link in left if link not in crossing]
+            if not crossing:
+                within = _without(within, against)
+            contradicted.append(against)
+            continue
         worst = linked.links[min(doubtful)[1]]
         refused[worst] = _CONTRADICTED
         left = [link for link in left if link is not worst]
     apart = [link for link in left if link not in linked.links]
     refused.update(dict.fromkeys(apart, f"nothing connects it to {root}"))
-    return LinkedRig(rig, linked, refused)
+    return LinkedRig(rig, linked, refused, within, tuple(contradicted))
+
+
+def _contradicted(
+    rig: RefinedRig, within: Sequence[ViewPair], contradiction_at: ContradictionAt
+) -> BeamConflict | None:
+    """Find two LiDARs whose pose beams contradict at a stop where it was not registered."""
+    for target, source in combinations(sorted(rig.poses), 2):
+        own = {pair.target_stop for pair in within if pair.registration.lidars == {target, source}}
+        stop = contradiction_at(rig.poses[target].inverse() @ rig.poses[source], own)
+        if stop:
+            return BeamConflict(target, source, stop)
+    return None
+
+
+def _without(within: Sequence[ViewPair], conflict: BeamConflict) -> list[ViewPair]:
+    """Leave out the pairs that put two LiDARs where they cannot be: their own, else all that connect them."""
+    ends = {conflict.target, conflict.source}
+    kept = [pair for pair in within if pair.registration.lidars != ends]
+    if len(kept) < len(within):
+        return kept
+    group = connected(conflict.target, [pair.registration for pair in within])
+    return [pair for pair in within if pair.registration.target not in group]
 
 
 def _described(link: ViewPair) -> StopLink:

@@ -9,13 +9,13 @@ from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import (
-    PreparedLidar,
     SearchRequest,
     priority_of,
     register_implied,
     score_implied,
     search_pair,
 )
+from multilica.orchestration.stop_views import DriveStop, prepare_views
 from multilica.registration.poses import is_distinct
 from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, ViewPair
 from multilica.stages.pair_choice import choose_loops, next_round
@@ -26,24 +26,11 @@ MAX_LINKED_STOPS = 8
 
 # Matches that agree by chance in views without anything in common; below, one search of ten finds a pose.
 _LEAST_PRIORITY = 6.0
-# Per view: beyond, searches find little.
-_SEARCHES_PER_VIEW = 3
+# As many searches per view in a row that find nothing are enough; so are half as many the second time.
+_FAILURES_PER_VIEW = 1.0
+_RETRIES_PER_VIEW = 0.5
 # Each link needs another that confirms it; more hardly improve the poses.
 _LOOPS_PER_VIEW = 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DriveStop:
-    """A stop after its own calibration.
-
-    Args:
-        lidars: those with returns in range.
-        pairs: the registrations that its poses rest on.
-    """
-
-    name: str
-    lidars: Mapping[str, PreparedLidar]
-    pairs: tuple[PairRegistration, ...]
 
 
 def search_links(
@@ -60,9 +47,6 @@ def search_links(
     if config.drive.max_distance_m == 0.0 or not config.verify.enabled or len(stops) < 2:
         return ()
     search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
-    workers.forget()
-    for view in search.views:
-        workers.share(view.label, search.prepared(view))
     try:
         search.run()
     finally:
@@ -98,45 +82,45 @@ class _LinkSearch:
             if one.stop != other.stop
         ]
 
-    def prepared(self, view: DriveView) -> PreparedLidar:
-        """Return a LiDAR with the limits that hold between stops."""
-        config = self.config
-        acceptance = config.acceptance.model_copy(update={"max_baseline_m": config.drive.max_distance_m})
-        sigmas_m = config.refine.range_bias_sigmas_m
-        own = {view.label: sigmas_m[view.lidar]} if view.lidar in sigmas_m else {}
-        refine = config.refine.model_copy(update={"range_bias_sigmas_m": own | sigmas_m})
-        stop = next(stop for stop in self.stops if stop.name == view.stop)
-        limits = config.model_copy(update={"acceptance": acceptance, "refine": refine})
-        return stop.lidars[view.lidar].as_view(view.label, limits)
-
     def graph(self) -> ViewGraph:
         within = [ViewPair(pair, stop.name, stop.name) for stop in self.stops for pair in stop.pairs]
         return ViewGraph.of(self.views, [*within, *self.links.values()])
 
     def run(self) -> None:
-        """Search with the usual descriptors, then with others as long as the pose of a LiDAR does not follow."""
-        pairs, usual = self.between_stops, self.config.features
+        """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
+        self._share(movable=False)
+        pairs = self.between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
-        for voxel_size_m in (usual.voxel_size_m, *usual.retry_voxel_sizes_m):
-            self._search(priority, voxel_size_m)
-            if self.graph().is_determined:
-                break
+        self._search(priority, _FAILURES_PER_VIEW)
+        if not self.graph().is_determined:
+            self._share(movable=True)
+            self.tested.clear()
+            self._close_loops()
+            self._search(priority, _RETRIES_PER_VIEW)
 
-    def _search(self, priority: Mapping[PairKey, float], voxel_size_m: float) -> None:
+    def _share(self, *, movable: bool) -> None:
+        self.workers.forget()
+        for view, prepared in prepare_views(self.stops, self.config, movable=movable).items():
+            self.workers.share(view.label, prepared)
+
+    def _search(self, priority: Mapping[PairKey, float], per_view: float) -> None:
         labels = [view.label for view in self.views]
         tried: set[PairKey] = {*self.links}
-        while len(tried) < _SEARCHES_PER_VIEW * len(labels) and time.monotonic() < self.deadline_s:
+        failures = 0
+        while failures < per_view * len(labels) and time.monotonic() < self.deadline_s:
             graph = self.graph()
             linked = [(graph.group_of(view).label, view.label) for view in self.views]
             pairs = next_round(labels, linked, tried, priority)
             if not pairs:
                 break
             tried.update(pairs)
-            requests = [SearchRequest(pair, voxel_size_m) for pair in pairs]
+            requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
+            before = len(self.links)
             for pair, search in zip(pairs, self.workers.map(search_pair, requests), strict=True):
                 self._keep(pair, search.registration)
             self._close_loops()
+            failures = 0 if len(self.links) > before else failures + len(pairs)
 
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""

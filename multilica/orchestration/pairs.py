@@ -72,6 +72,15 @@ class PreparedLidar:
         views = [] if self.view is None else self.view.alone
         return prepare_registration_cloud(self.cloud.lidar, self.cloud.points_m, views, self.config)
 
+    def with_view(self, view: SensorView) -> "PreparedLidar":
+        """Return the LiDAR with another view of the same points, with the clouds that were built so far."""
+        found = replace(self, view=view)
+        if "verification_cloud" in self.__dict__:
+            found.__dict__["verification_cloud"] = VerificationCloud(view, self.verification_cloud.cloud)
+        if "side" in self.__dict__:
+            found.__dict__["side"] = replace(self.side, views=tuple(view.alone))
+        return found
+
     def as_view(self, label: str, config: CalibrationConfig) -> "PreparedLidar":
         """Return the LiDAR under another name, with the clouds that were built so far."""
         view = None if self.view is None else replace(self.view, lidar=label)

@@ -74,7 +74,7 @@ def find_movable(points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArra
     """
     middle_m = lidars_m.mean(axis=0)
     points_m = points_m[lengths(points_m - middle_m) < _RANGE_M] @ rotation.T
-    above_m = _above_ground(points_m)
+    above_m = above_ground(points_m)
     high = above_m > _GROUND_M
     points_m, above_m = points_m[high], above_m[high]
     if not len(points_m):
@@ -92,7 +92,7 @@ def find_movable(points_m: FloatArray, lidars_m: FloatArray, rotation: FloatArra
     return MovableCells(rotation, np.unique([found - below for below in range(_CELLS_BELOW + 1)]))
 
 
-def _above_ground(points_m: FloatArray) -> FloatArray:
+def above_ground(points_m: FloatArray) -> FloatArray:
     """Return the height (N,) above the ground, which is the opening of the lowest points (Zhang et al., TGRS 2003).
 
     An opening takes away what is narrow, such as a car, and keeps the edge of a bridge. A column's own lowest point

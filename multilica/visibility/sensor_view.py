@@ -58,6 +58,8 @@ class SensorView:
         spanned: (N,) which normals are not zero.
         returns: tree of its thinned points, which include thin things between the beams of the image; None if there
             are none in range.
+        movable: (N,) which probes lie on objects that may have stood elsewhere when the others were measured: their
+            points cannot violate. None: no probe does.
     """
 
     lidar: str
@@ -67,6 +69,7 @@ class SensorView:
     normals: FloatArray
     spanned: BoolArray
     returns: cKDTree | None
+    movable: BoolArray | None = None
 
     @property
     def alone(self) -> "list[PlacedView]":
@@ -226,6 +229,8 @@ def _labels(
     points_m = T_beams_other.apply(other.probes_m)
     widths_m = np.where(other.spanned, _PATCH_M, _THIN_M)
     labels = label_points(beams.image, points_m, tolerance_m, float(np.deg2rad(tolerance_deg)), widths_m)
+    if other.movable is not None:
+        labels[(labels == BeamLabel.VIOLATE) & other.movable] = BeamLabel.UNSEEN
     empty = np.flatnonzero(labels == BeamLabel.VIOLATE)
     if len(empty) == 0:
         return labels

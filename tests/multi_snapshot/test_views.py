@@ -175,3 +175,27 @@ def test_a_link_that_contradicts_the_others_is_refused(wrong, off):
     assert [(link.target, link.source) for link in found.links if not link.used] == [(wrong[0], wrong[3])]
     for name, error in _errors(found).items():
         assert np.all(np.abs(error) < 5.0 * SIGMA), name
+
+
+def _against(stop):
+    """Beams of A and B contradict each other at that stop, wherever they are."""
+    return lambda pose, own: stop if {pose.target, pose.source} == {"A", "B"} and stop not in own else ""
+
+
+def test_beams_of_another_stop_refuse_what_links_tell():
+    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1 A2-B3", np.random.default_rng(8)))
+    assert set(refine_linked("A", within, links, _CONFIG).rig.poses) == {"A", "B"}
+    found = refine_linked("A", within, links, _CONFIG, _against("stop 2"))
+    assert set(found.rig.poses) == {"A"}
+    refused = {(link.target, link.source): link.reason for link in found.links if not link.used}
+    assert [*refused] == [("A", "B")]
+    assert "stop 2" in refused["A", "B"]
+
+
+def test_beams_of_another_stop_refuse_what_one_stop_tells():
+    within, links = _split(pairs("A1-A2 A2-A3 A1-A3 A2-B2 A2-C2", np.random.default_rng(9)))
+    found = refine_linked("A", within, links, _CONFIG, _against("stop 3"))
+    assert set(found.rig.poses) == {"A", "C"}
+    assert {conflict.stop for conflict in found.conflicts} == {"stop 3"}
+    kept = refine_linked("A", within, links, _CONFIG, _against("stop 2"))
+    assert set(kept.rig.poses) == {"A", "B", "C"}

@@ -86,6 +86,15 @@ def test_a_wall_in_space_that_beams_passed_through_violates(target):
     assert score.contradiction > _LIMITS.min_log_odds_margin
 
 
+def test_what_may_have_come_cannot_violate(target):
+    came = _view(_SOURCE, [*HALL, Face(**_ACROSS)], seed=1)
+    movable = replace(came, movable=np.ones(len(came.probes_m), dtype=bool))
+    of_source = [int(np.count_nonzero(_score(target, view).labels == BeamLabel.VIOLATE)) for view in (came, movable)]
+    assert of_source[0] >= 40
+    assert of_source[1] == 0
+    assert _score(target, movable).agree == _score(target, came).agree
+
+
 @pytest.mark.parametrize(
     "porous",
     [Face(**_ACROSS, gaps=0.7), Foliage((4.5, -3.0, 0.0), (6.5, 2.0, 3.0))],

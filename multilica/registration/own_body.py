@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parts of the vehicle that a LiDAR sees: they are in the same place of its frame at every stop."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from multilica.geometry import FloatArray, lengths
+from multilica.registration.movable import above_ground
+from multilica.results import BoolArray, IndexArray
+
+# Above the range noise, below the spacing of things that look like a bonnet at two stops by chance.
+_CELL_M = 0.1
+# The longest way from a LiDAR to the end of its vehicle that is not hidden by the vehicle itself.
+_REACH_M = 10.0
+# The ground is in the same place as well.
+_GROUND_M = 0.3
+# Fewer points are chance. More of what is near: the vehicle stands where it stood.
+_MIN_POINTS = 30
+_MAX_SHARE = 0.7
+_OFFSET = 1 << 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BodyCells:
+    """Cells (K,) of a LiDAR's frame that its own vehicle fills, as sorted numbers."""
+
+    keys: IndexArray
+
+    def contain(self, points_m: FloatArray) -> BoolArray:
+        """Return which points (N, 3) lie on the vehicle."""
+        return np.isin(_keys(points_m), self.keys)
+
+
+def find_own_body(stops: Sequence[FloatArray], rotation: FloatArray) -> BodyCells:
+    """Find the cells that are filled at every stop, above the ground.
+
+    Args:
+        stops: per stop the points (N, 3) of one LiDAR in its own frame.
+        rotation: (3, 3) from that frame to one with z up.
+    """
+    near = [points_m[lengths(points_m) < _REACH_M] for points_m in stops]
+    nothing = BodyCells(np.empty(0, dtype=np.int64))
+    if len(near) < 2 or any(len(points_m) < _MIN_POINTS for points_m in near):
+        return nothing
+    first_m = near[0]
+    first_m = first_m[above_ground(first_m @ rotation.T) > _GROUND_M]
+    same = np.ones(len(first_m), dtype=np.bool_)
+    for points_m in near[1:]:
+        same &= np.isin(_keys(first_m), _grown(np.unique(_keys(points_m))))
+    count = np.count_nonzero(same)
+    if count < _MIN_POINTS or count > _MAX_SHARE * len(first_m):
+        return nothing
+    return BodyCells(_grown(np.unique(_keys(first_m[same]))))
+
+
+def _keys(points_m: FloatArray) -> IndexArray:
+    """Return one number (N,) per cell of points (N, 3)."""
+    x, y, z = np.floor(points_m / _CELL_M).astype(np.int64).T + _OFFSET // 2
+    return np.asarray((x * _OFFSET + y) * _OFFSET + z)
+
+
+def _grown(keys: IndexArray) -> IndexArray:
+    """Add the cells that touch those."""
+    steps = [(x * _OFFSET + y) * _OFFSET + z for x, y, z in product((-1, 0, 1), repeat=3)]
+    return np.unique(np.concatenate([keys + step for step in steps]))
