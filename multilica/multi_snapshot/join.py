@@ -111,7 +111,7 @@ def join(
     kept, conflicts = resolve_conflicts(given, config)
     target, reason = choose_target(kept, lidars, config.target, links)
     linked = _rig(target, kept, links, config, contradiction_at)
-    if linked.conflicts:
+    if linked.conflicts or linked.knocks:
         left = {id(pair.registration) for pair in linked.within}
         kept = {name: tuple(each for each in own if id(each) in left) for name, own in kept.items()}
     alone = _estimates(target, given, config)
@@ -134,6 +134,7 @@ def join(
         refinement=joint.rig.refinement,
         stops=joint.stops(),
         links=joint.linked.links,
+        knocks=joint.linked.knocks,
         time_limit=_time_limit(results.values(), joint.rig.poses),
         snapshots=tuple(joint.report(run) for run in runs),
     )

@@ -8,10 +8,11 @@ from itertools import combinations
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.knocks import find_knock, spares
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import is_distinct
-from multilica.results import DriveView, LinkedStops, StopLink, ViewPair, connected
+from multilica.results import DriveView, Knock, LinkedStops, StopLink, ViewPair, connected
 from multilica.stages.refine import RefinedRig, refine
 
 ContradictionAt = Callable[[RigidTransform, Collection[str]], str]
@@ -44,6 +45,7 @@ class LinkedRig:
         refused: per link that is not used, why.
         within: pairs within stops that its poses rest on.
         conflicts: poses of LiDARs that beams contradicted.
+        knocks: LiDARs that moved between stops; the stops on one side of that do not count for them.
     """
 
     rig: RefinedRig
@@ -51,6 +53,7 @@ class LinkedRig:
     refused: Mapping[ViewPair, str]
     within: Sequence[ViewPair]
     conflicts: tuple[BeamConflict, ...]
+    knocks: tuple[Knock, ...]
 
     @property
     def links(self) -> tuple[StopLink, ...]:
@@ -88,6 +91,7 @@ def refine_linked(
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
     refused: dict[ViewPair, str] = {}
     contradicted: list[BeamConflict] = []
+    knocks: list[Knock] = []
     left = _consistent(within, [link for link in links if link.registration.information is not None], refused)
     while True:
         solution = solve_views(root, [*within, *left])
@@ -95,6 +99,12 @@ def refine_linked(
         if alone:
             refused.update(dict.fromkeys(alone, _ALONE))
             left = [link for link in left if link not in alone]
+            continue
+        knock = find_knock(root, solution, [*pairs]) if left else None
+        if knock is not None:
+            knocks.append(knock)
+            refused.update((link, knock.text) for link in left if not spares(knock, link))
+            within, left = ([pair for pair in each if spares(knock, pair)] for each in (within, left))
             continue
         linked = solution.linked
         rig = refine(root, solution.poses.poses, [pair.registration for pair in within], config, linked)
@@ -115,7 +125,7 @@ def refine_linked(
         left = [link for link in left if link is not worst]
     apart = [link for link in left if link not in linked.links]
     refused.update(dict.fromkeys(apart, f"nothing connects it to {root}"))
-    return LinkedRig(rig, linked, refused, within, tuple(contradicted))
+    return LinkedRig(rig, linked, refused, within, tuple(contradicted), tuple(knocks))
 
 
 def _contradicted(

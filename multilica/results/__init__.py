@@ -45,7 +45,7 @@ from multilica.results.registrations import (
     Verdict,
     connected,
 )
-from multilica.results.stops import DriveView, LinkedStops, StopLink, StopPose, ViewPair
+from multilica.results.stops import DriveView, Knock, LinkedStops, StopLink, StopPose, ViewPair
 from multilica.results.visibility_score import BeamLabel, VisibilityScore
 
 __all__ = [
@@ -65,6 +65,7 @@ __all__ = [
     "Group",
     "Hypothesis",
     "IndexArray",
+    "Knock",
     "LidarPlacement",
     "LinkedStops",
     "MergeCandidate",

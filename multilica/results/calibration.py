@@ -15,7 +15,7 @@ from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
 from multilica.results.placements import GroundPlane, LidarPlacement, MergeDecision, Refinement
 from multilica.results.registrations import PairRegistration
-from multilica.results.stops import StopLink, StopPose
+from multilica.results.stops import Knock, StopLink, StopPose
 from multilica.results.values import Figure
 
 if TYPE_CHECKING:
@@ -142,6 +142,7 @@ class CalibrationResult:
         trusted: the registrations that the poses rest on: accepted pairs, with merges that joined what none of them do.
         stops: the vehicle at each stop that links connect with others; empty without links.
         links: registrations between stops, also those that are not used.
+        knocks: LiDARs that moved on the vehicle between two stops.
         level: pose of the target in a frame with z up, for pictures; None without a ground plane.
     """
 
@@ -159,6 +160,7 @@ class CalibrationResult:
     snapshots: tuple[SnapshotReport, ...] = ()
     stops: tuple[StopPose, ...] = ()
     links: tuple[StopLink, ...] = ()
+    knocks: tuple[Knock, ...] = ()
     level: RigidTransform | None = None
     ground_refusal: str = ""
     time_limit: TimeLimit | None = None

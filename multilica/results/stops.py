@@ -113,6 +113,28 @@ class StopLink:
         return frozenset((self.target_stop, self.source_stop))
 
 
+@dataclass(frozen=True, slots=True)
+class Knock:
+    """A LiDAR that moved on the vehicle between two stops."""
+
+    lidar: Annotated[str, Field(description="Name of the LiDAR.")]
+    before: Annotated[str, Field(description="The last stop before it moved.")]
+    after: Annotated[str, Field(description="The first stop after it moved.")]
+    distance_m: Annotated[float, Field(description="Distance by which it moved.")]
+    angle_deg: Annotated[float, Field(description="Angle by which it turned.")]
+    left_out: Annotated[
+        tuple[str, ...], Field(description="Stops on one side of the knock that do not count for its pose.")
+    ]
+
+    @property
+    def text(self) -> str:
+        """The knock for people."""
+        return (
+            f"{self.lidar} moved by {1e3 * self.distance_m:.0f} mm, {self.angle_deg:.2f} deg between {self.before} and "
+            f"{self.after}; its pose is the one without {', '.join(self.left_out)}"
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StopPose:
     """The vehicle at one stop of a drive.

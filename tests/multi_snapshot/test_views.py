@@ -8,6 +8,7 @@ import pytest
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
+from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
@@ -199,3 +200,32 @@ def test_beams_of_another_stop_refuse_what_one_stop_tells():
     assert {conflict.stop for conflict in found.conflicts} == {"stop 3"}
     kept = refine_linked("A", within, links, _CONFIG, _against("stop 2"))
     assert set(kept.rig.poses) == {"A", "B", "C"}
+
+
+_EVERY = "A1-A2 A2-A3 A3-A4 A1-A3 A1-B3 A3-B1 A2-B4 A4-B2 B1-B2 B3-B4 A2-C2 A3-C3 A4-C4 C1-C2 A1-C1 B2-C4"
+
+
+def _knocked(every, lidar, later):
+    """Move a LiDAR by 2 cm at some stops."""
+    off = RigidTransform.from_xyz_rpy(lidar, lidar, (0.02, 0.0, 0.0), (0.0, 0.0, 0.0))
+    for each in every:
+        pose = each.registration.T_target_source
+        if each.source.lidar == lidar and each.source_stop in later:
+            pose = pose @ off
+        if each.target.lidar == lidar and each.target_stop in later:
+            pose = off.inverse() @ pose
+        yield replace(each, registration=replace(each.registration, T_target_source=pose))
+
+
+@pytest.mark.parametrize("lidar", ["A", "B", "C"])
+@pytest.mark.parametrize("seed", [10, pytest.param(11, marks=pytest.mark.nightly)])
+def test_a_knock_between_stops_is_named_and_dated(lidar, seed):
+    every = list(_knocked(pairs(_EVERY, np.random.default_rng(seed)), lidar, {"stop 4"}))
+    (knock,) = _refined(every).knocks
+    assert (knock.lidar, knock.before, knock.after, knock.left_out) == (lidar, "stop 3", "stop 4", ("stop 4",))
+    assert knock.distance_m == pytest.approx(0.02, abs=0.008)
+
+
+@pytest.mark.parametrize("seed", range(20, 24))
+def test_no_knock_is_invented(seed):
+    assert not _refined(pairs(_EVERY, np.random.default_rng(seed))).knocks

@@ -199,6 +199,7 @@ def _finished(result: results.CalibrationResult) -> tuple[LogLine, ...]:
             LogLine("WARN" if report in doubtful else "INFO", f"snapshot {report.name}: {report.text}")
             for report in result.snapshots
         ),
+        *(LogLine("WARN", knock.text) for knock in result.knocks),
         *(LogLine("ERROR", f"{place.lidar} is not placed: {place.reason}") for place in missing),
         *(LogLine("WARN", f"{place.lidar} is uncertain: {place.reason}") for place in uncertain),
         *(LogLine("WARN", text) for text in surprises(result)),

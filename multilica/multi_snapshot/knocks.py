@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""LiDARs that were knocked between two stops of a drive."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
+from multilica.results import DriveView, Knock, ViewPair
+
+# A knock explains this much of chi squared, with 6 more unknowns: one in a hundred million by chance.
+_LEAST_CHI_SQUARED = 50.0
+# A smaller motion cannot be told from systematic errors, rad and m.
+_LEAST_RAD, _LEAST_M = float(np.deg2rad(0.1)), 0.005
+_AFTER = "\0after"
+
+
+def spares(knock: Knock, pair: ViewPair) -> bool:
+    """Return whether a pair has no view of a knocked LiDAR at the stops that are left out."""
+    return not any(view.lidar == knock.lidar and view.stop in knock.left_out for view in pair.views)
+
+
+def find_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> Knock | None:
+    """Find the LiDAR whose motion between two stops explains most of the contradictions; None if none does.
+
+    Args:
+        solution: with one pose per LiDAR.
+        stops: all stops in the order of the drive.
+    """
+    found: list[tuple[float, bool, Knock]] = []
+    if solution.squared < _LEAST_CHI_SQUARED:
+        return None
+    for lidar in sorted(solution.poses.poses):
+        for number, after in enumerate(stops[1:], start=1):
+            later = {*stops[number:]}
+            split = [_renamed(pair, lidar, later) for pair in solution.pairs]
+            both = {view.lidar for pair in split for view in pair.views}
+            if not {lidar, lidar + _AFTER} <= both:
+                continue
+            apart = solve_views(root, split)
+            if not {lidar, lidar + _AFTER} <= apart.poses.poses.keys() or len(apart.pairs) < len(split):
+                continue
+            explained = solution.squared - apart.squared
+            poses = [apart.poses.poses[name] for name in (lidar, lidar + _AFTER)]
+            distance_m, angle_rad = poses[0].distance_to(RigidTransform(root, lidar, poses[1].matrix))
+            if explained < _LEAST_CHI_SQUARED or (distance_m < _LEAST_M and angle_rad < _LEAST_RAD):
+                continue
+            earlier = {*stops} - later
+            left_out = tuple(sorted(earlier if len(earlier) <= len(later) else later))
+            knock = Knock(lidar, stops[number - 1], after, distance_m, float(np.rad2deg(angle_rad)), left_out)
+            found.append((explained, lidar != root, knock))
+    return max(found, key=lambda each: (round(each[0], 3), each[1]))[2] if found else None
+
+
+def _renamed(pair: ViewPair, lidar: str, later: set[str]) -> ViewPair:
+    """Take a LiDAR at later stops for another one."""
+    target, source = (_name(view, lidar, later) for view in (pair.target, pair.source))
+    pose = RigidTransform(target, source, pair.registration.T_target_source.matrix)
+    own = replace(pair.registration, target=target, source=source, T_target_source=pose)
+    return replace(pair, registration=own)
+
+
+def _name(view: DriveView, lidar: str, later: set[str]) -> str:
+    return view.lidar + _AFTER if view.lidar == lidar and view.stop in later else view.lidar
