@@ -24,6 +24,7 @@ from multilica.multi_snapshot.replay import shown_snapshot
 from multilica.multi_snapshot.trusted_links import ContradictionAt, LinkedRig, refine_linked
 from multilica.results import (
     CalibrationResult,
+    DriveView,
     LidarPlacement,
     PairRegistration,
     PoseConflict,
@@ -110,7 +111,11 @@ def join(
     given: SnapshotPairs = {name: result.trusted for name, result in results.items()}
     kept, conflicts = resolve_conflicts(given, config)
     target, reason = choose_target(kept, lidars, config.target, links)
-    linked = _rig(target, kept, links, config, contradiction_at)
+    inconsistent = {
+        name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results
+    }
+    moved = [DriveView(conflict.lidars[0], name) for name, own in inconsistent.items() for conflict in own]
+    linked = _rig(refine_linked(target, kept, links, config.refine, contradiction_at, moved))
     if linked.conflicts or linked.knocks:
         left = {id(pair.registration) for pair in linked.within}
         kept = {name: tuple(each for each in own if id(each) in left) for name, own in kept.items()}
@@ -123,7 +128,7 @@ def join(
         linked,
         alone,
         alone | _estimates(target, changed, config),
-        {name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results},
+        inconsistent,
         config.acceptance,
     )
     result = CalibrationResult(
@@ -189,14 +194,8 @@ def _overlap(pairs: Sequence[PairRegistration]) -> dict[str, float]:
     return {name: fsum(values) for name, values in fitness.items()}
 
 
-def _rig(
-    target: str,
-    pairs: SnapshotPairs,
-    links: Sequence[ViewPair],
-    config: CalibrationConfig,
-    contradiction_at: ContradictionAt | None,
-) -> LinkedRig:
-    linked = refine_linked(target, pairs, links, config.refine, contradiction_at)
+def _rig(linked: LinkedRig) -> LinkedRig:
+    """Add the snapshots to the residuals of pairs."""
     rig = linked.rig
     used = [pair.target_stop for pair in linked.within if pair.registration.lidars <= {*rig.poses}]
     residuals = tuple(

@@ -19,6 +19,7 @@ ContradictionAt = Callable[[RigidTransform, Collection[str]], str]
 """Returns the stop, other than those, at which beams contradict a pose of two LiDARs; "" if none do."""
 
 _ALONE = "no other link confirms it"
+_ELSEWHERE = "other stops put one of its LiDARs elsewhere on the vehicle"
 _CONTRADICTED = "it contradicts other links and pairs"
 
 
@@ -77,6 +78,7 @@ def refine_linked(
     links: Sequence[ViewPair],
     config: RefineConfig,
     contradiction_at: ContradictionAt | None = None,
+    inconsistent: Collection[DriveView] = (),
 ) -> LinkedRig:
     """Refine a rig over all stops, with the links that others confirm and none contradicts.
 
@@ -87,11 +89,18 @@ def refine_linked(
 
     A hall whose ends look alike may join views consistently and yet wrongly. The pose of two LiDARs that follows then
     contradicts their beams at other stops, and no link between different LiDARs counts.
+
+    Args:
+        inconsistent: views of LiDARs that are elsewhere on the vehicle than at other stops.
     """
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
     refused: dict[ViewPair, str] = {}
     contradicted: list[BeamConflict] = []
     knocks: list[Knock] = []
+    moved = {*inconsistent}
+    elsewhere = [link for link in links if link.views & moved]
+    refused.update(dict.fromkeys(elsewhere, _ELSEWHERE))
+    links = [link for link in links if link not in elsewhere]
     left = _consistent(within, [link for link in links if link.registration.information is not None], refused)
     while True:
         solution = solve_views(root, [*within, *left])
@@ -103,6 +112,7 @@ def refine_linked(
         knock = find_knock(root, solution, [*pairs]) if left else None
         if knock is not None:
             knocks.append(knock)
+            moved |= {DriveView(knock.lidar, stop) for stop in knock.left_out}
             refused.update((link, knock.text) for link in left if not spares(knock, link))
             within, left = ([pair for pair in each if spares(knock, pair)] for each in (within, left))
             continue
@@ -110,7 +120,7 @@ def refine_linked(
         rig = refine(root, solution.poses.poses, [pair.registration for pair in within], config, linked)
         doubtful = [(residual.probability, number) for number, residual in enumerate(rig.links) if residual.contradicts]
         if not doubtful:
-            against = _contradicted(rig, within, contradiction_at) if links and contradiction_at else None
+            against = _contradicted(rig, within, contradiction_at, moved) if links and contradiction_at else None
             if against is None:
                 break
             crossing = [link for link in left if link.target.lidar != link.source.lidar]
@@ -129,11 +139,12 @@ def refine_linked(
 
 
 def _contradicted(
-    rig: RefinedRig, within: Sequence[ViewPair], contradiction_at: ContradictionAt
+    rig: RefinedRig, within: Sequence[ViewPair], contradiction_at: ContradictionAt, moved: Collection[DriveView]
 ) -> BeamConflict | None:
-    """Find two LiDARs whose pose beams contradict at a stop where it was not registered."""
+    """Find two LiDARs whose pose beams contradict at a stop where it was not registered, and none of them moved."""
     for target, source in combinations(sorted(rig.poses), 2):
         own = {pair.target_stop for pair in within if pair.registration.lidars == {target, source}}
+        own |= {view.stop for view in moved if view.lidar in (target, source)}
         stop = contradiction_at(rig.poses[target].inverse() @ rig.poses[source], own)
         if stop:
             return BeamConflict(target, source, stop)

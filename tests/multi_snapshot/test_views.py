@@ -12,7 +12,7 @@ from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
-from multilica.results import LinkedStops
+from multilica.results import DriveView, LinkedStops
 from multilica.stages.refine import refine
 from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs
 from tests.unit.derivatives import assert_alike, derivative
@@ -229,3 +229,12 @@ def test_a_knock_between_stops_is_named_and_dated(lidar, seed):
 @pytest.mark.parametrize("seed", range(20, 24))
 def test_no_knock_is_invented(seed):
     assert not _refined(pairs(_EVERY, np.random.default_rng(seed))).knocks
+
+
+def test_a_lidar_that_one_stop_puts_elsewhere_has_no_links_there():
+    within, links = _split(pairs("A1-B1 A3-B3 A1-A2 A2-A3 A1-A3 B1-B2 B2-B3", np.random.default_rng(12)))
+    moved = [DriveView("B", "stop 2")]
+    found = refine_linked("A", within, links, _CONFIG, _against("stop 2"), moved)
+    assert set(found.rig.poses) == {"A", "B"}
+    assert not found.conflicts
+    assert {link.target for link in found.links if not link.used} == {"B"}
