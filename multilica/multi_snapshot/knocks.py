@@ -5,13 +5,17 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import fdtrc
 
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.view_solution import ViewSolution, solve_views
 from multilica.results import DriveView, Knock, ViewPair
 
-# A knock explains this much of chi squared, with 6 more unknowns: one in a hundred million by chance.
-_LEAST_CHI_SQUARED = 50.0
+# A knock explains this much of chi squared with 6 more unknowns, and by an F test, which does not depend on the size of
+# the covariances, it is less probable than this by chance.
+_LEAST_CHI_SQUARED = 25.0
+_PROBABILITY = 1e-5
+_FREEDOM = 6
 # A smaller motion cannot be told from systematic errors, rad and m.
 _LEAST_RAD, _LEAST_M = float(np.deg2rad(0.1)), 0.005
 _AFTER = "\0after"
@@ -43,6 +47,9 @@ def find_knock(root: str, solution: ViewSolution, stops: Sequence[str]) -> Knock
             if not {lidar, lidar + _AFTER} <= apart.poses.poses.keys() or len(apart.pairs) < len(split):
                 continue
             explained = solution.squared - apart.squared
+            left = _FREEDOM * len(apart.pairs) - apart.poses.columns
+            if left <= 0 or fdtrc(_FREEDOM, left, explained / _FREEDOM * left / apart.squared) > _PROBABILITY:
+                continue
             poses = [apart.poses.poses[name] for name in (lidar, lidar + _AFTER)]
             distance_m, angle_rad = poses[0].distance_to(RigidTransform(root, lidar, poses[1].matrix))
             if explained < _LEAST_CHI_SQUARED or (distance_m < _LEAST_M and angle_rad < _LEAST_RAD):
