@@ -17,7 +17,6 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import (
-    SnapshotSource,
     find_snapshots,
     read_prior,
     read_snapshot,
@@ -27,6 +26,8 @@ from multilica.ingest import (
 from multilica.ingest.locate import PathLike, locate, names_of, without_folders
 from multilica.ingest.metadata import config_for
 from multilica.ingest.remote.address import local_output, stem_of
+from multilica.ingest.remote.remote_file import SourceFile
+from multilica.ingest.stops import MOST_STOPS, find_stops, read_stops
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
@@ -58,6 +59,25 @@ class CalibrationRun:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Given:
+    """One of the snapshots of a run.
+
+    Args:
+        name: of its directory in a joint run.
+        source: of the recording, without folders.
+        snapshot: None if it is read when its turn comes.
+    """
+
+    name: str
+    source: str
+    paths: tuple[SourceFile, ...]
+    snapshot: Snapshot | None = None
+
+    def read(self, config: CalibrationConfig) -> Snapshot:
+        return read_snapshot(self.paths, config=config.ingest) if self.snapshot is None else self.snapshot
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Request:
     """Settings that all snapshots of a run share."""
 
@@ -84,7 +104,8 @@ def run_calibration(
     """Read recordings, calibrate, and write a run directory.
 
     Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
-    own below `out`, then all of them jointly into `out`, with links between those that saw the same. Every file is
+    own below `out`, then all of them jointly into `out`, with links between those that saw the same. So are the stops
+    of one log, if `drive.stops` asks for several. Every file is
     written under a temporary name and renamed when it is complete. An exception that ends the run carries a note on
     the files that are left in the directory.
 
@@ -112,14 +133,36 @@ def run_calibration(
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
     deadline_s = deadline_of(config)
-    found = find_snapshots(files, config=config.ingest)
+    found = _find(files, config)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
-            return _run_jointly(found, place or default_directory(files, len(found)), request)
+            more = len(found) if len({each.paths for each in found}) > 1 else 1
+            return _run_jointly(found, place or default_directory(files, more), request)
         snapshot = _read(found[0], config, observe)
         # Chosen after reading: of runs that start together, each finds what the others write.
         return _run_one(snapshot, place or default_directory(files), request)
+
+
+def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
+    """Find the snapshots of recordings, and the stops of a log if the configuration asks for several."""
+    found = find_snapshots(files, config=config.ingest)
+    if len(found) > 1:
+        if config.target:
+            require_lidar(config.target, found)
+        names = names_of([source.paths[0] for source in found])
+        return [_Given(source.name, name, source.paths) for source, name in zip(found, names, strict=True)]
+    (only,) = found
+    wanted = config.drive.stops
+    if wanted != 1:
+        stops = find_stops(files, config=config.ingest, most=MOST_STOPS if wanted == "auto" else wanted)
+        snapshots = read_stops(stops, config=config.ingest)
+        if len(snapshots) > 1:
+            return [
+                _Given(f"stop_{number}", snapshot.source, only.paths, snapshot)
+                for number, snapshot in enumerate(snapshots, start=1)
+            ]
+    return [_Given(only.name, only.name, only.paths)]
 
 
 def default_directory(sources: Sequence[PathLike], snapshots: int = 1) -> Path:
@@ -138,11 +181,11 @@ def _holds_files(path: Path) -> bool:
     return any(path.iterdir()) if path.is_dir() else path.exists()
 
 
-def _read(source: SnapshotSource, config: CalibrationConfig, observe: RunObserver) -> Snapshot:
+def _read(given: _Given, config: CalibrationConfig, observe: RunObserver) -> Snapshot:
     """Read a snapshot and check it; a source that is refused here leaves an earlier run directory as it was."""
     observe(events.StageStarted("ingest", 0))
     start_s = time.perf_counter()
-    snapshot = read_snapshot(source.paths, config=config.ingest)
+    snapshot = given.read(config)
     require_calibratable(snapshot)
     if config.target:
         snapshot[config.target]
@@ -195,42 +238,35 @@ def _told_when_written(write: Observer, tell: RunObserver) -> Observer:
     return pass_on
 
 
-def _run_jointly(sources: Sequence[SnapshotSource], directory: Path, request: _Request) -> CalibrationRun:
+def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) -> CalibrationRun:
     config = request.config
     require_joinable(config)
-    if config.target:
-        require_lidar(config.target, sources)
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
-        names = names_of([source.paths[0] for source in sources])
         alone: list[SnapshotRun] = []
         stops: list[DriveStop] = []
-        for source, name in zip(sources, names, strict=True):
+        for given in found:
             prepared: dict[str, PreparedLidar] | None = {} if len(stops) < MAX_LINKED_STOPS else None
-            alone.append(_run_alone(source, name, run.place / source.name, request, prepared))
+            alone.append(_run_alone(given, run.place / given.name, request, prepared))
             if prepared and (own := alone[-1].result) is not None:
-                stops.append(DriveStop(source.name, prepared, own.trusted))
+                stops.append(DriveStop(given.name, prepared, own.trusted))
         with threadpool_limits(1):
             links = search_links(stops, config, request.workers, request.deadline_s)
             result = join(alone, config, links, partial(contradiction_at, stops, config))
-        shown = next(source for source in sources if source.name == shown_snapshot(result))
-        result = replay(read_snapshot(shown.paths, config=config.ingest), result, config, run, request.rig)
-    directories = tuple(path for source in sources if (path := directory / source.name).is_dir())
+        shown = next(given for given in found if given.name == shown_snapshot(result))
+        result = replay(shown.read(config), result, config, run, request.rig)
+    directories = tuple(path for given in found if (path := directory / given.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 
 
 def _run_alone(
-    source: SnapshotSource,
-    name: str,
-    directory: Path,
-    request: _Request,
-    prepared: dict[str, PreparedLidar] | None,
+    given: _Given, directory: Path, request: _Request, prepared: dict[str, PreparedLidar] | None
 ) -> SnapshotRun:
     """Calibrate one of several snapshots; the others can do without one that is refused."""
-    request.observe(events.SnapshotStarted(source.name))
+    request.observe(events.SnapshotStarted(given.name))
     config = request.config
     try:
-        snapshot = _read(source, config.model_copy(update={"target": ""}), request.observe)
+        snapshot = _read(given, config.model_copy(update={"target": ""}), request.observe)
         if config.target not in snapshot.names:
             # The joint result has the ground under the target.
             ground = config.ground.model_copy(update={"enabled": False})
@@ -238,7 +274,7 @@ def _run_alone(
             request = replace(request, rig=None)
         result = _run_one(snapshot, directory, replace(request, config=config), prepared).result
     except UnfitSnapshotError as refusal:
-        request.observe(events.SnapshotRefused(source.name, str(refusal)))
-        (told,) = without_folders([str(refusal)], source.paths)
-        return SnapshotRun(source.name, None, name, refusal=told)
-    return SnapshotRun(source.name, result, name, snapshot.source_sha256)
+        request.observe(events.SnapshotRefused(given.name, str(refusal)))
+        (told,) = without_folders([str(refusal)], given.paths)
+        return SnapshotRun(given.name, None, given.source, refusal=told)
+    return SnapshotRun(given.name, result, given.source, snapshot.source_sha256)

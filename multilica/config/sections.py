@@ -260,6 +260,9 @@ class JointConfig(Section):
 class DriveConfig(Section):
     """Stops of one drive, which what the LiDARs see at several of them links."""
 
+    stops: Count | Literal["auto"] = Field(
+        1, description="standstills of a log that are used; auto: up to four that differ in place and see much"
+    )
     max_distance_m: Metres = Field(
         40.0, description="largest distance between LiDARs at two stops that are linked; 0: no links are sought"
     )

@@ -55,6 +55,14 @@ def calibrate(
         ),
     ] = None,
     reading: Reading,
+    stops: Annotated[
+        str | None,
+        option(
+            "--stops auto|N",
+            "Standstills of a log to use, each as a snapshot; auto: up to four that differ in place and see much.",
+            "1",
+        ),
+    ] = None,
     parameters: Parameters,
     max_sigma: Annotated[
         str | None,
@@ -109,6 +117,7 @@ def calibrate(
         "until": until,
         **reading.values,
         **sigma_limits(max_sigma),
+        "drive.stops": int(stops) if stops is not None and stops.isdecimal() else stops,
         "ground.enabled": ground or base is not None or None,
         "ground.frame": base,
         "runtime.workers": workers,
