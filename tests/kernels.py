@@ -18,10 +18,8 @@ FOLDERS = ("tests/unit", "tests/property", "tests/pipeline", "tests/sinks")
 # Of these a push runs one row, another each time, with the kernel that differs most from those of today's CPUs: the
 # numbers, or what they decide.
 NUMERIC = (
-    (
-        *(f"tests/unit/{name}" for name in ("acceptance", "registration", "solvers", "stages", "visibility")),
-        "tests/property/test_geometry.py",
-    ),
+    *((f"tests/unit/{name}",) for name in ("registration", "stages")),
+    (*(f"tests/unit/{name}" for name in ("acceptance", "solvers", "visibility")), "tests/property/test_geometry.py"),
     *((f"tests/pipeline/test_{name}.py",) for name in ("prior", "real_scans", "simulated")),
 )
 PUSH_KERNEL = "Prescott"
@@ -35,7 +33,8 @@ SAME_ON_ANY_CPU = (
     "tests/sinks/mcap/test_foxglove_studio.py",
 )
 IGNORED = [f"--ignore={path}" for path in SAME_ON_ANY_CPU]
-PYTEST = [sys.executable, "-m", "pytest", "-n", "2", "--dist", "loadfile", "--no-loadscope-reorder", "-q", *IGNORED]
+PYTEST = [sys.executable, "-m", "pytest", "-q", *IGNORED]
+TWO_WORKERS = ["-n", "2", "--dist", "loadfile", "--no-loadscope-reorder"]
 VARIABLES = ("OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES")
 ALIASES = {"Katmai": "Prescott"}  # OpenBLAS has one kernel for both and reports the first name.
 
@@ -63,7 +62,7 @@ def probe(chosen: dict[str, str]) -> tuple[set[str], set[str], list[str]]:
 
 
 def run_tests(kernel: str, arguments: list[str], *, beside_others: bool = False) -> str:
-    """Run the tests with one kernel; return what came of it. Beside other tests, print their output when they ended."""
+    """Run the tests with one kernel; return what came of it. Beside other tests, one process prints when it ended."""
     _, baseline, found = probe({})
     if not NEEDED[kernel] & {*baseline, *found}:
         return f"skipped: this CPU has none of {', '.join(sorted(NEEDED[kernel]))}"
@@ -75,8 +74,9 @@ def run_tests(kernel: str, arguments: list[str], *, beside_others: bool = False)
     if used != {kernel} or {*kept} & {*disabled}:
         return f"failed: {chosen} is ignored: OpenBLAS uses {', '.join(sorted(used))}, NumPy {', '.join(kept)}"
     print(f"== {kernel}: NumPy without {' '.join(disabled) or '-'}", flush=True)
-    output = subprocess.PIPE if beside_others else None
-    ended = subprocess.run([*PYTEST, *arguments], env=os.environ | chosen, stdout=output, text=True, check=False)
+    output, workers = (subprocess.PIPE, []) if beside_others else (None, TWO_WORKERS)
+    command = [*PYTEST, *workers, *arguments]
+    ended = subprocess.run(command, env=os.environ | chosen, stdout=output, text=True, check=False)
     print(ended.stdout or "", end="", flush=True)
     return f"failed: pytest ended with {ended.returncode}" if ended.returncode else "passed"
 

@@ -65,7 +65,7 @@ def project(tmp_path: Path) -> Path:
     """A checkout with a recording, its extrinsics, and programs of the service that only note their calls."""
     for name in ("recordings", "bin"):
         (tmp_path / name).mkdir()
-    write_thinned_sample(tmp_path / "recordings" / "drive.mcap")
+    write_thinned_sample(tmp_path / "recordings" / "drive.mcap", 6)
     shutil.copy(find_sample().truth, tmp_path / "calibration.toml")
     git(tmp_path, "init", "--quiet", "--bare", "origin.git")
     git(tmp_path, "init", "--quiet")

@@ -58,7 +58,7 @@ def test_a_higher_limit_of_sigma_places_an_uncertain_lidar(invoke: Invoke, two_l
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("preset", ["paper", "paper-algorithm1"])
+@pytest.mark.parametrize("preset", ["paper", pytest.param("paper-algorithm1", marks=pytest.mark.nightly)])
 def test_a_preset_of_the_paper_says_what_it_accepted_by(preset: str, invoke: Invoke, two_lidars: Path) -> None:
     outcome = invoke("calibrate", two_lidars, "--target", "left", "--out", "run", "--preset", preset)
     assert outcome.code == ExitCode.DONE
@@ -88,7 +88,7 @@ def test_quiet_prints_nothing(invoke: Invoke, two_lidars: Path) -> None:
 def test_json_is_the_whole_of_stdout(two_lidars: Path, tmp_path: Path) -> None:
     out = tmp_path / "run"
     ended = subprocess.run(
-        command_of_process("calibrate", two_lidars, "--target", "left", "--out", out, "--json"),
+        command_of_process("calibrate", two_lidars, "--target", "left", "--out", out, "--workers", "1", "--json"),
         capture_output=True,
         check=False,
         text=True,

@@ -213,6 +213,7 @@ def test_python_calibrates_in_one_line(installed: Installed) -> None:
     assert ended.stdout.startswith(str(installed.folder))
 
 
+@pytest.mark.nightly
 def test_the_method_of_the_paper_works(installed: Installed) -> None:
     ended = installed.run("multilica", "calibrate", str(SAMPLE), "--preset", "paper", "--out", "paper")
     assert ended.returncode == 0, ended.stderr

