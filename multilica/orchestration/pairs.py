@@ -187,8 +187,8 @@ def register_implied(lidars: Shared, implied: Hypothesis) -> PairRegistration:
 
 def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
     """Score a pose between two LiDARs by their beams."""
-    target, source = (lidars[name] for name in (pose.target, pose.source))
-    return score_pose(target.verification_cloud.view, source.verification_cloud.view, pose, *FINE_TOLERANCES)
+    target, source = (lidars[name].view for name in (pose.target, pose.source))
+    return score_pose(target, source, pose, *FINE_TOLERANCES)
 
 
 def register_sides(

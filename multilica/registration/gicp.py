@@ -44,7 +44,6 @@ class GicpCloud:
         name: the LiDAR, or the root of a group.
         points_m: (N, 3) in the frame of that name.
         tree: nearest neighbours among `points_m`.
-        engine_cloud: the engine's own type, with covariances; that of Open3D with normals, from which it makes them.
         engine: name of the engine.
         neighbours: points from which a covariance or a normal is estimated.
     """
@@ -52,13 +51,27 @@ class GicpCloud:
     name: str
     points_m: FloatArray
     tree: PointTree
-    engine_cloud: Any
     engine: str
     neighbours: int
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the points; the engine's types cannot be pickled, and are the same bits when computed again."""
-        return _with_covariances, (self.name, self.points_m, self.engine, self.neighbours)
+        """Leave out the engine's types, which cannot be pickled, and are the same bits when computed again."""
+        return GicpCloud, (self.name, self.points_m, self.tree, self.engine, self.neighbours)
+
+    @cached_property
+    def engine_cloud(self) -> Any:  # noqa: ANN401 - the engines' types have nothing in common
+        """The engine's own type, with covariances; that of Open3D with normals, from which it makes them.
+
+        Computed on first use: a cloud of which GICP takes a part needs none.
+        """
+        if self.engine == "small_gicp":
+            small_gicp.estimate_covariances(
+                self.tree.cloud, self.tree.engine, num_neighbors=self.neighbours, num_threads=1
+            )
+            return self.tree.cloud
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(self.points_m))
+        cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(self.neighbours))
+        return cloud
 
     @cached_property
     def surface(self) -> Surface:
@@ -67,24 +80,14 @@ class GicpCloud:
 
 
 def prepare_gicp_cloud(name: str, points_m: FloatArray, config: FineConfig) -> GicpCloud:
-    """Thin a cloud on the engine's grid, and estimate a covariance or normal per point from its neighbours."""
+    """Thin a cloud on the engine's grid."""
     thinned_on_grid = thin if config.engine == "small_gicp" else thin_from_cloud
     thinned, voxel_size_m = thinned_on_grid(points_m, config.voxel_size_m), config.voxel_size_m
     while len(thinned) > config.max_points:
         voxel_size_m *= _COARSER
         thinned = thinned_on_grid(thinned, voxel_size_m)
-    return _with_covariances(name, thinned, config.engine, config.neighbours)
-
-
-def _with_covariances(name: str, points_m: FloatArray, engine: str, neighbours: int) -> GicpCloud:
-    tree = PointTree(points_m)
-    engine_cloud = tree.cloud
-    if engine == "small_gicp":
-        small_gicp.estimate_covariances(tree.cloud, tree.engine, num_neighbors=neighbours, num_threads=1)
-    else:
-        engine_cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(tree.points_m))
-        engine_cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(neighbours))
-    return GicpCloud(name, tree.points_m, tree, engine_cloud, engine, neighbours)
+    tree = PointTree(thinned)
+    return GicpCloud(name, tree.points_m, tree, config.engine, config.neighbours)
 
 
 def register(

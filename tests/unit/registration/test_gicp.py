@@ -102,6 +102,16 @@ def test_a_source_out_of_reach_stays_where_it_is():
     assert (result.fitness, result.inliers) == (0.0, 0)
 
 
+def test_covariances_are_estimated_where_they_are_used():
+    """GICP takes a part of a source that reaches beyond the target: the rest needs none."""
+    config, start = FineConfig(), RigidTransform.identity("t", "s")
+    room_m = _room(0, 4000)
+    target = prepare_gicp_cloud("t", room_m[room_m[:, 0] < -3.0], config)
+    source = prepare_gicp_cloud("s", room_m * [3.0, 1.0, 1.0], config)
+    register(target, source, start, config)
+    assert [cloud.name for cloud in (target, source) if "engine_cloud" in vars(cloud)] == ["t"]
+
+
 def test_the_narrower_cloud_is_the_source():
     target, source = _clouds(FineConfig())
     result = register_narrower(source, target, RigidTransform.identity("s", "t"), FineConfig())
