@@ -38,6 +38,7 @@ def test_tables_stand_beside_the_published_figures(scene: Path, invoke: Invoke) 
 
 
 @pytest.mark.slow
+@pytest.mark.nightly  # a push reads such a sequence in tests/datasets
 def test_a_helipr_sequence_runs(tmp_path: Path, invoke: Invoke) -> None:
     sequence = write_helipr(tmp_path / "KAIST05")
     arguments = ("--preset", "default", "--scenes", "1", "--frames", "2", "--out", "o", "--quiet", "--json")

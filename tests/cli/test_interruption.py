@@ -23,7 +23,7 @@ DELAYS_S = (0.1, 0.2, 0.4, 0.7, 0.9, 1.1, 1.3)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "stage"),
-    some_of([(number, stage) for stage in ("preprocess", "fine") for number in (*STOPS, signal.SIGHUP)], 2),
+    some_of([(number, stage) for stage in ("preprocess", "fine") for number in (*STOPS, signal.SIGHUP)], 1),
 )
 def test_a_stopped_run_leaves_a_readable_recording(
     number: signal.Signals, stage: str, two_lidars: Path, tmp_path: Path
@@ -118,7 +118,7 @@ def _import_and_wait() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "delay_s"), some_of([(number, delay_s) for delay_s in DELAYS_S for number in STOPS], 4)
+    ("number", "delay_s"), some_of([(number, delay_s) for delay_s in DELAYS_S for number in STOPS], 2)
 )
 def test_a_signal_at_the_start_is_told_in_one_line(
     number: signal.Signals, delay_s: float, two_lidars: Path, tmp_path: Path

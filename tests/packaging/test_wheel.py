@@ -207,6 +207,7 @@ def test_the_demo_places_every_lidar(installed: Installed) -> None:
     assert {"calibration.toml", "result.json", "recording.rrd", "result.mcap", "report.html"} <= left
 
 
+@pytest.mark.nightly
 def test_python_calibrates_in_one_line(installed: Installed) -> None:
     ended = installed.run("python", "-c", SMOKE, str(SAMPLE))
     assert ended.returncode == 0, ended.stderr

@@ -89,7 +89,7 @@ def test_a_few_frames_at_high_speed_suffice(monkeypatch: pytest.MonkeyPatch, fra
             ("sides", "open_field", ("pedestrians",)),
             ("helipr", "fence_field", ()),
         ],
-        3,
+        2,
     ),
 )
 def test_a_vehicle_at_rest_is_not_said_to_move(rig: str, scene: str, disturbances: tuple[str, ...]) -> None:

@@ -83,7 +83,7 @@ def test_logs_unlike_the_pattern_are_told(invoke: Invoke, tmp_path):
     for name in ("cars/v1", "trucks"):
         (tmp_path / "logs" / name).mkdir(parents=True)
         (tmp_path / "logs" / name / "log.mcap").write_bytes(bytes(100))
-    command = ("fleet", "run", "logs", "--out", "store", "--pattern")
+    command = ("fleet", "run", "logs", "--out", "store", "--workers", "1", "--pattern")
     assert_one_sentence(invoke(*command, "bikes/{vehicle}/"), ExitCode.USAGE)
     outcome = invoke(*command, "cars/{vehicle}/")
     assert outcome.code == ExitCode.NOT_PLACED
@@ -249,11 +249,12 @@ def test_a_damaged_store_is_repaired(store, invoke: Invoke):
 def test_a_damaged_row_of_a_log_is_written_again(tmp_path, invoke: Invoke):
     (tmp_path / "v1").mkdir()
     (tmp_path / "v1" / "log.mcap").write_bytes(bytes(100))
-    invoke("fleet", "run", "v1", "--out", "store")
+    command = ("fleet", "run", "v1", "--out", "store", "--workers", "1")
+    invoke(*command)
     (part,) = (tmp_path / "store").glob("logs/*/*/*.parquet")
     whole = part.read_bytes()
     part.write_bytes(whole[:50])
-    assert invoke("fleet", "run", "v1", "--out", "store").out.startswith("1 logs, 0 of them finished before: 1 failed")
+    assert invoke(*command).out.startswith("1 logs, 0 of them finished before: 1 failed")
     assert len(part.read_bytes()) == len(whole)
 
 

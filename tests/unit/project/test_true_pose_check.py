@@ -35,6 +35,7 @@ def test_the_truth_of_a_hall_would_have_been_accepted():
 
 
 @pytest.mark.slow
+@pytest.mark.nightly
 def test_the_truth_of_a_tunnel_is_not_constrained():
     trial = _tried(_TUNNEL)
     assert not trial.accepted
