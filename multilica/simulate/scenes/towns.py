@@ -64,7 +64,7 @@ def _beside(rng: np.random.Generator, road_m: float, start_m: float, end_m: floa
 def equal_houses(rng: np.random.Generator) -> Scene:
     """Build a street of equal houses at equal distances, with a tree each; by seed a bench and a sign among them."""
     terrain = Terrain(rng.uniform(-0.02, 0.02))
-    front_m, width_m = _HALF_ROAD_M + rng.uniform(2.0, 5.0), rng.uniform(6.0, 9.0)
+    front_m, width_m = _HALF_ROAD_M + rng.uniform(3.5, 6.0), rng.uniform(6.0, 9.0)
     pitch_m = width_m + rng.uniform(0.0, 4.0)
     spots_m = np.arange(-_REACH_M + rng.uniform(0.0, pitch_m), _REACH_M, pitch_m)
     house, trunk = building(rng, width_m, 9.0), tree(rng, rng.uniform(4.0, 6.0))
