@@ -51,7 +51,7 @@ def calibrate(
     snapshots = _as_snapshots(source)
     if len(snapshots) > 1:
         if prior is not None or rig is not None:
-            raise UsageError("A prior or a rig is for one snapshot; several were given.")
+            raise UsageError(f"A prior or a rig is for one snapshot, and {len(snapshots)} were given; leave it out.")
         return calibrate_stops(snapshots, config, observe, workers, deadline_s)
     if snapshots:
         (snapshot,) = snapshots
@@ -62,9 +62,16 @@ def calibrate(
 
 
 def _as_snapshots(source: Snapshot | Sequence[Snapshot] | PathLike | Sequence[PathLike]) -> list[Snapshot]:
-    """Return the snapshots of a source that is one or several; none if it has to be read."""
+    """Return the snapshots of a source that is one or several; none if it has to be read.
+
+    Raises:
+        UsageError: snapshots and paths are mixed.
+    """
     if isinstance(source, Snapshot):
         return [source]
     if isinstance(source, PathLike):
         return []
-    return [each for each in source if isinstance(each, Snapshot)]
+    snapshots = [each for each in source if isinstance(each, Snapshot)]
+    if snapshots and len(snapshots) < len(source):
+        raise UsageError("Expected snapshots or paths, found both; read the paths with `multilica.read_snapshot`.")
+    return snapshots

@@ -47,3 +47,13 @@ def test_one_lidar_is_told_with_the_name_of_the_file(tmp_path: Path) -> None:
 def test_recordings_of_the_same_lidars_are_refused() -> None:
     with pytest.raises(UsageError):
         multilica.calibrate([find_sample().recording] * 2)
+
+
+def test_several_snapshots_take_no_prior_and_no_paths() -> None:
+    lidar = multilica.LidarScans("a", (multilica.Scan(np.ones((5, 3), np.float32)),))
+    snapshot = multilica.Snapshot((lidar,))
+    prior = multilica.Extrinsics("a", {})
+    with pytest.raises(UsageError, match="2 were given"):
+        multilica.calibrate([snapshot, snapshot], prior=prior)
+    with pytest.raises(UsageError, match="found both"):
+        multilica.calibrate([snapshot, "drive.mcap"])  # type: ignore[list-item]
