@@ -88,7 +88,7 @@ def refine_linked(
     more than the covariances allow, the least probable first.
 
     A hall whose ends look alike may join views consistently and yet wrongly. The pose of two LiDARs that follows then
-    contradicts their beams at other stops, and no link between different LiDARs counts.
+    contradicts their beams at other stops, and no link of that drive counts.
 
     Args:
         inconsistent: views of LiDARs that are elsewhere on the vehicle than at other stops.
@@ -123,10 +123,10 @@ def refine_linked(
             against = _contradicted(rig, within, contradiction_at, moved) if links and contradiction_at else None
             if against is None:
                 break
-            crossing = [link for link in left if link.target.lidar != link.source.lidar]
-            refused.update(dict.fromkeys(crossing, against.text))
-            left = [link for link in left if link not in crossing]
-            if not crossing:
+            if left:
+                refused.update(dict.fromkeys(left, against.text))
+                left = []
+            else:
                 within = _without(within, against)
             contradicted.append(against)
             continue

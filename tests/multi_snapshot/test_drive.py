@@ -11,12 +11,15 @@ import pytest
 from multilica import calibrate
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
+from multilica.results import Knock
 from multilica.results.building import provenance_of, result_document
 from multilica.results.document import parse_result
 from multilica.simulate import RIGS, simulate_snapshot, true_extrinsics
 from multilica.simulate.models import FALCON
 from multilica.simulate.rigs import Mount, Rig, car
+from multilica.sinks.report.contents import ReportContents
 from multilica.sinks.report.drive_map import drive_maps, links_of
+from multilica.sinks.report.page import report_html
 
 pytestmark = pytest.mark.slow
 
@@ -76,12 +79,16 @@ def test_a_drive_that_turns_places_lidars_without_a_common_view():
 
 def test_the_document_and_the_map_have_the_stops():
     result = _calibrated(_TURNING)
-    provenance = provenance_of(_stop(_TURNING[0], 3))
-    document = parse_result("made", result_document(result, _CONFIG, provenance).model_dump_json())
+    snapshot = _stop(_TURNING[0], 3)
+    knocked = replace(result, knocks=(Knock("rear", "stop 1", "stop 2", 0.021, 0.1, ("stop 1",)),))
+    document = parse_result("made", result_document(knocked, _CONFIG, provenance_of(snapshot)).model_dump_json())
     assert [stop.name for stop in document.stops] == [stop.name for stop in result.stops]
     (shown,) = drive_maps(document, RigidTransform.identity("level", result.target))
     assert [stop.name for stop in shown.stops] == [stop.name for stop in result.stops]
     assert sum(links.used for links in shown.links) == sum(link.used for link in result.links)
+    page = report_html(ReportContents(document, {lidar.name: lidar.points_m[::50] for lidar in snapshot.lidars}))
+    assert "Map of the stops from above" in page
+    assert "Rear moved by 21 mm, 0.10 deg between stop 1 and stop 2" in page
     assert min(links_of(document)[stop.name] for stop in result.stops) > 0
 
 
