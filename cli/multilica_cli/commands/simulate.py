@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from multilica.snapshot import Snapshot
 
 _FRAMES, _STOPS = 5, 4
+# A standstill lasts a second or more.
+_DRIVE_FRAMES = 15
 _one = partial(option, rich_help_panel="A recording")
 _many = partial(option, rich_help_panel="A fleet")
 
@@ -90,7 +92,12 @@ def simulate(
     ] = None,
     seed: Annotated[int, option("--seed", "Seed of scenes, mounting, noise and events.")] = 0,
     frames: Annotated[
-        int | None, option("--frames", "Frames per LiDAR, and per stop of a drive.", f"{_FRAMES}; 2 for a fleet")
+        int | None,
+        option(
+            "--frames",
+            "Frames per LiDAR, and per stop of a drive.",
+            f"{_FRAMES}; {_DRIVE_FRAMES} at a stop of a drive; 2 for a fleet",
+        ),
     ] = None,
     keep_every: Annotated[
         int | None, option("--keep-every N", "Keep only every Nth return.", "1; 12 for a fleet", min=1)
@@ -122,7 +129,8 @@ def simulate(
     from multilica.simulate import simulate_drive, simulate_snapshot, thinned
     from multilica.sinks.snapshots import write_ros2_mcap, write_snapshot_mcap
 
-    count, every, kind = _FRAMES if frames is None else frames, keep_every or 1, sensors or "real"
+    usual = _FRAMES if drive is None else _DRIVE_FRAMES
+    count, every, kind = usual if frames is None else frames, keep_every or 1, sensors or "real"
     disturbances = tuple(disturb or ())
     if drive is not None:
         made = simulate_drive(

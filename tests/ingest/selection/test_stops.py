@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from multilica.config import IngestConfig
+from multilica.config import CalibrationConfig, IngestConfig, with_overrides
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.ingest import find_stops, inspect_source, read_stops
 from multilica.ingest import stops as stops_module
@@ -18,6 +18,7 @@ from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic
 from multilica.ingest.selection import standstill
+from multilica.run import run_calibration
 from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
 from multilica.simulate.rigs import FRONT_BACK
 from multilica.simulate.sensors import RasterPattern
@@ -54,6 +55,22 @@ def drive() -> SimulatedDrive:
 def log(drive: SimulatedDrive, tmp_path: Path) -> Path:
     write_ros2_mcap(drive.log, tmp_path / "drive.mcap")
     return tmp_path / "drive.mcap"
+
+
+def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, log: Path, tmp_path: Path) -> None:
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=auto", "runtime.workers=1"])
+    run = run_calibration(log, tmp_path / "run", config)
+    assert [each.name for each in run.result.snapshots] == ["stop_1", "stop_2", "stop_3"]
+    assert {path.name for path in run.written} > {"result.json", "stop_1", "stop_2", "stop_3"}
+    for each in run.result.placements:
+        if each.placed and each.lidar != run.result.target:
+            truth = drive.truth.between(run.result.target, each.lidar)
+            assert each.T_target_source.distance_to(truth)[0] < 0.05
+
+
+def test_one_stop_is_the_single_snapshot(log: Path, tmp_path: Path) -> None:
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "until=features", "runtime.workers=1"])
+    assert run_calibration(log, tmp_path / "run", config).result.snapshots == ()
 
 
 def part(drive: SimulatedDrive, frames: slice) -> Snapshot:
