@@ -38,6 +38,9 @@ from multilica.results import (
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig
 
+# Snapshots that differ by more on a LiDAR, which then fits at two places, see places that look alike.
+_LARGEST_KNOCK_M, _LARGEST_KNOCK_DEG = 0.5, 10.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SnapshotRun:
@@ -115,7 +118,10 @@ def join(
         name: inconsistent_lidars([each for each in conflicts if each.snapshot == name], target) for name in results
     }
     moved = [DriveView(conflict.lidars[0], name) for name, own in inconsistent.items() for conflict in own]
-    linked = _rig(refine_linked(target, kept, links, config.refine, contradiction_at, moved))
+    alike = any(each.distance_m > _LARGEST_KNOCK_M or each.angle_deg > _LARGEST_KNOCK_DEG for each in conflicts)
+    linked = _rig(
+        refine_linked(target, kept, links, config.refine, contradiction_at, moved, looks_alike=alike),
+    )
     if linked.conflicts or linked.knocks:
         left = {id(pair.registration) for pair in linked.within}
         kept = {name: tuple(each for each in own if id(each) in left) for name, own in kept.items()}

@@ -20,6 +20,7 @@ ContradictionAt = Callable[[RigidTransform, Collection[str]], str]
 
 _ALONE = "no other link confirms it"
 _ELSEWHERE = "other stops put one of its LiDARs elsewhere on the vehicle"
+_ALIKE = "links contradict each other, so the place looks like another one"
 _CONTRADICTED = "it contradicts other links and pairs"
 
 
@@ -79,19 +80,22 @@ def refine_linked(
     config: RefineConfig,
     contradiction_at: ContradictionAt | None = None,
     inconsistent: Collection[DriveView] = (),
+    *,
+    looks_alike: bool = False,
 ) -> LinkedRig:
     """Refine a rig over all stops, with the links that others confirm and none contradicts.
 
     Two places may look alike, and between stops no limit of distance helps. So a link counts only where the other links
     and the pairs within the stops imply its pose as well: by another link between the same stops, or by a cycle over
-    stops. A link that is far from the others goes, the one with the least evidence first. So does one that differs by
-    more than the covariances allow, the least probable first.
+    stops. A link that is far from the others shows that the place looks like another, and none counts. One that
+    differs by more than the covariances allow goes, the least probable first.
 
     A hall whose ends look alike may join views consistently and yet wrongly. The pose of two LiDARs that follows then
     contradicts their beams at other stops, and no link of that drive counts.
 
     Args:
         inconsistent: views of LiDARs that are elsewhere on the vehicle than at other stops.
+        looks_alike: the place is known to look like another.
     """
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
     refused: dict[ViewPair, str] = {}
@@ -101,7 +105,10 @@ def refine_linked(
     elsewhere = [link for link in links if link.views & moved]
     refused.update(dict.fromkeys(elsewhere, _ELSEWHERE))
     links = [link for link in links if link not in elsewhere]
-    left = _consistent(within, [link for link in links if link.registration.information is not None], refused)
+    left = [link for link in links if link.registration.information is not None]
+    if looks_alike or _are_far_apart(within, left):
+        refused.update(dict.fromkeys(left, _ALIKE))
+        left = []
     while True:
         solution = solve_views(root, [*within, *left])
         alone = [link for link in solution.linked.links if not solution.is_confirmed(link)]
@@ -179,16 +186,8 @@ def _implied(
     return None if pose is None else RigidTransform(known.target, known.source, pose.matrix)
 
 
-def _consistent(within: Sequence[ViewPair], links: list[ViewPair], refused: dict[ViewPair, str]) -> list[ViewPair]:
-    """Drop links until none is far from where the others put it, the one with the least evidence first."""
+def _are_far_apart(within: Sequence[ViewPair], links: Sequence[ViewPair]) -> bool:
+    """Return whether a link is far from where the others put it: of two such places, one looks like the other."""
     views = _views(within, links)
-    while True:
-        poses = [(link, _implied(link, within, links, views)) for link in links]
-        far = [
-            link for link, pose in poses if pose is not None and is_distinct(pose, [link.registration.T_target_source])
-        ]
-        if not far:
-            return links
-        worst = min(far, key=lambda link: (link.registration.verdict.accepted, link.registration.evidence))
-        refused[worst] = _CONTRADICTED
-        links = [link for link in links if link is not worst]
+    poses = [(link, _implied(link, within, links, views)) for link in links]
+    return any(pose is not None and is_distinct(pose, [link.registration.T_target_source]) for link, pose in poses)

@@ -166,16 +166,31 @@ def test_a_single_link_is_not_trusted():
     assert "confirms" in link.reason
 
 
-@pytest.mark.parametrize(("wrong", "off"), [("A1-A3", [0, 0, 0, 8.0, 0, 0]), ("B1-A3", [0, 0, 0, 0.03, 0, 0])])
-def test_a_link_that_contradicts_the_others_is_refused(wrong, off):
+_GOOD = "A1-A2 A2-A3 A1-B2 A2-B1 A2-B3 A3-B2 B1-B2 B2-B3"
+
+
+def test_a_link_that_differs_from_the_others_is_refused():
     rng = np.random.default_rng(5)
-    good = pairs("A1-A2 A2-A3 A1-B2 A2-B1 A2-B3 A3-B2 B1-B2 B2-B3", rng)
-    bad = pair(*wrong.split("-"), rng, off=off)
-    bad = replace(bad, registration=replace(bad.registration, fitness=0.5))
-    found = _refined([*good, bad])
-    assert [(link.target, link.source) for link in found.links if not link.used] == [(wrong[0], wrong[3])]
-    for name, error in _errors(found).items():
-        assert np.all(np.abs(error) < 5.0 * SIGMA), name
+    found = _refined([*pairs(_GOOD, rng), pair("B1", "A3", rng, off=[0, 0, 0, 0.03, 0, 0])])
+    refused = [link for link in found.links if not link.used]
+    assert [(link.target, link.target_stop, link.source, link.source_stop) for link in refused] == [
+        ("B", "stop 1", "A", "stop 3")
+    ]
+    assert np.all(np.abs(_errors(found)["B"]) < 5.0 * SIGMA)
+
+
+def test_a_link_far_from_the_others_shows_a_look_alike():
+    rng = np.random.default_rng(5)
+    found = _refined([*pairs(_GOOD, rng), pair("A1", "A3", rng, off=[0, 0, 0, 8.0, 0, 0])])
+    assert not found.rig.stops
+    assert all("looks like another" in link.reason for link in found.links)
+
+
+def test_a_place_known_to_look_alike_has_no_links():
+    within, links = _split(pairs(_GOOD + " A1-B1", np.random.default_rng(5)))
+    found = refine_linked("A", within, links, _CONFIG, looks_alike=True)
+    assert not found.rig.stops
+    assert set(found.rig.poses) == {"A", "B"}
 
 
 def _against(stop):
