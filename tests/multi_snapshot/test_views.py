@@ -13,7 +13,7 @@ from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.registration.poses import moved
 from multilica.registration.view_poses import ViewPoses
 from multilica.results import DriveView, LinkedStops
-from multilica.stages.refine import refine
+from multilica.stages.refine import _Equations, _summed, refine
 from tests.multi_snapshot.made_drive import LIDARS, SIGMA, STOPS, STRAIGHT, pair, pairs
 from tests.unit.derivatives import assert_alike, derivative
 
@@ -254,3 +254,21 @@ def test_a_lidar_that_one_stop_puts_elsewhere_has_no_links_there():
     assert set(found.rig.poses) == {"A", "B"}
     assert not found.conflicts
     assert {link.target for link in found.links if not link.used} == {"B"}
+
+
+@pytest.mark.parametrize("seed", range(30, 33))
+def test_covariances_that_are_too_small_invent_no_knock(seed):
+    assert not _refined(pairs(_EVERY, np.random.default_rng(seed), noise=2.5)).knocks
+
+
+def test_both_sides_of_a_lidar_with_itself_share_its_biases():
+    """The sums of a link with seven unknowns, the last of which is an earlier one again."""
+    rng = np.random.default_rng(13)
+    rows = rng.normal(size=(20, 7))
+    matrix = rows.T @ rows
+    columns, found = _summed(np.array([0, 1, 2, 3, 4, 8, 4]), _Equations(matrix, rows.sum(axis=0), matrix, matrix))
+    shared = np.column_stack([rows[:, :4], rows[:, 4] + rows[:, 6], rows[:, 5]])
+    assert columns.tolist() == [0, 1, 2, 3, 4, 8]
+    np.testing.assert_allclose(found.information, shared.T @ shared)
+    np.testing.assert_allclose(found.spread, shared.T @ shared)
+    np.testing.assert_allclose(found.gradient, shared.sum(axis=0))
