@@ -15,7 +15,10 @@ from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import (
     SnapshotSource,
+    TakenSnapshot,
     find_snapshots,
+    listen,
+    live_address,
     read_prior,
     read_snapshot,
     require_calibratable,
@@ -43,12 +46,14 @@ class CalibrationRun:
 
     Args:
         written: paths of its files, the extrinsics first, then the directories of the single snapshots.
+        silent: topics of a running vehicle that sent nothing readable.
     """
 
     result: CalibrationResult
     config: CalibrationConfig
     directory: Path
     written: tuple[Path, ...]
+    silent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,14 +80,14 @@ def run_calibration(
     observe: RunObserver = events.ignore,
     workers: Workers | None = None,
 ) -> CalibrationRun:
-    """Read recordings, calibrate, and write a run directory.
+    """Read recordings or listen to a running vehicle, calibrate, and write a run directory.
 
     Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
     own below `out`, then all of them jointly into `out`. Every file is written under a temporary name and renamed when
     it is complete. An exception that ends the run carries a note on the files that are left in the directory.
 
     Args:
-        sources: as for `read_snapshot`.
+        sources: as for `take_snapshot`.
         out: the run directory, whose files are replaced; None: a new one from `default_directory`.
         config: None: the default preset, with all frames of what `multilica record` took.
         prior: poses to test in addition, as for `read_prior`.
@@ -101,18 +106,21 @@ def run_calibration(
         WorkerDiedError: a worker process was killed or crashed.
     """
     place = None if out is None else local_output(out, "out")
-    files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
+    given = [sources] if isinstance(sources, PathLike) else sources
+    address = live_address(given)
+    files = [] if address else [locate(source) for source in given]
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
     deadline_s = deadline_of(config)
-    found = find_snapshots(files, config=config.ingest)
+    found = () if address else find_snapshots(files, config=config.ingest)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
             return _run_jointly(found, place or default_directory(files, len(found)), request)
-        snapshot = _read(found[0], config, observe)
+        taken = _read([address] if address else found[0].paths, config, observe)
         # Chosen after reading: of runs that start together, each finds what the others write.
-        return _run_one(snapshot, place or default_directory(files), request)
+        run = _run_one(taken.snapshot, place or default_directory([address] if address else files), request)
+        return replace(run, silent=taken.silent)
 
 
 def default_directory(sources: Sequence[PathLike], snapshots: int = 1) -> Path:
@@ -131,18 +139,23 @@ def _holds_files(path: Path) -> bool:
     return any(path.iterdir()) if path.is_dir() else path.exists()
 
 
-def _read(source: SnapshotSource, config: CalibrationConfig, observe: RunObserver) -> Snapshot:
+def _read(sources: Sequence[PathLike], config: CalibrationConfig, observe: RunObserver) -> TakenSnapshot:
     """Read a snapshot and check it; a source that is refused here leaves an earlier run directory as it was."""
     observe(events.StageStarted("ingest", 0))
     start_s = time.perf_counter()
-    snapshot = read_snapshot(source.paths, config=config.ingest)
+    address = live_address(sources)
+    if address:
+        taken = listen(address, config=config.ingest)
+    else:
+        taken = TakenSnapshot(read_snapshot(sources, config=config.ingest))
+    snapshot = taken.snapshot
     require_calibratable(snapshot)
     if config.target:
         snapshot[config.target]
     observe(events.StageFinished("ingest", time.perf_counter() - start_s))
     for note in snapshot.notes:
         observe(events.InputNoted(note))
-    return snapshot
+    return taken
 
 
 def _run_one(snapshot: Snapshot, directory: Path, request: _Request) -> CalibrationRun:
@@ -208,7 +221,7 @@ def _run_alone(source: SnapshotSource, name: str, directory: Path, request: _Req
     request.observe(events.SnapshotStarted(source.name))
     config = request.config
     try:
-        snapshot = _read(source, config.model_copy(update={"target": ""}), request.observe)
+        snapshot = _read(source.paths, config.model_copy(update={"target": ""}), request.observe).snapshot
         if config.target not in snapshot.names:
             # The joint result has the ground under the target.
             ground = config.ground.model_copy(update={"enabled": False})

@@ -3,7 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,8 +16,15 @@ from multilica.ingest.message_types import OUSTER_TURN, Cloud, is_cloud
 from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
+from multilica.ingest.remote.address import without_secrets
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
-from multilica.ingest.snapshot_reader import assemble_snapshot, require_calibratable
+from multilica.ingest.snapshot_reader import (
+    assemble_snapshot,
+    live_address,
+    nothing_sent,
+    open_vehicle,
+    require_calibratable,
+)
 from multilica.ingest.transforms import read_static_transforms
 from multilica.snapshot import Snapshot
 
@@ -61,6 +68,8 @@ class SourceSummary:
 
     Args:
         objection: why it cannot be calibrated; empty if it can.
+        live: True for a running vehicle, whose messages count from now on: scans as far as they were taken, others
+            not at all.
     """
 
     source: str
@@ -70,6 +79,7 @@ class SourceSummary:
     static_transforms: tuple[RigidTransform, ...]
     notes: tuple[str, ...]
     objection: str
+    live: bool = False
 
     @property
     def duration_s(self) -> float | None:
@@ -81,13 +91,17 @@ class SourceSummary:
 def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfig | None = None) -> SourceSummary:
     """Summarise a source as `read_snapshot` reads it; an error that this would raise becomes the objection.
 
-    Only the frames of the window are decoded, so a long log takes no longer than a short one.
+    Only the frames of the window are decoded, so a long log takes no longer than a short one. From a running vehicle,
+    `config.frames` frames of each LiDAR are taken, as by `listen`.
 
     Raises:
         SourceNotFoundError: nothing exists at that path.
         UnreadableSourceError: the source is empty, or not what its name says.
         UnknownNameError: there is no point cloud topic of that name.
     """
+    address = live_address([source] if isinstance(source, PathLike) else source)
+    if address:
+        return _inspect_vehicle(address, config or IngestConfig())
     found = find_source(source)
     config = config or config_for(found.files)
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
@@ -95,23 +109,56 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
         given, window, objection = _read(recording, config, found.label)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
         snapshot = with_recorded_notes(snapshot, recording, found.files)
-        try:
-            require_calibratable(snapshot)
-        except UnfitSnapshotError as error:
-            objection = objection or str(error)
-        return SourceSummary(
-            source=found.label,
-            format=recording.format,
-            clouds=tuple(
-                _cloud_summary(topic, window.clouds.get(topic.name, ()), recording.span_ns([topic.name]), snapshot)
-                for topic in recording.topics
-                if is_cloud(topic)
-            ),
-            others=tuple(topic for topic in recording.topics if not is_cloud(topic)),
-            static_transforms=static[0],
-            notes=snapshot.notes,
-            objection=objection,
-        )
+        spans = {topic.name: recording.span_ns([topic.name]) for topic in recording.topics}
+        return _summary(snapshot, recording, window, spans, objection)
+
+
+def _inspect_vehicle(url: str, config: IngestConfig) -> SourceSummary:
+    """Summarise what a running vehicle offers and `listen` takes; a rate is that of the scans that were taken."""
+    label = without_secrets(url)
+    with (
+        limited_memory(config.max_memory_mb, label),
+        closing(open_vehicle(url, config, lambda _topic, _count: None)) as recording,
+    ):
+        given, window, objection = _read(recording, config, label)
+        if given and not window.clouds:
+            objection = nothing_sent(label, given, config)
+        static = read_static_transforms(recording)
+        notes = [*unread_notes(recording), *recording.notes]
+        snapshot = assemble_snapshot(label, given, window, static, notes=notes)
+        taken = {topic: [frame.scan.log_time_ns for frame in frames] for topic, frames in window.clouds.items()}
+        recording.topics = tuple(replace(topic, count=len(taken.get(topic.name, ()))) for topic in recording.topics)
+        spans = {topic: (min(times), max(times)) for topic, times in taken.items()}
+        return _summary(snapshot, recording, window, spans, objection, live=True)
+
+
+def _summary(
+    snapshot: Snapshot,
+    recording: Recording,
+    window: Window,
+    spans: Mapping[str, Span | None],
+    objection: str,
+    *,
+    live: bool = False,
+) -> SourceSummary:
+    try:
+        require_calibratable(snapshot)
+    except UnfitSnapshotError as error:
+        objection = objection or str(error)
+    return SourceSummary(
+        source=snapshot.source,
+        format=recording.format,
+        clouds=tuple(
+            _cloud_summary(topic, window.clouds.get(topic.name, ()), spans.get(topic.name), snapshot)
+            for topic in recording.topics
+            if is_cloud(topic)
+        ),
+        others=tuple(topic for topic in recording.topics if not is_cloud(topic)),
+        static_transforms=snapshot.static_transforms,
+        notes=snapshot.notes,
+        objection=objection,
+        live=live,
+    )
 
 
 def _read(recording: Recording, config: IngestConfig, label: str) -> tuple[Mapping[str, str], Window, str]:

@@ -107,14 +107,16 @@ def check(
         )
     directories = [Path(source) for source in sources]
     if not all(runs):
+        from multilica.ingest.locate import locate
         from multilica.orchestration.state import deadline_of
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
 
+        files = [locate(source) for source in sources]
         config = recording.resolve(workers)
         deadline_s = deadline_of(config)
         with show_progress(quiet=quiet or as_json) as observe:
-            run = run_calibration(sources, out, config, observe=observe)
+            run = run_calibration(files, out, config, observe=observe)
         directories = [run.directory, *(path for path in run.written if path.is_dir())]
     checks = []
     for path in directories:
@@ -125,7 +127,7 @@ def check(
         if not all(runs) and len(directories) == 1:
             from multilica.ingest import read_snapshot
 
-            snapshot = read_snapshot(sources, config=config.ingest)
+            snapshot = read_snapshot(files, config=config.ingest)
             checks = [decide_unplaced(checks[0], snapshot, known, limits, config, deadline_s)]
     return _finish(checks, against, gate, quiet=quiet, as_json=as_json)
 

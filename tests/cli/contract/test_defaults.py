@@ -45,7 +45,7 @@ DEFAULTS = {
     "accept": {**dict.fromkeys(("RUN", "--into")), **TOLERANCES, "--quiet": False},
     "calibrate": {
         **dict.fromkeys(("SOURCE", "--target", "--out", "--prior", "--max-sigma", "--until", "--workers", "--record")),
-        **dict.fromkeys(("--base", "--rig", "--max-time")),
+        **dict.fromkeys(("--base", "--rig", "--max-time", "--timeout")),
         **READING,
         **RESOLVING,
         "--ground": False,
@@ -53,7 +53,7 @@ DEFAULTS = {
         "--quiet": False,
         "--json": False,
     },
-    "inspect": {"SOURCE": None, **READING, "--json": False},
+    "inspect": {"SOURCE": None, "--timeout": None, **READING, "--json": False},
     "record": {
         **dict.fromkeys(("SOURCE", "--out", "--timeout")),
         **READING,
