@@ -13,6 +13,7 @@ from multilica_cli.commands.config import config
 from multilica_cli.commands.doctor import doctor
 from multilica_cli.commands.evaluate import datasets, evaluate
 from multilica_cli.commands.fleet import fleet
+from multilica_cli.commands.publish import publish
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, explain, export, query, report, view
 from multilica_cli.commands.simulate import simulate
@@ -31,7 +32,7 @@ app = App(
     "130 Ctrl-C; 143 SIGTERM; 129 SIGHUP.",
 )
 _commands = (calibrate, check, verify, accept, inspect, record, explain, query, diff, view, report, config)
-for command in (*_commands, simulate, evaluate, export, datasets, demo, doctor):
+for command in (*_commands, simulate, evaluate, export, publish, datasets, demo, doctor):
     app.command()(command)
 app.add_typer(fleet)
 

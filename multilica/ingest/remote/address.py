@@ -60,6 +60,13 @@ def require_readable(source: str | Path) -> None:
         )
 
 
+def require_ros2(address: str) -> None:
+    """Raise UsageError unless this is ``ros2://``."""
+    if scheme_of(address) != ROS2:
+        raise UsageError(f"Found {without_secrets(address)} as the place to publish; expected ros2://.")
+    require_valid(address)
+
+
 def require_valid(url: str) -> None:
     """Raise UsageError unless an address names a host or a bucket, and no impossible port, or ROS 2 alone."""
     scheme = scheme_of(url)

@@ -100,6 +100,12 @@ DEFAULTS = {
         "--json": False,
     },
     "doctor": {"--json": False},
+    "publish": {
+        **dict.fromkeys(("RUN", "[ros2://]", "--ws", "--base", "--rig")),
+        "--frames": "ids",
+        "--with-uncertain": False,
+        "--quiet": False,
+    },
     "demo": {"--out": Path("recordings/runs/demo"), "--quiet": False},
     "fleet run": {
         **dict.fromkeys(
