@@ -129,14 +129,16 @@ def _class_of(message_type: str, wanted: str) -> Any:  # noqa: ANN401 - a class 
 
     package, _, name = message_type.replace("/msg/", "/").partition("/")
     try:
-        return getattr(import_module(f"{package}.msg"), name)
-    except (ImportError, AttributeError) as error:
+        kind = getattr(import_module(f"{package}.msg"), name)
+        type(kind).__import_type_support__()
+    except Exception as error:  # one of several, if the package or its libraries are missing
         if message_type == TRANSFORMS:
             return transforms_class()
         raise MissingDependencyError(
             f"{wanted} needs the message type {message_type}, which is not installed for this Python; source the "
             f"workspace that has the package {package}."
         ) from error
+    return kind
 
 
 def _ignore(_: object) -> None:

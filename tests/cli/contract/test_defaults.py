@@ -100,6 +100,15 @@ DEFAULTS = {
         "--json": False,
     },
     "doctor": {"--json": False},
+    "watch": {
+        **dict.fromkeys(("SOURCE", "--calibration", "--tolerances", "--topic", "--frames", "--config", "--set")),
+        **dict.fromkeys(("--max-time", "--store", "--metrics")),
+        **TOLERANCES,
+        "--interval": 60.0,
+        "--timeout": 10.0,
+        "--vehicle": "vehicle",
+        "--quiet": False,
+    },
     "publish": {
         **dict.fromkeys(("RUN", "[ros2://]", "--ws", "--base", "--rig")),
         "--frames": "ids",
