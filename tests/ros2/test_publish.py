@@ -50,13 +50,16 @@ def points_in_base(run: Path) -> np.ndarray:
 def test_a_late_node_looks_up_a_transform(run_directory: Path) -> None:
     command = [PYTHON, "-m", "multilica_cli", "publish", run_directory, "ros2://", "--ws", "0", "--frames", "names"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment()) as run:
-        assert run.stdout.readline().startswith(
-            "publishing /tf_static, /multilica/points at ros2:// and ws://127.0.0.1:"
-        )
-        listener = [PYTHON, HERE / "listener.py", "front left/1", "rear"]
-        heard = subprocess.run(listener, capture_output=True, text=True, env=environment(), check=True, timeout=60)
-        run.send_signal(signal.SIGINT)
-        assert (run.wait(20), run.stderr.read()) == (130, "multilica: Stopped by SIGINT.\n")
+        try:
+            assert run.stdout.readline().startswith(
+                "publishing /tf_static, /multilica/points at ros2:// and ws://127.0.0.1:"
+            )
+            listener = [PYTHON, HERE / "listener.py", "front left/1", "rear"]
+            heard = subprocess.run(listener, capture_output=True, text=True, env=environment(), check=True, timeout=60)
+            run.send_signal(signal.SIGINT)
+            assert (run.wait(20), run.stderr.read()) == (130, "multilica: Stopped by SIGINT.\n")
+        finally:
+            run.kill()
     found = json.loads(heard.stdout)
     expected = TRUTH["front left/1"].inverse() @ TRUTH["rear"]
     np.testing.assert_allclose(found["transform"], expected.matrix, atol=1e-6)
