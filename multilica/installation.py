@@ -16,7 +16,7 @@ from typing import Literal
 
 import multilica
 from multilica.errors import escape_controls
-from multilica.optional_libraries import OPTIONAL_LIBRARIES, OptionalLibrary
+from multilica.optional_libraries import OPTIONAL_LIBRARIES, ROS2, OptionalLibrary
 from multilica.system_libraries import (
     SOFTWARE_DRIVER,
     apt_command,
@@ -162,8 +162,9 @@ class Installation:
         """The commands that install or repair everything that is missing."""
         libraries = [library for library in (*self.core, *self.optional) if library.state != "works"]
         extras = {each.extra for each in libraries if each.extra and each.state == "missing"}
-        every = extras == {library.extra for library in OPTIONAL_LIBRARIES.values() if library.extra}
-        joined = [f"pip install 'multilica[{'all' if every else ','.join(sorted(extras))}]'"] if extras else []
+        every = {library.extra for library in OPTIONAL_LIBRARIES.values() if library.extra} - {ROS2}
+        named = ["all", *sorted(extras - every)] if every <= extras else sorted(extras)
+        joined = [f"pip install 'multilica[{','.join(named)}]'"] if extras else []
         single = [each.command for each in libraries if not (each.extra and each.state == "missing")]
         return tuple(dict.fromkeys(filter(None, [*joined, *single, self.viewer.command])))
 
@@ -173,7 +174,8 @@ def examine_installation() -> Installation:
     core = [OptionalLibrary(module, (name,), "", "", f"pip install {name}") for name, module in CORE_LIBRARIES.items()]
     core += [library for library in OPTIONAL_LIBRARIES.values() if library.core]
     optional = [library for library in OPTIONAL_LIBRARIES.values() if not library.core]
-    versions = {library.module: _version(library.distributions) for library in (*core, *optional)}
+    # A sourced ROS 2 has the name of the module, and none of PyPI.
+    versions = {each.module: _version((*each.distributions, each.module)) for each in (*core, *optional)}
     tried = [module for module in (*(library.module for library in core), *_COMPILED) if versions[module]]
     problems = _problems(tried)
     examined_core, examined_optional = (

@@ -14,6 +14,10 @@ CORE_COMMAND = "pip install multilica"
 """Installs what an installation without its requirements lacks."""
 
 
+ROS2 = "ros2"
+"""The extra that `all` leaves out: it is large, and restarts each Python of its environment to set library paths."""
+
+
 @dataclass(frozen=True, slots=True)
 class OptionalLibrary:
     """A library that the preset `default` works without.
@@ -56,8 +60,10 @@ _ALL = (
     OptionalLibrary("s3fs", ("s3fs",), "s3", "files at s3://"),
     OptionalLibrary("gcsfs", ("gcsfs",), "gcs", "files at gs://"),
     OptionalLibrary("websockets", ("websockets",), "live", "record from a running vehicle at ws://"),
+    OptionalLibrary("rclpy", ("ros-jazzy-rclpy",), ROS2, "a running vehicle at ros2://, unless ROS 2 is sourced"),
     OptionalLibrary("duckdb", ("duckdb",), "fleet", "fleet"),
     OptionalLibrary("distributed", ("distributed",), "dask", "fleet run --scheduler"),
+    OptionalLibrary("prometheus_client", ("prometheus-client",), "watch", "watch --metrics"),
     OptionalLibrary("velodyne_decoder", ("velodyne-decoder",), "velodyne", "packets of Velodyne"),
     OptionalLibrary("ouster.sdk", ("ouster-sdk",), "", "packets of Ouster", "pip install --no-deps 'ouster-sdk>=1.0'"),
     OptionalLibrary(

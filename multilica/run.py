@@ -17,7 +17,10 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import (
+    TakenSnapshot,
     find_snapshots,
+    listen,
+    live_address,
     read_prior,
     read_snapshot,
     require_calibratable,
@@ -50,12 +53,14 @@ class CalibrationRun:
 
     Args:
         written: paths of its files, the extrinsics first, then the directories of the single snapshots.
+        silent: topics of a running vehicle that sent nothing readable.
     """
 
     result: CalibrationResult
     config: CalibrationConfig
     directory: Path
     written: tuple[Path, ...]
+    silent: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,15 +71,21 @@ class _Given:
         name: of its directory in a joint run.
         source: of the recording, without folders.
         snapshot: None if it is read when its turn comes.
+        address: of a running vehicle instead of files.
     """
 
     name: str
     source: str
     paths: tuple[SourceFile, ...]
     snapshot: Snapshot | None = None
+    address: str = ""
 
-    def read(self, config: CalibrationConfig) -> Snapshot:
-        return read_snapshot(self.paths, config=config.ingest) if self.snapshot is None else self.snapshot
+    def read(self, config: CalibrationConfig) -> TakenSnapshot:
+        if self.snapshot is not None:
+            return TakenSnapshot(self.snapshot)
+        if self.address:
+            return listen(self.address, config=config.ingest)
+        return TakenSnapshot(read_snapshot(self.paths, config=config.ingest))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,16 +112,15 @@ def run_calibration(
     observe: RunObserver = events.ignore,
     workers: Workers | None = None,
 ) -> CalibrationRun:
-    """Read recordings, calibrate, and write a run directory.
+    """Read recordings or listen to a running vehicle, calibrate, and write a run directory.
 
     Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
     own below `out`, then all of them jointly into `out`, with links between those that saw the same. So are the stops
-    of one log, if `drive.stops` asks for several. Every file is
-    written under a temporary name and renamed when it is complete. An exception that ends the run carries a note on
-    the files that are left in the directory.
+    of one log, if `drive.stops` asks for several. Every file is written under a temporary name and renamed when it is
+    complete. An exception that ends the run carries a note on the files that are left in the directory.
 
     Args:
-        sources: as for `read_snapshot`.
+        sources: as for `take_snapshot`.
         out: the run directory, whose files are replaced; None: a new one from `default_directory`.
         config: None: the default preset, with all frames of what `multilica record` took.
         prior: poses to test in addition, as for `read_prior`.
@@ -129,19 +139,22 @@ def run_calibration(
         WorkerDiedError: a worker process was killed or crashed.
     """
     place = None if out is None else local_output(out, "out")
-    files = [locate(source) for source in ([sources] if isinstance(sources, PathLike) else sources)]
+    given = [sources] if isinstance(sources, PathLike) else sources
+    address = live_address(given)
+    files = [] if address else [locate(source) for source in given]
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
     deadline_s = deadline_of(config)
-    found = _find(files, config)
+    found = [_Given("", "", (), address=address)] if address else _find(files, config)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
             more = len(found) if len({each.paths for each in found}) > 1 else 1
             return _run_jointly(found, place or default_directory(files, more), request)
-        snapshot = _read(found[0], config, observe)
+        taken = _read(found[0], config, observe)
         # Chosen after reading: of runs that start together, each finds what the others write.
-        return _run_one(snapshot, place or default_directory(files), request)
+        run = _run_one(taken.snapshot, place or default_directory([address] if address else files), request)
+        return replace(run, silent=taken.silent)
 
 
 def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
@@ -181,18 +194,19 @@ def _holds_files(path: Path) -> bool:
     return any(path.iterdir()) if path.is_dir() else path.exists()
 
 
-def _read(given: _Given, config: CalibrationConfig, observe: RunObserver) -> Snapshot:
+def _read(given: _Given, config: CalibrationConfig, observe: RunObserver) -> TakenSnapshot:
     """Read a snapshot and check it; a source that is refused here leaves an earlier run directory as it was."""
     observe(events.StageStarted("ingest", 0))
     start_s = time.perf_counter()
-    snapshot = given.read(config)
+    taken = given.read(config)
+    snapshot = taken.snapshot
     require_calibratable(snapshot)
     if config.target:
         snapshot[config.target]
     observe(events.StageFinished("ingest", time.perf_counter() - start_s))
     for note in snapshot.notes:
         observe(events.InputNoted(note))
-    return snapshot
+    return taken
 
 
 def _run_one(
@@ -254,7 +268,7 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
             links = search_links(stops, config, request.workers, request.deadline_s)
             result = join(alone, config, links, partial(contradiction_at, stops, config))
         shown = next(given for given in found if given.name == shown_snapshot(result))
-        result = replay(shown.read(config), result, config, run, request.rig)
+        result = replay(shown.read(config).snapshot, result, config, run, request.rig)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 
@@ -266,7 +280,7 @@ def _run_alone(
     request.observe(events.SnapshotStarted(given.name))
     config = request.config
     try:
-        snapshot = _read(given, config.model_copy(update={"target": ""}), request.observe)
+        snapshot = _read(given, config.model_copy(update={"target": ""}), request.observe).snapshot
         if config.target not in snapshot.names:
             # The joint result has the ground under the target.
             ground = config.ground.model_copy(update={"enabled": False})

@@ -36,12 +36,16 @@ class ExitCode(IntEnum):
 
 
 def exit_code(run: CalibrationRun) -> ExitCode:
-    """Return DONE if every LiDAR, and the ground if asked for, has a certain pose, or if the run was to stop before."""
+    """Return DONE if every LiDAR, and the ground if asked for, has a certain pose, or if the run was to stop before.
+
+    A LiDAR of a running vehicle that sent nothing has none.
+    """
     from multilica.config import STAGES
 
     stopped_early = STAGES.index(run.config.until) < STAGES.index("merge")
     doubt = run.result.ground_refusal or (run.result.ground is not None and run.result.ground.doubt)
-    return ExitCode.DONE if stopped_early or (run.result.status == "complete" and not doubt) else ExitCode.NOT_PLACED
+    complete = run.result.status == "complete" and not doubt and not run.silent
+    return ExitCode.DONE if stopped_early or complete else ExitCode.NOT_PLACED
 
 
 def print_failure(failure: BaseException) -> int:

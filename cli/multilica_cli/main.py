@@ -13,9 +13,11 @@ from multilica_cli.commands.config import config
 from multilica_cli.commands.doctor import doctor
 from multilica_cli.commands.evaluate import datasets, evaluate
 from multilica_cli.commands.fleet import fleet
+from multilica_cli.commands.publish import publish
 from multilica_cli.commands.recordings import inspect, record
 from multilica_cli.commands.saved_runs import diff, explain, export, query, report, view
 from multilica_cli.commands.simulate import simulate
+from multilica_cli.commands.watch import watch
 from multilica_cli.exit_codes import print_failure
 from multilica_cli.options import App
 from multilica_cli.signals import Interrupted, received
@@ -30,8 +32,8 @@ app = App(
     "5 runs differ (diff), or a LiDAR is outside its tolerance (check, verify) or has moved (fleet drift); "
     "130 Ctrl-C; 143 SIGTERM; 129 SIGHUP.",
 )
-_commands = (calibrate, check, verify, accept, inspect, record, explain, query, diff, view, report, config)
-for command in (*_commands, simulate, evaluate, export, datasets, demo, doctor):
+_commands = (calibrate, check, verify, watch, accept, inspect, record, explain, query, diff, view, report, config)
+for command in (*_commands, simulate, evaluate, export, publish, datasets, demo, doctor):
     app.command()(command)
 app.add_typer(fleet)
 

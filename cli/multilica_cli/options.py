@@ -36,6 +36,14 @@ def option(usage: str, meaning: str, default: str | bool = True, **more: Any) ->
     return typer.Option(name, metavar=metavar or None, help=meaning, show_default=default, **more)
 
 
+def located(sources: Sequence[str]) -> list[Any]:
+    """Return the sources as the library takes them: files that may be remote, and the address of a running vehicle."""
+    from multilica.ingest.locate import locate
+    from multilica.ingest.remote.address import is_live
+
+    return [source if is_live(source) else locate(source) for source in sources]
+
+
 def local_path(option: typer.CallbackParam, path: Path | None) -> Path | None:
     """Return the path of an option that names an output; refuse an address."""
     if path is None or ":" not in str(path):
@@ -56,15 +64,14 @@ def mcap_name(option: typer.CallbackParam, out: Path | None) -> Path | None:
 output = partial(option, callback=local_path)
 """Declare an option that names a file or directory to write."""
 
-Sources = Annotated[
-    list[str],
-    argument(
-        "SOURCE",
-        "MCAP file, ROS 1 or ROS 2 bag, or point files (PCD, PLY, ...) with one file or directory per LiDAR; "
-        "local or at s3://, gs:// or https://. Recordings of different LiDARs form one snapshot; recordings of the "
-        "same LiDARs, or folders with point files of the same names, form one snapshot each.",
-    ),
-]
+RECORDINGS = (
+    "MCAP file, ROS 1 or ROS 2 bag, or point files (PCD, PLY, ...) with one file or directory per LiDAR; "
+    "local or at s3://, gs:// or https://. Recordings of different LiDARs form one snapshot; recordings of the "
+    "same LiDARs, or folders with point files of the same names, form one snapshot each."
+)
+Sources = Annotated[list[str], argument("SOURCE", RECORDINGS)]
+LIVE_SOURCE = "ros2:// for the nodes of a ROS 2 domain, or ws://HOST:PORT of a vehicle that runs foxglove_bridge"
+Timeout = Annotated[float | None, option("--timeout S", "Stop listening to a running vehicle after S seconds.", "30")]
 Topics = Annotated[
     list[str] | None,
     option(

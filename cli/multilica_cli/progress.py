@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -24,8 +24,10 @@ from multilica import events
 from multilica_cli.terminal import printable, stderr_console
 
 if TYPE_CHECKING:
+    from multilica.config import IngestConfig
     from multilica.fleet.fleet_run import FleetObserver, FleetOutcome
     from multilica.fleet.store.records import LogRow
+    from multilica.ingest.locate import PathLike
     from multilica.ingest.recording import MessageObserver
 
 _COLUMNS = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
@@ -105,6 +107,15 @@ class _StageBars:
         if self._progress is not None:
             self._progress.stop()
             self._progress = None
+
+
+def tell_listening(sources: Sequence[PathLike], config: IngestConfig, *, quiet: bool) -> None:
+    """Print on stderr what is waited for, if the source is a running vehicle."""
+    from multilica.ingest import live_address
+
+    if live_address(sources):
+        listening = f"listening for {config.frames} scans of each LiDAR, at most {config.timeout_s:g} s"
+        stderr_console(quiet=quiet).print(listening)
 
 
 @contextmanager

@@ -5,12 +5,13 @@ import hashlib
 import os
 import time
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError, listed
+from multilica.ingest.live import LiveRecording, open_live
 from multilica.ingest.locate import (
     PathLike,
     are_stops,
@@ -30,6 +31,7 @@ from multilica.ingest.remote.remote_file import RemoteFile, SourceFile
 from multilica.ingest.selection.time_range import TimeRange
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
 from multilica.ingest.transforms import StaticTransforms, read_static_transforms
+from multilica.ros2 import Ros2Node
 from multilica.snapshot import LidarScans, Snapshot
 
 WHOLE_FILE_BYTES = 256 << 20
@@ -58,7 +60,7 @@ def take_snapshot(
     """Read a recording, or listen to a running vehicle.
 
     Args:
-        sources: as for `read_snapshot`, or a single ``ws://`` or ``wss://`` address.
+        sources: as for `read_snapshot`, or a single address of a running vehicle, as for `listen`.
         observe: called with each message of a running vehicle.
 
     Raises:
@@ -66,14 +68,27 @@ def take_snapshot(
         UsageError: a running vehicle is given among other sources.
     """
     config = config or IngestConfig()
+    live = live_address(sources)
+    if live:
+        return listen(live, config=config, observe=observe)
+    files = [locate(source) for source in sources]
+    snapshot = read_snapshot(files, config=config)
+    return TakenSnapshot(snapshot, sum(file.stat().st_size for file in find_source(files).files))
+
+
+def live_address(sources: Sequence[PathLike]) -> str:
+    """Return the address of the running vehicle that is the source; empty for recordings.
+
+    Raises:
+        UsageError: it is given among other sources, or is not valid.
+    """
     live = [str(source) for source in sources if is_live(source)]
     if not live:
-        files = [locate(source) for source in sources]
-        snapshot = read_snapshot(files, config=config)
-        return TakenSnapshot(snapshot, sum(file.stat().st_size for file in find_source(files).files))
+        return ""
     if len(sources) > 1:
         raise UsageError(f"{without_secrets(live[0])} is given among other sources; give it alone.")
-    return listen(live[0], config=config, observe=observe)
+    require_valid(live[0])
+    return live[0]
 
 
 def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig | None = None) -> Snapshot:
@@ -133,30 +148,73 @@ def read_ranges(
     return tuple(snapshots)
 
 
-def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObserver | None = None) -> TakenSnapshot:
-    """Take `config.frames` frames of each LiDAR from a vehicle that runs foxglove_bridge or a foxglove-sdk server.
+def listen(
+    url: str,
+    *,
+    config: IngestConfig | None = None,
+    observe: MessageObserver | None = None,
+    node: Ros2Node | None = None,
+) -> TakenSnapshot:
+    """Take `config.frames` frames of each LiDAR from a running vehicle.
 
-    Stops when all frames have arrived, or after `config.timeout_s` with those that have. Reconnects if the connection
-    is lost.
+    Stops when all frames have arrived, or after `config.timeout_s` with those that have. Goes on if a connection is
+    lost or a node starts again.
 
     Args:
+        url: ``ros2://`` for the nodes of a ROS 2 domain, or ``ws://`` or ``wss://`` for foxglove_bridge or a
+            foxglove-sdk server.
         config: topics and number of frames; without topics, all point cloud topics that are offered at first.
         observe: called with each chosen topic and 0, then with each message.
+        node: for ``ros2://``, one that stays open.
 
     Raises:
-        UnreadableSourceError: no such server answers.
+        UnreadableSourceError: nothing answers there.
         UnfitSnapshotError: there are no point clouds, or no LiDAR sends any; with `config.strict`, any fault.
         UnknownNameError: a topic is not offered in time.
         UsageError: a window is configured, or the address is not valid.
     """
-    from multilica.ingest.live import LiveRecording
-
     config = config or IngestConfig()
     report: MessageObserver = observe or (lambda _topic, _count: None)
-    require_valid(url)
-    label = without_secrets(url)
+    label = without_secrets(live_address([url]))
+    with (
+        limited_memory(config.max_memory_mb, label),
+        closing(open_vehicle(url, config, report, node)) as recording,
+    ):
+        given = choose_topics(recording, config.topics, label, config.only)
+        for topic in sorted(given):
+            report(topic, 0)
+        window = collect_frames(recording, given.keys(), config, label)
+        if not window.clouds:
+            raise UnfitSnapshotError(nothing_sent(label, given, config))
+        if config.strict and window.faults:
+            raise UnfitSnapshotError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
+        static = read_static_transforms(recording)
+        unread = [*unread_notes(recording), *recording.notes]
+    silent = tuple(sorted(given.keys() - window.clouds.keys()))
+    return TakenSnapshot(assemble_snapshot(label, given, window, static, notes=unread), silent=silent)
+
+
+def nothing_sent(label: str, topics: Iterable[str], config: IngestConfig) -> str:
+    """Return a sentence on a running vehicle without scans."""
+    return (
+        f"{label} sent no readable scan on {listed(sorted(topics))} within {config.timeout_s:g} s; "
+        "check that the LiDARs run, or give a longer --timeout."
+    )
+
+
+def open_vehicle(
+    url: str, config: IngestConfig, observe: MessageObserver, node: Ros2Node | None = None
+) -> LiveRecording:
+    """Open a running vehicle, and wait until it offers the configured topics, or time is up.
+
+    Raises:
+        MultilicaError: as `open_live`.
+        UsageError: a window is configured.
+    """
     if config.start_s or config.start_at or config.window_s or config.window == "auto":
+        label = without_secrets(url)
         raise UsageError(f"Found a window for {label}; a live snapshot begins now and takes one scan after the other.")
+    recording = open_live(url, config.frames, config.timeout_s, observe, node)
 
     def is_offered() -> bool:
         with suppress(UnknownNameError, UnfitSnapshotError):
@@ -164,26 +222,12 @@ def listen(url: str, *, config: IngestConfig | None = None, observe: MessageObse
             return True
         return False
 
-    with (
-        limited_memory(config.max_memory_mb, label),
-        closing(LiveRecording(url, config.frames, config.timeout_s, report)) as recording,
-    ):
+    try:
         recording.wait_for(is_offered)
-        given = choose_topics(recording, config.topics, label, config.only)
-        for topic in sorted(given):
-            report(topic, 0)
-        window = collect_frames(recording, given.keys(), config, label)
-        if not window.clouds:
-            raise UnfitSnapshotError(
-                f"{label} sent no readable scan on {listed(sorted(given))} within {config.timeout_s:g} s; "
-                "check that the LiDARs run, or give a longer --timeout."
-            )
-        if config.strict and window.faults:
-            raise UnfitSnapshotError(f"{label} is refused, as ingest.strict is set: {window.faults[0]}")
-        static = read_static_transforms(recording)
-        unread = [*unread_notes(recording), *recording.notes]
-    silent = tuple(sorted(given.keys() - window.clouds.keys()))
-    return TakenSnapshot(assemble_snapshot(label, given, window, static, notes=unread), silent=silent)
+    except BaseException:
+        recording.close()
+        raise
+    return recording
 
 
 def assemble_snapshot(

@@ -3,7 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,9 +16,16 @@ from multilica.ingest.message_types import OUSTER_TURN, Cloud, is_cloud
 from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import Recording, Span, Topic
+from multilica.ingest.remote.address import without_secrets
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
-from multilica.ingest.snapshot_reader import assemble_snapshot, require_calibratable
+from multilica.ingest.snapshot_reader import (
+    assemble_snapshot,
+    live_address,
+    nothing_sent,
+    open_vehicle,
+    require_calibratable,
+)
 from multilica.ingest.stops import cloud_span, standstills_of
 from multilica.ingest.transforms import read_static_transforms
 from multilica.snapshot import Snapshot
@@ -73,6 +80,8 @@ class SourceSummary:
         taken_for: what each of the sources that were given is taken for.
         standstills: of a log, by `standstill_evidence`; none if it is shorter than two seconds, or nothing shows any.
         objection: why it cannot be calibrated; empty if it can.
+        live: True for a running vehicle, whose messages count from now on: scans as far as they were taken, others
+            not at all.
     """
 
     source: str
@@ -85,6 +94,7 @@ class SourceSummary:
     taken_for: Mapping[str, TakenFor]
     standstills: tuple[Standstill, ...] = ()
     standstill_evidence: str = ""
+    live: bool = False
 
     @property
     def duration_s(self) -> float | None:
@@ -97,14 +107,19 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
     """Summarise a source as `read_snapshot` reads it; an error that this would raise becomes the objection.
 
     Only the frames of the window and a few samples are decoded, so a long log takes no longer than a short one. If
-    several folders are stops of one drive, the first one is summarised.
+    several folders are stops of one drive, the first one is summarised. From a running vehicle, `config.frames` frames
+    of each LiDAR are taken, as by `listen`.
 
     Raises:
         SourceNotFoundError: nothing exists at that path.
         UnreadableSourceError: the source is empty, or not what its name says.
         UnknownNameError: there is no point cloud topic of that name.
     """
-    paths = [locate(each) for each in ([source] if isinstance(source, PathLike) else source)]
+    given_sources = [source] if isinstance(source, PathLike) else source
+    address = live_address(given_sources)
+    if address:
+        return _inspect_vehicle(address, config or IngestConfig())
+    paths = [locate(each) for each in given_sources]
     further = paths[1:] if are_stops(paths) else []
     found = find_source(paths[:1] if further else paths)
     config = config or config_for(found.files)
@@ -113,27 +128,66 @@ def inspect_source(source: PathLike | Sequence[PathLike], *, config: IngestConfi
         given, window, objection = _read(recording, config, found.label)
         snapshot = assemble_snapshot(found.label, given, window, static, notes=unread_notes(recording))
         snapshot = with_recorded_notes(snapshot, recording, found.files)
+        snapshot = replace(snapshot, notes=(*snapshot.notes, *_notes_on(further)))
+        spans = {topic.name: recording.span_ns([topic.name]) for topic in recording.topics}
+        summary = _summary(snapshot, recording, window, spans, objection)
         span, still = cloud_span(recording), standstills_of(recording)
-        try:
-            require_calibratable(snapshot)
-        except UnfitSnapshotError as error:
-            objection = objection or str(error)
-        return SourceSummary(
+        return replace(
+            summary,
             source=found.label,
-            format=recording.format,
-            clouds=tuple(
-                _cloud_summary(topic, window.clouds.get(topic.name, ()), recording.span_ns([topic.name]), snapshot)
-                for topic in recording.topics
-                if is_cloud(topic)
-            ),
-            others=tuple(topic for topic in recording.topics if not is_cloud(topic)),
-            static_transforms=static[0],
-            notes=(*snapshot.notes, *_notes_on(further)),
-            objection=objection,
             taken_for=dict(zip(map(str, paths), taken_for(paths), strict=True)),
             standstills=tuple(_standstill(each, span) for each in still.spans) if still and span else (),
             standstill_evidence=still.evidence if still else "",
         )
+
+
+def _inspect_vehicle(url: str, config: IngestConfig) -> SourceSummary:
+    """Summarise what a running vehicle offers and `listen` takes; a rate is that of the scans that were taken."""
+    label = without_secrets(url)
+    with (
+        limited_memory(config.max_memory_mb, label),
+        closing(open_vehicle(url, config, lambda _topic, _count: None)) as recording,
+    ):
+        given, window, objection = _read(recording, config, label)
+        if given and not window.clouds:
+            objection = nothing_sent(label, given, config)
+        static = read_static_transforms(recording)
+        notes = [*unread_notes(recording), *recording.notes]
+        snapshot = assemble_snapshot(label, given, window, static, notes=notes)
+        taken = {topic: [frame.scan.log_time_ns for frame in frames] for topic, frames in window.clouds.items()}
+        recording.topics = tuple(replace(topic, count=len(taken.get(topic.name, ()))) for topic in recording.topics)
+        spans = {topic: (min(times), max(times)) for topic, times in taken.items()}
+        return _summary(snapshot, recording, window, spans, objection, live=True)
+
+
+def _summary(
+    snapshot: Snapshot,
+    recording: Recording,
+    window: Window,
+    spans: Mapping[str, Span | None],
+    objection: str,
+    *,
+    live: bool = False,
+) -> SourceSummary:
+    try:
+        require_calibratable(snapshot)
+    except UnfitSnapshotError as error:
+        objection = objection or str(error)
+    return SourceSummary(
+        source=snapshot.source,
+        format=recording.format,
+        clouds=tuple(
+            _cloud_summary(topic, window.clouds.get(topic.name, ()), spans.get(topic.name), snapshot)
+            for topic in recording.topics
+            if is_cloud(topic)
+        ),
+        others=tuple(topic for topic in recording.topics if not is_cloud(topic)),
+        static_transforms=snapshot.static_transforms,
+        notes=snapshot.notes,
+        objection=objection,
+        taken_for={},
+        live=live,
+    )
 
 
 def _standstill(standstill: Span, span: Span) -> Standstill:

@@ -57,7 +57,7 @@ def test_without_any_extra_the_command_is_all(versions: dict[str, str]) -> None:
     for library in OPTIONAL_LIBRARIES.values():
         for name in library.distributions if library.extra else ():
             versions.pop(name, None)
-    assert examine_installation().commands == ("pip install 'multilica[all]'",)
+    assert examine_installation().commands == ("pip install 'multilica[all,ros2]'",)
 
 
 def test_a_missing_core_library_is_a_failure(versions: dict[str, str], invoke: Invoke) -> None:

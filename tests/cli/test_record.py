@@ -119,8 +119,24 @@ def test_what_cannot_be_meant_is_refused(arguments: list[str], named: str, invok
     assert [path.name for path in Path().rglob("*")] == ["bag", "drive.mcap"]
 
 
-@pytest.mark.parametrize("command", ["calibrate", "inspect"])
-def test_other_commands_lead_to_record(command: str, invoke: Invoke) -> None:
-    outcome = invoke(command, "ws://127.0.0.1:8765")
+@pytest.mark.slow
+def test_a_running_vehicle_is_inspected(invoke: Invoke, half_silent: str) -> None:
+    outcome = invoke("inspect", half_silent, "--frames", "3", "--timeout", "1.5", "--json")
+    document = json.loads(outcome.out)
+    assert outcome.code == ExitCode.INPUT
+    assert "has only one LiDAR (lidar_0)" in document["objection"]
+    assert {cloud["topic"]: cloud["frames"] for cloud in document["clouds"]} == {
+        "/lidar_0/points": 3,
+        "/lidar_1/points": 0,
+    }
+    assert {other["topic"]: other["count"] for other in document["others"]} == {"/chatter": None, "/tf_static": None}
+    assert [transform["child"] for transform in document["static_transforms"]] == ["lidar_1"]
+
+
+@pytest.mark.parametrize("option", ["--calibration", "--against"])
+def test_other_commands_lead_to_record(option: str, invoke: Invoke) -> None:
+    command = {"--calibration": "verify", "--against": "check"}[option]
+    Path("a.toml").touch()
+    outcome = invoke(command, "ws://127.0.0.1:8765", option, "a.toml")
     assert_one_sentence(outcome, ExitCode.USAGE)
     assert "multilica record" in outcome.err

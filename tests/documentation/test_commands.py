@@ -32,6 +32,8 @@ NOT_RUN = {
     r"aws ": "another program, which needs an account",
     r".*s3://": "needs a bucket; tests/ingest/remote and tests/fleet read and write one",
     r"multilica record ws://": "needs a vehicle; tests/ingest/live record from a server",
+    r"multilica publish .*--ws": "serves until a signal; tests/ros2/test_publish.py reads from it",
+    r"multilica \w+ .*ros2://|source /opt/ros": "needs ROS 2; tests/ros2 run it with nodes",
     r"multilica view [^-]*$": "opens a window",
     r"multilica datasets ": "needs a data set; tests/datasets and tests/cli/test_datasets.py run it on simulated ones",
     r"multilica export run/": "tests/exports/test_cookbook.py runs this section",

@@ -41,6 +41,7 @@ WANTED = {
     "remote": ["inspect", "https://localhost/a.mcap"],
     "s3": ["inspect", "s3://bucket/a.mcap"],
     "gcs": ["inspect", "gs://bucket/a.mcap"],
+    "ros2": ["inspect", "ros2://"],
     "live": ["record", "ws://localhost:1", "--out", "a.mcap"],
     "fleet": ["fleet", "run", "scans", "--out", "store"],
 }
@@ -297,5 +298,5 @@ def test_a_missing_extra_is_one_sentence(extra: str, installed: Installed) -> No
 def test_the_doctor_finds_the_core_whole(installed: Installed) -> None:
     ended = installed.run("multilica", "doctor")
     assert ended.returncode == 0, ended.stdout
-    assert "pip install 'multilica[all]'" in ended.stdout
+    assert "pip install 'multilica[all,ros2]'" in ended.stdout
     assert installed.run("multilica", "fleet", "--help").returncode == 0

@@ -15,14 +15,18 @@ from rich.console import Console
 
 from multilica_cli.exit_codes import exit_code
 from multilica_cli.options import (
+    LIVE_SOURCE,
     NEW_RUN_DIRECTORY,
+    RECORDINGS,
     Json,
     MaxTime,
     Parameters,
     Quiet,
     Reading,
-    Sources,
+    Timeout,
     Workers,
+    argument,
+    located,
     option,
     output,
     sigma_limits,
@@ -40,7 +44,13 @@ _STATUS = {"placed": "placed", "uncertain": "UNCERTAIN", "not_placed": "NOT PLAC
 
 
 def calibrate(
-    sources: Sources,
+    sources: Annotated[
+        list[str],
+        argument(
+            "SOURCE",
+            f"{RECORDINGS} Or {LIVE_SOURCE}.",
+        ),
+    ],
     *,
     target: Annotated[
         str | None,
@@ -63,6 +73,7 @@ def calibrate(
             "1",
         ),
     ] = None,
+    timeout_s: Timeout = None,
     parameters: Parameters,
     max_sigma: Annotated[
         str | None,
@@ -100,7 +111,7 @@ def calibrate(
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
-    """Calibrate the LiDARs of a recording and write the results into a directory.
+    """Calibrate the LiDARs of a recording or a running vehicle and write the results into a directory.
 
     Several recordings of the same LiDARs are several snapshots of one rig: each is calibrated alone, then all jointly.
     """
@@ -116,6 +127,7 @@ def calibrate(
         "target": target,
         "until": until,
         **reading.values,
+        "ingest.timeout_s": timeout_s,
         **sigma_limits(max_sigma),
         "drive.stops": int(stops) if stops is not None and stops.isdecimal() else stops,
         "ground.enabled": ground or base is not None or None,
@@ -128,12 +140,12 @@ def calibrate(
     with open_calibration_workers(resolve()) as pool:
         # Imported while the workers start.
         from multilica.ingest import frames_recorded
-        from multilica.ingest.locate import locate
         from multilica.run import run_calibration
-        from multilica_cli.progress import show_progress
+        from multilica_cli.progress import show_progress, tell_listening
 
-        files = [locate(source) for source in sources]
+        files = located(sources)
         config = resolve(frames_recorded(files))
+        tell_listening(files, config.ingest, quiet=quiet)
         with show_progress(quiet=quiet) as observe:
             poses = _prior(prior)
             run = run_calibration(

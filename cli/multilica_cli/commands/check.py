@@ -24,20 +24,18 @@ if TYPE_CHECKING:
     from multilica.config import CalibrationConfig
 
 _COLUMNS = ("verdict", "LiDAR", "off\nmm", "sigma\nmm", "of\nmm", "off\ndeg", "sigma\ndeg", "of\ndeg")
-_MaxTranslation = Annotated[
+MaxTranslation = Annotated[
     float, option("--max-translation M", "Largest distance that does not count as drift.", min=1e-6)
 ]
-_MaxRotation = Annotated[
-    float, option("--max-rotation DEG", "Largest rotation that does not count as drift.", min=1e-6)
-]
+MaxRotation = Annotated[float, option("--max-rotation DEG", "Largest rotation that does not count as drift.", min=1e-6)]
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
     """The group of options for what passes, and for reports to CI services."""
 
-    max_translation_m: _MaxTranslation = 0.03
-    max_rotation_deg: _MaxRotation = 0.3
+    max_translation_m: MaxTranslation = 0.03
+    max_rotation_deg: MaxRotation = 0.3
     tolerances: Annotated[
         Path | None, option("--tolerances FILE", r"TOML with \[default] and \[lidars.NAME], which replace these.")
     ] = None
@@ -53,14 +51,14 @@ class Gate:
         """Return the tolerances; refuse a reference that is not there before anything takes time."""
         from multilica.checks import read_tolerances, require_reference
 
-        default = _tolerances(self.max_translation_m, self.max_rotation_deg)
+        default = tolerances_of(self.max_translation_m, self.max_rotation_deg)
         found = default if self.tolerances is None else read_tolerances(self.tolerances, default.default)
         require_reference(reference)
         return found
 
 
 @dataclass(frozen=True, slots=True)
-class _Recording:
+class Compared:
     """The group of options for reading a recording that is compared."""
 
     topics: options.Topics = None
@@ -69,11 +67,14 @@ class _Recording:
     settings: options.Settings = None
     max_time_s: options.MaxTime = None
 
-    def resolve(self, workers: int | None = None, recorded_frames: int | None = None) -> CalibrationConfig:
+    def resolve(
+        self, workers: int | None = None, recorded_frames: int | None = None, timeout_s: float | None = None
+    ) -> CalibrationConfig:
         """Build the configuration."""
         given = options.Reading(self.topics, self.frames).values | {
             "runtime.workers": workers,
             "runtime.max_time_s": self.max_time_s,
+            "ingest.timeout_s": timeout_s,
         }
         return options.Parameters(None, self.config_file, self.settings).resolve(given, recorded_frames)
 
@@ -86,7 +87,7 @@ def check(
     against: Annotated[Path, option("--against REFERENCE", "A calibration.toml, a run, or another file of poses.")],
     gate: Gate,
     out: Annotated[Path | None, output("--out DIR", "Directory of the calibration.", options.NEW_RUN_DIRECTORY)] = None,
-    recording: _Recording,
+    recording: Compared,
     workers: options.Workers = None,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
@@ -107,14 +108,16 @@ def check(
         )
     directories = [Path(source) for source in sources]
     if not all(runs):
+        from multilica.ingest.locate import locate
         from multilica.orchestration.state import deadline_of
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
 
+        files = [locate(source) for source in sources]
         config = recording.resolve(workers)
         deadline_s = deadline_of(config)
         with show_progress(quiet=quiet or as_json) as observe:
-            run = run_calibration(sources, out, config, observe=observe)
+            run = run_calibration(files, out, config, observe=observe)
         directories = [run.directory, *(path for path in run.written if path.is_dir())]
     checks = []
     for path in directories:
@@ -125,7 +128,7 @@ def check(
         if not all(runs) and len(directories) == 1:
             from multilica.ingest import read_snapshot
 
-            snapshot = read_snapshot(sources, config=config.ingest)
+            snapshot = read_snapshot(files, config=config.ingest)
             checks = [decide_unplaced(checks[0], snapshot, known, limits, config, deadline_s)]
     return _finish(checks, against, gate, quiet=quiet, as_json=as_json)
 
@@ -135,7 +138,7 @@ def verify(
     *,
     calibration: Annotated[Path, option("--calibration FILE", "A calibration.toml, a run, or another file of poses.")],
     gate: Gate,
-    recording: _Recording,
+    recording: Compared,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
 ) -> int:
@@ -164,8 +167,8 @@ def accept(
     run: Annotated[Path, argument("RUN", "Run directory that was reviewed.")],
     *,
     into: Annotated[Path, output("--into FILE", "Reference that pipelines check against, kept in git.")],
-    max_translation_m: _MaxTranslation = 0.03,
-    max_rotation_deg: _MaxRotation = 0.3,
+    max_translation_m: MaxTranslation = 0.03,
+    max_rotation_deg: MaxRotation = 0.3,
     quiet: options.Quiet = False,
 ) -> None:
     """Write the extrinsics of a reviewed run, with their provenance, into the file that pipelines check against.
@@ -174,11 +177,12 @@ def accept(
     """
     from multilica.checks import accept_run
 
-    before = accept_run(run, into, _tolerances(max_translation_m, max_rotation_deg))
+    before = accept_run(run, into, tolerances_of(max_translation_m, max_rotation_deg))
     _print_check([] if before is None else [before], [into], stdout_console(quiet=quiet))
 
 
-def _tolerances(translation_m: float, rotation_deg: float) -> RigTolerances:
+def tolerances_of(translation_m: float, rotation_deg: float) -> RigTolerances:
+    """Return the same tolerance for each LiDAR."""
     from multilica.checks import RigTolerances, Tolerance
 
     return RigTolerances(default=Tolerance(translation_m=translation_m, rotation_deg=rotation_deg))

@@ -12,7 +12,18 @@ from rich.console import Console
 
 from multilica.errors import UnfitSnapshotError, UsageError, listed
 from multilica_cli.exit_codes import ExitCode
-from multilica_cli.options import Json, Parameters, Quiet, Reading, Sources, argument, mcap_name, option
+from multilica_cli.options import (
+    LIVE_SOURCE,
+    Json,
+    Parameters,
+    Quiet,
+    Reading,
+    Timeout,
+    argument,
+    located,
+    mcap_name,
+    option,
+)
 from multilica_cli.terminal import (
     POSE_COLUMNS,
     FoldingTable,
@@ -29,13 +40,20 @@ if TYPE_CHECKING:
 _NS_PER_S = 1_000_000_000
 
 
-def inspect(sources: Sources, *, reading: Reading, as_json: Json = False) -> None:
-    """List the topics of a recording, and those that calibrate would use."""
+def inspect(
+    sources: Annotated[list[str], argument("SOURCE", f"As for calibrate: recordings, {LIVE_SOURCE}.")],
+    *,
+    reading: Reading,
+    timeout_s: Timeout = None,
+    as_json: Json = False,
+) -> None:
+    """List the topics of a recording or a running vehicle, and those that calibrate would use."""
     from multilica.ingest import frames_recorded, inspect_source
-    from multilica.ingest.locate import locate
+    from multilica_cli.progress import tell_listening
 
-    files = [locate(source) for source in sources]
-    config = Parameters().resolve(reading.values, frames_recorded(files))
+    files = located(sources)
+    config = Parameters().resolve(reading.values | {"ingest.timeout_s": timeout_s}, frames_recorded(files))
+    tell_listening(files, config.ingest, quiet=as_json)
     summary = inspect_source(files, config=config.ingest)
     if as_json:
         print_json(_summary_document(summary))
@@ -46,35 +64,27 @@ def inspect(sources: Sources, *, reading: Reading, as_json: Json = False) -> Non
 
 
 def record(
-    sources: Annotated[
-        list[str], argument("SOURCE", "As for calibrate, or ws://HOST:PORT of a vehicle that runs foxglove_bridge.")
-    ],
+    sources: Annotated[list[str], argument("SOURCE", f"As for calibrate: recordings, {LIVE_SOURCE}.")],
     *,
     out: Annotated[Path, option("--out FILE.mcap", "File to write.", callback=mcap_name)],
     vehicle: Annotated[str, option("--vehicle NAME", "Name of the vehicle, stored in the file.")] = "",
     reading: Reading,
-    timeout_s: Annotated[
-        float | None, option("--timeout S", "Stop listening to a running vehicle after S seconds.")
-    ] = None,
+    timeout_s: Timeout = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
     """Save the snapshot that calibrate would use as a small MCAP file; calibrating that file gives the same result."""
     from multilica.ingest import frames_recorded, take_snapshot
-    from multilica.ingest.locate import locate
-    from multilica.ingest.remote.address import is_live
     from multilica.sinks.snapshots import window_metadata, write_snapshot_mcap
-    from multilica_cli.progress import show_listening
+    from multilica_cli.progress import show_listening, tell_listening
 
     # An address, taken for a path, lies nowhere above a file that exists.
     if out.exists() and any(out.resolve().is_relative_to(Path(source).resolve()) for source in sources):
         raise UsageError(f"Found --out {out}, which belongs to the source itself; expected another place.")
-    files = [source if is_live(source) else locate(source) for source in sources]
+    files = located(sources)
     given = reading.values | {"ingest.timeout_s": timeout_s}
     config = Parameters().resolve(given, frames_recorded(files)).ingest
-    if any(is_live(source) for source in sources):
-        listening = f"listening for {config.frames} scans of each LiDAR, at most {config.timeout_s:g} s"
-        stderr_console(quiet=quiet).print(listening)
+    tell_listening(files, config, quiet=quiet)
     with show_listening(config.frames, quiet=quiet) as observe:
         taken = take_snapshot(files, config=config, observe=observe)
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -93,7 +103,7 @@ def record(
 
 
 def _summary_document(summary: SourceSummary) -> dict[str, Any]:
-    """Return the summary as plain values."""
+    """Return the summary as plain values; the count of other topics is None for a running vehicle."""
     return {
         "schema": "multilica/inspect/1",
         "source": summary.source,
@@ -104,7 +114,12 @@ def _summary_document(summary: SourceSummary) -> dict[str, Any]:
         "duration_s": summary.duration_s,
         "clouds": [asdict(cloud) for cloud in summary.clouds],
         "others": [
-            {"topic": other.name, "message_type": other.message_type, "count": other.count} for other in summary.others
+            {
+                "topic": other.name,
+                "message_type": other.message_type,
+                "count": None if summary.live else other.count,
+            }
+            for other in summary.others
         ],
         "static_transforms": [
             {
@@ -135,7 +150,7 @@ def _print_summary(summary: SourceSummary, console: Console) -> None:
     if summary.others:
         table = FoldingTable("Other topics", ("topic", "type", "messages"), numbers_from=2, keys=2)
         for other in summary.others:
-            table.add_row(other.name, other.message_type, str(other.count))
+            table.add_row(other.name, other.message_type, "-" if summary.live else str(other.count))
         console.print(table)
     if summary.static_transforms:
         table = FoldingTable("Static transforms", ("parent", "child", *POSE_COLUMNS), numbers_from=2, keys=2)

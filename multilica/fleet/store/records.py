@@ -8,7 +8,10 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import Literal, get_args, get_type_hints
 
+import numpy as np
 import pyarrow as pa
+
+from multilica.geometry import FloatArray, RigidTransform
 
 SCHEMA_VERSION = 1
 LogState = Literal["verified", "calibrated", "refused", "failed", "duplicate"]
@@ -97,6 +100,18 @@ class LogRow:
     def as_duplicate(self, first: str) -> LogRow:
         """Return the row of a log with the same bytes as the log `first`."""
         return replace(self, state="duplicate", reason="duplicate", reason_text=f"the same bytes as {first}")
+
+
+def with_pose(row: LidarRow, pose: RigidTransform, covariance: FloatArray | None) -> LidarRow:
+    """Return the row of a LiDAR with its pose, and with the covariance of the pose if that is known."""
+    values = zip(POSE_COLUMNS, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
+    row = replace(row, **dict(values))
+    if covariance is None:
+        return row
+    blocks = np.stack([covariance[:3, :3], covariance[3:, 3:]])
+    sigma_rad, sigma_m = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1].clip(min=0.0)).tolist()
+    flat, sigma_deg = tuple(covariance.ravel().tolist()), float(np.rad2deg(sigma_rad))
+    return replace(row, covariance=flat, sigma_mm=1000.0 * sigma_m, sigma_deg=sigma_deg)
 
 
 _ARROW_TYPES = {

@@ -28,7 +28,7 @@ from multilica.diagnosis import explain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, StorageError, UnfitSnapshotError
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
-from multilica.fleet.store.records import POSE_COLUMNS, LidarRow, LogRow
+from multilica.fleet.store.records import LidarRow, LogRow, with_pose
 from multilica.fleet.store.store import Store, open_store
 from multilica.fleet.tasks.guard import LogTask, LogTaskFailure, failed_row
 from multilica.geometry import FloatArray, RigidTransform
@@ -222,15 +222,7 @@ def _row(
     **more: Any,  # noqa: ANN401 - fields of the row
 ) -> LidarRow:
     row = LidarRow(request.key, request.time_ns, request.source, lidar, target, how, status, **more)
-    if pose is not None:
-        values = zip(POSE_COLUMNS, (*pose.xyz_m.tolist(), *pose.quaternion_xyzw.tolist()), strict=True)
-        row = replace(row, **dict(values))
-    if covariance is not None:
-        blocks = np.stack([covariance[:3, :3], covariance[3:, 3:]])
-        sigma_rad, sigma_m = np.sqrt(np.linalg.eigvalsh(blocks)[:, -1].clip(min=0.0)).tolist()
-        flat, sigma_deg = tuple(covariance.ravel().tolist()), float(np.rad2deg(sigma_rad))
-        row = replace(row, covariance=flat, sigma_mm=1000.0 * sigma_m, sigma_deg=sigma_deg)
-    return row
+    return row if pose is None else with_pose(row, pose, covariance)
 
 
 def main() -> None:

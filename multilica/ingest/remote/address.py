@@ -9,8 +9,10 @@ from multilica.errors import UsageError
 
 _FILES = ("s3", "gs", "https", "http")
 _BUCKETS = ("s3", "gs")
-_LIVE = ("ws", "wss")
-"""Bridges with the Foxglove WebSocket protocol."""
+ROS2 = "ros2"
+"""The nodes of a ROS 2 domain."""
+_LIVE = ("ws", "wss", ROS2)
+"""Bridges with the Foxglove WebSocket protocol, and ROS 2 itself."""
 _FLATTENED = re.compile(rf"({'|'.join(_FILES + _LIVE)}):/")
 _DROPPED_SLASH = re.compile(r"^([A-Za-z][A-Za-z0-9+.-]+):/(?!/)")
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)://")
@@ -48,7 +50,7 @@ def require_readable(source: str | Path) -> None:
         require_valid(str(source))
     if scheme in _LIVE:
         raise UsageError(
-            f"{without_secrets(str(source))} is a running system, not a recording; "
+            f"{without_secrets(str(source))} is a running vehicle, not a recording; "
             "take a snapshot with `multilica record` first."
         )
     if scheme and scheme not in _FILES:
@@ -58,9 +60,23 @@ def require_readable(source: str | Path) -> None:
         )
 
 
+def require_ros2(address: str) -> None:
+    """Raise UsageError unless this is ``ros2://``."""
+    if scheme_of(address) != ROS2:
+        raise UsageError(f"Found {without_secrets(address)} as the place to publish; expected ros2://.")
+    require_valid(address)
+
+
 def require_valid(url: str) -> None:
-    """Raise UsageError unless an address names a host or a bucket, and no impossible port."""
+    """Raise UsageError unless an address names a host or a bucket, and no impossible port, or ROS 2 alone."""
     scheme = scheme_of(url)
+    if scheme == ROS2:
+        if url.partition("://")[2]:
+            raise UsageError(
+                "An address that begins with ros2:// ends there; ROS 2 takes its domain from ROS_DOMAIN_ID and its "
+                "middleware from RMW_IMPLEMENTATION."
+            )
+        return
     try:
         parts = urlsplit(url)
         # Names of buckets may contain colons.
@@ -74,14 +90,16 @@ def require_valid(url: str) -> None:
 
 
 def stem_of(source: str | Path) -> str:
-    """Return the name of a source without folders and suffix; the host if an address has no path."""
+    """Return the name of a source without folders and suffix; the host if an address has no path, else its kind."""
     if not scheme_of(source):
         return Path(source).resolve().stem
     parts = urlsplit(str(source))
-    return PurePosixPath(parts.path).stem or (parts.hostname or "")
+    return PurePosixPath(parts.path).stem or parts.hostname or parts.scheme
 
 
 def without_secrets(url: str) -> str:
     """Return the address without user, password, query and fragment."""
+    if scheme_of(url) == ROS2:
+        return f"{ROS2}://"
     parts = urlsplit(url)
     return f"{parts.scheme}://{parts.netloc.rpartition('@')[2]}{parts.path}"

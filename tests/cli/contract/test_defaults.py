@@ -45,7 +45,7 @@ DEFAULTS = {
     "accept": {**dict.fromkeys(("RUN", "--into")), **TOLERANCES, "--quiet": False},
     "calibrate": {
         **dict.fromkeys(("SOURCE", "--target", "--out", "--prior", "--max-sigma", "--until", "--workers", "--record")),
-        **dict.fromkeys(("--base", "--rig", "--max-time")),
+        **dict.fromkeys(("--base", "--rig", "--max-time", "--timeout")),
         **READING,
         **RESOLVING,
         "--ground": False,
@@ -53,7 +53,7 @@ DEFAULTS = {
         "--quiet": False,
         "--json": False,
     },
-    "inspect": {"SOURCE": None, **READING, "--json": False},
+    "inspect": {"SOURCE": None, "--timeout": None, **READING, "--json": False},
     "record": {
         **dict.fromkeys(("SOURCE", "--out", "--timeout")),
         **READING,
@@ -100,6 +100,21 @@ DEFAULTS = {
         "--json": False,
     },
     "doctor": {"--json": False},
+    "watch": {
+        **dict.fromkeys(("SOURCE", "--calibration", "--tolerances", "--topic", "--frames", "--config", "--set")),
+        **dict.fromkeys(("--max-time", "--store", "--metrics")),
+        **TOLERANCES,
+        "--interval": 60.0,
+        "--timeout": 10.0,
+        "--vehicle": "vehicle",
+        "--quiet": False,
+    },
+    "publish": {
+        **dict.fromkeys(("RUN", "[ros2://]", "--ws", "--base", "--rig")),
+        "--frames": "ids",
+        "--with-uncertain": False,
+        "--quiet": False,
+    },
     "demo": {"--out": Path("recordings/runs/demo"), "--quiet": False},
     "fleet run": {
         **dict.fromkeys(

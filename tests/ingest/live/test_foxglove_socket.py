@@ -14,8 +14,14 @@ from websockets.sync.server import ServerConnection, serve
 
 from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UnknownNameError
-from multilica.ingest import live
-from multilica.ingest.live import Advertised, ConnectionLost, FoxgloveSocket, LiveRecording, UnadvertiseMessage
+from multilica.ingest.live import foxglove
+from multilica.ingest.live.foxglove import (
+    Advertised,
+    BridgeRecording,
+    ConnectionLost,
+    FoxgloveSocket,
+    UnadvertiseMessage,
+)
 from multilica.ingest.recording import Topic
 from multilica.ingest.snapshot_reader import listen
 from tests.ingest.support.recording_writers import (
@@ -134,7 +140,7 @@ def test_hundreds_of_topics_are_told_by_their_number(schema: str, topics: dict[s
 
 @pytest.mark.slow
 def test_a_message_without_bounds_ends_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "_MAX_MESSAGE_BYTES", 1000)
+    monkeypatch.setattr(foxglove, "_MAX_MESSAGE_BYTES", 1000)
     with saying([b"\x01" + bytes(10_000)]) as url, pytest.raises(UnfitSnapshotError, match="holds no point clouds"):
         listen(url, config=IngestConfig(frames=1, timeout_s=2.5))
     with saying([b"\x01" + bytes(10_000)]) as url:
@@ -151,9 +157,9 @@ def test_a_flood_of_static_transforms_is_not_kept(monkeypatch: pytest.MonkeyPatc
     cloud = {**GOOD, "schemaName": CLOUD}
     flood = [b"\x01" + struct.pack("<IQ", 3, START_NS) + bytes(100_000)] * 2000
     kept: list[int] = []
-    close = LiveRecording.close
+    close = BridgeRecording.close
     monkeypatch.setattr(
-        LiveRecording,
+        BridgeRecording,
         "close",
         lambda self: (kept.append(len(self._static)), close(self))[1],
     )

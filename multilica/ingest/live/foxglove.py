@@ -5,25 +5,17 @@ import json
 import ssl
 import struct
 import time
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Annotated
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationError
 
 from multilica.documents import DocumentError, first_problem, parse_json
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.live.recording import LiveRecording
 from multilica.ingest.memory import memory_budget
-from multilica.ingest.recording import (
-    MessageObserver,
-    Messages,
-    RawMessage,
-    Recording,
-    Topic,
-    normal_type,
-    sanitize_text,
-)
+from multilica.ingest.recording import MessageObserver, RawMessage, Topic, normal_type, sanitize_text
 from multilica.ingest.remote.address import without_secrets
 from multilica.optional_libraries import needed_for
 
@@ -42,13 +34,7 @@ _MAX_MESSAGE_BYTES = 64 << 20
 """Twenty times the size of a large scan."""
 
 _FIRST_PAUSE_S = 0.1
-_STATIC_S = 1.0
-"""A bridge sends latched messages to a new subscriber at once."""
-_STATIC_SUFFIX = "tf_static"
-_MAX_STATIC = 256
-"""Messages with static transforms to keep; a vehicle sends a handful."""
 _MAX_CHANNELS = 10_000
-_MAX_ODDITIES = 100
 _QUICK_S = 1.0
 """A server that ends connections sooner than this is not asked again at once."""
 
@@ -230,82 +216,37 @@ def _binary(frame: bytes) -> Received | str | None:
     return Received(subscription, log_time_ns, memory_budget().keep(frame)[_MESSAGE_HEAD.size :])
 
 
-class LiveRecording(Recording):
-    """The messages of a Foxglove WebSocket server up to a time limit, with reconnects.
+class BridgeRecording(LiveRecording):
+    """The messages of a Foxglove WebSocket server, with reconnects.
 
     Args:
-        expected: messages per topic that the caller will wait for.
-        timeout_s: from now to the time limit.
+        expected, timeout_s, observe: as of `LiveRecording`.
 
     Raises:
         UnreadableSourceError: no such server answers before the time limit.
     """
 
     format = "Foxglove WebSocket"
-    is_indexed = False
 
     def __init__(self, url: str, expected: int, timeout_s: float, observe: MessageObserver) -> None:
+        super().__init__(without_secrets(url), expected, timeout_s, observe)
         self._url = url
-        self._expected = expected
-        self._timeout_s = timeout_s
-        self._end_s = time.monotonic() + timeout_s
-        self._observe = observe
-        self._offer({})
-        self._wanted: frozenset[str] = frozenset()
-        self._static: list[RawMessage] = []
-        self._counts: Counter[str] = Counter()
-        self._oddities: Counter[str] = Counter()
+        self._channels: dict[int, Topic] = {}
         self._connected_s = 0.0
         self._socket = self._connect()
-
-    @property
-    def notes(self) -> list[str]:
-        """Notes on messages that were ignored."""
-        if not self._oddities:
-            return []
-        (first, _), *_ = self._oddities.items()
-        count = self._oddities.total()
-        messages = "1 message that was" if count == 1 else f"{count} messages that were"
-        return [f"{without_secrets(self._url)} sent {messages} ignored; the first one {first[:200]}."]
-
-    def wait_for(self, is_offered: Callable[[], bool]) -> None:
-        """Listen until the server offers what is needed, or time is up."""
-        while not is_offered() and self._left_s() > 0.0:
-            self._next(self._left_s())
-
-    def messages(self, topics: Collection[str], start_ns: int = 0) -> Messages:
-        """Yield messages as they arrive up to the time limit, and earlier static transforms; ignore `start_ns`."""
-        del start_ns
-        static = {topic.name for topic in self._channels.values() if topic.name.endswith(_STATIC_SUFFIX)}
-        added = (static | set(topics)) - self._wanted
-        self._wanted |= added
-        self._subscribe([number for number, topic in self._channels.items() if topic.name in added])
-        yield from (message for message in self._static if message.topic in topics)
-        limit_s = self._end_s
-        if all(topic.endswith(_STATIC_SUFFIX) for topic in topics):
-            # Static transforms arrive at once or not at all.
-            limit_s = 0.0 if self._static else time.monotonic() + _STATIC_S
-        while (left_s := limit_s - time.monotonic()) > 0.0:
-            message = self._next(left_s)
-            if message is not None and message.topic in topics:
-                yield message
-        if not self.damage and self._left_s() <= 0.0:
-            self.damage = f"the time limit of {self._timeout_s:g} s is over"
 
     def close(self) -> None:
         """Close the connection."""
         self._socket.close()
 
-    def _offer(self, channels: Mapping[int, Topic]) -> None:
-        """Set the topics that are offered now, each with the expected number of messages."""
+    def _set_channels(self, channels: Mapping[int, Topic]) -> None:
         self._channels = dict(channels)
-        offered = (replace(topic, count=self._expected) for topic in channels.values())
-        self.topics = tuple(sorted(offered, key=lambda topic: topic.name))
+        self._offer(channels.values())
 
-    def _left_s(self) -> float:
-        return self._end_s - time.monotonic()
+    def _subscribe(self, names: Collection[str]) -> None:
+        self._subscribe_to([number for number, topic in self._channels.items() if topic.name in names])
 
-    def _subscribe(self, numbers: Collection[int]) -> None:
+    def _subscribe_to(self, numbers: Collection[int]) -> None:
         if numbers:
             try:
                 self._socket.subscribe(numbers)
@@ -327,36 +268,22 @@ class LiveRecording(Recording):
                 if len(self._channels) + len(channels) > _MAX_CHANNELS:
                     self._count_oddity(f"offers more than {_MAX_CHANNELS} channels")
                     return None
-                self._offer({**self._channels, **channels})
-                self._subscribe([number for number, topic in channels.items() if topic.name in self._wanted])
+                self._set_channels({**self._channels, **channels})
+                self._subscribe_to([number for number, topic in channels.items() if topic.name in self._wanted])
             case UnadvertiseMessage(channelIds=numbers):
-                self._offer({key: topic for key, topic in self._channels.items() if key not in numbers})
+                self._set_channels({key: topic for key, topic in self._channels.items() if key not in numbers})
             case str(oddity):
                 self._count_oddity(oddity)
             case Received(subscription) if subscription in self._channels:
-                return self._message(self._channels[subscription], received)
+                return self._received(self._channels[subscription], received.log_time_ns, received.data)
         return None
-
-    def _message(self, topic: Topic, received: Received) -> RawMessage:
-        message = topic.message(received.log_time_ns, received.data, without_secrets(self._url))
-        if topic.name.endswith(_STATIC_SUFFIX):
-            if len(self._static) < _MAX_STATIC:
-                self._static.append(message)
-        else:
-            self._counts[topic.name] += 1
-            self._observe(topic.name, self._counts[topic.name])
-        return message
-
-    def _count_oddity(self, what: str) -> None:
-        # The first ones are told; a flood of others only counts.
-        self._oddities[what if len(self._oddities) < _MAX_ODDITIES else "is of another kind"] += 1
 
     def _reconnect(self) -> None:
         self._socket.close()
         if time.monotonic() - self._connected_s < _QUICK_S:
             time.sleep(max(0.0, min(_QUICK_S, self._left_s())))
         # A restarted server numbers its channels anew, and advertises them to new clients.
-        self._offer({})
+        self._set_channels({})
         try:
             self._socket = self._connect()
         except UnreadableSourceError:
@@ -372,7 +299,7 @@ class LiveRecording(Recording):
             except ConnectionLost as error:
                 if self._left_s() <= pause_s:
                     raise UnreadableSourceError(
-                        f"Nothing answers at {without_secrets(self._url)} within {self._timeout_s:g} s; "
+                        f"Nothing answers at {self._where} within {self._timeout_s:g} s; "
                         "check the address (port 8765 in most vehicles), and that foxglove_bridge runs."
                     ) from error
             time.sleep(pause_s)

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a watch tells beside its lines, read by other libraries."""
+
+from __future__ import annotations
+
+import math
+import socket
+from pathlib import Path
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+from rosbags.typesys import Stores, get_typestore
+
+from multilica.checks import LidarCheck, RigCheck
+from multilica.errors import UsageError
+from multilica.extrinsics import Extrinsics
+from multilica.fleet.store.store import open_store
+from multilica.geometry import RigidTransform
+from multilica.results import CalibrationResult, LidarPlacement
+from multilica.watch import Observation
+from multilica.watch.outputs import diagnostic_message, metrics_at, rows_into
+from multilica_cli.exit_codes import ExitCode
+from tests.cli.support import Invoke, assert_one_sentence
+
+TIME_NS = 1_790_000_000_500_000_000
+REAR = RigidTransform.from_xyz_rpy("front", "rear", (-2.0, 0.1, 0.0), (0.0, 0.0, 3.0))
+
+
+def lidar_check(name: str, verdict: str, distance_m: float | None) -> LidarCheck:
+    angle_deg = None if distance_m is None else 0.5
+    return LidarCheck(
+        lidar=name, verdict=verdict, reason="moved", distance_m=distance_m, angle_deg=angle_deg,
+        max_translation_m=0.03, max_rotation_deg=0.3,
+    )  # fmt: skip
+
+
+def verdict() -> Observation:
+    """`rear` is 5 cm off and `top` has no pose."""
+    covariance = np.diag([1e-8] * 3 + [1e-6] * 3)
+    placements = (
+        LidarPlacement("front", "root", "placed", RigidTransform.identity("front", "front")),
+        LidarPlacement("rear", "placed", "placed", REAR, covariance=covariance),
+        LidarPlacement("top", "no overlap"),
+    )
+    check = RigCheck(
+        name="ros2://",
+        root="front",
+        lidars=(lidar_check("rear", "outside", 0.05), lidar_check("top", "undecided", None)),
+    )
+    found = CalibrationResult("front", "made up", placements)
+    known = Extrinsics("front", {"rear": REAR})
+    return Observation(TIME_NS, check.verdict, check.sentence, check, found, known)
+
+
+def test_ros_reads_the_diagnostics() -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    message = store.deserialize_cdr(diagnostic_message(verdict()), "diagnostic_msgs/msg/DiagnosticArray")
+    assert (message.header.stamp.sec, message.header.stamp.nanosec) == divmod(TIME_NS, 10**9)
+    told = {status.name: (status.level, status.message, status.hardware_id) for status in message.status}
+    assert told == {
+        "multilica: rig": (2, verdict().text, "rig"),
+        "multilica: rear": (2, "moved", "rear"),
+        "multilica: top": (1, "moved", "top"),
+    }
+    values = {pair.key: pair.value for pair in message.status[1].values}
+    assert values == {"distance_m": "0.05", "angle_deg": "0.5", "max_translation_m": "0.03", "max_rotation_deg": "0.3"}
+
+
+def test_a_look_without_a_verdict_is_a_status_of_the_rig() -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    data = diagnostic_message(Observation(-1, "moving", "The vehicle moves."))
+    (status,) = store.deserialize_cdr(data, "diagnostic_msgs/msg/DiagnosticArray").status
+    assert (status.level, status.message) == (3, "The vehicle moves.")
+
+
+def scraped(port: int) -> dict[tuple[str, str], float]:
+    with urlopen(f"http://127.0.0.1:{port}/metrics") as page:
+        families = text_string_to_metric_families(page.read().decode())
+    return {(each.name, "".join(each.labels.values())): each.value for family in families for each in family.samples}
+
+
+def test_metrics_are_scraped() -> None:
+    with socket.create_server(("", 0)) as free:
+        port = free.getsockname()[1]
+    tell = metrics_at(port)
+    tell(Observation(TIME_NS, "moving", "The vehicle moves."))
+    tell(verdict())
+    found = scraped(port)
+    assert found["multilica_looks_total", "moving"] == found["multilica_looks_total", "outside"] == 1.0
+    assert found["multilica_looks_total", "within"] == 0.0
+    assert found["multilica_last_verdict_seconds", ""] == TIME_NS / 1e9
+    assert found["multilica_lidar_within", "rear"] == 0.0
+    assert math.isnan(found["multilica_lidar_within", "top"])
+    assert found["multilica_lidar_distance_m", "rear"] == 0.05
+    assert ("multilica_lidar_distance_m", "top") not in found
+    with pytest.raises(UsageError, match=f"cannot be served at port {port}"):
+        metrics_at(port)
+
+
+def test_verdicts_are_rows_of_a_store(tmp_path: Path) -> None:
+    store = open_store(tmp_path / "store", create=True)
+    tell = rows_into(store, "bus-7", "ros2://")
+    tell(Observation(TIME_NS, "failed", "gone"))
+    assert list(store.parts("logs")) == []
+    tell(verdict())
+    (log,) = store.dataset("logs").to_table().to_pylist()
+    assert (log["vehicle"], log["source"], log["state"], log["lidars"], log["placed"]) == (
+        "bus-7", "ros2://", "verified", 3, 2
+    )  # fmt: skip
+    assert log["time"].timestamp() == TIME_NS / 1e9
+    rows = {row["lidar"]: row for row in store.dataset("lidars").to_table().to_pylist()}
+    np.testing.assert_allclose([rows["rear"][axis] for axis in ("x_m", "y_m", "z_m")], REAR.xyz_m)
+    assert rows["rear"]["sigma_mm"] == pytest.approx(1.0)
+    assert (rows["top"]["status"], rows["top"]["reason_text"], rows["top"]["x_m"]) == ("not_placed", "no overlap", None)
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("drive.mcap", "--calibration", "a.toml"), ExitCode.USAGE, "use `multilica verify`"),
+        (("ros2://robot", "--calibration", "a.toml"), ExitCode.USAGE, "ROS_DOMAIN_ID"),
+        (("ws://127.0.0.1:1", "--calibration", "missing.toml"), ExitCode.INPUT, "missing.toml"),
+        (("ws://127.0.0.1:1", "--calibration", "a.toml", "--store", "ftp://a"), ExitCode.USAGE, "ftp://a"),
+    ],
+)
+def test_a_watch_that_cannot_begin_is_one_sentence(
+    words: tuple[str, ...], code: ExitCode, said: str, invoke: Invoke
+) -> None:
+    Path("a.toml").touch()
+    outcome = invoke("watch", *words)
+    assert_one_sentence(outcome, code)
+    assert said in outcome.err
