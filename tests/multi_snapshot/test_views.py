@@ -143,6 +143,7 @@ def test_what_no_pair_determines_has_no_pose():
     assert {link.target for link in found.links if not link.used} == {"B"}
 
 
+@pytest.mark.slow
 def test_motions_that_turn_determine_unconnected_lidars():
     """The motion of each LiDAR alone, as in hand-eye calibration."""
     found = _refined(pairs(_ALONE, np.random.default_rng(6)))
@@ -151,6 +152,7 @@ def test_motions_that_turn_determine_unconnected_lidars():
     assert not found.refused
 
 
+@pytest.mark.slow
 def test_a_crossed_drive_determines_unconnected_lidars():
     """Each LiDAR saw what the other saw, never both at one stop."""
     found = _refined(pairs("A1-A2 A1-B3 B3-B4 A1-B4 A2-B3 B1-B2 A4-B1 A3-A4 A4-B2", np.random.default_rng(7)))

@@ -105,7 +105,7 @@ def test_the_recording_opens_on_both_places(tmp_path, state):
     (label,) = recording.last(f"{path}/competing/label", "Points3D:labels")
     assert f"where {other} puts rear: " in label
     names = [name for names in blueprint_names(tmp_path / "recording.rrd") for name in names]
-    assert any(name.endswith(", competing pose") for name in names)
+    assert any(name.endswith(", competing pose: green agrees there as well") for name in names)
 
 
 def test_the_report_names_both_others_and_draws_both_places(state):

@@ -12,7 +12,8 @@ from multilica.config import RefineConfig, StillnessConfig
 from multilica.geometry import LEVER_ARM_M, RigidTransform
 from multilica.registration.poses import arc_between_m, moved
 from multilica.registration.sensor_biases import BIAS_COUNT, posterior, prior_sigmas
-from multilica.results import BiasInformation, PairRegistration
+from multilica.registration.view_poses import ViewPoses
+from multilica.results import BiasInformation, PairRegistration, ViewPair
 from multilica.results.visibility_score import VisibilityScore
 from multilica.stages import refine, stillness
 from tests.unit.derivatives import TURNS_RAD, assert_alike, derivative, drawn_pose
@@ -54,16 +55,34 @@ def test_residuals_of_the_refinement_by_motions_of_either_lidar(turn_rad, side):
         name = (pair.target, pair.source)[side]
 
         def residual(motion, pair=pair, name=name):
-            return refine._offset(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
+            return _offset(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
 
-        assert_alike(refine._jacobians(pair, poses)[side], derivative(residual))
+        jacobian, columns = _views(poses).jacobian(ViewPair(pair, "", ""))
+        start = 6 * "ABC".index(name)
+        assert_alike(jacobian[:, np.searchsorted(columns, start + np.arange(6))], derivative(residual))
 
 
 _RINGS = {"A": np.array([3, 4, 9]), "B": np.array([5]), "C": np.array([1, 2]), "T": np.array([7, 8])}
 
 
 def _state(poses, biases=()):
-    return refine._State(poses, np.array(biases), ["A", "B", "C"], _RINGS if len(biases) else {})
+    return refine._State(_views(poses), np.array(biases), _RINGS if len(biases) else {})
+
+
+def _views(poses):
+    return ViewPoses(poses, {}, ["A", "B", "C"], [])
+
+
+def _offset(pair, poses):
+    return _views(poses).offset(ViewPair(pair, "", ""))
+
+
+def _equations(pairs, state):
+    return refine._normal_equations([ViewPair(pair, "", "") for pair in pairs], state, _CONFIG)
+
+
+def _squared(pair, state):
+    return refine._squared(ViewPair(pair, "", ""), state)
 
 
 def _with_biases(pair, rng):
@@ -94,10 +113,10 @@ def test_the_gradient_of_the_refinement_is_of_its_robust_cost(turn_rad):
     pairs, state, scale = _off(pairs, rng), _state(poses), 6.0 * _CONFIG.outlier_sigma**2
 
     def cost(step):
-        squared = np.array([refine._squared(pair, state.moved(step)) for pair in pairs])
+        squared = np.array([_squared(pair, state.moved(step)) for pair in pairs])
         return np.sum(0.5 * scale * np.log1p(squared / scale), keepdims=True)
 
-    gradient = refine._normal_equations(pairs, state, _CONFIG).gradient
+    gradient = _equations(pairs, state).gradient
     ways = rng.normal(size=(6, len(gradient)))
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
     assert_alike(ways @ gradient, derivative(lambda step: cost(step @ ways))[0])
@@ -113,7 +132,7 @@ def _residual(pair, state):
             start += 3
     sides = [(pair.target, pair.bias_information.target_rings), (pair.source, pair.bias_information.source_rings)]
     biases = [of_lidars[name] for name, _ in sides] + [of_rings[name, ring] for name, rings in sides for ring in rings]
-    return np.concatenate([refine._offset(pair, state.poses), np.concatenate(biases) - pair.bias_information.biases])
+    return np.concatenate([_offset(pair, state.views.poses), np.concatenate(biases) - pair.bias_information.biases])
 
 
 @pytest.mark.parametrize("turn_rad", TURNS_RAD)
@@ -128,7 +147,7 @@ def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
     state = _state(poses, rng.normal(size=4 * BIAS_COUNT + 3 * sum(map(len, _RINGS.values()))))
     size = 18 + len(state.biases)
     gradient, (information, spread, random) = np.zeros(size), np.zeros((3, size, size))
-    weights = [1.0 / (1.0 + refine._squared(p, state) / (6.0 * _CONFIG.outlier_sigma**2)) for p in pairs]
+    weights = [1.0 / (1.0 + _squared(p, state) / (6.0 * _CONFIG.outlier_sigma**2)) for p in pairs]
     assert min(weights) < 0.85 * max(weights)
     for number, (pair, weight) in enumerate(zip(pairs, weights, strict=True)):
         found, jacobian = pair.bias_information, derivative(lambda step, p=pair: _residual(p, state.moved(step)), size)
@@ -137,7 +156,7 @@ def test_equations_of_the_refinement_are_of_poses_and_biases(turn_rad):
         own = found.spread - (0.5 if number < 2 else 0.0) * found.few_spread
         spread += weight**2 * jacobian.T @ own @ jacobian
         random += weight**2 * jacobian.T @ found.random_spread @ jacobian
-    found = refine._normal_equations(pairs, state, _CONFIG)
+    found = _equations(pairs, state)
     assert_alike(found.gradient, gradient)
     assert_alike(found.information, information)
     assert_alike(found.spread, spread)
@@ -154,7 +173,7 @@ def test_covariances_are_a_sandwich_of_all_information(turn_rad):
         for name in free:
 
             def residual(motion, name=name, pair=pair):
-                return refine._offset(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
+                return _offset(pair, {**poses, name: moved(poses[name], motion[:3], motion[3:])})
 
             columns.append(derivative(residual))
         jacobian = np.concatenate(columns, axis=1)

@@ -45,7 +45,7 @@ DEFAULTS = {
     "accept": {**dict.fromkeys(("RUN", "--into")), **TOLERANCES, "--quiet": False},
     "calibrate": {
         **dict.fromkeys(("SOURCE", "--target", "--out", "--prior", "--max-sigma", "--until", "--workers", "--record")),
-        **dict.fromkeys(("--base", "--rig", "--max-time", "--timeout")),
+        **dict.fromkeys(("--base", "--rig", "--max-time", "--timeout", "--stops")),
         **READING,
         **RESOLVING,
         "--ground": False,
