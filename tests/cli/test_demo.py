@@ -25,7 +25,9 @@ def test_the_sample_is_calibrated_beside_its_truth(invoke: Invoke) -> None:
     assert "wrote run/recording.rrd" in outcome.out
     with Path("run/result.mcap").open("rb") as file:
         attached = {one.name: one.data.decode() for one in make_reader(file).iter_attachments()}
-    assert attached["foxglove-layout.json"] == (ROOT / "docs" / "foxglove-layout.json").read_text(encoding="utf-8")
+    assert attached["foxglove-layout.json"] == (ROOT / "docs" / "reference" / "foxglove-layout.json").read_text(
+        encoding="utf-8"
+    )
     result = json.loads(Path("run/result.json").read_text(encoding="utf-8"))
     truth = read_extrinsics(find_sample().truth)
     for name, entry in result["lidars"].items():

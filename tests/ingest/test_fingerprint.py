@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from multilica.ingest import read_snapshot, snapshot_reader
-from multilica.ingest.snapshot_reader import sha256_of_files
+from multilica.ingest import fingerprint, read_snapshot
+from multilica.ingest.fingerprint import sha256_of_files
 from tests.ingest.support.recording_writers import make_snapshot, write_mcap
 
 
@@ -28,8 +28,8 @@ def test_several_files_are_hashed_with_their_names_in_any_order(tmp_path: Path) 
 
 
 def test_large_files_are_hashed_by_size_and_both_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(snapshot_reader, "WHOLE_FILE_BYTES", 100)
-    monkeypatch.setattr(snapshot_reader, "_EDGE_BYTES", 10)
+    monkeypatch.setattr(fingerprint, "WHOLE_FILE_BYTES", 100)
+    monkeypatch.setattr(fingerprint, "_EDGE_BYTES", 10)
     content = bytearray(range(200))
     path = tmp_path / "a"
 

@@ -20,7 +20,7 @@ from multilica.sinks.drawing import VIOLATE
 from multilica.sinks.mcap.result_mcap import DRAWING_TOPICS, ResultMcap, foxglove_layout
 from tests.sinks.made_events import TARGET, TRUTH, made_events
 
-DOCUMENTED_LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "foxglove-layout.json"
+DOCUMENTED_LAYOUT = Path(__file__).resolve().parents[3] / "docs" / "reference" / "foxglove-layout.json"
 LINE_LIST, SPHERE, TEXT = 5, 2, 9
 
 
