@@ -154,9 +154,15 @@ def _by_clouds(recording: Recording, span: Span) -> _Evidence:
 
 
 def _cloud_samples(recording: Recording, topic: str, span: Span) -> _Samples:
+    dense = _cloud_samples_at(recording, topic, span, 0.5) if span[1] - span[0] <= _SHORT_NS else ()
+    # Slow LiDARs have no two frames in half a second.
+    return dense or _cloud_samples_at(recording, topic, span, 1.0)
+
+
+def _cloud_samples_at(recording: Recording, topic: str, span: Span, step_s: float) -> _Samples:
     from multilica.stages.stillness import detect_motion
 
-    times_ns = _times_ns(span, 90, 0.5 if span[1] - span[0] <= _SHORT_NS else 1.0)
+    times_ns = _times_ns(span, 90, step_s)
     scans: dict[int, list[Scan]] = defaultdict(list)
     logged_ns: dict[int, int] = {}
     still: list[tuple[int, bool | None]] = []

@@ -166,6 +166,19 @@ def test_a_vehicle_that_always_stands_gives_the_whole_recording(tmp_path: Path) 
 
 
 @pytest.mark.slow
+def test_a_lidar_of_two_frames_a_second_tells(tmp_path: Path) -> None:
+    store = ros2_types()
+    messages = [
+        ("/points", CLOUD, time_ns, bytes(store.serialize_cdr(cloud_message(store, scan, "roof"), CLOUD)))
+        for number, time_s in enumerate(np.arange(10.0, 15.0, 0.5))
+        for time_ns, scan in [(stamp_ns(time_s), room_scan(time_s, number))]
+    ]
+    write_mcap(Snapshot(()), tmp_path / "a.mcap", messages=messages)
+    snapshot = read_snapshot(tmp_path / "a.mcap", config=IngestConfig(window="auto", frames=3))
+    assert snapshot.notes[0].startswith("The vehicle stands still from 0.0 to 4.5 s by the clouds on '/points'")
+
+
+@pytest.mark.slow
 def test_a_lidar_that_cannot_tell_leaves_it_to_another(tmp_path: Path) -> None:
     store = ros2_types()
     messages = list(clouds(store, store.serialize_cdr, real=True))
