@@ -19,6 +19,15 @@ PositiveMetres = Annotated[float, Strict(), Field(gt=0.0), AfterValidator(requir
 Metres = Annotated[float, Strict(), Field(ge=0.0), AfterValidator(require_length)]
 Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
 Count = Annotated[int, Strict(), Field(ge=1)]
+
+
+def _number_or_auto(stops: object) -> object:
+    if stops == "auto" or (type(stops) is int and stops >= 1):
+        return stops
+    raise ValueError("expected auto, or a whole number from 1 on")
+
+
+Stops = Annotated[int | Literal["auto"], BeforeValidator(_number_or_auto)]
 TimeText = Annotated[str, BeforeValidator(lambda time: str(time) if isinstance(time, datetime | int | float) else time)]
 """A text, or a time or number of TOML."""
 
@@ -260,7 +269,7 @@ class JointConfig(Section):
 class DriveConfig(Section):
     """Stops of one drive, which what the LiDARs see at several of them links."""
 
-    stops: Count | Literal["auto"] = Field(
+    stops: Stops = Field(
         1, description="standstills of a log that are used; auto: up to four that differ in place and see much"
     )
     max_distance_m: Metres = Field(

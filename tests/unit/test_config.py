@@ -109,6 +109,7 @@ def test_an_unknown_preset_in_a_file(tmp_path):
         ("fine.max_iterations=7", lambda it: it.fine.max_iterations == 7),
         (" fine.max_iterations = 7 ", lambda it: it.fine.max_iterations == 7),
         ("target=top", lambda it: it.target == "top"),
+        ("drive.stops=auto", lambda it: it.drive.stops == "auto"),
         ('target="a=b"', lambda it: it.target == "a=b"),
         ("verify.enabled=false", lambda it: it.verify.enabled is False),
         (
@@ -139,6 +140,7 @@ def test_settings_apply_in_order_and_leave_the_original_alone():
         ("runtime.threads=2", r"no key 'runtime\.threads'\. Did you mean 'runtime\.workers'"),
         ("runtime.workers=many", r"runtime\.workers is 'many'"),
         ("until=lunch", r"until is 'lunch'"),
+        ("drive.stops=0", r"drive\.stops is 0: expected auto, or a whole number from 1 on"),
     ],
 )
 def test_what_is_wrong_in_a_setting_is_named(override, message):
