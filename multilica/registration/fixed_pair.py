@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from multilica.config import FineConfig
-from multilica.geometry import LEVER_ARM_M, FloatArray
+from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
 from multilica.registration.gicp import GicpCloud, prepare_gicp_cloud, register
-from multilica.registration.plane_fit import PlaneFit, fit_planes
-from multilica.registration.poses import arc_between_m
+from multilica.registration.plane_fit import fit_planes
+from multilica.registration.poses import arc_between_m, is_distinct, moved
 from multilica.registration.widening import widened, widened_with_biases
 from multilica.results import BoolArray, PairRegistration
 
@@ -22,6 +22,11 @@ _NOISE_M = 0.03
 
 # With a smaller share of the information, moved objects are outliers of the fit by all points.
 _LEAST_SHARE = 0.1
+# With a larger one, where they were in the other scan is sought too: in steps that a registration bridges.
+_HELD_SHARE = 0.5
+_STEPS_M = (0.75, 1.5, 2.25, 3.0)
+# Poses whose shares of matched points differ by less fit as well.
+_ALIKE = 0.01
 # A pose that fixed objects do not hold at all keeps as much of its information.
 _NOTHING_LEFT = 1e-4
 # With a larger standard deviation, what is left does not hold the pose.
@@ -54,35 +59,61 @@ def without_movable(
     """
     target, source = clouds
     fixed = ~on_movable(pair.target, target.points_m), ~on_movable(pair.source, source.points_m)
-    if pair.information is None or _movable_share(pair, clouds, fixed) < _LEAST_SHARE:
+    share, direction = _movable_share(pair, clouds, fixed)
+    if pair.information is None or share < _LEAST_SHARE:
         return None
-    fit = _fit_fixed(pair, clouds, fixed, config, bias_sigmas)
-    if fit is None or fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:
-        return _free(replace(pair, information=_NOTHING_LEFT * pair.information, bias_information=None))
-    of_biases = None if pair.bias_information is None else fit.biases
-    return _free(replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases))
-
-
-def _fit_fixed(
-    pair: PairRegistration,
-    clouds: tuple[GicpCloud, GicpCloud],
-    fixed: tuple[BoolArray, BoolArray],
-    config: FineConfig,
-    bias_sigmas: FloatArray,
-) -> PlaneFit | None:
+    nothing = replace(pair, information=_NOTHING_LEFT * pair.information, bias_information=None)
     if min(np.count_nonzero(each) for each in fixed) < _MIN_MATCHES:
-        return None
+        return _free(nothing)
     target, source = (
         prepare_gicp_cloud(each.name, each.points_m[kept], config) for each, kept in zip(clouds, fixed, strict=True)
     )
-    found = register(target, source, pair.T_target_source, config)
-    return fit_planes(target, source, found.T_target_source, bias_sigmas)
+    best, *others = _registered_along(target, source, pair.T_target_source, direction, share, config)
+    fit = fit_planes(target, source, best, bias_sigmas)
+    if fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:
+        return _free(nothing)
+    of_biases = None if pair.bias_information is None else fit.biases
+    found = replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases)
+    for other in others:
+        off = other.offset_from(fit.pose) / _SCALE
+        found = _widened(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
+    return _free(found)
+
+
+def _registered_along(
+    target: GicpCloud,
+    source: GicpCloud,
+    pose: RigidTransform,
+    direction: FloatArray,
+    share: float,
+    config: FineConfig,
+) -> list[RigidTransform]:
+    """Register from the pose, and from where a car that holds it could have been; return the poses that fit as well.
+
+    A registration reaches a metre, and an object may have moved farther: the pose of what stands still is then beyond.
+    Few points decide between them, so the pose stays with what is found from it.
+
+    Args:
+        direction: (6,) that movable objects hold, as arcs at 10 m.
+        share: of the information in that direction which they give.
+
+    Returns:
+        The one that is found from the pose first.
+    """
+    steps_m = [0.0] if share < _HELD_SHARE else [0.0, *(side * metres for metres in _STEPS_M for side in (1.0, -1.0))]
+    starts = (moved(pose, *np.split(metres * _SCALE * direction, 2)) for metres in steps_m)
+    ends = [register(target, source, start, config) for start in starts]
+    found = [ends[0].T_target_source]
+    for end in ends[1:]:
+        if end.fitness > (1.0 - _ALIKE) * ends[0].fitness and is_distinct(end.T_target_source, found):
+            found.append(end.T_target_source)
+    return found
 
 
 def _movable_share(
     pair: PairRegistration, clouds: tuple[GicpCloud, GicpCloud], fixed: tuple[BoolArray, BoolArray]
-) -> float:
-    """Return the largest share of the information, over all directions of the pose, that movable objects give.
+) -> tuple[float, FloatArray]:
+    """Return the largest share of the information that movable objects give, and its direction (6,) as arcs at 10 m.
 
     The information is measured with the normals of both clouds, once each: their noise, which alone would hold a pose
     along a plane, then averages out.
@@ -94,7 +125,7 @@ def _movable_share(
     rows, index = rows[near[within]], index[within]
     is_fixed = fixed[0][index] & fixed[1][rows]
     if len(rows) < _MIN_MATCHES or np.all(is_fixed):
-        return 0.0
+        return 0.0, np.zeros(6)
     of_target, of_source = target.points_m[index], source.points_m[rows]
     normals, flatness = target.surface.at(index)
     others = pose.rotate(source.surface.at(rows)[0])
@@ -109,21 +140,31 @@ def _movable_share(
     )
     values, directions = np.linalg.eigh(whole)
     axes = directions / np.sqrt(np.maximum(values, 1e-3))
-    return 1.0 - float(np.linalg.eigvalsh(axes.T @ left @ axes)[0])
+    shares, mixed = np.linalg.eigh(axes.T @ left @ axes)
+    direction = axes @ mixed[:, 0]
+    return 1.0 - float(shares[0]), direction / np.linalg.norm(direction)
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:
     return np.asarray(0.5 * (matrix + matrix.T))
 
 
+def _widened(pair: PairRegistration, direction: FloatArray, off_m: float) -> PairRegistration:
+    of_biases = pair.bias_information
+    return replace(
+        pair,
+        information=widened(np.asarray(pair.information), direction, off_m),
+        bias_information=None if of_biases is None else widened_with_biases(of_biases, direction, off_m),
+    )
+
+
 def _free(pair: PairRegistration) -> PairRegistration:
     """Let the pose move like a car along the directions that little holds."""
-    information, of_biases = np.asarray(pair.information), pair.bias_information
-    values, directions = np.linalg.eigh(information * np.outer(_SCALE, _SCALE))
+    values, directions = np.linalg.eigh(np.asarray(pair.information) * np.outer(_SCALE, _SCALE))
     free = directions.T[values < _FREE_M**-2.0]
     # Over metres the direction turns, and others give way a little.
-    steps = [*(_MOTION_M * free), *(_TURN * _MOTION_M * np.eye(6) if len(free) else ())]
+    steps = [*free, *(_TURN * np.eye(6) if len(free) else ())]
     for step in steps:
-        information = widened(information, step, 1.0)
-        of_biases = None if of_biases is None else widened_with_biases(of_biases, step, 1.0)
-    return replace(pair, information=information, bias_information=of_biases)
+        length = float(np.linalg.norm(step))
+        pair = _widened(pair, step / length, length * _MOTION_M)
+    return pair
