@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Events of a calibration."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from multilica import results
@@ -19,11 +19,15 @@ class Event:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationStarted(Event):
-    """The snapshot was read and the calibration starts; `prior` has the poses that the user claims, by LiDAR."""
+    """The snapshot was read and the calibration starts; `prior` has the poses that the user claims, by LiDAR.
+
+    The `stops` of a joint result are those that links connect, in order.
+    """
 
     snapshot: Snapshot
     config: CalibrationConfig
     prior: Extrinsics | None = None
+    stops: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +151,15 @@ class RigRefined(Event):
 
     refinement: results.Refinement
     poses: tuple[RigidTransform, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopsLinked(Event):
+    """The vehicle's poses at the stops of a drive follow from links; `points_m` (N, 3) are those of each view."""
+
+    stops: tuple[results.StopPose, ...]
+    links: tuple[results.StopLink, ...]
+    points_m: Mapping[results.DriveView, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

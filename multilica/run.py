@@ -268,7 +268,7 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
             links = search_links(stops, config, request.workers, request.deadline_s)
             result = join(alone, config, links, partial(contradiction_at, stops, config))
         shown = next(given for given in found if given.name == shown_snapshot(result))
-        result = replay(shown.read(config).snapshot, result, config, run, request.rig)
+        result = replay(shown.read(config).snapshot, result, config, run, request.rig, stops)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 

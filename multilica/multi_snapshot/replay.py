@@ -15,7 +15,8 @@ from multilica.config import STAGES, CalibrationConfig, Stage
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.orchestration.rig import ground_under
-from multilica.results import CalibrationResult, GroundPlane, PreprocessedCloud, Refinement, SnapshotReport
+from multilica.orchestration.stop_views import DriveStop
+from multilica.results import CalibrationResult, DriveView, GroundPlane, PreprocessedCloud, Refinement, SnapshotReport
 from multilica.snapshot import LidarScans, Scan, Snapshot
 from multilica.stages.ground import estimate_level
 from multilica.stages.preprocess import preprocess
@@ -36,6 +37,7 @@ def replay(
     config: CalibrationConfig,
     observe: Observer,
     rig: Extrinsics | None = None,
+    stops: Sequence[DriveStop] = (),
 ) -> CalibrationResult:
     """Emit the events of a joint result with the clouds of one of its snapshots.
 
@@ -43,6 +45,7 @@ def replay(
         snapshot: the one that `shown_snapshot` names.
         observe: called with the events of the joint stages and of the pairs of that snapshot.
         rig: as for `calibrate`.
+        stops: with the clouds of those that links connect.
 
     Returns:
         The result with the ground plane of that snapshot, if the configuration asks for it.
@@ -51,7 +54,7 @@ def replay(
     ground: GroundPlane | None = None
     refusal = ""
     shown = _of_all(snapshot, result)
-    observe(events.CalibrationStarted(shown, config))
+    observe(events.CalibrationStarted(shown, config, stops=tuple(stop.name for stop in result.stops)))
     with threadpool_limits(1):
         with _stage("preprocess", observe):
             for lidar in shown.lidars:
@@ -64,6 +67,8 @@ def replay(
             observe(events.TargetChosen(result.target, result.target_reason))
             poses = tuple(pose for _, pose in sorted(result.poses.items()))
             observe(events.RigRefined(result.refinement or Refinement.of(), poses))
+            if result.stops:
+                observe(_linked(result, stops))
         if config.ground.enabled and config.until == STAGES[-1]:
             with _stage("ground", observe):
                 points_m = {cloud.lidar: cloud.points_m for cloud in clouds}
@@ -75,6 +80,17 @@ def replay(
     result = replace(result, ground=ground, ground_refusal=refusal, level=level)
     observe(events.CalibrationFinished(result))
     return result
+
+
+def _linked(result: CalibrationResult, stops: Sequence[DriveStop]) -> events.StopsLinked:
+    linked = {stop.name for stop in result.stops}
+    points_m = {
+        DriveView(lidar, stop.name): prepared.cloud.points_m
+        for stop in stops
+        if stop.name in linked
+        for lidar, prepared in stop.lidars.items()
+    }
+    return events.StopsLinked(result.stops, result.links, points_m)
 
 
 @contextmanager

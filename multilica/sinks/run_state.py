@@ -34,6 +34,7 @@ class RunState:
         verified: per pair its hypotheses after verification, the one with the most evidence first.
         stages: those that finished, in order.
         rig: poses in the target's frame after the joint refinement.
+        stops: names of the stops of a drive that links connect, in order.
         residuals: LiDARs with a residual of the merged cloud.
         figures: cache of `stage_figures`.
         outlines: cache of `field_of_view`.
@@ -55,6 +56,7 @@ class RunState:
     target_reason: str = ""
     decisions: list[results.MergeDecision] = field(default_factory=list)
     rig: tuple[RigidTransform, ...] = ()
+    stops: tuple[str, ...] = ()
     residuals: set[str] = field(default_factory=set)
     ground: events.GroundEstimated | None = None
     figures: dict[Stage, Mapping[str, Entry]] = field(default_factory=dict)
@@ -131,8 +133,8 @@ class RunState:
             return
         self._latest, self._document = event, None
         match event:
-            case events.CalibrationStarted(snapshot, config):
-                self.snapshot, self.config = snapshot, config
+            case events.CalibrationStarted(snapshot, config, _, stops):
+                self.snapshot, self.config, self.stops = snapshot, config, stops
                 self.provenance = provenance_of(snapshot)
             case events.StageStarted(stage):
                 self.stage = stage

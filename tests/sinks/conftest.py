@@ -23,9 +23,10 @@ def record(path: Path, *args, **kwargs) -> Path:
 
 @pytest.fixture(scope="session")
 def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """A recording per outcome."""
+    """A recording per outcome, and one of a drive."""
     directory = tmp_path_factory.mktemp("recordings")
-    return {outcome: record(directory / f"{outcome}.rrd", outcome) for outcome in ("complete", "partial", "failed")}
+    made = {outcome: record(directory / f"{outcome}.rrd", outcome) for outcome in ("complete", "partial", "failed")}
+    return made | {"drive": record(directory / "drive.rrd", drive=True)}
 
 
 @pytest.fixture(scope="session")

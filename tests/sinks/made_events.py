@@ -36,6 +36,7 @@ from multilica.results import (
     Verdict,
 )
 from multilica.results.visibility_score import VisibilityScore
+from tests.sinks.made_drive import STOPS, linked, stops_linked
 from tests.sinks.made_scans import made_snapshot, made_street
 from tests.sinks.made_surfaces import made_surfaces
 
@@ -52,16 +53,22 @@ TRUTH = {
 
 
 def made_events(
-    outcome: str = "complete", until: Stage = "ground", *, prior: Extrinsics | None = None, **config: Any
+    outcome: str = "complete",
+    until: Stage = "ground",
+    *,
+    prior: Extrinsics | None = None,
+    drive: bool = False,
+    **config: Any,
 ) -> Iterator[events.Event]:
     """A run that places all LiDARs (`complete`), or all but `UNPLACED` (`partial`), or none (`failed`).
 
     Of an `uncertain` run, the pose of `UNPLACED` has a standard deviation of 30 mm along x.
-    With a prior, every registration starts from it.
+    With a prior, every registration starts from it. The snapshot may be one of several stops of a drive.
     """
     settings = CalibrationConfig(target=TARGET, until=until, ground={"enabled": True}, **config)
     run = _MadeRun(outcome, prior)
-    yield events.CalibrationStarted(run.snapshot, settings, prior)
+    stops = tuple(stop.name for stop in STOPS) if drive else ()
+    yield events.CalibrationStarted(run.snapshot, settings, prior, stops)
     due = STAGES[: STAGES.index(until) + 1]
     for together in (("ingest",), ("preprocess",), ("features",), PAIR_STAGES, ("merge",), ("refine",), ("ground",)):
         stages = [stage for stage in together if stage in due]
@@ -70,8 +77,11 @@ def made_events(
             yield from run.search(stages)
         else:
             yield from (event for stage in stages for event in getattr(run, stage)())
+        if drive and together == ("refine",):
+            yield stops_linked(run.points)
         yield from (events.StageFinished(stage, 0.01) for stage in stages)
-    yield events.CalibrationFinished(run.result(until))
+    result = run.result(until)
+    yield events.CalibrationFinished(linked(result) if drive else result)
 
 
 class _MadeRun:

@@ -17,6 +17,7 @@ from multilica.sinks.rerun.pairs import starting_hypothesis
 from multilica.sinks.rerun.tables import candidate_pairs, matrix_bounds
 from multilica.sinks.rerun.views import (
     Overrides,
+    above_drive,
     above_group,
     around_lidar,
     around_rig,
@@ -70,6 +71,25 @@ def _movable_tab(state: RunState) -> rrb.Container | None:
     )
     view = scene_view(name, scene.lidar_frame(document.target), contents, around_rig(state))
     return rrb.Horizontal(view, name="Movable")
+
+
+def _drive_tab(state: RunState) -> _Tab | None:
+    """Show the stops of a drive from above, a view per group of stops that links connect; None without linked stops."""
+    document = state.document
+    if document.status == "unfinished":
+        return None
+    firsts = dict.fromkeys(stop.first for stop in document.stops)
+    legend = ": links are green if used, else grey; the timeline stop shows one stop at a time"
+    views = [
+        scene_view(
+            f"Stops linked with {first}{legend}",
+            scene.lidar_frame(document.target),
+            [f"{scene.drive_path(first)}/**"],
+            above_drive(state, first),
+        )
+        for first in firsts
+    ]
+    return rrb.Grid(*views, name="Drive") if views else None
 
 
 def stage_tab(state: RunState, stage: Stage) -> _Tab:
@@ -242,7 +262,7 @@ def final_blueprint(state: RunState) -> rrb.Blueprint:
     stages = [tab for build in dict.fromkeys(_STAGE_TABS.values()) if (tab := build(state)) is not None]
     lines = log_view("All lines", ("DEBUG", "INFO", "WARN", "ERROR"))
     last = rrb.Horizontal(lines, document_view(scene.CONFIG, "Config"), name="Log")
-    builders = (_failure_tab, _result_tab, _movable_tab, _residual_tab)
+    builders = (_failure_tab, _result_tab, _drive_tab, _movable_tab, _residual_tab)
     first = [tab for build in builders if (tab := build(state)) is not None]
     opened = 0 if first else len(stages) - 1
     return _blueprint(rrb.Tabs(*first, *stages, last, active_tab=opened))

@@ -26,6 +26,7 @@ from multilica.sinks.rerun.scene import (
     MERGE_STEPS,
     ROOT_FRAME,
     STEP_TIMELINE,
+    STOP_TIMELINE,
     RerunScene,
     lidar_frame,
     lidar_path,
@@ -85,6 +86,7 @@ def _log_sensor(scene: RerunScene, lidar: str, index: int) -> None:
         rr.TimeColumn(STEP_TIMELINE, sequence=[0]),
         rr.TimeColumn(ITERATION_TIMELINE, sequence=[0]),
         rr.TimeColumn(CLOCK_TIMELINE, timestamp=[np.datetime64(scene.started_ns, "ns")]),
+        *([rr.TimeColumn(STOP_TIMELINE, sequence=[0])] if scene.state.stops else []),
     ]
     log_in_slot(scene, lidar, start)
     axes = rr.TransformAxes3D(_AXIS_LENGTH_M)

@@ -15,6 +15,7 @@ from multilica.sinks.files.atomic import partial_path
 from multilica.sinks.files.result_files import config_toml
 from multilica.sinks.rerun import pairs, tables
 from multilica.sinks.rerun.blueprint import final_blueprint, stage_blueprint
+from multilica.sinks.rerun.drive import log_drive
 from multilica.sinks.rerun.lidars import (
     log_dropped_table,
     log_features,
@@ -107,7 +108,7 @@ def _flush(scene: RerunScene, _event: events.Event | None = None) -> None:
 
 
 def _start(scene: RerunScene, event: events.CalibrationStarted) -> None:
-    scene.limits, share = limits_for(event.config.record, event.snapshot)
+    scene.limits, share = limits_for(event.config.record, event.snapshot, len(event.stops))
     if share < 1.0:
         budget = f"{event.config.record.max_megabytes:g} MB (record.max_megabytes)"
         text = f"recording {share:.1%} of the usual points and matches to stay below {budget}"
@@ -174,6 +175,7 @@ _HANDLERS: Mapping[type[events.Event], tuple[Callable[[RerunScene, Any], None], 
     events.MergeStepTaken: (log_merge_step, tables.log_candidates),
     events.MovableFound: (log_movable,),
     events.RigRefined: (tables.log_refined,),
+    events.StopsLinked: (log_drive,),
     events.SurfacesMatched: (tables.log_surface_matches,),
     events.ResidualsMeasured: (log_residuals,),
     events.GroundEstimated: (log_ground,),

@@ -49,6 +49,7 @@ _LEAST_SHARE = 0.01
 STEP_TIMELINE = "step"
 ITERATION_TIMELINE = "iteration"
 CLOCK_TIMELINE = "log_time"
+STOP_TIMELINE = "stop"
 _POINT_RADIUS_PIXELS = 1.25
 
 
@@ -82,6 +83,16 @@ def pair_frame(target: str, source: str, name: str) -> str:
     return f"pair/{target}/{source}/{name}"
 
 
+def drive_path(first: str, *parts: str) -> str:
+    """Return an entity path of the stops that links connect with the first one."""
+    return rr.new_entity_path(["drive", first, *parts])
+
+
+def stop_frame(stop: str, lidar: str = "") -> str:
+    """Return the frame of the target LiDAR at a stop of a drive, or that of another LiDAR there."""
+    return f"stop/{stop}/{lidar}" if lidar else f"stop/{stop}"
+
+
 class RecordLimits(NamedTuple):
     """Maximum counts in a recording.
 
@@ -90,6 +101,7 @@ class RecordLimits(NamedTuple):
         cloud_points: per LiDAR, of the preprocessed cloud, and of the dropped points of each reason.
         feature_points, normals: per LiDAR.
         pair_points: per pair, of each copy of the source's cloud.
+        stop_points: per LiDAR and stop of a drive.
         scored_points: per pair and side.
         matches: per pair, of the kept and of the rejected ones, as lines.
         match_rows: per pair, of the matches as data, and of the matches of its surfaces.
@@ -100,37 +112,43 @@ class RecordLimits(NamedTuple):
     feature_points: int
     normals: int
     pair_points: int
+    stop_points: int
     scored_points: int
     matches: int
     match_rows: int
 
 
-NO_LIMITS = RecordLimits(*[_ALL] * 8)
+NO_LIMITS = RecordLimits(*[_ALL] * 9)
 _LIMITS: Mapping[str, RecordLimits] = {
     "full": NO_LIMITS,
-    "normal": RecordLimits(500_000, 500_000, 500_000, 1500, 30_000, 6000, 1000, 2000),
-    "slim": RecordLimits(0, 30_000, 0, 0, 5000, 2000, 200, 200),
+    "normal": RecordLimits(500_000, 500_000, 500_000, 1500, 30_000, 30_000, 6000, 1000, 2000),
+    "slim": RecordLimits(0, 30_000, 0, 0, 5000, 5000, 2000, 200, 200),
 }
 
 
-def limits_for(config: RecordConfig, snapshot: Snapshot) -> tuple[RecordLimits, float]:
-    """Return the limits that keep the recording below its budget, and their share of the usual ones."""
+def limits_for(config: RecordConfig, snapshot: Snapshot, stops: int = 0) -> tuple[RecordLimits, float]:
+    """Return the limits that keep the recording below its budget, and their share of the usual ones.
+
+    Args:
+        stops: number of stops of a drive that are recorded.
+    """
     limits = _LIMITS[config.detail]
     if config.detail == "full":
         return limits, 1.0
     counts = [lidar.points_count for lidar in snapshot.lidars]
     pairs = len(counts) * (len(counts) - 1) // 2
     budget = config.max_megabytes * 1e6 - _BYTES_OF_A_RUN - pairs * _BYTES_OF_A_PAIR
-    share = min(1.0, max(_LEAST_SHARE, budget / _expected_bytes(limits, counts)))
+    share = min(1.0, max(_LEAST_SHARE, budget / _expected_bytes(limits, counts, stops)))
     return RecordLimits(*(int(share * limit) for limit in limits)), share
 
 
-def _expected_bytes(limits: RecordLimits, counts: list[int]) -> float:
+def _expected_bytes(limits: RecordLimits, counts: list[int], stops: int) -> float:
     """Return an upper bound of the size: thinning drops more, files are compressed."""
     per_lidar = sum(
         _POINT_BYTES * (min(limits.raw_points, count) + min(limits.cloud_points, count))
         + _POINT_BYTES * min(limits.feature_points, count)
         + _LINE_BYTES * min(limits.normals, count)
+        + _POINT_BYTES * stops * min(limits.stop_points, count)
         for count in counts
     )
     pairs, largest = len(counts) * (len(counts) - 1) / 2, max(counts, default=0)
@@ -147,8 +165,8 @@ def _expected_bytes(limits: RecordLimits, counts: list[int]) -> float:
 class RerunScene:
     """The stream that event handlers log to.
 
-    Everything is logged on both timelines, since entities missing on a timeline are invisible there. Iteration is 0
-    except for GICP's progress.
+    Everything is logged on all timelines, since entities missing on a timeline are invisible there. Iteration is 0
+    except for GICP's progress, and the stop of a drive is 0 except for the clouds of a stop.
 
     Args:
         state: after the current event.
@@ -174,6 +192,12 @@ class RerunScene:
         self.step += steps
         self.stream.set_time(STEP_TIMELINE, sequence=self.step)
         self.stream.set_time(ITERATION_TIMELINE, sequence=0)
+        self.at_stop(0)
+
+    def at_stop(self, number: int) -> None:
+        """Log at that number of a stop until the next step; the timeline is only in recordings of a drive."""
+        if self.state.stops:
+            self.stream.set_time(STOP_TIMELINE, sequence=number)
 
     def log(self, path: str, *parts: rr.AsComponents) -> None:
         """Log at the current step."""

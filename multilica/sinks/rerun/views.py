@@ -66,6 +66,21 @@ def above_group(state: RunState) -> rrb.EyeControls3D:
     return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=(0.0, 0.0, 1.0))
 
 
+def above_drive(state: RunState, first: str) -> rrb.EyeControls3D:
+    """Look down on the stops that links connect with the first one, in the target's frame there, slightly tilted."""
+    document, result = state.document, state.result
+    places_m = np.array([np.asarray(stop.T_first_stop)[:3, 3] for stop in document.stops if stop.first == first])
+    centre_m = np.mean(places_m, axis=0)
+    seen_m = max((shown_radius_m(sampled_cloud(state, lidar)) for lidar in document.poses), default=0.0)
+    radius_m = float(np.linalg.norm(places_m - centre_m, axis=1).max()) + seen_m
+    up = up_axis(state, document.target)
+    if result is not None and result.level is not None:
+        up = result.level.rotation[2]
+    ahead, _ = _horizontal(up)
+    position = centre_m + radius_m * (1.8 * up - 0.4 * ahead)
+    return rrb.EyeControls3D(position=position, look_target=centre_m, eye_up=up)
+
+
 def sampled_cloud(state: RunState, lidar: str) -> FloatArray:
     """Return a sample (N, 3) of a LiDAR's preprocessed points; none before it is preprocessed."""
     if lidar not in state.clouds:

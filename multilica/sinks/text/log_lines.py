@@ -74,6 +74,9 @@ def log_lines(event: events.Event) -> tuple[LogLine, ...]:  # noqa: C901, PLR091
             return _line(f"{lidar}: {len(points_m):,} of {count:,} points on objects that could have moved", "DEBUG")
         case events.RigRefined(refinement):
             return _refined(refinement)
+        case events.StopsLinked(stops, links):
+            used = sum(link.used for link in links)
+            return _line(f"{len(stops)} stops linked by {used} of {len(links)} registrations between them")
         case events.SurfacesMatched(matches):
             pair = pair_label(matches.target, matches.source)
             return _line(f"{pair}: {len(matches):,} points on surfaces of both at the final pose", "DEBUG")

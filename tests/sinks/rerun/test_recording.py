@@ -201,14 +201,14 @@ def test_a_run_without_events_leaves_no_file(tmp_path):
 
 def test_every_event_type_is_in_the_made_runs():
     """Whoever adds an event has to decide how it is shown."""
-    happened = {type(event) for outcome in ("complete", "partial") for event in made_events(outcome)}
+    happened = {type(event) for outcome in ("complete", "partial") for event in made_events(outcome, drive=True)}
     kinds = {kind for kind in vars(events).values() if isinstance(kind, type) and issubclass(kind, events.Event)}
     assert happened == kinds - {events.Event}
     assert all(dataclasses.is_dataclass(kind) for kind in happened)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("outcome", ["complete", "partial", "failed"])
+@pytest.mark.parametrize("outcome", ["complete", "partial", "failed", "drive"])
 def test_a_frame_is_known_before_something_is_in_it(recordings, outcome):
     """On the wall clock each entity has a time of its own, so that the order shows."""
     recording = Recording(recordings[outcome])

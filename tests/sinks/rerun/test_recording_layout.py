@@ -37,8 +37,13 @@ def partial(recordings):
     return Recording(recordings["partial"])
 
 
-def test_recorded_and_documented_entities_agree(recording, partial):
-    entity_paths = recording.entity_paths | partial.entity_paths
+@pytest.fixture(scope="module")
+def drive(recordings):
+    return Recording(recordings["drive"])
+
+
+def test_recorded_and_documented_entities_agree(recording, partial, drive):
+    entity_paths = recording.entity_paths | partial.entity_paths | drive.entity_paths
     patterns = {template: pattern(template, PART) for template in first_column("Entities")}
     undocumented = {path for path in entity_paths if not any(p.fullmatch(path) for p in patterns.values())}
     missing = {t for t, p in patterns.items() if not any(p.fullmatch(path) for path in entity_paths)}
@@ -46,14 +51,15 @@ def test_recorded_and_documented_entities_agree(recording, partial):
     assert not missing
 
 
-def test_timelines_are_the_documented_ones(recording):
-    assert recording.timelines == set(first_column("Timelines"))
+def test_timelines_are_the_documented_ones(recording, drive):
+    assert drive.timelines == set(first_column("Timelines"))
+    assert recording.timelines == drive.timelines - {"stop"}
 
 
-def test_recorded_and_documented_frames_agree(recording, partial):
-    frames = recording.frames | partial.frames
+def test_recorded_and_documented_frames_agree(recording, partial, drive):
+    frames = recording.frames | partial.frames | drive.frames
     patterns = {
-        template: pattern(template, rf"(?:{LIDAR_NAME}|\d+|merged-\d+|before|implied|competing)")
+        template: pattern(template, rf"(?:{LIDAR_NAME}|\d+|merged-\d+|stop_\d|before|implied|competing)")
         for template in first_column("Frames")
     }
     assert all(any(p.fullmatch(frame) for p in patterns.values()) for frame in frames)

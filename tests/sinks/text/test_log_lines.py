@@ -234,6 +234,7 @@ FIRST_LINES = {
     events.MovableFound: "DEBUG front left/1: 12 of 600 points on objects that could have moved",
     events.RigRefined: "INFO refined over 1 pairs: largest disagreement 4.0 mm, 0.020 deg before, "
     "1.0 mm, 0.010 deg after",
+    events.StopsLinked: "INFO 3 stops linked by 2 of 3 registrations between them",
     events.SurfacesMatched: "DEBUG rear <- front left/1: 30 points on surfaces of both at the final pose",
     events.ResidualsMeasured: "INFO front left/1: 30 points on surfaces of other LiDARs, 50 mm off (median)",
     events.GroundEstimated: "INFO the target is 2.000 m above ground: 120 m2 of ground are seen",
@@ -242,7 +243,7 @@ FIRST_LINES = {
 
 
 def test_each_line_says_what_happened():
-    told = {type(event): log_lines(event)[0] for event in reversed([*made_events()])}
+    told = {type(event): log_lines(event)[0] for event in reversed([*made_events(drive=True)])}
     lines = {kind: f"{told[kind].level} {told[kind].text}" for kind in FIRST_LINES}
     assert lines == FIRST_LINES
 
