@@ -9,6 +9,7 @@ import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -103,8 +104,9 @@ def times_of(viewer: ViewerClient, timeline: str) -> list[dict[str, Any]]:
     (recording,) = viewer.get_state().recordings
     found = next(each for each in recording.timelines if each.name == timeline)
     length = found.end - found.start
-    assert length > STEPS
-    times = [found.start + length * part // (STEPS - 1) for part in range(STEPS)]
+    steps = min(STEPS, length + 1)
+    assert steps > 3
+    times = [found.start + length * part // (steps - 1) for part in range(steps)]
     return [{"timestamp": np.datetime64(at, "ns")} if timeline == "log_time" else {"sequence": at} for at in times]
 
 
@@ -149,10 +151,12 @@ def test_no_view_of_any_tab_complains(viewer, recordings, outcome, first, timeli
     [
         *((outcome, "step") for outcome in ("complete", "uncertain", "partial", "failed", "cut off")),
         *((outcome, "log_time") for outcome in ("partial", "cut off")),
+        ("drive", "stop"),
     ],
 )
 def test_no_view_complains_when_stepping_back(viewer, tmp_path, outcome, timeline):
-    path = cut_off(tmp_path / "run.rrd") if outcome == "cut off" else record(tmp_path / "run.rrd", outcome)
+    made = {"cut off": cut_off, "drive": partial(record, drive=True)}
+    path = made.get(outcome, partial(record, outcome=outcome))(tmp_path / "run.rrd")
     wait_until_shown(viewer, path)
     show_every_view(viewer)
     for at in reversed(times_of(viewer, timeline)):
