@@ -15,6 +15,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -112,6 +113,15 @@ class FoxgloveEncoding:
         ]
         return McapMessage(topic, _schema(SceneUpdate), SceneUpdate(entities=entities).SerializeToString())
 
+    def stop_poses(self, first: str, poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:
+        """Encode ``foxglove.PosesInFrame``: poses in one frame, of the stops that links connect with the first one."""
+        found = PosesInFrame(
+            timestamp=_timestamp(stamp_ns),
+            frame_id=poses[0].target,
+            poses=[_pose(pose.xyz_m.tolist(), pose.quaternion_xyzw.tolist()) for pose in poses],
+        )
+        return McapMessage(f"/drive/{first}", _schema(PosesInFrame), found.SerializeToString())
+
     def log(self, line: LogLine, stamp_ns: int) -> McapMessage:
         """Encode ``foxglove.Log`` on `/log`."""
         level, stamp = _LEVELS[line.level], _timestamp(stamp_ns)
@@ -127,7 +137,7 @@ class FoxgloveEncoding:
 
 
 @cache
-def _schema(kind: type[FrameTransforms | PointCloud | SceneUpdate | Log]) -> MessageSchema:
+def _schema(kind: type[FrameTransforms | PointCloud | PosesInFrame | SceneUpdate | Log]) -> MessageSchema:
     descriptors = build_file_descriptor_set(kind).SerializeToString()
     return MessageSchema(kind.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, descriptors, MessageEncoding.Protobuf)
 

@@ -115,11 +115,21 @@ def _uncertainty(state: RunState, document: ResultDocument) -> Iterator[drawing.
             yield drawing.Drawing(lidar, document.target, ellipsoids=(shown,), labels=labels)
 
 
-def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
+def _stop_poses(document: ResultDocument) -> Iterator[tuple[str, list[RigidTransform]]]:
+    """Yield the first stop of each group of linked ones with the target's poses at all of them, in its own frame."""
+    for first in dict.fromkeys(stop.first for stop in document.stops):
+        group = (stop for stop in document.stops if stop.first == first)
+        yield (
+            first,
+            [RigidTransform(document.target, stop.name, np.asarray(stop.T_first_stop)) for stop in group],
+        )
+
+
+def foxglove_layout(target: str, cloud_topics: Mapping[str, str], pose_topics: Sequence[str] = ()) -> str:
     """Return JSON for "Import from file": clouds and drawings in a scene that follows the target, log and metrics."""
     layout = {
         "configById": {
-            _SCENE: _scene(target, cloud_topics),
+            _SCENE: _scene(target, cloud_topics, pose_topics),
             _LOG: {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"},
             _METRICS: {"topicPath": "/metrics", "diffEnabled": False},
         },
@@ -136,7 +146,7 @@ def foxglove_layout(target: str, cloud_topics: Mapping[str, str]) -> str:
     return json.dumps(layout, indent=2, ensure_ascii=False) + "\n"
 
 
-def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
+def _scene(target: str, cloud_topics: Mapping[str, str], pose_topics: Sequence[str]) -> dict[str, Any]:
     colours = drawing.distinct_colours(tuple(cloud_topics))
     clouds = {
         topic: {
@@ -150,7 +160,7 @@ def _scene(target: str, cloud_topics: Mapping[str, str]) -> dict[str, Any]:
         for name, topic in cloud_topics.items()
     }
     # Matches are hidden at first: hundreds of lines.
-    drawings = {topic: {"visible": topic != "/matches"} for topic in DRAWING_TOPICS}
+    drawings = {topic: {"visible": topic != "/matches"} for topic in (*DRAWING_TOPICS, *pose_topics)}
     return {
         "followMode": "follow-pose",
         "followTf": target,
@@ -187,6 +197,7 @@ class ResultMcap(AbstractContextManager["ResultMcap"]):
         self._state = state or RunState()
         self._lines: list[LogLine] = []
         self._cloud_topics: dict[str, str] = {}
+        self._pose_topics: list[str] = []
         self._finished = False
 
     def __call__(self, event: events.Event) -> None:
@@ -247,12 +258,16 @@ class ResultMcap(AbstractContextManager["ResultMcap"]):
         drawings = (_matches(state, frames), _merge_graph(state, document), views, sigmas)
         for topic, found in zip(DRAWING_TOPICS, drawings, strict=True):
             messages.write(self._encoding.drawings(topic, tuple(found), stamp_ns), stamp_ns)
+        drives = [self._encoding.stop_poses(first, poses, stamp_ns) for first, poses in _stop_poses(document)]
+        self._pose_topics = [message.topic for message in drives]
+        for message in drives:
+            messages.write(message, stamp_ns)
 
     def _attachments(self, document: ResultDocument, target: str) -> dict[str, bytes]:
         return {
             "config.toml": config_toml(document.config).encode(),
             "result.json": document.model_dump_json().encode(),
-            "foxglove-layout.json": foxglove_layout(target, self._cloud_topics).encode(),
+            "foxglove-layout.json": foxglove_layout(target, self._cloud_topics, self._pose_topics).encode(),
             **{path.name: path.read_bytes() for path in self._attached if path.is_file()},
         }
 

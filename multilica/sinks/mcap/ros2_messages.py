@@ -49,6 +49,15 @@ class Ros2Encoding:
         ]
         return _message(topic, ros2.made("visualization_msgs/msg/MarkerArray", markers=markers), latched=True)
 
+    def stop_poses(self, first: str, poses: Sequence[RigidTransform], stamp_ns: int) -> McapMessage:
+        """Encode ``geometry_msgs/msg/PoseArray``: poses in one frame, latched for late subscribers."""
+        found = ros2.made(
+            "geometry_msgs/msg/PoseArray",
+            header=ros2.header(poses[0].target, stamp_ns),
+            poses=[ros2.pose_of(pose.xyz_m.tolist(), pose.quaternion_xyzw.tolist()) for pose in poses],
+        )
+        return _message(f"/drive/{self._topic_token(first)}", found, latched=True)
+
     def log(self, line: LogLine, stamp_ns: int) -> McapMessage:
         """Encode ``rcl_interfaces/msg/Log`` on `/log`."""
         message = ros2.made(
@@ -67,15 +76,15 @@ class Ros2Encoding:
         """Encode JSON in a ``std_msgs/msg/String`` on `/metrics`."""
         return _message("/metrics", ros2.made("std_msgs/msg/String", data=json.dumps(figures, allow_nan=False)))
 
-    def _topic_token(self, lidar: str) -> str:
-        """Return the name with invalid characters of ROS 2 topics replaced, unique per LiDAR."""
-        if lidar not in self._tokens:
-            token = re.sub(r"[^A-Za-z0-9_]", "_", lidar)
+    def _topic_token(self, name: str) -> str:
+        """Return the name of a LiDAR or stop with invalid characters of ROS 2 topics replaced, unique per name."""
+        if name not in self._tokens:
+            token = re.sub(r"[^A-Za-z0-9_]", "_", name)
             token = f"_{token}" if token[:1].isdigit() else token
             taken = set(self._tokens.values())
             names = (token, *(f"{token}_{number}" for number in range(2, len(taken) + 3)))
-            self._tokens[lidar] = next(name for name in names if name not in taken)
-        return self._tokens[lidar]
+            self._tokens[name] = next(each for each in names if each not in taken)
+        return self._tokens[name]
 
 
 def _message(topic: str, message: Any, *, latched: bool = False, lidar: str = "") -> McapMessage:  # noqa: ANN401 - the classes are made by rosbags at run time

@@ -22,6 +22,8 @@ def summary(message):
     kind = type(message).__name__
     if kind == "PointCloud2":
         return [message.header.frame_id, message.width, message.point_step, len(message.data)]
+    if kind == "PoseArray":
+        return [message.header.frame_id, len(message.poses)]
     if kind == "MarkerArray":
         return sorted({marker.ns for marker in message.markers})
     return message.msg if kind == "Log" else message.data

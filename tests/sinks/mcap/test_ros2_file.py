@@ -15,6 +15,7 @@ from ruamel.yaml import YAML
 from multilica.sinks.mcap.result_mcap import ResultMcap
 from multilica.sinks.snapshots import write_snapshot_mcap
 from tests.ingest.support.recording_writers import make_snapshot
+from tests.sinks.made_drive import STOPS
 from tests.sinks.made_events import LIDARS, made_events
 
 ROS2_PYTHON = Path(__file__).parents[2] / "ros2" / ".venv" / "bin" / "python"
@@ -30,7 +31,7 @@ QOS_KEYS = {
     "liveliness_lease_duration",
     "avoid_ros_namespace_conventions",
 }
-LATCHED = {"/tf_static", "/matches", "/merge_graph", "/fields_of_view", "/uncertainty"}
+LATCHED = {"/tf_static", "/matches", "/merge_graph", "/fields_of_view", "/uncertainty", "/drive/stop_1"}
 FOREVER = {"sec": 9223372036, "nsec": 854775807}
 
 
@@ -38,7 +39,7 @@ FOREVER = {"sec": 9223372036, "nsec": 854775807}
 def result(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("ros2") / "result.mcap"
     with ResultMcap(path, "ros2") as observe:
-        for event in made_events():
+        for event in made_events(drive=True):
             observe(event)
     return path
 
@@ -106,6 +107,7 @@ def test_ros2_itself_understands_every_message(result):
     seen = json.loads(subprocess.run(command, capture_output=True, text=True, check=True, timeout=60).stdout)
     assert seen["/lidar/rear/points"] == [["rear", 600, 12, 7200]]
     assert {*LIDARS, "rear <- top"} <= set(seen["/merge_graph"][0])
+    assert seen["/drive/stop_1"] == [["top", len(STOPS)]]
     assert any("calibration complete" in line for line in seen["/log"])
     assert json.loads(seen["/metrics"][0])["status"] == "complete"
     with result.open("rb") as file:
