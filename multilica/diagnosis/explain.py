@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 from multilica.config import STAGES
+from multilica.diagnosis.by_stop import explained_by_stop
 from multilica.diagnosis.explanation import (
     CAUSES,
     PRIOR_ADVICE,
@@ -108,7 +109,11 @@ def explain(document: ResultDocument) -> Explanation:
     if until in _BEFORE_PLACES:
         headline = f"The run stopped after stage {until} (--until). No LiDAR is placed yet."
         return _without_places(document, headline, "stopped_early", _known_so_far(document))
-    missing = tuple(_missing(document, name) for name, entry in document.lidars.items() if entry.status == "not_placed")
+    missing = tuple(
+        explained_by_stop(document, _missing(document, name))
+        for name, entry in document.lidars.items()
+        if entry.status == "not_placed"
+    )
     uncertain = tuple(
         _uncertain(document, name) for name, entry in document.lidars.items() if entry.status == "uncertain"
     )
@@ -325,7 +330,10 @@ def _ground_warnings(document: ResultDocument) -> Iterator[str]:
 
 
 def _warnings(document: ResultDocument) -> Iterator[str]:
-    """Yield a sentence per doubt: no ground, unchecked placements, dirty sensors, priors far off, odd pairs."""
+    """Yield a sentence per doubt: knocks, no ground, unchecked placements, dirty sensors, priors far off, odd pairs."""
+    yield from (
+        f"{knock.text}. Check how {knock.lidar} is fastened, then calibrate again." for knock in document.knocks
+    )
     yield from _time_warnings(document)
     yield from _ground_warnings(document)
     if document.accepted_by == "fitness" and len(document.placed) > 1:

@@ -174,6 +174,7 @@ class Missing:
         elsewhere: the accepted pair that puts it at another place; None unless two accepted pairs contradict.
         next_best: the next pose of the decisive pair, or the next pair; empty if there is none.
         by_snapshot: reason per snapshot, if no single pair decides; else empty.
+        by_stop: stops of a drive that see it linked with others; else empty.
         advice: what would help, the most promising first.
     """
 
@@ -185,13 +186,19 @@ class Missing:
     elsewhere: DecisivePair | None = None
     next_best: str = ""
     by_snapshot: str = ""
+    by_stop: str = ""
     advice: tuple[str, ...] = ()
 
     @property
     def details(self) -> tuple[str, ...]:
         """Sentences below the headline."""
         decisive = "" if self.decisive is None else self.decisive.sentence
-        known = {"Decisive": decisive, "Next best": self.next_best, "By snapshot": self.by_snapshot}
+        known = {
+            "Decisive": decisive,
+            "Next best": self.next_best,
+            "By snapshot": self.by_snapshot,
+            "By stop": self.by_stop,
+        }
         texts = (f"{name}: {text}" for name, text in known.items() if text)
         return (f"At stage {self.step}.", *texts, *(f"What helps: {advice}." for advice in self.advice))
 

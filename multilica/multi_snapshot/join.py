@@ -300,7 +300,7 @@ class _JointRig:
             if links
             else "no stop sees what it sees"
         )
-        return f"{found}: turn by 60 degrees or more between two stops. {reason}"
+        return f"{found}. {reason}"
 
     def _chances(self, snapshot: str, lidar: str) -> dict[str, float]:
         """Return how probable the difference to each other snapshot that counts is, if the covariances are right."""

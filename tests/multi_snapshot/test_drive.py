@@ -88,7 +88,7 @@ def test_the_document_and_the_map_have_the_stops():
     assert sum(links.used for links in shown.links) == sum(link.used for link in result.links)
     page = report_html(ReportContents(document, {lidar.name: lidar.points_m[::50] for lidar in snapshot.lidars}))
     assert "Map of the stops from above" in page
-    assert "Rear moved by 21 mm, 0.10 deg between stop 1 and stop 2" in page
+    assert "rear moved by 21 mm, 0.10 deg between stop 1 and stop 2" in page
     assert min(links_of(document)[stop.name] for stop in result.stops) > 0
 
 

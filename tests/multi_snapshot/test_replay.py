@@ -20,7 +20,7 @@ def _stop(name, clouds, config):
 
 
 def _replayed(*, drive):
-    told = [*made_events(drive=drive)]
+    told = [*made_events(at_stops=drive)]
     clouds = {event.cloud.lidar: event.cloud for event in told if isinstance(event, events.CloudPreprocessed)}
     started, finished = told[0], told[-1]
     result = replace(finished.result, snapshots=(SnapshotReport(FIRST, "made", ""),))

@@ -26,7 +26,7 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A recording per outcome, and one of a drive."""
     directory = tmp_path_factory.mktemp("recordings")
     made = {outcome: record(directory / f"{outcome}.rrd", outcome) for outcome in ("complete", "partial", "failed")}
-    return made | {"drive": record(directory / "drive.rrd", drive=True)}
+    return made | {"drive": record(directory / "drive.rrd", at_stops=True)}
 
 
 @pytest.fixture(scope="session")

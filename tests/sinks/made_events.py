@@ -57,7 +57,7 @@ def made_events(
     until: Stage = "ground",
     *,
     prior: Extrinsics | None = None,
-    drive: bool = False,
+    at_stops: bool = False,
     **config: Any,
 ) -> Iterator[events.Event]:
     """A run that places all LiDARs (`complete`), or all but `UNPLACED` (`partial`), or none (`failed`).
@@ -67,7 +67,7 @@ def made_events(
     """
     settings = CalibrationConfig(target=TARGET, until=until, ground={"enabled": True}, **config)
     run = _MadeRun(outcome, prior)
-    stops = tuple(stop.name for stop in STOPS) if drive else ()
+    stops = tuple(stop.name for stop in STOPS) if at_stops else ()
     yield events.CalibrationStarted(run.snapshot, settings, prior, stops)
     due = STAGES[: STAGES.index(until) + 1]
     for together in (("ingest",), ("preprocess",), ("features",), PAIR_STAGES, ("merge",), ("refine",), ("ground",)):
@@ -77,11 +77,11 @@ def made_events(
             yield from run.search(stages)
         else:
             yield from (event for stage in stages for event in getattr(run, stage)())
-        if drive and together == ("refine",):
+        if at_stops and together == ("refine",):
             yield stops_linked(run.points)
         yield from (events.StageFinished(stage, 0.01) for stage in stages)
     result = run.result(until)
-    yield events.CalibrationFinished(linked(result) if drive else result)
+    yield events.CalibrationFinished(linked(result) if at_stops else result)
 
 
 class _MadeRun:

@@ -231,7 +231,6 @@ def _result_parts(document: ResultDocument) -> Iterator[str]:
         yield f"Ellipsoids of the rig: {SIGMAS:g} sigma of the position, {scale:g} times enlarged."
     if document.snapshots:
         yield "\n".join(f"- snapshot **{escaped(each.name)}**: {escaped(each.text)}" for each in document.snapshots)
-    yield from (f"**{escaped(knock.text)}**" for knock in document.knocks)
     if document.stops:
         used = sum(link.used for link in document.links)
         names = ", ".join(escaped(each.name) for each in document.stops)

@@ -22,7 +22,7 @@ APART = tuple(replace(stop, first="a b") for stop in STOPS[1:])
 
 def write(path: Path, encoding: str, stops=STOPS) -> Path:
     with ResultMcap(path, encoding) as observe:
-        for event in made_events(drive=bool(stops)):
+        for event in made_events(at_stops=bool(stops)):
             if isinstance(event, events.CalibrationFinished):
                 event = events.CalibrationFinished(replace(event.result, stops=stops))  # noqa: PLW2901
             observe(event)

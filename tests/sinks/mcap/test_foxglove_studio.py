@@ -33,7 +33,7 @@ MIN_PIXELS = 30
 )
 def test_placed_clouds_are_drawn_without_a_problem(tmp_path, browser, encoding, outcome):
     with ResultMcap(tmp_path / "result.mcap", encoding) as observe:
-        for event in made_events(outcome, drive=True):
+        for event in made_events(outcome, at_stops=True):
             observe(event)
     with served_studio(browser, tmp_path) as open_studio:
         studio = open_studio()

@@ -26,7 +26,7 @@ LINE_LIST, SPHERE, TEXT = 5, 2, 9
 
 def write(path: Path, encoding: str) -> Path:
     with ResultMcap(path, encoding) as observe:
-        for event in made_events("partial", drive=True):
+        for event in made_events("partial", at_stops=True):
             observe(event)
     return path
 

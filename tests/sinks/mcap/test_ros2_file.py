@@ -39,7 +39,7 @@ FOREVER = {"sec": 9223372036, "nsec": 854775807}
 def result(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("ros2") / "result.mcap"
     with ResultMcap(path, "ros2") as observe:
-        for event in made_events(drive=True):
+        for event in made_events(at_stops=True):
             observe(event)
     return path
 

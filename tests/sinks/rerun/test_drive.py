@@ -90,9 +90,9 @@ def test_without_linked_stops_there_is_no_drive(recordings):
     assert not [path for path in Recording(recordings["complete"]).entity_paths if path.startswith("/drive")]
 
 
-def tabs(outcome, *, drive=True):
+def tabs(outcome, *, at_stops=True):
     state = RunState()
-    for event in made_events(outcome, drive=drive):
+    for event in made_events(outcome, at_stops=at_stops):
         state(event)
     root = final_blueprint(state).root_container
     return [tab.name for tab in root.contents], root.contents[root.active_tab].name
@@ -105,12 +105,12 @@ def test_the_drive_is_beside_the_result():
     names, opened = tabs("partial")
     assert names[1:3] == ["Result", "Drive"]
     assert opened == "Not placed: rear"
-    assert "Drive" not in tabs("complete", drive=False)[0]
+    assert "Drive" not in tabs("complete", at_stops=False)[0]
 
 
 def test_the_camera_looks_down_on_all_stops():
     state = RunState()
-    for event in made_events(drive=True):
+    for event in made_events(at_stops=True):
         state(event)
     eye = above_drive(state, FIRST)
     position, looked_at = (np.array(each.as_arrow_array().to_pylist()[0]) for each in (eye.position, eye.look_target))
@@ -125,6 +125,6 @@ def test_clouds_of_stops_are_within_the_limits(tmp_path):
     rig = Snapshot(tuple(LidarScans(str(number), (scan,)) for number in range(4)), "rig", "")
     assert limits_for(tight, rig, 8)[1] < limits_for(tight, rig)[1]
     # A hundredth of 30,000 points is the least.
-    path = record(tmp_path / "run.rrd", drive=True, record={"max_megabytes": 0.001})
+    path = record(tmp_path / "run.rrd", at_stops=True, record={"max_megabytes": 0.001})
     positions = Recording(path).last(cloud_path(FIRST, "rear"), "Points3D:positions")
     assert len(positions) == 300

@@ -155,7 +155,7 @@ def test_no_view_of_any_tab_complains(viewer, recordings, outcome, first, timeli
     ],
 )
 def test_no_view_complains_when_stepping_back(viewer, tmp_path, outcome, timeline):
-    made = {"cut off": cut_off, "drive": partial(record, drive=True)}
+    made = {"cut off": cut_off, "drive": partial(record, at_stops=True)}
     path = made.get(outcome, partial(record, outcome=outcome))(tmp_path / "run.rrd")
     wait_until_shown(viewer, path)
     show_every_view(viewer)

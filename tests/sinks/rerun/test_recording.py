@@ -201,7 +201,7 @@ def test_a_run_without_events_leaves_no_file(tmp_path):
 
 def test_every_event_type_is_in_the_made_runs():
     """Whoever adds an event has to decide how it is shown."""
-    happened = {type(event) for outcome in ("complete", "partial") for event in made_events(outcome, drive=True)}
+    happened = {type(event) for outcome in ("complete", "partial") for event in made_events(outcome, at_stops=True)}
     kinds = {kind for kind in vars(events).values() if isinstance(kind, type) and issubclass(kind, events.Event)}
     assert happened == kinds - {events.Event}
     assert all(dataclasses.is_dataclass(kind) for kind in happened)

@@ -243,7 +243,7 @@ FIRST_LINES = {
 
 
 def test_each_line_says_what_happened():
-    told = {type(event): log_lines(event)[0] for event in reversed([*made_events(drive=True)])}
+    told = {type(event): log_lines(event)[0] for event in reversed([*made_events(at_stops=True)])}
     lines = {kind: f"{told[kind].level} {told[kind].text}" for kind in FIRST_LINES}
     assert lines == FIRST_LINES
 
