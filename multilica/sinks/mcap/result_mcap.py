@@ -35,6 +35,7 @@ _WAITING_HEIGHT_M = 1.5
 _NODE_RADIUS_M = 0.06
 _SCENE, _LOG, _METRICS = "3D!multilica", "RosOut!multilica", "RawMessages!multilica"
 _GRID = "#ffffff20"
+_STOP_AXES_M = 2.0
 _MAX_CLOUD_POINTS = 300_000
 _LINE_SPACING_NS = 1_000_000
 _MEDIA_TYPES = {".toml": "application/toml", ".json": "application/json", ".html": "text/html"}
@@ -160,13 +161,14 @@ def _scene(target: str, cloud_topics: Mapping[str, str], pose_topics: Sequence[s
         for name, topic in cloud_topics.items()
     }
     # Matches are hidden at first: hundreds of lines.
-    drawings = {topic: {"visible": topic != "/matches"} for topic in (*DRAWING_TOPICS, *pose_topics)}
+    drawings = {topic: {"visible": topic != "/matches"} for topic in DRAWING_TOPICS}
+    poses = {topic: {"visible": True, "type": "axis", "axisScale": _STOP_AXES_M} for topic in pose_topics}
     return {
         "followMode": "follow-pose",
         "followTf": target,
         "scene": {"transforms": {"showLabel": True, "axisScale": 0.5}},
         "cameraState": {"perspective": True, "distance": 30, "phi": 55, "thetaOffset": 45, "targetOffset": [0, 0, 0]},
-        "topics": {**clouds, **drawings},
+        "topics": {**clouds, **drawings, **poses},
         "layers": {"grid": {"layerId": "foxglove.Grid", "visible": True, "size": 40, "divisions": 40, "color": _GRID}},
     }
 

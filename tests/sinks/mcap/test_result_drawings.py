@@ -149,7 +149,7 @@ def test_the_layout_names_every_topic_that_it_shows(tmp_path, encoding):
 
 def test_the_layout_fits_the_schema_of_foxglove():
     schema = json.loads((Path(__file__).parent / "foxglove_layout.schema.json").read_text(encoding="utf-8"))
-    layout = json.loads(foxglove_layout("top", {"top": "/lidar/top/points"}))
+    layout = json.loads(foxglove_layout("top", {"top": "/lidar/top/points"}, ["/drive/stop_1"]))
     jsonschema.validate(layout, schema)
     layout["configById"]["3D!multilica"]["topics"]["/lidar/top/points"]["colour"] = "red"
     with pytest.raises(jsonschema.ValidationError, match="colour"):
