@@ -14,12 +14,15 @@ from multilica.geometry import RigidTransform
 from multilica.results import Knock
 from multilica.results.building import provenance_of, result_document
 from multilica.results.document import parse_result
+from multilica.run import run_calibration
 from multilica.simulate import RIGS, simulate_snapshot, true_extrinsics
 from multilica.simulate.models import FALCON
 from multilica.simulate.rigs import Mount, Rig, car
 from multilica.sinks.report.contents import ReportContents
 from multilica.sinks.report.drive_map import drive_maps, links_of
 from multilica.sinks.report.page import report_html
+from multilica.sinks.snapshots import write_snapshot_mcap
+from tests.sinks.recording_reader import Recording
 
 pytestmark = pytest.mark.slow
 
@@ -96,3 +99,16 @@ def test_the_document_and_the_map_have_the_stops():
 def test_a_straight_drive_invents_nothing():
     result = _calibrated(_STRAIGHT)
     assert {place.status for place in result.placements if place.lidar != result.target} == {"not_placed"}
+
+
+@pytest.mark.nightly
+def test_a_run_records_the_clouds_of_all_stops(tmp_path):
+    paths = [tmp_path / f"stop{number}.mcap" for number in (1, 2, 3)]
+    for path, place in zip(paths, _TURNING, strict=True):
+        write_snapshot_mcap(_stop(place, 3), path)
+    run = run_calibration(paths, tmp_path / "run", _CONFIG)
+    shown = Recording(tmp_path / "run" / "recording.rrd").entity_paths
+    first = run.result.stops[0].name
+    clouds = {f"/drive/{first}/stops/{stop.name}/lidars/{lidar}" for stop in run.result.stops for lidar in _LIDARS}
+    assert len(clouds) == 6
+    assert clouds | {f"/drive/{first}/links/used"} <= shown
