@@ -34,7 +34,10 @@ COMMON = (
 LONGEST = (
     "tests/fleet/test_real_log_tasks.py",
     "tests/documentation/test_commands.py",
+    "tests/multi_snapshot/test_drive.py",
     "tests/pipeline/test_pair_search.py",
+    "tests/ros2/test_watch.py",
+    "tests/ros2/test_sources.py",
     "tests/packaging/test_wheel.py",
     "tests/pipeline/test_driving.py",
     "tests/unit/simulate/test_simulate.py",

@@ -54,6 +54,7 @@ def test_exact_pairs_give_exact_lidars_and_stops(text, root):
     assert not found.refused
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_many_noisy_drives():
     rng = np.random.default_rng(0)
     normalised = []
@@ -258,6 +259,7 @@ def test_a_lidar_that_one_stop_puts_elsewhere_has_no_links_there():
     assert {link.target for link in found.links if not link.used} == {"B"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(30, 33))
 def test_covariances_that_are_too_small_invent_no_knock(seed):
     assert not _refined(pairs(_EVERY, np.random.default_rng(seed), noise=2.5)).knocks

@@ -65,6 +65,7 @@ def _covariance(pair):
     return np.linalg.pinv(pair.information, hermitian=True)
 
 
+@pytest.mark.slow
 def test_a_pose_that_only_a_car_holds_may_be_off_as_far_as_it():
     pair, fixed = _fixed_pair(crossed=False)
     assert weakest_deviations(_covariance(pair))[0] < _CONFIG.max_sigma_m
@@ -80,6 +81,7 @@ def test_a_pose_that_only_a_car_holds_may_be_off_as_far_as_it():
     assert placement.reason == reason.text
 
 
+@pytest.mark.slow
 def test_the_joint_estimate_is_as_uncertain_at_the_same_pose():
     _, fixed = _fixed_pair(crossed=False)
     rig = refine("t", {"t": RigidTransform.identity("t", "t"), "s": fixed.T_target_source}, [fixed], RefineConfig())
@@ -88,12 +90,14 @@ def test_the_joint_estimate_is_as_uncertain_at_the_same_pose():
     assert np.all(np.abs(rig.poses["s"].offset_from(fixed.T_target_source)) < 0.01 * sigmas)
 
 
+@pytest.mark.slow
 def test_a_wall_across_the_road_holds_the_pose():
     _, fixed = _fixed_pair(crossed=True)
     assert weakest_deviations(_covariance(fixed))[0] < _CONFIG.max_sigma_m
     assert np.linalg.norm(fixed.T_target_source.xyz_m) < 0.005
 
 
+@pytest.mark.slow
 def test_a_car_that_moved_does_not_choose_the_pose():
     target, source = _road("t", 1, crossed=True), _road("s", 2, crossed=True, moved_m=0.1)
     followed = RigidTransform.from_rotation_translation("t", "s", np.eye(3), np.array([-0.1, 0.0, 0.0]))
