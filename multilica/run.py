@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
-from multilica.errors import UnfitSnapshotError
+from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import (
@@ -21,6 +21,7 @@ from multilica.ingest import (
     find_snapshots,
     listen,
     live_address,
+    read_drive,
     read_prior,
     read_snapshot,
     require_calibratable,
@@ -30,7 +31,6 @@ from multilica.ingest.locate import PathLike, locate, names_of, without_folders
 from multilica.ingest.metadata import config_for
 from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.remote.remote_file import SourceFile
-from multilica.ingest.stops import MOST_STOPS, find_stops, read_stops
 from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
@@ -145,6 +145,8 @@ def run_calibration(
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
     deadline_s = deadline_of(config)
+    if address and config.drive.stops != 1:
+        raise UsageError(f"Found drive.stops={config.drive.stops} and a running vehicle; only a log has stops.")
     found = [_Given("", "", (), address=address)] if address else _find(files, config)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
@@ -166,16 +168,15 @@ def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
         names = names_of([source.paths[0] for source in found])
         return [_Given(source.name, name, source.paths) for source, name in zip(found, names, strict=True)]
     (only,) = found
-    wanted = config.drive.stops
-    if wanted != 1:
-        stops = find_stops(files, config=config.ingest, most=MOST_STOPS if wanted == "auto" else wanted)
-        snapshots = read_stops(stops, config=config.ingest)
-        if len(snapshots) > 1:
-            return [
-                _Given(f"stop_{number}", snapshot.source, only.paths, snapshot)
-                for number, snapshot in enumerate(snapshots, start=1)
-            ]
-    return [_Given(only.name, only.name, only.paths)]
+    if config.drive.stops == 1:
+        return [_Given(only.name, only.name, only.paths)]
+    snapshots = read_drive(files, config.drive.stops, config=config.ingest)
+    lidars = {name for snapshot in snapshots for name in snapshot.names}
+    if config.target and config.target not in lidars:
+        raise UnknownNameError("LiDAR", config.target, lidars, only.name)
+    if len(snapshots) == 1:
+        return [_Given(only.name, only.name, only.paths, snapshots[0])]
+    return [_Given(f"stop_{number}", each.source, only.paths, each) for number, each in enumerate(snapshots, start=1)]
 
 
 def default_directory(sources: Sequence[PathLike], snapshots: int = 1) -> Path:

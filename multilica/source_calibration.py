@@ -9,7 +9,7 @@ from multilica.drive_calibration import calibrate_stops
 from multilica.errors import UsageError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
-from multilica.ingest import read_snapshot, require_calibratable
+from multilica.ingest import read_drive, read_snapshot, require_calibratable
 from multilica.ingest.locate import PathLike
 from multilica.orchestration.state import deadline_of
 from multilica.results import CalibrationResult
@@ -31,7 +31,7 @@ def calibrate(
 
     Args:
         source: a snapshot with at least two LiDARs, several of one vehicle at different stops, or a source as for
-            `read_snapshot`.
+            `read_snapshot`; of a log, the stops that `drive.stops` asks for.
         config: the default preset if None.
         observe: called with each event of `multilica.events` as it happens.
         prior: known poses in metres and radians, by the LiDARs' names; tested like other hypotheses.
@@ -49,14 +49,17 @@ def calibrate(
     """
     deadline_s = deadline_of(config or CalibrationConfig())
     snapshots = _as_snapshots(source)
+    is_read = not snapshots
+    if is_read and config is not None and config.drive.stops != 1:
+        snapshots = [*read_drive(source, config.drive.stops, config=config.ingest)]  # type: ignore[arg-type]
+    elif is_read:
+        snapshots = [read_snapshot(source, config=config.ingest if config else None)]  # type: ignore[arg-type]
     if len(snapshots) > 1:
         if prior is not None or rig is not None:
             raise UsageError(f"A prior or a rig is for one snapshot, and {len(snapshots)} were given; leave it out.")
         return calibrate_stops(snapshots, config, observe, workers, deadline_s)
-    if snapshots:
-        (snapshot,) = snapshots
-    else:
-        snapshot = read_snapshot(source, config=config.ingest if config else None)  # type: ignore[arg-type]
+    (snapshot,) = snapshots
+    if is_read:
         require_calibratable(snapshot)
     return pipeline.calibrate(snapshot, config, observe, prior, workers, rig, deadline_s)
 

@@ -13,7 +13,7 @@ from multilica.ingest.snapshot_reader import (
     require_lidar,
     take_snapshot,
 )
-from multilica.ingest.stops import Stop, find_stops, read_stops
+from multilica.ingest.stops import Stop, find_stops, read_drive, read_stops
 from multilica.ingest.summary import SourceSummary, inspect_source
 from multilica.ingest.transforms import read_prior
 
@@ -28,6 +28,7 @@ __all__ = [
     "inspect_source",
     "listen",
     "live_address",
+    "read_drive",
     "read_prior",
     "read_snapshot",
     "read_stops",

@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -121,6 +121,25 @@ def read_stops(stops: Sequence[Stop], *, config: IngestConfig | None = None) -> 
         if len(stops) > 1 and stop.times is not None:
             read = tuple(replace(each, source=f"{each.source}, stop {number + 1}") for number, each in enumerate(read))
         snapshots += read
+    return tuple(snapshots)
+
+
+def read_drive(
+    sources: PathLike | Sequence[PathLike], wanted: int | Literal["auto"], *, config: IngestConfig | None = None
+) -> tuple[Snapshot, ...]:
+    """Find stops as `drive.stops` asks for them and read their snapshots, with notes on why each was chosen.
+
+    Raises:
+        MultilicaError: as `find_stops`.
+    """
+    stops = find_stops(sources, config=config, most=MOST_STOPS if wanted == "auto" else wanted)
+    snapshots = [
+        replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times is not None else snapshot
+        for snapshot, stop in zip(read_stops(stops, config=config), stops, strict=True)
+    ]
+    if wanted != "auto" and len(stops) < wanted:
+        told = f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."
+        snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
     return tuple(snapshots)
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
+import multilica
 from multilica.config import CalibrationConfig, IngestConfig, with_overrides
-from multilica.errors import UnfitSnapshotError, UsageError
-from multilica.ingest import find_stops, inspect_source, read_stops
+from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
+from multilica.ingest import find_stops, inspect_source, read_drive, read_stops
 from multilica.ingest import stops as stops_module
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
@@ -66,6 +67,37 @@ def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, l
         if each.placed and each.lidar != run.result.target:
             truth = drive.truth.between(run.result.target, each.lidar)
             assert each.T_target_source.distance_to(truth)[0] < 0.05
+
+
+def test_the_library_takes_the_stops_of_a_log(log: Path) -> None:
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=2", "runtime.workers=1"])
+    assert len(multilica.calibrate(log, config).snapshots) == 2
+
+
+def test_a_log_with_one_standstill_is_read_there(drive: SimulatedDrive, tmp_path: Path) -> None:
+    """The log begins while the vehicle drives; fewer stops than asked for are told."""
+    path, stood = tmp_path / "late.mcap", STAND_FRAMES
+    write_ros2_mcap(part(drive, slice(stood + 5, 2 * stood + 26)), path)
+    (snapshot,) = read_drive(path, 3, config=FEW)
+    assert drive.spans_ns[1][0] - SLOW_NS <= snapshot["front"].scans[0].stamp_ns <= drive.spans_ns[1][1]
+    assert snapshot.notes[-1] == "3 stops of different place or heading were asked for, and 1 found."
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=3", "runtime.workers=1"])
+    told: list[str] = []
+    run_calibration(path, tmp_path / "run", config, observe=lambda event: told.append(getattr(event, "note", "")))
+    assert {*snapshot.notes} <= {*told}
+
+
+def test_a_target_that_no_stop_has_is_told_before_calibration(log: Path, tmp_path: Path) -> None:
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=auto", "target=nose"])
+    with pytest.raises(UnknownNameError, match="nose"):
+        run_calibration(log, tmp_path / "run", config)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_running_vehicle_has_no_stops(tmp_path: Path) -> None:
+    config = with_overrides(CalibrationConfig(), ["drive.stops=auto"])
+    with pytest.raises(UsageError, match="only a log has stops"):
+        run_calibration("ros2://", tmp_path / "run", config)
 
 
 def test_one_stop_is_the_single_snapshot(log: Path, tmp_path: Path) -> None:
