@@ -6,6 +6,7 @@ from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtrc
 
 from multilica.config import STAGES, AcceptanceConfig, Stage
 from multilica.geometry import FloatArray, RigidTransform
@@ -22,6 +23,7 @@ from multilica.results import (
     Reason,
     Registration,
 )
+from multilica.results.placements import LEAST_PROBABILITY
 from multilica.results.registrations import weakest_deviations
 from multilica.results.values import OPEN_POSE
 from multilica.visibility.sensor_view import ScorePose
@@ -82,6 +84,19 @@ def place(
     return LidarPlacement(
         pose.source, reason, status, pose, covariance=covariance, held_by_movable=held is not None, **known
     )
+
+
+def have_moved(offsets: Mapping[str, FloatArray], covariances: Mapping[str, FloatArray]) -> bool:
+    """Return whether fixed objects contradict the poses by all points, so that movable ones have moved.
+
+    This is the test of Hausman (Econometrica 1978), cautious as it takes the whole covariance for that of the offset.
+
+    Args:
+        offsets: per LiDAR (6,) of its pose by fixed objects from that by all points.
+        covariances: per LiDAR (6, 6) of its pose by fixed objects.
+    """
+    chances = (chdtrc(off.size, off @ np.linalg.solve(covariances[name], off)) for name, off in offsets.items())
+    return bool(min(chances) < LEAST_PROBABILITY)
 
 
 def held_by_movable(covariance: FloatArray, fixed: FloatArray, config: AcceptanceConfig) -> Reason | None:

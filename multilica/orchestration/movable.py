@@ -5,10 +5,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from multilica import events
-from multilica.acceptance.placement import held_by_movable
+from multilica.acceptance.placement import have_moved, held_by_movable
 from multilica.config import CalibrationConfig
 from multilica.geometry import FloatArray, RigidTransform
 from multilica.orchestration.state import CalibrationState
@@ -17,12 +16,9 @@ from multilica.registration.gicp import GicpCloud
 from multilica.registration.movable import MovableCells, find_movable
 from multilica.registration.sensor_biases import prior_sigmas
 from multilica.results import BoolArray, PairRegistration, connected
-from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.ground import estimate_level
 from multilica.stages.refine import RefinedRig, refine
 from multilica.workers import Shared
-
-_POSE_FREEDOM = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,9 +37,8 @@ class _FixedRequest:
 def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairRegistration]) -> RefinedRig:
     """Return the rig with covariances that count fixed objects only, and find the LiDARs that only movable ones hold.
 
-    With several frames, moving points are left out beforehand. With one, a moving car looks like a parked one. Movable
-    objects have moved if fixed ones contradict a pose (Hausman, Econometrica 1978); all poses are those of the fixed
-    ones then.
+    With several frames, moving points are left out beforehand. With one, a moving car looks like a parked one. If
+    fixed objects contradict a pose, all poses are those of the fixed ones.
 
     Args:
         used: the pairs with which the poses were refined.
@@ -61,8 +56,7 @@ def doubt_movable(state: CalibrationState, rig: RefinedRig, used: Sequence[PairR
         return rig
     of_fixed = refine(state.target, rig.poses, [fixed.get(id(pair), pair) for pair in used], state.config.refine)
     offsets = {name: of_fixed.poses[name].offset_from(rig.poses[name]) for name in rig.covariances}
-    squared = [off @ np.linalg.solve(of_fixed.covariances[name], off) for name, off in offsets.items()]
-    moved = bool(chdtrc(_POSE_FREEDOM, max(squared)) < LEAST_PROBABILITY)
+    moved = have_moved(offsets, of_fixed.covariances)
     after = of_fixed if moved else rig
     covariances = {}
     for name, off in offsets.items():

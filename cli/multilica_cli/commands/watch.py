@@ -38,7 +38,9 @@ def watch(
         str | None, option("--store STORE", "Also write each verdict into this store, as of `fleet run`.")
     ] = None,
     vehicle: Annotated[str, option("--vehicle NAME", "Name of the vehicle in the store.")] = "vehicle",
-    metrics: Annotated[int | None, option("--metrics PORT", "Serve metrics for Prometheus.", min=1, max=65535)] = None,
+    metrics: Annotated[
+        int | None, option("--metrics PORT", "Serve metrics for Prometheus, on all interfaces.", min=1, max=65535)
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Verify a running vehicle whenever it stands, and print a line per verdict; only a signal ends it.

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 
-from multilica.acceptance.placement import held_by_movable, place
+from multilica.acceptance.placement import have_moved, held_by_movable, place
 from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.fixed_pair import without_movable
@@ -26,8 +26,8 @@ def _face(rng, axis, at_m, lowest_m, highest_m, count):
     return points_m
 
 
-def _road(name, seed, *, crossed, moved_m=0.0):
-    """The cloud of a LiDAR 2 m above a road along x; perhaps with a house across, or with the car moved along."""
+def _road(name, seed, *, crossed, moved_m=0.0, posts=False):
+    """The cloud of a LiDAR 2 m above a road along x, perhaps with a house across or posts; the car may have moved."""
     rng = np.random.default_rng(seed)
     fixed = [
         _face(rng, 2, -2.0, (-15.0, -6.0, 0.0), (15.0, 6.0, 0.0), 6000),
@@ -35,6 +35,9 @@ def _road(name, seed, *, crossed, moved_m=0.0):
     ]
     if crossed:
         fixed.append(_face(rng, 0, 15.0, (0.0, -6.0, -2.0), (0.0, 6.0, 2.0), 3000))
+    if posts:
+        at_m = np.arange(-14.0, 14.5, 2.0)
+        fixed += [_face(rng, 0, x, (0.0, y, -2.0), (0.0, y + 0.5, 0.0), 60) for x in at_m for y in (-6.0, 5.5)]
     car = [
         *(_face(rng, 0, x, (0.0, 2.0, -1.8), (0.0, 3.8, -0.5), 400) for x in (5.0, 9.4)),
         *(_face(rng, 1, y, (5.0, 0.0, -1.8), (9.4, 0.0, -0.5), 600) for y in (2.0, 3.8)),
@@ -107,10 +110,35 @@ def test_a_car_that_moved_does_not_choose_the_pose():
     assert np.linalg.norm(fixed.T_target_source.xyz_m) < 0.005
 
 
+@pytest.mark.slow
+def test_posts_that_repeat_hold_no_pose_that_a_car_chose():
+    """The car went as far as from post to post: at the pose that follows it, all but the house fits."""
+    target, source = _road("t", 1, crossed=True, posts=True), _road("s", 2, crossed=True, moved_m=2.0, posts=True)
+    followed = RigidTransform.from_rotation_translation("t", "s", np.eye(3), np.array([-2.0, 0.0, 0.0]))
+    fit = fit_planes(target, source, followed, _SIGMAS)
+    pair = PairRegistration("t", "s", followed, 1.0, 0.0, 100, None, 1, "made", information=fit.information)
+    fixed = without_movable(
+        pair,
+        (target, source),
+        lambda lidar, points_m: _on_car(lidar, points_m - [2.0 * (lidar == "s"), 0.0, 0.0]),
+        FineConfig(),
+        _SIGMAS,
+    )
+    assert np.sqrt(_covariance(fixed)[3, 3]) > 1.0
+    assert np.all(np.sqrt(np.diag(_covariance(fixed))[4:]) < 0.1)
+
+
 def test_without_fixed_points_no_direction_is_held():
     pair, clouds = _registered(crossed=False)
     fixed = without_movable(pair, clouds, lambda _, points_m: np.ones(len(points_m), dtype=bool), FineConfig(), _SIGMAS)
     assert np.sqrt(np.diag(_covariance(fixed))[3:]).min() > 3.0 / np.sqrt(3.0)
+
+
+@pytest.mark.parametrize(("off_m", "expected"), [(0.0, False), (0.03, False), (0.09, True)])
+def test_objects_moved_if_fixed_ones_contradict_a_pose(off_m, expected):
+    covariances = {name: np.diag(np.repeat([1e-3, 0.01], 3) ** 2) for name in "ab"}
+    offsets = {"a": np.zeros(6), "b": np.array([0.0, 0.0, 0.0, off_m, 0.0, 0.0])}
+    assert have_moved(offsets, covariances) is expected
 
 
 def test_without_movable_objects_nothing_changes():
