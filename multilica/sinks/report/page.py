@@ -223,7 +223,9 @@ def _snapshot_verdict(snapshot: SnapshotReport) -> str:
         f"Differs from {' and '.join(each.contradicts)} on {each.lidar} by more than sigma allows"
         for each in snapshot.contradicting
     ]
-    return " ".join(_sentences(verdict) for verdict in verdicts) or "Agrees."
+    if not verdicts:
+        verdicts = ["Agrees" if snapshot.deviations else snapshot.text]
+    return " ".join(_sentences(verdict) for verdict in verdicts)
 
 
 def _with_code(text: str) -> Markup:

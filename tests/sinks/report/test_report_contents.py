@@ -132,11 +132,13 @@ def test_each_snapshot_of_a_joint_result_has_its_verdict(partial):
     }
     left_out = {**agrees, "name": "b", "refusal": "the vehicle moves", "deviations": []}
     outvoted = {**agrees, "name": "c", "outliers": ["rear"], "disputed": ["top"]}
-    joint = with_values(partial, snapshots=[agrees, left_out, outvoted])
+    silent = {**agrees, "name": "d", "deviations": []}
+    joint = with_values(partial, snapshots=[agrees, left_out, outvoted, silent])
     assert [(verdict, *off) for _, verdict, *off, _ in rows(report_html(joint), "snapshots")[1:]] == [
         ("Agrees.", "2.1", "0.050"),
         ("Left out: the vehicle moves.", "-", "-"),
         ("Outvoted on rear. Contradicts others on top (undecided).", "2.1", "0.050"),
+        ("Places no LiDAR relative to the target.", "-", "-"),
     ]
     assert 'id="snapshots"' not in report_html(partial)
 
