@@ -3,16 +3,14 @@
 
 from multilica.ingest.metadata import frames_recorded
 from multilica.ingest.snapshot_reader import (
-    SnapshotSource,
     TakenSnapshot,
-    find_snapshots,
     listen,
     live_address,
     read_snapshot,
     require_calibratable,
-    require_lidar,
     take_snapshot,
 )
+from multilica.ingest.snapshot_sources import SnapshotSource, find_snapshots, require_lidar
 from multilica.ingest.stops import Stop, find_stops, read_drive, read_stops
 from multilica.ingest.summary import SourceSummary, inspect_source
 from multilica.ingest.transforms import read_prior

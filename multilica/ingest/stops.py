@@ -30,7 +30,8 @@ from multilica.ingest.selection.standstill import (
     richest_topics,
 )
 from multilica.ingest.selection.time_range import TimeRange, require_standstill, start_of, still_range
-from multilica.ingest.snapshot_reader import find_snapshots, read_ranges
+from multilica.ingest.snapshot_reader import read_ranges
+from multilica.ingest.snapshot_sources import find_snapshots
 from multilica.snapshot import Scan, Snapshot
 
 if TYPE_CHECKING:
