@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration of a rig from several stops of one drive."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from threadpoolctl import threadpool_limits
@@ -12,7 +12,7 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
-from multilica.orchestration.links import search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
@@ -20,6 +20,9 @@ from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
 from multilica.snapshot import Snapshot
 from multilica.workers import Workers
+
+CalibrateAlone = Callable[[dict[str, PreparedLidar] | None], SnapshotRun]
+"""Calibrates one stop; called with a dictionary to keep its prepared LiDARs in, or None."""
 
 
 def calibrate_stops(
@@ -44,19 +47,48 @@ def calibrate_stops(
     if workers is None:
         with open_calibration_workers(config) as opened:
             return calibrate_stops(snapshots, config, observe, opened, deadline_s)
+    alone = {
+        f"stop {number}": partial(_calibrate_alone, f"stop {number}", snapshot, config, observe, workers, deadline_s)
+        for number, snapshot in enumerate(snapshots, start=1)
+    }
+    return calibrate_jointly(alone, config, workers, deadline_s)[0]
+
+
+def calibrate_jointly(
+    alone: Mapping[str, CalibrateAlone], config: CalibrationConfig, workers: Workers, deadline_s: float
+) -> tuple[CalibrationResult, tuple[DriveStop, ...]]:
+    """Calibrate each stop, register views of different stops, and join all of it.
+
+    Args:
+        alone: by the name of the stop, in the order of the drive.
+
+    Returns:
+        The joint result, and the stops between which links were sought.
+    """
     runs: list[SnapshotRun] = []
     stops: list[DriveStop] = []
-    for number, snapshot in enumerate(snapshots):
-        name = f"stop {number + 1}"
-        prepared: dict[str, PreparedLidar] = {}
-        own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
-        try:
-            result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared)
-        except UnfitSnapshotError as refusal:
-            runs.append(SnapshotRun(name, None, snapshot.source, refusal=str(refusal)))
-            continue
-        runs.append(SnapshotRun(name, result, snapshot.source, snapshot.source_sha256))
-        stops.append(DriveStop(name, prepared, result.trusted))
+    for name, calibrate_alone in alone.items():
+        prepared: dict[str, PreparedLidar] | None = {} if len(stops) < MAX_LINKED_STOPS else None
+        runs.append(calibrate_alone(prepared))
+        if prepared and (own := runs[-1].result) is not None:
+            stops.append(DriveStop(name, prepared, own.trusted))
     with threadpool_limits(1):
         links = search_links(stops, config, workers, deadline_s)
-        return join(runs, config, links, partial(contradiction_at, stops, config))
+        return join(runs, config, links, partial(contradiction_at, stops, config)), tuple(stops)
+
+
+def _calibrate_alone(
+    name: str,
+    snapshot: Snapshot,
+    config: CalibrationConfig,
+    observe: Observer,
+    workers: Workers,
+    deadline_s: float,
+    prepared: dict[str, PreparedLidar] | None,
+) -> SnapshotRun:
+    own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
+    try:
+        result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared)
+    except UnfitSnapshotError as refusal:
+        return SnapshotRun(name, None, snapshot.source, refusal=str(refusal))
+    return SnapshotRun(name, result, snapshot.source, snapshot.source_sha256)

@@ -9,10 +9,9 @@ from functools import partial
 from itertools import count
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
+from multilica.drive_calibration import calibrate_jointly
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
@@ -31,13 +30,11 @@ from multilica.ingest.locate import PathLike, locate, names_of, without_folders
 from multilica.ingest.metadata import config_for
 from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.remote.remote_file import SourceFile
-from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
+from multilica.multi_snapshot import SnapshotRun, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
-from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
-from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
@@ -258,16 +255,8 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
     require_joinable(config)
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
-        alone: list[SnapshotRun] = []
-        stops: list[DriveStop] = []
-        for given in found:
-            prepared: dict[str, PreparedLidar] | None = {} if len(stops) < MAX_LINKED_STOPS else None
-            alone.append(_run_alone(given, run.place / given.name, request, prepared))
-            if prepared and (own := alone[-1].result) is not None:
-                stops.append(DriveStop(given.name, prepared, own.trusted))
-        with threadpool_limits(1):
-            links = search_links(stops, config, request.workers, request.deadline_s)
-            result = join(alone, config, links, partial(contradiction_at, stops, config))
+        alone = {given.name: partial(_run_alone, given, run.place / given.name, request) for given in found}
+        result, stops = calibrate_jointly(alone, config, request.workers, request.deadline_s)
         shown = next(given for given in found if given.name == shown_snapshot(result))
         result = replay(shown.read(config).snapshot, result, config, run, request.rig, stops)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())
