@@ -3,12 +3,13 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Literal
 
 from threadpoolctl import threadpool_limits
 
 from multilica import events
 from multilica.config import CalibrationConfig
-from multilica.errors import UnfitSnapshotError
+from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
@@ -23,6 +24,16 @@ from multilica.workers import Workers
 
 CalibrateAlone = Callable[[dict[str, PreparedLidar] | None], SnapshotRun]
 """Calibrates one stop; called with a dictionary to keep its prepared LiDARs in, or None."""
+
+
+def wanted_stops(config: CalibrationConfig) -> int | Literal["auto"]:
+    """Return `drive.stops`, or 1 in place of "auto" if no joint result is possible with this configuration."""
+    if config.drive.stops == "auto":
+        try:
+            require_joinable(config)
+        except UsageError:
+            return 1
+    return config.drive.stops
 
 
 def calibrate_stops(

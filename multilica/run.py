@@ -11,7 +11,7 @@ from pathlib import Path
 
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
-from multilica.drive_calibration import calibrate_jointly
+from multilica.drive_calibration import calibrate_jointly, wanted_stops
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
@@ -20,11 +20,12 @@ from multilica.ingest import (
     find_snapshots,
     listen,
     live_address,
-    read_drive,
+    read_log,
     read_prior,
     read_snapshot,
     require_calibratable,
     require_lidar,
+    stops_of_log,
 )
 from multilica.ingest.locate import PathLike, locate, names_of, without_folders
 from multilica.ingest.metadata import config_for
@@ -113,7 +114,7 @@ def run_calibration(
 
     Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
     own below `out`, then all of them jointly into `out`, with links between those that saw the same. So are the stops
-    of one log, if `drive.stops` asks for several. Every file is written under a temporary name and renamed when it is
+    of one log, as many as `drive.stops` asks for. Every file is written under a temporary name and renamed when it is
     complete. An exception that ends the run carries a note on the files that are left in the directory.
 
     Args:
@@ -142,7 +143,7 @@ def run_calibration(
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
     deadline_s = deadline_of(config)
-    if address and config.drive.stops != 1:
+    if address and config.drive.stops not in (1, "auto"):
         raise UsageError(f"Found drive.stops={config.drive.stops} and a running vehicle; only a log has stops.")
     found = [_Given("", "", (), address=address)] if address else _find(files, config)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
@@ -157,7 +158,7 @@ def run_calibration(
 
 
 def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
-    """Find the snapshots of recordings, and the stops of a log if the configuration asks for several."""
+    """Find the snapshots of recordings, or read the stops of a log, if it is to give several."""
     found = find_snapshots(files, config=config.ingest)
     if len(found) > 1:
         if config.target:
@@ -165,9 +166,11 @@ def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
         names = names_of([source.paths[0] for source in found])
         return [_Given(source.name, name, source.paths) for source, name in zip(found, names, strict=True)]
     (only,) = found
-    if config.drive.stops == 1:
+    wanted = wanted_stops(config)
+    stops = stops_of_log(only.paths, wanted, config=config.ingest)
+    if not stops:
         return [_Given(only.name, only.name, only.paths)]
-    snapshots = read_drive(files, config.drive.stops, config=config.ingest)
+    snapshots = read_log(stops, wanted, config=config.ingest)
     lidars = {name for snapshot in snapshots for name in snapshot.names}
     if config.target and config.target not in lidars:
         raise UnknownNameError("LiDAR", config.target, lidars, only.name)

@@ -11,7 +11,7 @@ from multilica.ingest.snapshot_reader import (
     take_snapshot,
 )
 from multilica.ingest.snapshot_sources import SnapshotSource, find_snapshots, require_lidar
-from multilica.ingest.stops import Stop, find_stops, read_drive, read_stops
+from multilica.ingest.stops import Stop, find_stops, read_drive, read_log, read_stops, stops_of_log
 from multilica.ingest.summary import SourceSummary, inspect_source
 from multilica.ingest.transforms import read_prior
 
@@ -27,10 +27,12 @@ __all__ = [
     "listen",
     "live_address",
     "read_drive",
+    "read_log",
     "read_prior",
     "read_snapshot",
     "read_stops",
     "require_calibratable",
     "require_lidar",
+    "stops_of_log",
     "take_snapshot",
 ]

@@ -69,8 +69,9 @@ def calibrate(
         str | None,
         option(
             "--stops auto|N",
-            "Standstills of a log to use, each as a snapshot; auto: up to four that differ in place and see much.",
-            "1",
+            "Standstills of a log to use, each as a snapshot; auto: up to four that differ in place and see much. "
+            "With --start, --window or --duration, auto is 1.",
+            "auto",
         ),
     ] = None,
     timeout_s: Timeout = None,

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 
 import multilica
-from multilica.config import CalibrationConfig, IngestConfig, with_overrides
+from multilica.config import CalibrationConfig, IngestConfig, preset, with_overrides
+from multilica.drive_calibration import wanted_stops
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.ingest import find_stops, inspect_source, read_drive, read_stops
+from multilica.ingest import find_stops, inspect_source, read_drive, read_snapshot, read_stops, stops_of_log
 from multilica.ingest import stops as stops_module
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
@@ -24,7 +25,7 @@ from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
 from multilica.simulate.rigs import FRONT_BACK
 from multilica.simulate.sensors import RasterPattern
 from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
-from multilica.snapshot import Snapshot
+from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.processes import served
 
 pytestmark = pytest.mark.slow
@@ -59,7 +60,7 @@ def log(drive: SimulatedDrive, tmp_path: Path) -> Path:
 
 
 def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, log: Path, tmp_path: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=auto", "runtime.workers=1"])
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
     run = run_calibration(log, tmp_path / "run", config)
     assert [each.name for each in run.result.snapshots] == ["stop_1", "stop_2", "stop_3"]
     assert {path.name for path in run.written} > {"result.json", "stop_1", "stop_2", "stop_3"}
@@ -70,8 +71,8 @@ def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, l
 
 
 def test_the_library_takes_the_stops_of_a_log(log: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=2", "runtime.workers=1"])
-    assert len(multilica.calibrate(log, config).snapshots) == 2
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
+    assert len(multilica.calibrate(log, config, stops=2).snapshots) == 2
 
 
 def test_a_log_with_one_standstill_is_read_there(drive: SimulatedDrive, tmp_path: Path) -> None:
@@ -88,16 +89,70 @@ def test_a_log_with_one_standstill_is_read_there(drive: SimulatedDrive, tmp_path
 
 
 def test_a_target_that_no_stop_has_is_told_before_calibration(log: Path, tmp_path: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=auto", "target=nose"])
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "target=nose"])
     with pytest.raises(UnknownNameError, match="nose"):
         run_calibration(log, tmp_path / "run", config)
     assert not (tmp_path / "run").exists()
 
 
 def test_a_running_vehicle_has_no_stops(tmp_path: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["drive.stops=auto"])
+    config = with_overrides(CalibrationConfig(), ["drive.stops=2"])
     with pytest.raises(UsageError, match="only a log has stops"):
         run_calibration("ros2://", tmp_path / "run", config)
+
+
+def longer(lidar: LidarScans, frames: int) -> LidarScans:
+    """Repeat the first frames of a LiDAR, a tenth of a second after each other."""
+    first, *_ = lidar.scans
+    scans = (
+        replace(lidar.scans[number % STAND_FRAMES], stamp_ns=first.stamp_ns + number * 100_000_000)
+        for number in range(frames)
+    )
+    return replace(lidar, scans=tuple(scans))
+
+
+def assert_read_as_one(path: Path, config: IngestConfig = FEW) -> None:
+    """Nothing tells that stops were looked for."""
+    assert stops_of_log([path], "auto", config=config) == ()
+    (found,), usual = read_drive(path, "auto", config=config), read_snapshot(path, config=config)
+    assert (found.notes, found.source) == (usual.notes, usual.source)
+    for one, other in zip(found.lidars, usual.lidars, strict=True):
+        for scan, same in zip(one.scans, other.scans, strict=True):
+            assert (scan.stamp_ns, scan.points_m.tobytes()) == (same.stamp_ns, same.points_m.tobytes())
+
+
+def test_a_vehicle_that_stays_costs_a_look(
+    drive: SimulatedDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, decoded = tmp_path / "a.mcap", list[int]()
+    write_ros2_mcap(Snapshot(tuple(longer(lidar, 60) for lidar in drive.log.lidars)), path)
+    decode = stops_module.decode_cloud
+    monkeypatch.setattr(stops_module, "decode_cloud", lambda message: decoded.append(1) or decode(message))
+    monkeypatch.setattr(stops_module, "find_standstills", lambda *_: pytest.fail("a search"))
+    assert_read_as_one(path)
+    assert 1 < len(decoded) <= 10  # by `assert_read_as_one`, twice
+
+
+def test_a_drive_with_one_standstill_is_read_as_before(drive: SimulatedDrive, tmp_path: Path) -> None:
+    write_ros2_mcap(part(drive, slice(0, STAND_FRAMES + 20)), tmp_path / "a.mcap")
+    assert_read_as_one(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("chosen", [{"start_s": 1.0}, {"window": "auto"}, {"window_s": 0.5}])
+def test_chosen_frames_come_before_stops(log: Path, chosen: dict[str, object]) -> None:
+    assert_read_as_one(log, FEW.model_copy(update=chosen))
+
+
+def test_a_log_without_index_is_searched_only_on_demand(log: Path) -> None:
+    log.write_bytes(log.read_bytes()[:-1000])
+    assert_read_as_one(log)
+    assert len(stops_of_log([log], 3, config=FEW)) == 3
+
+
+def test_what_gives_no_joint_result_has_no_stops() -> None:
+    assert wanted_stops(CalibrationConfig()) == "auto"
+    assert wanted_stops(preset("paper")) == wanted_stops(CalibrationConfig(until="coarse")) == 1
+    assert wanted_stops(with_overrides(preset("paper"), ["drive.stops=3"])) == 3
 
 
 def test_one_stop_is_the_single_snapshot(log: Path, tmp_path: Path) -> None:
