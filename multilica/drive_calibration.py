@@ -2,6 +2,7 @@
 """Calibration of a rig from several stops of one drive."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Literal
 
@@ -18,7 +19,7 @@ from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
-from multilica.results import CalibrationResult
+from multilica.results import CalibrationResult, TimeLimit
 from multilica.snapshot import Snapshot
 from multilica.workers import Workers
 
@@ -84,8 +85,12 @@ def calibrate_jointly(
         if prepared and (own := runs[-1].result) is not None:
             stops.append(DriveStop(name, prepared, own.trusted))
     with threadpool_limits(1):
-        links = search_links(stops, config, workers, deadline_s)
-        return join(runs, config, links, partial(contradiction_at, stops, config)), tuple(stops)
+        found = search_links(stops, config, workers, deadline_s)
+        result = join(runs, config, found.links, partial(contradiction_at, stops, config))
+    if found.not_reached:
+        limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
+        result = replace(result, time_limit=replace(limit, unlinked_stops=found.not_reached))
+    return result, tuple(stops)
 
 
 def _calibrate_alone(

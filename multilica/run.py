@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
+from typing import Literal
 
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
@@ -29,6 +30,7 @@ from multilica.ingest import (
 )
 from multilica.ingest.locate import PathLike, locate, names_of, without_folders
 from multilica.ingest.metadata import config_for
+from multilica.ingest.recording import ProgressObserver
 from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.multi_snapshot import SnapshotRun, replay, require_joinable, shown_snapshot
@@ -145,7 +147,7 @@ def run_calibration(
     deadline_s = deadline_of(config)
     if address and config.drive.stops not in (1, "auto"):
         raise UsageError(f"Found drive.stops={config.drive.stops} and a running vehicle; only a log has stops.")
-    found = [_Given("", "", (), address=address)] if address else _find(files, config)
+    found = [_Given("", "", (), address=address)] if address else _find(files, config, observe)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
@@ -157,7 +159,7 @@ def run_calibration(
         return replace(run, silent=taken.silent)
 
 
-def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
+def _find(files: Sequence[PathLike], config: CalibrationConfig, observe: RunObserver) -> list[_Given]:
     """Find the snapshots of recordings, or read the stops of a log, if it is to give several."""
     found = find_snapshots(files, config=config.ingest)
     if len(found) > 1:
@@ -167,10 +169,14 @@ def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
         return [_Given(source.name, name, source.paths) for source, name in zip(found, names, strict=True)]
     (only,) = found
     wanted = wanted_stops(config)
-    stops = stops_of_log(only.paths, wanted, config=config.ingest)
+
+    def told(doing: Literal["find stops", "read stops"]) -> ProgressObserver:
+        return lambda done, total: observe(events.StopsProgressed(doing, done, total))
+
+    stops = stops_of_log(only.paths, wanted, config=config.ingest, observe=told("find stops"))
     if not stops:
         return [_Given(only.name, only.name, only.paths)]
-    snapshots = read_log(stops, wanted, config=config.ingest)
+    snapshots = read_log(stops, wanted, config=config.ingest, observe=told("read stops"))
     lidars = {name for snapshot in snapshots for name in snapshot.names}
     if config.target and config.target not in lidars:
         raise UnknownNameError("LiDAR", config.target, lidars, only.name)

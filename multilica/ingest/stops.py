@@ -20,7 +20,7 @@ from multilica.ingest.memory import limited_memory
 from multilica.ingest.message_types import decode_cloud, is_cloud
 from multilica.ingest.metadata import config_for
 from multilica.ingest.opening import open_source
-from multilica.ingest.recording import DamagedRecordingError, Recording, Span
+from multilica.ingest.recording import DamagedRecordingError, ProgressObserver, Recording, Span
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.ingest.selection.sampling import sampled
 from multilica.ingest.selection.standstill import (
@@ -28,6 +28,7 @@ from multilica.ingest.selection.standstill import (
     find_standstills,
     has_single_frames,
     richest_topics,
+    untold,
 )
 from multilica.ingest.selection.time_range import TimeRange, require_standstill, start_of, still_range
 from multilica.ingest.snapshot_reader import read_ranges, read_snapshot
@@ -99,7 +100,9 @@ def find_stops(
     return _stops_of_log(paths, config, most)
 
 
-def _stops_of_log(paths: Sequence[SourceFile], config: IngestConfig | None, most: int) -> tuple[Stop, ...]:
+def _stops_of_log(
+    paths: Sequence[SourceFile], config: IngestConfig | None, most: int, observe: ProgressObserver = untold
+) -> tuple[Stop, ...]:
     if most < 1:
         raise UsageError(f"Found {most} stops asked for; expected one or more.")
     found = find_source(paths)
@@ -110,14 +113,19 @@ def _stops_of_log(paths: Sequence[SourceFile], config: IngestConfig | None, most
             why = "It has no time." if span is None else "There is one frame per LiDAR, so no standstill to choose."
             return (Stop(tuple(paths), why),)
         start_ns = start_of(span, config, found.label)
-        standstills = find_standstills(recording, (start_ns, span[1]))
+        standstills = find_standstills(recording, (start_ns, span[1]), observe)
         require_standstill(standstills, found.label)
         chosen = _choose(recording, standstills, most)
     return tuple(_stop(tuple(paths), each, why, span, config, standstills.evidence) for each, why in chosen)
 
 
-def read_stops(stops: Sequence[Stop], *, config: IngestConfig | None = None) -> tuple[Snapshot, ...]:
+def read_stops(
+    stops: Sequence[Stop], *, config: IngestConfig | None = None, observe: ProgressObserver = untold
+) -> tuple[Snapshot, ...]:
     """Read the snapshot of each stop; its source tells which of several it is.
+
+    Args:
+        observe: called with each stop of a log.
 
     Raises:
         MultilicaError: as `read_snapshot`.
@@ -127,7 +135,7 @@ def read_stops(stops: Sequence[Stop], *, config: IngestConfig | None = None) -> 
         if index < len(snapshots):
             continue
         together = [each for each in stops[index:] if each.paths == stop.paths]
-        read = read_ranges(stop.paths, [each.times for each in together], config=config)
+        read = read_ranges(stop.paths, [each.times for each in together], config=config, observe=observe)
         if len(stops) > 1 and stop.times is not None:
             read = tuple(replace(each, source=f"{each.source}, stop {number + 1}") for number, each in enumerate(read))
         snapshots += read
@@ -135,7 +143,11 @@ def read_stops(stops: Sequence[Stop], *, config: IngestConfig | None = None) -> 
 
 
 def stops_of_log(
-    paths: Sequence[SourceFile], wanted: int | Literal["auto"], *, config: IngestConfig | None = None
+    paths: Sequence[SourceFile],
+    wanted: int | Literal["auto"],
+    *,
+    config: IngestConfig | None = None,
+    observe: ProgressObserver = untold,
 ) -> tuple[Stop, ...]:
     """Find the stops of a log that `drive.stops` asks for.
 
@@ -143,6 +155,7 @@ def stops_of_log(
 
     Args:
         paths: of one snapshot.
+        observe: called with each sample of a search.
 
     Returns:
         None of them if the log is read as one snapshot. So it is with "auto" if the configuration chooses its frames,
@@ -154,11 +167,11 @@ def stops_of_log(
     if wanted == 1:
         return ()
     if wanted != "auto":
-        return _stops_of_log(paths, config, wanted)
+        return _stops_of_log(paths, config, wanted, observe)
     if config is not None and (config.start_at or config.start_s or config.window_s or config.window == "auto"):
         return ()
     try:
-        stops = _stops_of_log(paths, config, MOST_STOPS) if _drives(paths, config) else ()
+        stops = _stops_of_log(paths, config, MOST_STOPS, observe) if _drives(paths, config) else ()
     except InputError:
         return ()  # reading the snapshot tells what is wrong with the source
     return stops if len(stops) > 1 else ()
@@ -181,16 +194,23 @@ def read_drive(
 
 
 def read_log(
-    stops: Sequence[Stop], wanted: int | Literal["auto"], *, config: IngestConfig | None = None
+    stops: Sequence[Stop],
+    wanted: int | Literal["auto"],
+    *,
+    config: IngestConfig | None = None,
+    observe: ProgressObserver = untold,
 ) -> tuple[Snapshot, ...]:
     """Read the snapshots of the stops of a log, with notes on why each was chosen.
+
+    Args:
+        observe: called with each stop.
 
     Raises:
         MultilicaError: as `read_snapshot`.
     """
     snapshots = [
         replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times is not None else snapshot
-        for snapshot, stop in zip(read_stops(stops, config=config), stops, strict=True)
+        for snapshot, stop in zip(read_stops(stops, config=config, observe=observe), stops, strict=True)
     ]
     if wanted != "auto" and len(stops) < wanted:
         told = f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."

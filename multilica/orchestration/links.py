@@ -33,25 +33,37 @@ _RETRIES_PER_VIEW = 0.5
 _LOOPS_PER_VIEW = 2
 
 
+@dataclass(frozen=True, slots=True)
+class FoundLinks:
+    """Registrations between stops, accepted or uncertain.
+
+    Args:
+        not_reached: pairs of stops whose views there was no time to search.
+    """
+
+    links: tuple[ViewPair, ...] = ()
+    not_reached: tuple[tuple[str, str], ...] = ()
+
+
 def search_links(
     stops: Sequence[DriveStop], config: CalibrationConfig, workers: Workers, deadline_s: float = float("inf")
-) -> tuple[ViewPair, ...]:
+) -> FoundLinks:
     """Register views of different stops, the most promising first, until they are linked or nothing promising is left.
 
     A pair whose pose follows from others is not searched: the beams test that pose, and it is registered from there.
     So most links have others that confirm them.
 
     Returns:
-        The accepted and the uncertain registrations, none of which is confirmed.
+        The accepted and the uncertain registrations, none of which is confirmed, and what there was no time for.
     """
     if config.drive.max_distance_m == 0.0 or not config.verify.enabled or len(stops) < 2:
-        return ()
+        return FoundLinks()
     search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
     try:
         search.run()
     finally:
         workers.forget()
-    return tuple(search.links.values())
+    return FoundLinks(tuple(search.links.values()), tuple(sorted(search.not_reached)))
 
 
 @dataclass(slots=True, eq=False)
@@ -62,6 +74,7 @@ class _LinkSearch:
     deadline_s: float
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
+    not_reached: set[tuple[str, str]] = field(default_factory=set)
 
     @property
     def views(self) -> list[DriveView]:
@@ -108,10 +121,14 @@ class _LinkSearch:
         labels = [view.label for view in self.views]
         tried: set[PairKey] = {*self.links}
         failures = 0
-        while failures < per_view * len(labels) and time.monotonic() < self.deadline_s:
+        while failures < per_view * len(labels):
             graph = self.graph()
             linked = [(graph.group_of(view).label, view.label) for view in self.views]
             pairs = next_round(labels, linked, tried, priority)
+            if pairs and time.monotonic() >= self.deadline_s:
+                of_label = self.of_label
+                self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
+                break
             if not pairs:
                 break
             tried.update(pairs)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import multilica
+from multilica import events
 from multilica.config import CalibrationConfig, IngestConfig, preset, with_overrides
 from multilica.drive_calibration import wanted_stops
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
@@ -83,9 +84,14 @@ def test_a_log_with_one_standstill_is_read_there(drive: SimulatedDrive, tmp_path
     assert drive.spans_ns[1][0] - SLOW_NS <= snapshot["front"].scans[0].stamp_ns <= drive.spans_ns[1][1]
     assert snapshot.notes[-1] == "3 stops of different place or heading were asked for, and 1 found."
     config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=3", "runtime.workers=1"])
-    told: list[str] = []
-    run_calibration(path, tmp_path / "run", config, observe=lambda event: told.append(getattr(event, "note", "")))
-    assert {*snapshot.notes} <= {*told}
+    told: list[events.RunEvent] = []
+    run_calibration(path, tmp_path / "run", config, observe=told.append)
+    assert {*snapshot.notes} <= {getattr(event, "note", "") for event in told}
+    progress = [event for event in told if isinstance(event, events.StopsProgressed)]
+    assert {event.doing for event in progress} == {"find stops", "read stops"}
+    assert told[: len(progress)] == progress
+    assert progress[-2].done == progress[-2].total > 1
+    assert progress[-1] == events.StopsProgressed("read stops", 1, 1)
 
 
 def test_a_target_that_no_stop_has_is_told_before_calibration(log: Path, tmp_path: Path) -> None:
@@ -316,7 +322,7 @@ def test_a_short_standstill_of_a_long_log_is_found(monkeypatch: pytest.MonkeyPat
     """Samples every 15 s meet it once; those about it tell its length."""
     asked: list[Span] = []
 
-    def look(_: Recording, span: Span) -> tuple[str, list[tuple[int, bool | None]]]:
+    def look(_: Recording, span: Span, __: object) -> tuple[str, list[tuple[int, bool | None]]]:
         asked.append(span)
         times_ns = standstill._times_ns(span, 240, 0.25)
         return "a clock", [(time_ns, 1499e9 <= time_ns < 1503e9 or 2000e9 <= time_ns < 2060e9) for time_ns in times_ns]
