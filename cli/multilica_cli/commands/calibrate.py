@@ -23,6 +23,7 @@ from multilica_cli.options import (
     Parameters,
     Quiet,
     Reading,
+    Stops,
     Timeout,
     Workers,
     argument,
@@ -30,6 +31,7 @@ from multilica_cli.options import (
     option,
     output,
     sigma_limits,
+    stops_value,
 )
 from multilica_cli.terminal import POSE_COLUMNS, FoldingTable, number_cells, pose_cells, size_cells, stdout_console
 
@@ -65,15 +67,7 @@ def calibrate(
         ),
     ] = None,
     reading: Reading,
-    stops: Annotated[
-        str | None,
-        option(
-            "--stops auto|N",
-            "Standstills of a log to use, each as a snapshot; auto: up to four that differ in place and see much. "
-            "With --start, --window or --duration, auto is 1.",
-            "auto",
-        ),
-    ] = None,
+    stops: Stops = None,
     timeout_s: Timeout = None,
     parameters: Parameters,
     max_sigma: Annotated[
@@ -130,7 +124,7 @@ def calibrate(
         **reading.values,
         "ingest.timeout_s": timeout_s,
         **sigma_limits(max_sigma),
-        "drive.stops": int(stops) if stops is not None and stops.isdecimal() else stops,
+        "drive.stops": stops_value(stops),
         "ground.enabled": ground or base is not None or None,
         "ground.frame": base,
         "runtime.workers": workers,

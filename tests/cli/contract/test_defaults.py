@@ -29,14 +29,14 @@ CHECKING = dict.fromkeys(
 )
 DEFAULTS = {
     "check": {
-        **dict.fromkeys(("RUN|SOURCE", "--against", "--out", "--workers")),
+        **dict.fromkeys(("RUN|SOURCE", "--against", "--out", "--workers", "--stops")),
         **TOLERANCES,
         **CHECKING,
         "--quiet": False,
         "--json": False,
     },
     "verify": {
-        **dict.fromkeys(("SOURCE", "--calibration")),
+        **dict.fromkeys(("SOURCE", "--calibration", "--stops")),
         **TOLERANCES,
         **CHECKING,
         "--quiet": False,
