@@ -17,6 +17,7 @@ from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import (
+    Stop,
     TakenSnapshot,
     find_snapshots,
     listen,
@@ -108,6 +109,7 @@ def run_calibration(
     *,
     prior: str | Extrinsics | None = None,
     rig: Extrinsics | None = None,
+    stops: Sequence[Stop] | None = None,
     mcap_encoding: str = "foxglove",
     observe: RunObserver = events.ignore,
     workers: Workers | None = None,
@@ -125,6 +127,7 @@ def run_calibration(
         config: None: the default preset, with all frames of what `multilica record` took.
         prior: poses to test in addition, as for `read_prior`.
         rig: as for `calibrate`.
+        stops: of the log, as `stops_of_log` found them; None: those that `drive.stops` asks for.
         mcap_encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
         observe: called with each event as it happens; not with those of the joint result.
         workers: an open pool, as for `calibrate`.
@@ -147,7 +150,7 @@ def run_calibration(
     deadline_s = deadline_of(config)
     if address and config.drive.stops not in (1, "auto"):
         raise UsageError(f"Found drive.stops={config.drive.stops} and a running vehicle; only a log has stops.")
-    found = [_Given("", "", (), address=address)] if address else _find(files, config, observe)
+    found = [_Given("", "", (), address=address)] if address else _find(files, config, observe, stops)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
@@ -159,7 +162,9 @@ def run_calibration(
         return replace(run, silent=taken.silent)
 
 
-def _find(files: Sequence[PathLike], config: CalibrationConfig, observe: RunObserver) -> list[_Given]:
+def _find(
+    files: Sequence[PathLike], config: CalibrationConfig, observe: RunObserver, stops: Sequence[Stop] | None
+) -> list[_Given]:
     """Find the snapshots of recordings, or read the stops of a log, if it is to give several."""
     found = find_snapshots(files, config=config.ingest)
     if len(found) > 1:
@@ -173,7 +178,8 @@ def _find(files: Sequence[PathLike], config: CalibrationConfig, observe: RunObse
     def told(doing: Literal["find stops", "read stops"]) -> ProgressObserver:
         return lambda done, total: observe(events.StopsProgressed(doing, done, total))
 
-    stops = stops_of_log(only.paths, wanted, config=config.ingest, observe=told("find stops"))
+    if stops is None:
+        stops = stops_of_log(only.paths, wanted, config=config.ingest, observe=told("find stops"))
     if not stops:
         return [_Given(only.name, only.name, only.paths)]
     snapshots = read_log(stops, wanted, config=config.ingest, observe=told("read stops"))

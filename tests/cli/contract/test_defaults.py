@@ -120,6 +120,7 @@ DEFAULTS = {
         **dict.fromkeys(
             ("LOGS", "--out", "--pattern", "--target", "--workers", "--topic", "--frames", "--config", "--set")
         ),
+        **dict.fromkeys(("--stops", "--window")),
         "--calibrate": "when-needed",
         "--max-translation": 0.03,
         "--max-rotation": 0.3,
@@ -128,7 +129,6 @@ DEFAULTS = {
         "--max-log-memory": 4000.0,
         "--retries": 5,
         "--newest-first": False,
-        "--window": "auto",
         "--quiet": False,
         "--json": False,
     },
