@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readers of recordings of every format as snapshots."""
 
+from multilica.ingest.drive_recorder import StopAdvice, take_stops
 from multilica.ingest.metadata import frames_recorded
 from multilica.ingest.snapshot_reader import (
     TakenSnapshot,
@@ -19,6 +20,7 @@ __all__ = [
     "SnapshotSource",
     "SourceSummary",
     "Stop",
+    "StopAdvice",
     "TakenSnapshot",
     "find_snapshots",
     "find_stops",
@@ -35,4 +37,5 @@ __all__ = [
     "require_lidar",
     "stops_of_log",
     "take_snapshot",
+    "take_stops",
 ]

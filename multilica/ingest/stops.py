@@ -18,7 +18,7 @@ from multilica.geometry import LEVER_ARM_M, lengths
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.message_types import decode_cloud, is_cloud
-from multilica.ingest.metadata import config_for
+from multilica.ingest.metadata import config_for, stops_recorded
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import DamagedRecordingError, ProgressObserver, Recording, Span
 from multilica.ingest.remote.remote_file import SourceFile
@@ -43,7 +43,7 @@ MOST_STOPS = 4
 _NS_PER_S = 1_000_000_000
 _MOST_CANDIDATES = 16
 _MOST_TOPICS = 2
-_NEW_PLACE_M = 2.0
+NEW_PLACE_M = 2.0
 """Way, or turn as a way at the lever arm, beyond which a stop shows something new."""
 _NEW_PLACE_S = 3.0
 """Driving time beyond which a vehicle is elsewhere, where no LiDAR can tell."""
@@ -113,6 +113,10 @@ def _stops_of_log(
             why = "It has no time." if span is None else "There is one frame per LiDAR, so no standstill to choose."
             return (Stop(tuple(paths), why),)
         start_ns = start_of(span, config, found.label)
+        recorded = tuple(each for each in stops_recorded(found.files) if each[0] >= start_ns)
+        if recorded and most >= len(recorded):
+            told = "`multilica record`"
+            return tuple(_stop(tuple(paths), each, "It was recorded.", span, config, told) for each in recorded)
         standstills = find_standstills(recording, (start_ns, span[1]), observe)
         require_standstill(standstills, found.label)
         chosen = _choose(recording, standstills, most)
@@ -170,8 +174,11 @@ def stops_of_log(
         return _stops_of_log(paths, config, wanted, observe)
     if config is not None and (config.start_at or config.start_s or config.window_s or config.window == "auto"):
         return ()
+    stops: tuple[Stop, ...] = ()
     try:
-        stops = _stops_of_log(paths, config, MOST_STOPS, observe) if _drives(paths, config) else ()
+        recorded = len(stops_recorded(find_source(paths).files))
+        if recorded > 1 or _drives(paths, config):
+            stops = _stops_of_log(paths, config, max(recorded, MOST_STOPS), observe)
     except InputError:
         return ()  # reading the snapshot tells what is wrong with the source
     return stops if len(stops) > 1 else ()
@@ -290,7 +297,7 @@ def _choose(recording: Recording, standstills: Standstills, most: int) -> list[t
         rest.sort(key=lambda each: (-each.seen * _closeness(each, chosen), each.span))
         added = rest.pop(0)
         offsets = [_offset(each, added) for each in chosen]
-        if any(offset is not None and offset < _NEW_PLACE_M for offset in offsets):
+        if any(offset is not None and offset < NEW_PLACE_M for offset in offsets):
             continue
         known = [offset for offset in offsets if offset is not None]
         away = f"{min(known):.1f} m or more from the others" if len(known) == len(offsets) else "elsewhere"
@@ -342,20 +349,25 @@ def _gap_s(one: Span, other: Span) -> float:
 
 def _offset(one: _Candidate, other: _Candidate) -> float | None:
     """Return how far apart two standstills are in metres, turns at the lever arm; None: elsewhere."""
+    is_told, offset_m = offset_between(one.scans, other.scans)
+    if is_told or _gap_s(one.span, other.span) >= _NEW_PLACE_S:
+        return offset_m
+    return 0.0
+
+
+def offset_between(one: Mapping[str, Scan], other: Mapping[str, Scan]) -> tuple[bool, float | None]:
+    """Return whether scans of the same LiDARs tell how far apart they are, and how far; None: elsewhere, or untold."""
     from multilica.stages.stillness import detect_motion
 
     config = StillnessConfig()
     motions = [
-        detect_motion([one.scans[topic], other.scans[topic]], config, track=False)
-        for topic in sorted(one.scans.keys() & other.scans.keys())
+        detect_motion([one[name], other[name]], config, track=False) for name in sorted(one.keys() & other.keys())
     ]
     telling = [motion for motion in motions if motion.observable]
     followed = [motion for motion in telling if not motion.at_least]
     if followed and 2 * len(followed) >= len(telling):
-        return float(median(map(_size_m, followed)))
-    if telling or _gap_s(one.span, other.span) >= _NEW_PLACE_S:
-        return None
-    return 0.0
+        return True, float(median(map(_size_m, followed)))
+    return bool(telling), None
 
 
 def _size_m(motion: Motion) -> float:

@@ -55,7 +55,7 @@ DEFAULTS = {
     },
     "inspect": {"SOURCE": None, "--timeout": None, **READING, "--json": False},
     "record": {
-        **dict.fromkeys(("SOURCE", "--out", "--timeout")),
+        **dict.fromkeys(("SOURCE", "--out", "--timeout", "--stops")),
         **READING,
         "--vehicle": "",
         "--quiet": False,
