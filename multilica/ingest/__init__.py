@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readers of recordings of every format as snapshots."""
 
+from multilica.ingest.drive_reader import read_drive, read_log, stops_of_log
 from multilica.ingest.drive_recorder import StopAdvice, take_stops
 from multilica.ingest.metadata import frames_recorded
 from multilica.ingest.snapshot_reader import (
@@ -12,7 +13,7 @@ from multilica.ingest.snapshot_reader import (
     take_snapshot,
 )
 from multilica.ingest.snapshot_sources import SnapshotSource, find_snapshots, require_lidar
-from multilica.ingest.stops import Stop, find_stops, read_drive, read_log, read_stops, stops_of_log
+from multilica.ingest.stops import Stop, find_stops, read_stops
 from multilica.ingest.summary import SourceSummary, inspect_source
 from multilica.ingest.transforms import read_prior
 

@@ -15,11 +15,12 @@ import numpy as np
 
 from multilica.config import IngestConfig, StillnessConfig
 from multilica.errors import InputError, UsageError, listed
+from multilica.ingest.drive_reader import read_drive
 from multilica.ingest.locate import PathLike, find_source
 from multilica.ingest.recording import Span
 from multilica.ingest.remote.address import ROS2, scheme_of
 from multilica.ingest.snapshot_reader import TakenSnapshot, listen, live_address
-from multilica.ingest.stops import MOST_STOPS, NEW_PLACE_M, offset_between, read_drive
+from multilica.ingest.stops import MOST_STOPS, NEW_PLACE_M, offset_between
 from multilica.ros2 import Ros2Node
 from multilica.snapshot import LidarScans, Scan, Snapshot
 
@@ -33,7 +34,7 @@ _DRIVE_ON = f"drive on by {NEW_PLACE_M:g} m or more, and turn by {_ENOUGH_TURN_D
 
 @dataclass(frozen=True, slots=True)
 class StopAdvice:
-    """What the driver should know now; `recorded` counts the good stops."""
+    """A sentence that tells the driver what to do now; `recorded` counts the good stops."""
 
     recorded: int
     text: str
@@ -109,14 +110,13 @@ def record_stops(
             continue
         now_s, is_heard = clock(), True
         rate_rad_s = _turn_rate_rad_s(taken.snapshot)
-        at = next((n for n, each in enumerate(stops, start=1) if _is_same_place(each, taken.snapshot)), 0)
         if rate_rad_s is not None:
             turned_rad += rate_rad_s * (now_s - before_s)
             tell(StopAdvice(len(stops), f"The vehicle moves{_turned(turned_rad) if stops else ''}: stop for a moment."))
         elif taken.silent:
             text = f"no scan of {listed(sorted(taken.silent))}. Wait, or leave that out with --topic."
             tell(StopAdvice(len(stops), f"The vehicle stands, but there is {text}"))
-        elif at:
+        elif at := _number_of_place(stops, taken.snapshot):
             tell(StopAdvice(len(stops), f"The vehicle stands at stop {at}{_turned(turned_rad)}: {_DRIVE_ON}."))
         else:
             stops.append(taken.snapshot)
@@ -174,10 +174,13 @@ def _turn_rate_rad_s(snapshot: Snapshot) -> float | None:
     return float(median(rates)) if rates else 0.0
 
 
-def _is_same_place(earlier: Snapshot, now: Snapshot) -> bool:
-    """Return whether the vehicle stands where it stood; also if nothing shows that it does not."""
-    is_told, offset_m = offset_between(_first_scans(earlier), _first_scans(now))
-    return not is_told or (offset_m is not None and offset_m < NEW_PLACE_M)
+def _number_of_place(stops: Sequence[Snapshot], now: Snapshot) -> int:
+    """Return at which stop the vehicle stands, also if nothing shows that it does not; 0 for a new place."""
+    for number, earlier in enumerate(stops, start=1):
+        is_told, offset_m = offset_between(_first_scans(earlier), _first_scans(now))
+        if not is_told or (offset_m is not None and offset_m < NEW_PLACE_M):
+            return number
+    return 0
 
 
 def _first_scans(snapshot: Snapshot) -> Mapping[str, Scan]:

@@ -3,12 +3,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, suppress
+from collections.abc import Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import median
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from multilica.ingest.selection.standstill import (
     untold,
 )
 from multilica.ingest.selection.time_range import TimeRange, require_standstill, start_of, still_range
-from multilica.ingest.snapshot_reader import read_ranges, read_snapshot
+from multilica.ingest.snapshot_reader import read_ranges
 from multilica.ingest.snapshot_sources import find_snapshots
 from multilica.snapshot import Scan, Snapshot
 
@@ -49,11 +49,6 @@ _NEW_PLACE_S = 3.0
 """Driving time beyond which a vehicle is elsewhere, where no LiDAR can tell."""
 _CLOSE_S = 20.0
 """Driving time between two stops that halves the hope that they have surfaces in common."""
-_LEAST_DRIVE_NS = 4 * _NS_PER_S
-"""Two standstills of a second each and the way between them take longer."""
-_LOOKS = 4
-_LAST_NS = _NS_PER_S
-"""Before the end of a log, so that each LiDAR still sends a frame."""
 _CELL_M = 1.0
 _SEEN_M = 40.0
 
@@ -97,12 +92,13 @@ def find_stops(
     snapshots = find_snapshots(paths, config=config)
     if len(snapshots) > 1:
         return tuple(Stop(each.paths, "The source is one of several snapshots of one rig.") for each in snapshots)
-    return _stops_of_log(paths, config, most)
+    return search_log(paths, config, most)
 
 
-def _stops_of_log(
+def search_log(
     paths: Sequence[SourceFile], config: IngestConfig | None, most: int, observe: ProgressObserver = untold
 ) -> tuple[Stop, ...]:
+    """Find the stops of a log, as `find_stops`; `observe` is called with each sample."""
     if most < 1:
         raise UsageError(f"Found {most} stops asked for; expected one or more.")
     found = find_source(paths)
@@ -144,110 +140,6 @@ def read_stops(
             read = tuple(replace(each, source=f"{each.source}, stop {number + 1}") for number, each in enumerate(read))
         snapshots += read
     return tuple(snapshots)
-
-
-def stops_of_log(
-    paths: Sequence[SourceFile],
-    wanted: int | Literal["auto"],
-    *,
-    config: IngestConfig | None = None,
-    observe: ProgressObserver = untold,
-) -> tuple[Stop, ...]:
-    """Find the stops of a log that `drive.stops` asks for.
-
-    "auto" looks at a few frames first, and searches only if the vehicle drives in between.
-
-    Args:
-        paths: of one snapshot.
-        observe: called with each sample of a search.
-
-    Returns:
-        None of them if the log is read as one snapshot. So it is with "auto" if the configuration chooses its frames,
-        if it has no index, or unless it has several stops.
-
-    Raises:
-        MultilicaError: as `find_stops`, for a number of stops.
-    """
-    if wanted == 1:
-        return ()
-    if wanted != "auto":
-        return _stops_of_log(paths, config, wanted, observe)
-    if config is not None and (config.start_at or config.start_s or config.window_s or config.window == "auto"):
-        return ()
-    stops: tuple[Stop, ...] = ()
-    try:
-        recorded = len(stops_recorded(find_source(paths).files))
-        if recorded > 1 or _drives(paths, config):
-            stops = _stops_of_log(paths, config, max(recorded, MOST_STOPS), observe)
-    except InputError:
-        return ()  # reading the snapshot tells what is wrong with the source
-    return stops if len(stops) > 1 else ()
-
-
-def read_drive(
-    sources: PathLike | Sequence[PathLike], wanted: int | Literal["auto"], *, config: IngestConfig | None = None
-) -> tuple[Snapshot, ...]:
-    """Read the snapshots of several recordings of one rig, or of the stops of a log that `drive.stops` asks for.
-
-    Raises:
-        MultilicaError: as `find_snapshots`, `find_stops` or `read_snapshot`.
-    """
-    paths = [locate(each) for each in ([sources] if isinstance(sources, PathLike) else sources)]
-    several = find_snapshots(paths, config=config) if wanted != 1 else ()
-    if len(several) > 1:
-        return tuple(read_snapshot(each.paths, config=config) for each in several)
-    stops = stops_of_log(paths, wanted, config=config)
-    return read_log(stops, wanted, config=config) if stops else (read_snapshot(paths, config=config),)
-
-
-def read_log(
-    stops: Sequence[Stop],
-    wanted: int | Literal["auto"],
-    *,
-    config: IngestConfig | None = None,
-    observe: ProgressObserver = untold,
-) -> tuple[Snapshot, ...]:
-    """Read the snapshots of the stops of a log, with notes on why each was chosen.
-
-    Args:
-        observe: called with each stop.
-
-    Raises:
-        MultilicaError: as `read_snapshot`.
-    """
-    snapshots = [
-        replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times is not None else snapshot
-        for snapshot, stop in zip(read_stops(stops, config=config, observe=observe), stops, strict=True)
-    ]
-    if wanted != "auto" and len(stops) < wanted:
-        told = f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."
-        snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
-    return tuple(snapshots)
-
-
-def _drives(paths: Sequence[SourceFile], config: IngestConfig | None) -> bool:
-    """Return whether the vehicle is elsewhere in one of a few frames, spread over an indexed log, than in the first."""
-    from multilica.stages.stillness import leaves_its_place
-
-    found = find_source(paths)
-    if found.frames:
-        return False
-    config = config or config_for(found.files)
-    with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
-        span = cloud_span(recording) if recording.is_indexed else None
-        if span is None or span[1] - span[0] < _LEAST_DRIVE_NS or has_single_frames(recording):
-            return False
-        return any(leaves_its_place(_spread(recording, topic, span)) for topic in richest_topics(recording, span)[:1])
-
-
-def _spread(recording: Recording, topic: str, span: Span) -> Iterator[Scan]:
-    """Yield the first frame of a LiDAR, its last one, and some between."""
-    length_ns = span[1] - span[0]
-    for number in (0, *range(_LOOKS, 0, -1)):
-        start_ns = min(span[0] + length_ns * number // _LOOKS, span[1] - _LAST_NS)
-        for _, message in sampled(recording, [topic], [max(span[0], start_ns)], span[1] + 1):
-            with suppress(UnreadableSourceError):
-                yield decode_cloud(message).scan
 
 
 def standstills_of(recording: Recording) -> Standstills | None:

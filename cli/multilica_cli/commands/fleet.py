@@ -95,7 +95,7 @@ def run(
         Literal["start", "auto"] | None,
         option(
             "--window start|auto",
-            "Where there are no several stops, auto: use the longest standstill of a log; start: its first frames.",
+            "If a log has not several stops, auto: use its longest standstill; start: its first frames.",
             "auto",
         ),
     ] = None,

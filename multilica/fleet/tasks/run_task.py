@@ -205,7 +205,7 @@ def _cpu_s() -> float:
 def _verified_rows(request: LogTask, snapshots: Sequence[Snapshot], known: Extrinsics) -> list[LidarRow]:
     """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were.
 
-    Of several stops, the one with the smallest covariance tells the pose of a LiDAR.
+    The stop with the smallest covariance tells the pose of a LiDAR.
     """
     try:
         found = [register_from_known(snapshot, known, request.config) for snapshot in snapshots]

@@ -15,9 +15,20 @@ from multilica import events
 from multilica.config import CalibrationConfig, IngestConfig, preset, with_overrides
 from multilica.drive_calibration import wanted_stops
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.ingest import find_stops, inspect_source, read_drive, read_snapshot, read_stops, stops_of_log
+from multilica.ingest import (
+    Stop,
+    drive_reader,
+    find_stops,
+    inspect_source,
+    read_drive,
+    read_log,
+    read_snapshot,
+    read_stops,
+    stops_of_log,
+)
 from multilica.ingest import stops as stops_module
 from multilica.ingest.locate import find_source
+from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic
 from multilica.ingest.selection import standstill
@@ -132,9 +143,9 @@ def test_a_vehicle_that_stays_costs_a_look(
 ) -> None:
     path, decoded = tmp_path / "a.mcap", list[int]()
     write_ros2_mcap(Snapshot(tuple(longer(lidar, 60) for lidar in drive.log.lidars)), path)
-    decode = stops_module.decode_cloud
-    monkeypatch.setattr(stops_module, "decode_cloud", lambda message: decoded.append(1) or decode(message))
-    monkeypatch.setattr(stops_module, "find_standstills", lambda *_: pytest.fail("a search"))
+    decode = drive_reader.decode_cloud
+    monkeypatch.setattr(drive_reader, "decode_cloud", lambda message: decoded.append(1) or decode(message))
+    monkeypatch.setattr(drive_reader, "search_log", lambda *_: pytest.fail("a search"))
     assert_read_as_one(path)
     assert 1 < len(decoded) <= 10  # by `assert_read_as_one`, twice
 
@@ -153,6 +164,23 @@ def test_a_log_without_index_is_searched_only_on_demand(log: Path) -> None:
     log.write_bytes(log.read_bytes()[:-1000])
     assert_read_as_one(log)
     assert len(stops_of_log([log], 3, config=FEW)) == 3
+
+
+def test_stops_that_take_too_much_memory_are_left_out(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = drive_reader.read_stops
+
+    def read(stops: list[Stop], **options: object) -> tuple[Snapshot, ...]:
+        if len(stops) > 1:
+            raise MemoryLimitError("too much")
+        return whole(stops, **options)
+
+    monkeypatch.setattr(drive_reader, "read_stops", read)
+    stops = stops_of_log([log], 3, config=FEW)
+    (snapshot,) = read_log(stops, "auto", config=FEW)
+    assert snapshot.notes[-2] == stops[0].why
+    assert snapshot.notes[-1].startswith("1 of 3 stops are used")
+    with pytest.raises(MemoryLimitError):
+        read_log(stops, 3, config=FEW)
 
 
 def test_what_gives_no_joint_result_has_no_stops() -> None:
