@@ -44,6 +44,20 @@ def calibrate_stops(
     if workers is None:
         with open_calibration_workers(config) as opened:
             return calibrate_stops(snapshots, config, observe, opened, deadline_s)
+    runs, stops = calibrate_each(snapshots, config, observe, workers, deadline_s)
+    with threadpool_limits(1):
+        links = search_links(stops, config, workers, deadline_s)
+        return join(runs, config, links, partial(contradiction_at, stops, config))
+
+
+def calibrate_each(
+    snapshots: Sequence[Snapshot],
+    config: CalibrationConfig,
+    observe: Observer = events.ignore,
+    workers: Workers | None = None,
+    deadline_s: float = float("inf"),
+) -> tuple[list[SnapshotRun], list[DriveStop]]:
+    """Calibrate each stop alone; a refused one is only among the runs."""
     runs: list[SnapshotRun] = []
     stops: list[DriveStop] = []
     for number, snapshot in enumerate(snapshots):
@@ -57,6 +71,4 @@ def calibrate_stops(
             continue
         runs.append(SnapshotRun(name, result, snapshot.source, snapshot.source_sha256))
         stops.append(DriveStop(name, prepared, result.trusted))
-    with threadpool_limits(1):
-        links = search_links(stops, config, workers, deadline_s)
-        return join(runs, config, links, partial(contradiction_at, stops, config))
+    return runs, stops
