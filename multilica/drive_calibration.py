@@ -12,6 +12,7 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.links import search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
@@ -31,8 +32,9 @@ def calibrate_stops(
 ) -> CalibrationResult:
     """Find the pose of every LiDAR from several stops of one vehicle.
 
-    Each stop is calibrated alone. Then views of different stops are registered, so that a LiDAR may be placed by what
-    another one saw of the same place at another stop. All stops count in one estimate at the end.
+    Each stop is calibrated, from the poses of earlier ones where they hold. Then views of different stops are
+    registered, so that a LiDAR may be placed by what another one saw of the same place at another stop. All stops count
+    in one estimate at the end.
 
     Args:
         snapshots: with the same LiDARs; those of different places are joined without links.
@@ -57,7 +59,7 @@ def calibrate_each(
     workers: Workers | None = None,
     deadline_s: float = float("inf"),
 ) -> tuple[list[SnapshotRun], list[DriveStop]]:
-    """Calibrate each stop alone; a refused one is only among the runs."""
+    """Calibrate each stop, from the poses that earlier ones tell where they hold; a refused one is only a run."""
     runs: list[SnapshotRun] = []
     stops: list[DriveStop] = []
     for number, snapshot in enumerate(snapshots):
@@ -65,7 +67,8 @@ def calibrate_each(
         prepared: dict[str, PreparedLidar] = {}
         own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
         try:
-            result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared)
+            earlier = EarlierStops.of([run.result for run in runs if run.result is not None])
+            result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, earlier)
         except UnfitSnapshotError as refusal:
             runs.append(SnapshotRun(name, None, snapshot.source, refusal=str(refusal)))
             continue
