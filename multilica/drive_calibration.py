@@ -46,32 +46,33 @@ def calibrate_stops(
     if workers is None:
         with open_calibration_workers(config) as opened:
             return calibrate_stops(snapshots, config, observe, opened, deadline_s)
-    runs, stops = calibrate_each(snapshots, config, observe, workers, deadline_s)
+    runs: list[SnapshotRun] = []
+    stops: list[DriveStop] = []
+    for snapshot in snapshots:
+        run, stop = calibrate_stop(snapshot, runs, config, observe, workers, deadline_s)
+        runs.append(run)
+        stops += [] if stop is None else [stop]
     with threadpool_limits(1):
         links = search_links(stops, config, workers, deadline_s)
         return join(runs, config, links, partial(contradiction_at, stops, config))
 
 
-def calibrate_each(
-    snapshots: Sequence[Snapshot],
+def calibrate_stop(
+    snapshot: Snapshot,
+    earlier: Sequence[SnapshotRun],
     config: CalibrationConfig,
     observe: Observer = events.ignore,
     workers: Workers | None = None,
     deadline_s: float = float("inf"),
-) -> tuple[list[SnapshotRun], list[DriveStop]]:
-    """Calibrate each stop, from the poses that earlier ones tell where they hold; a refused one is only a run."""
-    runs: list[SnapshotRun] = []
-    stops: list[DriveStop] = []
-    for number, snapshot in enumerate(snapshots):
-        name = f"stop {number + 1}"
-        prepared: dict[str, PreparedLidar] = {}
-        own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
-        try:
-            earlier = EarlierStops.of([run.result for run in runs if run.result is not None])
-            result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, earlier)
-        except UnfitSnapshotError as refusal:
-            runs.append(SnapshotRun(name, None, snapshot.source, refusal=str(refusal)))
-            continue
-        runs.append(SnapshotRun(name, result, snapshot.source, snapshot.source_sha256))
-        stops.append(DriveStop(name, prepared, result.trusted))
-    return runs, stops
+) -> tuple[SnapshotRun, DriveStop | None]:
+    """Calibrate one stop, from the poses that earlier ones found; a refused one is only a run."""
+    name = f"stop {len(earlier) + 1}"
+    prepared: dict[str, PreparedLidar] = {}
+    own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
+    known = EarlierStops.of([run.result for run in earlier if run.result is not None])
+    try:
+        result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, known)
+    except UnfitSnapshotError as refusal:
+        return SnapshotRun(name, None, snapshot.source, refusal=str(refusal)), None
+    run = SnapshotRun(name, result, snapshot.source, snapshot.source_sha256)
+    return run, DriveStop(name, prepared, result.trusted)

@@ -29,6 +29,8 @@ _LEAST_PRIORITY = 6.0
 # As many searches per view in a row that find nothing are enough; so are half as many the second time.
 _FAILURES_PER_VIEW = 1.0
 _RETRIES_PER_VIEW = 0.5
+# Half as many are enough, too, once the poses of all LiDARs follow and further links only confirm them.
+_FAILURES_IF_DETERMINED = 0.5
 # Each link needs another that confirms it. More improve poses that nothing but links tells.
 _LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
 
@@ -62,6 +64,7 @@ class _LinkSearch:
     deadline_s: float
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
+    left_out: set[PairKey] = field(default_factory=set)
     searched: dict[PairKey, PairRegistration | None] = field(default_factory=dict)
     loops_per_view: int = _LOOPS_PER_VIEW
 
@@ -109,13 +112,19 @@ class _LinkSearch:
             self.tested.clear()
             self._close_loops()
             self._search(priority, _RETRIES_PER_VIEW)
+        if self.loops_per_view > _LOOPS_IF_DETERMINED:
+            self.tested -= self.left_out
+            self._close_loops()
 
     def _search(self, priority: Mapping[PairKey, float], per_view: float) -> None:
         labels = [view.label for view in self.views]
         tried: set[PairKey] = {*self.links, *self.searched}
         failures = 0
-        while failures < per_view * len(labels) and time.monotonic() < self.deadline_s:
+        while time.monotonic() < self.deadline_s:
             graph = self.graph()
+            most = min(per_view, _FAILURES_IF_DETERMINED) if graph.is_determined else per_view
+            if failures >= most * len(labels):
+                break
             linked = [(graph.group_of(view).label, view.label) for view in self.views]
             pairs = next_round(labels, linked, tried, priority)
             if not pairs:
@@ -141,6 +150,8 @@ class _LinkSearch:
         self.tested.update(implied)
         scores = dict(zip(implied, self.workers.map(score_implied, list(implied.values())), strict=True))
         chosen = choose_loops(scores, self.config.acceptance.min_evidence, self.loops_per_view)
+        least = self.config.acceptance.min_evidence
+        self.left_out.update(pair for pair in scores.keys() - chosen if scores[pair].evidence >= least)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
         for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
