@@ -169,6 +169,9 @@ class _LinkSearch:
 def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:
     """Return whether another search may find the pair once beams through movable objects of some views prove nothing.
 
-    A pose that was undecided has enough evidence. Fewer beams against its competitors do not decide it.
+    Only beams that found its space empty depend on these objects. A pose that was undecided has enough evidence, and
+    fewer beams against its competitors do not decide it.
     """
-    return found is not None and found.verdict.outcome == "reject" and any(label in freed for label in pair)
+    if found is None or found.verdict.outcome != "reject" or "empty_space_violated" not in found.verdict.codes:
+        return False
+    return any(label in freed for label in pair)

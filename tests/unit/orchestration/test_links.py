@@ -9,7 +9,7 @@ from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration import links
 from multilica.orchestration.stop_views import DriveStop
-from multilica.results import DriveView, PairRegistration, Verdict
+from multilica.results import DriveView, PairRegistration, Reason, Verdict
 from multilica.workers import Workers
 
 _STOPS = [DriveStop(name, {"front": object(), "rear": object()}, ()) for name in ("stop 1", "stop 2")]
@@ -21,13 +21,13 @@ _FRONT = DriveView("front", "stop 1")
 def search(monkeypatch):
     """Search with made outcomes; returns the searched pairs, each as often as it was searched."""
 
-    def run(outcome, freed):
+    def run(outcome, freed, code="empty_space_violated"):
         searched = []
 
         def made(_, request):
             searched.append(request.pair)
             pose = RigidTransform.identity(*request.pair)
-            verdict = Verdict(outcome)
+            verdict = Verdict(outcome, (Reason(code, 1.0, 0.0, "made"),))
             found = PairRegistration(*request.pair, pose, 0.1, 0.1, 1, None, None, "", verdict=verdict)
             return SimpleNamespace(registration=None if outcome == "none" else found)
 
@@ -55,6 +55,9 @@ def test_refused_pairs_of_views_with_such_objects_are(search):
     assert len(twice) == 2
 
 
-@pytest.mark.parametrize("outcome", ["undecided", "none"])
-def test_pairs_that_fewer_beams_do_not_decide_are_not(search, outcome):
-    assert len(search(outcome, [_FRONT])) == 4
+@pytest.mark.parametrize(
+    ("outcome", "code"),
+    [("undecided", "empty_space_violated"), ("none", ""), ("reject", "too_little_evidence")],
+)
+def test_pairs_that_fewer_beams_do_not_decide_are_not(search, outcome, code):
+    assert len(search(outcome, [_FRONT], code)) == 4
