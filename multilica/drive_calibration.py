@@ -2,7 +2,7 @@
 """Calibration of a rig from several stops of one drive."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -14,17 +14,27 @@ from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
-from multilica.results import CalibrationResult, TimeLimit
+from multilica.results import CalibrationResult, TimeLimit, ViewPair
 from multilica.snapshot import Snapshot
 from multilica.workers import Workers
 
-CalibrateAlone = Callable[[dict[str, PreparedLidar] | None], SnapshotRun]
-"""Calibrates one stop; called with a dictionary to keep its prepared LiDARs in, or None."""
+CalibrateAlone = Callable[[dict[str, PreparedLidar] | None, EarlierStops], SnapshotRun]
+"""Calibrates one stop; called with a dictionary to keep its prepared LiDARs in, or None, and the earlier stops."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveCalibration:
+    """A joint result, the stops between which links were sought, and the links that were found."""
+
+    result: CalibrationResult
+    stops: tuple[DriveStop, ...]
+    links: tuple[ViewPair, ...]
 
 
 def wanted_stops(config: CalibrationConfig) -> int | Literal["auto"]:
@@ -46,8 +56,9 @@ def calibrate_stops(
 ) -> CalibrationResult:
     """Find the pose of every LiDAR from several stops of one vehicle.
 
-    Each stop is calibrated alone. Then views of different stops are registered, so that a LiDAR may be placed by what
-    another one saw of the same place at another stop. All stops count in one estimate at the end.
+    Each stop is calibrated, from the poses of earlier ones where they hold. Then views of different stops are
+    registered, so that a LiDAR may be placed by what another one saw of the same place at another stop. All stops count
+    in one estimate at the end.
 
     Args:
         snapshots: with the same LiDARs; those of different places are joined without links.
@@ -60,28 +71,26 @@ def calibrate_stops(
         with open_calibration_workers(config) as opened:
             return calibrate_stops(snapshots, config, observe, opened, deadline_s)
     alone = {
-        f"stop {number}": partial(_calibrate_alone, f"stop {number}", snapshot, config, observe, workers, deadline_s)
+        f"stop {number}": partial(calibrate_alone, f"stop {number}", snapshot, config, observe, workers, deadline_s)
         for number, snapshot in enumerate(snapshots, start=1)
     }
-    return calibrate_jointly(alone, config, workers, deadline_s)[0]
+    return calibrate_jointly(alone, config, workers, deadline_s).result
 
 
 def calibrate_jointly(
     alone: Mapping[str, CalibrateAlone], config: CalibrationConfig, workers: Workers, deadline_s: float
-) -> tuple[CalibrationResult, tuple[DriveStop, ...]]:
+) -> DriveCalibration:
     """Calibrate each stop, register views of different stops, and join all of it.
 
     Args:
         alone: by the name of the stop, in the order of the drive.
-
-    Returns:
-        The joint result, and the stops between which links were sought.
     """
     runs: list[SnapshotRun] = []
     stops: list[DriveStop] = []
-    for name, calibrate_alone in alone.items():
+    for name, calibrate_stop in alone.items():
         prepared: dict[str, PreparedLidar] | None = {} if len(stops) < MAX_LINKED_STOPS else None
-        runs.append(calibrate_alone(prepared))
+        earlier = EarlierStops.of([run.result for run in runs if run.result is not None])
+        runs.append(calibrate_stop(prepared, earlier))
         if prepared and (own := runs[-1].result) is not None:
             stops.append(DriveStop(name, prepared, own.trusted))
     with threadpool_limits(1):
@@ -90,10 +99,10 @@ def calibrate_jointly(
     if found.not_reached:
         limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
         result = replace(result, time_limit=replace(limit, unlinked_stops=found.not_reached))
-    return result, tuple(stops)
+    return DriveCalibration(result, tuple(stops), found.links)
 
 
-def _calibrate_alone(
+def calibrate_alone(
     name: str,
     snapshot: Snapshot,
     config: CalibrationConfig,
@@ -101,10 +110,12 @@ def _calibrate_alone(
     workers: Workers,
     deadline_s: float,
     prepared: dict[str, PreparedLidar] | None,
+    earlier: EarlierStops,
 ) -> SnapshotRun:
+    """Calibrate one stop, from the poses that earlier ones found; a refused one is only a run."""
     own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
     try:
-        result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared)
+        result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, earlier)
     except UnfitSnapshotError as refusal:
         return SnapshotRun(name, None, snapshot.source, refusal=str(refusal))
     return SnapshotRun(name, result, snapshot.source, snapshot.source_sha256)

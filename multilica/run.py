@@ -37,6 +37,7 @@ from multilica.ingest.remote.remote_file import SourceFile
 from multilica.multi_snapshot import SnapshotRun, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.pipeline import calibrate
@@ -223,7 +224,11 @@ def _read(given: _Given, config: CalibrationConfig, observe: RunObserver) -> Tak
 
 
 def _run_one(
-    snapshot: Snapshot, directory: Path, request: _Request, prepared: dict[str, PreparedLidar] | None = None
+    snapshot: Snapshot,
+    directory: Path,
+    request: _Request,
+    prepared: dict[str, PreparedLidar] | None = None,
+    earlier: EarlierStops | None = None,
 ) -> CalibrationRun:
     prior: Extrinsics | None = None
     if request.prior is not None:
@@ -240,7 +245,15 @@ def _run_one(
         beside(_told_when_written(run, request.observe)) as observe,
     ):
         result = calibrate(
-            snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s, prepared
+            snapshot,
+            request.config,
+            observe,
+            prior,
+            request.workers,
+            request.rig,
+            request.deadline_s,
+            prepared,
+            earlier,
         )
     return CalibrationRun(result, request.config, directory, run.written)
 
@@ -271,15 +284,19 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
         alone = {given.name: partial(_run_alone, given, run.place / given.name, request) for given in found}
-        result, stops = calibrate_jointly(alone, config, request.workers, request.deadline_s)
-        shown = next(given for given in found if given.name == shown_snapshot(result))
-        result = replay(shown.read(config).snapshot, result, config, run, request.rig, stops)
+        joint = calibrate_jointly(alone, config, request.workers, request.deadline_s)
+        shown = next(given for given in found if given.name == shown_snapshot(joint.result))
+        result = replay(shown.read(config).snapshot, joint.result, config, run, request.rig, joint.stops)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 
 
 def _run_alone(
-    given: _Given, directory: Path, request: _Request, prepared: dict[str, PreparedLidar] | None
+    given: _Given,
+    directory: Path,
+    request: _Request,
+    prepared: dict[str, PreparedLidar] | None,
+    earlier: EarlierStops,
 ) -> SnapshotRun:
     """Calibrate one of several snapshots; the others can do without one that is refused."""
     request.observe(events.SnapshotStarted(given.name))
@@ -291,7 +308,7 @@ def _run_alone(
             ground = config.ground.model_copy(update={"enabled": False})
             config = config.model_copy(update={"target": "", "ground": ground})
             request = replace(request, rig=None)
-        result = _run_one(snapshot, directory, replace(request, config=config), prepared).result
+        result = _run_one(snapshot, directory, replace(request, config=config), prepared, earlier).result
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(given.name, str(refusal)))
         (told,) = without_folders([str(refusal)], given.paths)

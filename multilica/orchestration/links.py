@@ -2,7 +2,7 @@
 """Search for registrations between the stops of a drive."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.acceptance.view_graph import ViewGraph
@@ -15,7 +15,7 @@ from multilica.orchestration.pairs import (
     score_implied,
     search_pair,
 )
-from multilica.orchestration.stop_views import DriveStop, prepare_views
+from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views, with_movable
 from multilica.registration.poses import is_distinct
 from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, ViewPair
 from multilica.stages.pair_choice import choose_loops, next_round
@@ -29,8 +29,10 @@ _LEAST_PRIORITY = 6.0
 # As many searches per view in a row that find nothing are enough; so are half as many the second time.
 _FAILURES_PER_VIEW = 1.0
 _RETRIES_PER_VIEW = 0.5
-# Each link needs another that confirms it; more hardly improve the poses.
-_LOOPS_PER_VIEW = 2
+# Half as many are enough, too, once the poses of all LiDARs follow and further links only confirm them.
+_FAILURES_IF_DETERMINED = 0.5
+# Each link needs another that confirms it. More improve poses that nothing but links tells.
+_LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,9 @@ class _LinkSearch:
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
     not_reached: set[tuple[str, str]] = field(default_factory=set)
+    left_out: set[PairKey] = field(default_factory=set)
+    searched: dict[PairKey, PairRegistration | None] = field(default_factory=dict)
+    loops_per_view: int = _LOOPS_PER_VIEW
 
     @property
     def views(self) -> list[DriveView]:
@@ -101,28 +106,38 @@ class _LinkSearch:
 
     def run(self) -> None:
         """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
-        self._share(movable=False)
+        levels = levels_of(self.stops, self.config)
+        views = prepare_views(self.stops, levels, self.config)
+        for view, prepared in views.items():
+            self.workers.share(view.label, prepared)
+        if self.graph().is_determined:
+            self.loops_per_view = _LOOPS_IF_DETERMINED
         pairs = self.between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
         self._search(priority, _FAILURES_PER_VIEW)
-        if not self.graph().is_determined:
-            self._share(movable=True)
+        if not self.graph().is_determined and (freed := with_movable(views, levels)):
+            labels = {view.label for view in freed}
+            self.workers.forget(labels)
+            for view, prepared in freed.items():
+                self.workers.share(view.label, prepared)
+            self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
             self.tested.clear()
             self._close_loops()
             self._search(priority, _RETRIES_PER_VIEW)
-
-    def _share(self, *, movable: bool) -> None:
-        self.workers.forget()
-        for view, prepared in prepare_views(self.stops, self.config, movable=movable).items():
-            self.workers.share(view.label, prepared)
+        if self.loops_per_view > _LOOPS_IF_DETERMINED:
+            self.tested -= self.left_out
+            self._close_loops()
 
     def _search(self, priority: Mapping[PairKey, float], per_view: float) -> None:
         labels = [view.label for view in self.views]
-        tried: set[PairKey] = {*self.links}
+        tried: set[PairKey] = {*self.links, *self.searched}
         failures = 0
-        while failures < per_view * len(labels):
+        while True:
             graph = self.graph()
+            most = min(per_view, _FAILURES_IF_DETERMINED) if graph.is_determined else per_view
+            if failures >= most * len(labels):
+                break
             linked = [(graph.group_of(view).label, view.label) for view in self.views]
             pairs = next_round(labels, linked, tried, priority)
             if pairs and time.monotonic() >= self.deadline_s:
@@ -135,6 +150,7 @@ class _LinkSearch:
             requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
             before = len(self.links)
             for pair, search in zip(pairs, self.workers.map(search_pair, requests), strict=True):
+                self.searched[pair] = search.registration
                 self._keep(pair, search.registration)
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
@@ -150,7 +166,9 @@ class _LinkSearch:
         }
         self.tested.update(implied)
         scores = dict(zip(implied, self.workers.map(score_implied, list(implied.values())), strict=True))
-        chosen = choose_loops(scores, self.config.acceptance.min_evidence, _LOOPS_PER_VIEW)
+        chosen = choose_loops(scores, self.config.acceptance.min_evidence, self.loops_per_view)
+        least = self.config.acceptance.min_evidence
+        self.left_out.update(pair for pair in scores.keys() - chosen if scores[pair].evidence >= least)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
         for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
@@ -163,3 +181,14 @@ class _LinkSearch:
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
         self.links[pair] = ViewPair(of_lidars, target.stop, source.stop)
+
+
+def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:
+    """Return whether another search may find the pair once beams through movable objects of some views prove nothing.
+
+    Only beams that found its space empty depend on these objects. A pose that was undecided has enough evidence, and
+    fewer beams against its competitors do not decide it.
+    """
+    if found is None or found.verdict.outcome != "reject" or "empty_space_violated" not in found.verdict.codes:
+        return False
+    return any(label in freed for label in pair)

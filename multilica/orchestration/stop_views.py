@@ -33,29 +33,52 @@ class DriveStop:
     pairs: tuple[PairRegistration, ...]
 
 
+def levels_of(stops: Sequence[DriveStop], config: CalibrationConfig) -> dict[str, FloatArray]:
+    """Return per LiDAR the rotation (3, 3) from its frame to one with z up, the identity if it sees no ground."""
+    found: dict[str, FloatArray] = {}
+    for stop in stops:
+        for name, prepared in stop.lidars.items():
+            if name not in found:
+                level = estimate_level(name, {name: prepared.cloud.points_m}, {}, config)
+                found[name] = np.eye(3) if level is None else level.rotation
+    return found
+
+
 def prepare_views(
-    stops: Sequence[DriveStop], config: CalibrationConfig, *, movable: bool
+    stops: Sequence[DriveStop], levels: Mapping[str, FloatArray], config: CalibrationConfig
 ) -> dict[DriveView, PreparedLidar]:
     """Prepare the LiDARs of all stops with the limits that hold between stops.
 
-    The vehicle's own body, which is in the same place of a LiDAR's frame at every stop, is left out. Objects of the
-    size of vehicles and people may have left or come.
+    The vehicle's own body, which is in the same place of a LiDAR's frame at every stop, is left out.
 
     Args:
-        movable: beams through such objects prove nothing. More poses are then possible, the wrong ones among them.
+        levels: as `levels_of` finds them.
     """
     found: dict[DriveView, PreparedLidar] = {}
-    for lidar in sorted({name for stop in stops for name in stop.lidars}):
+    for lidar, rotation in sorted(levels.items()):
         at_stops = {stop.name: stop.lidars[lidar] for stop in stops if lidar in stop.lidars}
-        points_m = [each.cloud.points_m for each in at_stops.values()]
-        level = estimate_level(lidar, {lidar: points_m[0]}, {}, config)
-        rotation = np.eye(3) if level is None else level.rotation
-        body = find_own_body(points_m, rotation)
+        body = find_own_body([each.cloud.points_m for each in at_stops.values()], rotation)
         for stop, prepared in at_stops.items():
             view = DriveView(lidar, stop)
-            outside = _without_body(prepared, body)
-            chosen = _with_movable(outside, rotation) if movable else outside
-            found[view] = chosen.as_view(view.label, _limits(view, config))
+            found[view] = _without_body(prepared, body).as_view(view.label, _limits(view, config))
+    return found
+
+
+def with_movable(
+    views: Mapping[DriveView, PreparedLidar], levels: Mapping[str, FloatArray]
+) -> dict[DriveView, PreparedLidar]:
+    """Return the views that see objects of the size of vehicles and people, which may have left or come.
+
+    Beams through such objects prove nothing then. More poses are possible, the wrong ones among them.
+    """
+    found: dict[DriveView, PreparedLidar] = {}
+    for name, prepared in views.items():
+        if prepared.view is None:
+            continue
+        cells = find_movable(prepared.cloud.points_m, np.zeros((1, 3)), levels[name.lidar])
+        movable = cells.contain(prepared.view.probes_m)
+        if movable.any():
+            found[name] = prepared.with_view(replace(prepared.view, movable=movable))
     return found
 
 
@@ -101,15 +124,6 @@ def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:
             spanned=view.spanned[probed],
         )
     return PreparedLidar(replace(cloud, points_m=cloud.points_m[kept]), features, view, prepared.config)
-
-
-def _with_movable(prepared: PreparedLidar, rotation: FloatArray) -> PreparedLidar:
-    """Let points on objects that can move violate no beam."""
-    view = prepared.view
-    if view is None:
-        return prepared
-    cells = find_movable(prepared.cloud.points_m, np.zeros((1, 3)), rotation)
-    return prepared.with_view(replace(view, movable=cells.contain(view.probes_m)))
 
 
 def _limits(view: DriveView, config: CalibrationConfig) -> CalibrationConfig:
