@@ -24,8 +24,10 @@ import numpy as np
 import tomli_w
 
 from multilica.checks import RigTolerances, check_found, relative_covariance
+from multilica.config import CalibrationConfig
 from multilica.diagnosis import explain
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, StorageError, UnfitSnapshotError
+from multilica.events import CalibrationStarted, Event
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import LidarRow, LogRow, with_pose
@@ -36,11 +38,13 @@ from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.ingest.remote.remote_file import ConnectionLostError
+from multilica.pipeline import calibrate
 from multilica.results.document import ResultDocument
 from multilica.run import run_calibration
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import read_run_document
 from multilica.scratch import scratch_folder
+from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
 from multilica.verification import register_from_known
 
@@ -133,14 +137,30 @@ def _calibrated(
     prior = known if request.calibrate == "when-needed" else None
     with scratch_folder() as folder:
         out = folder / "run"
-        for detail in ("slim", "full"):  # a recording in full says why LiDARs are not placed
-            record = config.record.model_copy(update={"detail": detail})
-            run_calibration(request.address, out, config.model_copy(update={"record": record}), prior=prior)
-            document = read_run_document(out).document
-            if document.status == "complete":
-                break
+        if config.drive.stops == 1:
+            _calibrate_into(out, snapshot, config, prior)
+        else:
+            run_calibration(request.address, out, _recorded(config, "slim"), prior=prior)
+        document = read_run_document(out).document
         row = _stored(request, store, replace(row, state="calibrated"), out, document, known)
     return row, _calibrated_rows(request, document)
+
+
+def _calibrate_into(out: Path, snapshot: Snapshot, config: CalibrationConfig, prior: Extrinsics | None) -> None:
+    """Calibrate a snapshot, and write a run with a slim recording if all LiDARs are placed, else with one in full.
+
+    A recording in full says why LiDARs are not placed. The events wait for the outcome, so that none is needed twice.
+    """
+    heard: list[Event] = []
+    result = calibrate(snapshot, _recorded(config, "slim"), heard.append, prior)
+    config = _recorded(config, "slim" if result.status == "complete" else "full")
+    with open_run(out, config) as run:
+        for event in heard:
+            run(replace(event, config=config) if isinstance(event, CalibrationStarted) else event)
+
+
+def _recorded(config: CalibrationConfig, detail: Literal["slim", "full"]) -> CalibrationConfig:
+    return config.model_copy(update={"record": config.record.model_copy(update={"detail": detail})})
 
 
 def _stored(
