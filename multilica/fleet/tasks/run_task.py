@@ -38,6 +38,7 @@ from multilica.ingest import read_snapshot, require_calibratable
 from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.ingest.remote.remote_file import ConnectionLostError
+from multilica.optional_libraries import leave_out_pandas
 from multilica.pipeline import calibrate
 from multilica.results.document import ResultDocument
 from multilica.run import run_calibration
@@ -249,6 +250,7 @@ def main() -> None:
     """Answer requests until stdin ends: a LogTask with its row, the address of a log with its LogIdentity."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver ends it
     threading.Thread(target=_end_with_stdin, daemon=True).start()
+    leave_out_pandas()
     _limit_memory(float(sys.argv[2]))
     with Connection(int(sys.argv[1])) as requests:
         while True:
