@@ -281,7 +281,7 @@ def test_a_rough_pose_is_dropped_only_with_a_margin():
         ((400, 100), 2.0, True),
     ],
 )
-def test_what_may_be_accepted_has_evidence_and_no_equal_elsewhere(distinctive, apart_m, possible):
+def test_what_may_be_accepted_has_no_equal_elsewhere(distinctive, apart_m, possible):
     found = [
         _registration(pose("t", "s", (side * 0.5 * apart_m, 0, 0)), distinctive=count)
         for side, count in zip((1.0, -1.0), distinctive, strict=False)
