@@ -103,7 +103,10 @@ def _search(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: flo
 
 def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
     """Search pairs; a pair that was searched before with other descriptors is replaced only if it is accepted now."""
-    requests = [SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until) for pair in pairs]
+    requests = [
+        SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until, _refused(state, pair))
+        for pair in pairs
+    ]
     for pair, found in zip(pairs, state.workers.map(search_pair, requests), strict=True):
         for stage in PAIR_STAGES:
             state.timing_s[stage] = state.timing_s.get(stage, 0.0) + found.elapsed_s.get(stage, 0.0)
@@ -119,6 +122,15 @@ def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m:
         if found.registration is not None:
             state.registrations[pair] = found.registration
             state.observe(events.PairRegistered(found.registration))
+
+
+def _refused(state: CalibrationState, pair: PairKey) -> tuple[RigidTransform, ...] | None:
+    """Return the poses of an earlier search of the pair; None if there was none."""
+    if pair not in state.coarse:
+        return None
+    found = state.registrations.get(pair)
+    poses = () if found is None else (each.T_target_source for each in found.registrations)
+    return tuple(pose.with_target(pair[0]) for pose in poses)
 
 
 def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:

@@ -115,10 +115,12 @@ def check(
     directories = [Path(source) for source in sources]
     if not all(runs):
         from multilica.ingest.locate import locate
+        from multilica.optional_libraries import leave_out_pandas
         from multilica.orchestration.state import deadline_of
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
 
+        leave_out_pandas()
         files = [locate(source) for source in sources]
         config = recording.resolve(workers, stops=stops)
         deadline_s = deadline_of(config)

@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from multiprocessing.connection import Connection
@@ -24,9 +24,11 @@ import numpy as np
 import tomli_w
 
 from multilica.checks import RigTolerances, check_found, relative_covariance, settle_stops
+from multilica.config import CalibrationConfig
 from multilica.diagnosis import explain
 from multilica.drive_calibration import wanted_stops
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, StorageError, UnfitSnapshotError
+from multilica.events import CalibrationStarted, Event
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import LidarRow, LogRow, with_pose
@@ -38,12 +40,15 @@ from multilica.ingest.locate import locate
 from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.ingest.remote.remote_file import ConnectionLostError
+from multilica.optional_libraries import leave_out_pandas
+from multilica.pipeline import calibrate
 from multilica.results import CalibrationResult
 from multilica.results.document import ResultDocument
 from multilica.run import run_calibration
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import read_run_document
 from multilica.scratch import scratch_folder
+from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
 from multilica.verification import register_from_known
 
@@ -126,7 +131,7 @@ def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]
         rows = _verified_rows(request, snapshots, known)
         if rows:
             return replace(row, state="verified", placed=len(rows)), rows
-    return _calibrated(request, store, row, known, names, stops)
+    return _calibrated(request, store, row, known, snapshots, stops)
 
 
 def _read(request: LogTask) -> tuple[LogTask, tuple[Stop, ...], tuple[Snapshot, ...]]:
@@ -147,24 +152,39 @@ def _calibrated(
     store: Store,
     row: LogRow,
     known: Extrinsics | None,
-    names: Collection[str],
+    snapshots: Sequence[Snapshot],
     stops: Sequence[Stop],
 ) -> tuple[LogRow, Sequence[LidarRow]]:
     config = request.config
-    if known is not None and not config.target and known.target in names:
+    if known is not None and not config.target and any(known.target in each.names for each in snapshots):
         config = config.model_copy(update={"target": known.target})
     prior = known if request.calibrate == "when-needed" else None
     with scratch_folder() as folder:
         out = folder / "run"
-        for detail in ("slim", "full"):  # a recording in full says why LiDARs are not placed
-            record = config.record.model_copy(update={"detail": detail})
-            detailed = config.model_copy(update={"record": record})
-            run_calibration(request.address, out, detailed, prior=prior, stops=stops)
-            document = read_run_document(out).document
-            if document.status == "complete":
-                break
+        if stops:
+            run_calibration(request.address, out, _recorded(config, "slim"), prior=prior, stops=stops)
+        else:
+            _calibrate_into(out, snapshots[0], config, prior)
+        document = read_run_document(out).document
         row = _stored(request, store, replace(row, state="calibrated"), out, document, known)
     return row, _calibrated_rows(request, document)
+
+
+def _calibrate_into(out: Path, snapshot: Snapshot, config: CalibrationConfig, prior: Extrinsics | None) -> None:
+    """Calibrate a snapshot, and write a run with a slim recording if all LiDARs are placed, else with one in full.
+
+    A recording in full says why LiDARs are not placed. The events wait for the outcome, so that none is needed twice.
+    """
+    heard: list[Event] = []
+    result = calibrate(snapshot, _recorded(config, "slim"), heard.append, prior)
+    config = _recorded(config, "slim" if result.status == "complete" else "full")
+    with open_run(out, config) as run:
+        for event in heard:
+            run(replace(event, config=config) if isinstance(event, CalibrationStarted) else event)
+
+
+def _recorded(config: CalibrationConfig, detail: Literal["slim", "full"]) -> CalibrationConfig:
+    return config.model_copy(update={"record": config.record.model_copy(update={"detail": detail})})
 
 
 def _stored(
@@ -269,6 +289,7 @@ def main() -> None:
     """Answer requests until stdin ends: a LogTask with its row, the address of a log with its LogIdentity."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver ends it
     threading.Thread(target=_end_with_stdin, daemon=True).start()
+    leave_out_pandas()
     _limit_memory(float(sys.argv[2]))
     with Connection(int(sys.argv[1])) as requests:
         while True:
