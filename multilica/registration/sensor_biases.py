@@ -30,7 +30,7 @@ _MEAN_AZIMUTH = 12.0
 _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
 # A rig has few LiDARs, which show little of the share of what their datasheets allow. So much more does the prior of
 # their biases add to the variance of a pose, measured on simulated vehicles.
-_OF_FEW_LIDARS = 2.0
+_OF_FEW_LIDARS = 1.5
 # The shares depend on each other; further sweeps change sigma by less than a hundredth.
 _SWEEPS = 3
 

@@ -36,7 +36,7 @@ def search(monkeypatch):
         monkeypatch.setattr(links, "with_movable", lambda *_: {view: object() for view in freed})
         monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
         monkeypatch.setattr(links, "search_pair", made)
-        assert links.search_links(_STOPS, CalibrationConfig(), Workers()) == ()
+        assert links.search_links(_STOPS, CalibrationConfig(), Workers()).links == ()
         return searched
 
     return run
