@@ -12,11 +12,12 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
-from multilica.orchestration.links import search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
+from multilica.registration.motions import motion_pairs
 from multilica.results import CalibrationResult
 from multilica.snapshot import Snapshot
 from multilica.workers import Workers
@@ -58,5 +59,7 @@ def calibrate_stops(
         runs.append(SnapshotRun(name, result, snapshot.source, snapshot.source_sha256))
         stops.append(DriveStop(name, prepared, result.trusted))
     with threadpool_limits(1):
-        links = search_links(stops, config, workers, deadline_s)
-        return join(runs, config, links, partial(contradiction_at, stops, config))
+        names = {stop.name for stop in stops[:MAX_LINKED_STOPS]}
+        on_way = motion_pairs([(run.name, each.motions) for run, each in zip(runs, snapshots, strict=True)], names)
+        links = search_links(stops, config, workers, deadline_s, on_way)
+        return join(runs, config, links, partial(contradiction_at, stops, config), on_way)

@@ -39,6 +39,7 @@ from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
+from multilica.registration.motions import motion_pairs
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
@@ -266,8 +267,10 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
             if prepared and (own := alone[-1].result) is not None:
                 stops.append(DriveStop(given.name, prepared, own.trusted))
         with threadpool_limits(1):
-            links = search_links(stops, config, request.workers, request.deadline_s)
-            result = join(alone, config, links, partial(contradiction_at, stops, config))
+            ways = [(given.name, given.snapshot.motions if given.snapshot else ()) for given in found]
+            motions = motion_pairs(ways, {stop.name for stop in stops})
+            links = search_links(stops, config, request.workers, request.deadline_s, motions)
+            result = join(alone, config, links, partial(contradiction_at, stops, config), motions)
         shown = next(given for given in found if given.name == shown_snapshot(result))
         result = replay(shown.read(config).snapshot, result, config, run, request.rig, stops)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())

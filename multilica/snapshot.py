@@ -100,6 +100,25 @@ class LidarScans:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LidarMotion:
+    """Motion of one LiDAR from the previous stop of a drive to this one, by its own frames on the way.
+
+    Args:
+        T_before_now: the LiDAR at this stop in its own frame at the previous one; both frames have its name.
+        covariance: (6, 6) rotation (rad), translation (m) along the axes at the previous stop, the rotation about the
+            LiDAR's origin at this stop.
+        way_m: length of the way of the LiDAR.
+        frames: number of frames that were registered.
+    """
+
+    lidar: str
+    T_before_now: RigidTransform
+    covariance: FloatArray
+    way_m: float
+    frames: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
     """A rig's LiDARs over one stationary window.
 
@@ -110,6 +129,7 @@ class Snapshot:
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
         notes: findings of the reader that the user should know ("12 of 20 scans, then the file ends").
         reading_s: duration of reading in seconds; 0 if the snapshot was made in memory.
+        motions: of LiDARs since the previous stop of a drive, as far as frames on the way show them.
     """
 
     lidars: tuple[LidarScans, ...]
@@ -118,6 +138,7 @@ class Snapshot:
     static_transforms: tuple[RigidTransform, ...] = ()
     notes: tuple[str, ...] = ()
     reading_s: float = 0.0
+    motions: tuple[LidarMotion, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lidars", tuple(sorted(self.lidars, key=lambda lidar: lidar.name)))

@@ -32,6 +32,7 @@ from multilica.ingest.selection.standstill import (
 from multilica.ingest.selection.time_range import TimeRange, require_standstill, start_of, still_range
 from multilica.ingest.snapshot_reader import read_ranges
 from multilica.ingest.snapshot_sources import find_snapshots
+from multilica.ingest.ways import read_motions
 from multilica.snapshot import Scan, Snapshot
 
 if TYPE_CHECKING:
@@ -138,10 +139,24 @@ def read_drive(
         replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times is not None else snapshot
         for snapshot, stop in zip(read_stops(stops, config=config), stops, strict=True)
     ]
+    snapshots = _with_motions(snapshots, stops, config)
     if wanted != "auto" and len(stops) < wanted:
         told = f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."
         snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
     return tuple(snapshots)
+
+
+def _with_motions(snapshots: list[Snapshot], stops: Sequence[Stop], config: IngestConfig | None) -> list[Snapshot]:
+    """Add the motions of the LiDARs since the previous stop of the log."""
+    spans = [stop.span_ns for stop in stops if stop.span_ns is not None]
+    if len(spans) < 2 or len(spans) < len(stops):
+        return snapshots
+    found = find_source(stops[0].paths)
+    config = config or config_for(found.files)
+    lidars = {lidar.topic: lidar.name for snapshot in snapshots for lidar in snapshot.lidars}
+    with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
+        motions = read_motions(recording, lidars, spans)
+    return [replace(each, motions=own) for each, own in zip(snapshots, motions, strict=True)]
 
 
 def standstills_of(recording: Recording) -> Standstills | None:

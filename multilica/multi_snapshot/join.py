@@ -19,6 +19,7 @@ from multilica.multi_snapshot.estimate import (
     scatter_ratio,
     spread_of,
 )
+from multilica.multi_snapshot.motions import MotionPose
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
 from multilica.multi_snapshot.trusted_links import ContradictionAt, LinkedRig, refine_linked
@@ -38,6 +39,7 @@ from multilica.results import (
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig
 
+_BY_MOTIONS = "only its motion between the stops tells its pose"
 # Snapshots that differ by more on a LiDAR, which then fits at two places, see places that look alike.
 _LARGEST_KNOCK_M, _LARGEST_KNOCK_DEG = 0.5, 10.0
 
@@ -84,6 +86,7 @@ def join(
     config: CalibrationConfig | None = None,
     links: Sequence[ViewPair] = (),
     contradiction_at: ContradictionAt | None = None,
+    motions: Sequence[ViewPair] = (),
 ) -> CalibrationResult:
     """Place every LiDAR of a rig from all its snapshots.
 
@@ -96,6 +99,7 @@ def join(
         config: the default preset if None.
         links: registrations between snapshots that are stops of one drive.
         contradiction_at: tests the poses of LiDARs that only links connect; None: they are not tested.
+        motions: of LiDARs between these snapshots, by odometry.
 
     Returns:
         One placement per LiDAR of any snapshot; `snapshots` has the contribution of each. `pairs` and `health` are
@@ -120,7 +124,7 @@ def join(
     moved = [DriveView(conflict.lidars[0], name) for name, own in inconsistent.items() for conflict in own]
     alike = any(each.distance_m > _LARGEST_KNOCK_M or each.angle_deg > _LARGEST_KNOCK_DEG for each in conflicts)
     linked = _rig(
-        refine_linked(target, kept, links, config.refine, contradiction_at, moved, looks_alike=alike),
+        refine_linked(target, kept, links, config.refine, contradiction_at, moved, looks_alike=alike, motions=motions),
     )
     if linked.conflicts or linked.knocks:
         left = {id(pair.registration) for pair in linked.within}
@@ -146,6 +150,7 @@ def join(
         stops=joint.stops(),
         links=joint.linked.links,
         knocks=joint.linked.knocks,
+        motions=joint.linked.motions,
         time_limit=_time_limit(results.values(), joint.rig.poses),
         snapshots=tuple(joint.report(run) for run in runs),
     )
@@ -269,7 +274,8 @@ class _JointRig:
         if lidar == self.target:
             return place_target(lidar)
         if lidar not in self.rig.covariances:
-            return LidarPlacement(lidar, self._why_unplaced(lidar))
+            told = self.linked.by_motions.get(lidar)
+            return LidarPlacement(lidar, self._why_unplaced(lidar)) if told is None else self._by_motions(told)
         estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
         ratio = scatter_ratio(estimates)
         of_links = [link.registration for link in self.linked.linked.links]
@@ -286,6 +292,14 @@ class _JointRig:
             sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
             spread=spread_of(estimates),
         )
+
+    def _by_motions(self, told: MotionPose) -> LidarPlacement:
+        """Return the pose that motions tell, which is uncertain at best."""
+        lidar = told.T_root_lidar.source
+        found = place(told.T_root_lidar, told.covariance, self.limits, fitness=0.0, rmse_m=float("inf"))
+        if found.T_target_source is None:
+            return replace(found, reason=f"{self._why_unplaced(lidar)} Its motion between the stops: {found.reason}")
+        return replace(found, status="uncertain", reason=f"{_BY_MOTIONS}: {found.reason}")
 
     def _why_unplaced(self, lidar: str) -> str:
         against = next((each for each in self.linked.conflicts if lidar in (each.target, each.source)), None)

@@ -2,7 +2,7 @@
 """Search for registrations between the stops of a drive."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.acceptance.view_graph import ViewGraph
@@ -13,13 +13,14 @@ from multilica.orchestration.pairs import (
     priority_of,
     register_implied,
     score_implied,
+    score_roughly,
     search_pair,
 )
 from multilica.orchestration.stop_views import DriveStop, prepare_views
 from multilica.registration.poses import is_distinct
-from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, ViewPair
+from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, Registration, ViewPair
 from multilica.stages.pair_choice import choose_loops, next_round
-from multilica.workers import Workers
+from multilica.workers import Shared, Workers
 
 MAX_LINKED_STOPS = 8
 """Prepared clouds of more stops take much memory, and all their pairs much time."""
@@ -34,19 +35,26 @@ _LOOPS_PER_VIEW = 2
 
 
 def search_links(
-    stops: Sequence[DriveStop], config: CalibrationConfig, workers: Workers, deadline_s: float = float("inf")
+    stops: Sequence[DriveStop],
+    config: CalibrationConfig,
+    workers: Workers,
+    deadline_s: float = float("inf"),
+    motions: Sequence[ViewPair] = (),
 ) -> tuple[ViewPair, ...]:
     """Register views of different stops, the most promising first, until they are linked or nothing promising is left.
 
     A pair whose pose follows from others is not searched: the beams test that pose, and it is registered from there.
     So most links have others that confirm them.
 
+    Args:
+        motions: of LiDARs between the stops by odometry. Pairs whose pose follows from them are tested first.
+
     Returns:
         The accepted and the uncertain registrations, none of which is confirmed.
     """
     if config.drive.max_distance_m == 0.0 or not config.verify.enabled or len(stops) < 2:
         return ()
-    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, motions)
     try:
         search.run()
     finally:
@@ -60,6 +68,7 @@ class _LinkSearch:
     config: CalibrationConfig
     workers: Workers
     deadline_s: float
+    motions: Sequence[ViewPair] = ()
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
 
@@ -82,13 +91,14 @@ class _LinkSearch:
             if one.stop != other.stop
         ]
 
-    def graph(self) -> ViewGraph:
+    def graph(self, motions: Sequence[ViewPair] = ()) -> ViewGraph:
         within = [ViewPair(pair, stop.name, stop.name) for stop in self.stops for pair in stop.pairs]
-        return ViewGraph.of(self.views, [*within, *self.links.values()])
+        return ViewGraph.of(self.views, [*within, *self.links.values(), *motions])
 
     def run(self) -> None:
         """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
         self._share(movable=False)
+        self._start_from_motions()
         pairs = self.between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
@@ -96,6 +106,7 @@ class _LinkSearch:
         if not self.graph().is_determined:
             self._share(movable=True)
             self.tested.clear()
+            self._start_from_motions()
             self._close_loops()
             self._search(priority, _RETRIES_PER_VIEW)
 
@@ -122,17 +133,30 @@ class _LinkSearch:
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
 
+    def _start_from_motions(self) -> None:
+        """Register pairs of views from the poses that motions imply; what does not fit there is searched later."""
+        if self.motions:
+            self._register(self._implied(self.graph(self.motions)), score_roughly)
+
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""
-        graph, of_label = self.graph(), self.of_label
-        implied = {
+        implied = {pair: pose for pair, pose in self._implied(self.graph()).items() if pair not in self.tested}
+        self.tested.update(implied)
+        self._register(implied, score_implied)
+
+    def _implied(self, graph: ViewGraph) -> dict[PairKey, RigidTransform]:
+        of_label = self.of_label
+        return {
             (target, source): pose
             for target, source in self.between_stops
-            if (target, source) not in self.tested and (target, source) not in self.links
+            if (target, source) not in self.links
             if (pose := graph.implied(of_label[target], of_label[source])) is not None
         }
-        self.tested.update(implied)
-        scores = dict(zip(implied, self.workers.map(score_implied, list(implied.values())), strict=True))
+
+    def _register(
+        self, implied: Mapping[PairKey, RigidTransform], score: Callable[[Shared, RigidTransform], Registration]
+    ) -> None:
+        scores = dict(zip(implied, self.workers.map(score, list(implied.values())), strict=True))
         chosen = choose_loops(scores, self.config.acceptance.min_evidence, _LOOPS_PER_VIEW)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
         for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):

@@ -8,12 +8,14 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import multilica
 from multilica.config import CalibrationConfig, IngestConfig, with_overrides
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
-from multilica.ingest import find_stops, inspect_source, read_drive, read_stops
+from multilica.geometry import RigidTransform
+from multilica.ingest import find_stops, inspect_source, read_drive, read_stops, ways
 from multilica.ingest import stops as stops_module
 from multilica.ingest.locate import find_source
 from multilica.ingest.opening import open_source
@@ -62,11 +64,32 @@ def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, l
     config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=auto", "runtime.workers=1"])
     run = run_calibration(log, tmp_path / "run", config)
     assert [each.name for each in run.result.snapshots] == ["stop_1", "stop_2", "stop_3"]
+    assert {each.lidar for each in run.result.motions if each.used} == {"front", "rear"}
     assert {path.name for path in run.written} > {"result.json", "stop_1", "stop_2", "stop_3"}
     for each in run.result.placements:
         if each.placed and each.lidar != run.result.target:
             truth = drive.truth.between(run.result.target, each.lidar)
             assert each.T_target_source.distance_to(truth)[0] < 0.05
+
+
+def test_the_motion_from_stop_to_stop_is_read(
+    drive: SimulatedDrive, log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the times of points as ROS 2 has them, which snapshots leave out."""
+    first, *others = read_drive(log, 3, config=FEW)
+    assert not first.motions
+    for number, snapshot in enumerate(others):
+        assert [motion.lidar for motion in snapshot.motions] == ["front", "rear"]
+        before, now = (drive.T_first_stop_base[each].matrix for each in (number, number + 1))
+        for motion in snapshot.motions:
+            mount = drive.truth.T_target_source[motion.lidar].matrix
+            truth = np.linalg.inv(before @ mount) @ now @ mount
+            error = motion.T_before_now.offset_from(RigidTransform(motion.lidar, motion.lidar, truth))
+            assert error @ np.linalg.solve(motion.covariance, error) < 22.5
+            assert np.linalg.norm(error[3:]) < 0.03 * motion.way_m
+            assert motion.frames < STAND_FRAMES + 12
+    monkeypatch.setattr(ways, "LONGEST_WAY_S", 1.0)
+    assert not any(snapshot.motions for snapshot in read_drive(log, 3, config=FEW))
 
 
 def test_the_library_takes_the_stops_of_a_log(log: Path) -> None:
