@@ -15,7 +15,7 @@ from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
-from multilica.orchestration.stop_views import DriveStop, contradiction_at
+from multilica.orchestration.stop_views import DriveStop, contradiction_at, levels_of
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
 from multilica.results import CalibrationResult
@@ -61,5 +61,6 @@ def calibrate_stops(
     with threadpool_limits(1):
         names = {stop.name for stop in stops[:MAX_LINKED_STOPS]}
         on_way = motion_pairs([(run.name, each.motions) for run, each in zip(runs, snapshots, strict=True)], names)
+        levels = levels_of(stops, config) if on_way else {}
         links = search_links(stops, config, workers, deadline_s, on_way)
-        return join(runs, config, links, partial(contradiction_at, stops, config), on_way)
+        return join(runs, config, links, partial(contradiction_at, stops, config), on_way, levels)

@@ -37,7 +37,7 @@ from multilica.orchestration.clouds import require_libraries
 from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
-from multilica.orchestration.stop_views import DriveStop, contradiction_at
+from multilica.orchestration.stop_views import DriveStop, contradiction_at, levels_of
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
 from multilica.results import CalibrationResult
@@ -269,8 +269,9 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
         with threadpool_limits(1):
             ways = [(given.name, given.snapshot.motions if given.snapshot else ()) for given in found]
             motions = motion_pairs(ways, {stop.name for stop in stops})
+            levels = levels_of(stops, config) if motions else {}
             links = search_links(stops, config, request.workers, request.deadline_s, motions)
-            result = join(alone, config, links, partial(contradiction_at, stops, config), motions)
+            result = join(alone, config, links, partial(contradiction_at, stops, config), motions, levels)
         shown = next(given for given in found if given.name == shown_snapshot(result))
         result = replay(shown.read(config).snapshot, result, config, run, request.rig, stops)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())

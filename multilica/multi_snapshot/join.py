@@ -5,6 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import fsum
+from types import MappingProxyType
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from multilica.results import (
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig
 
-_BY_MOTIONS = "only its motion between the stops tells its pose"
+_BY_MOTIONS = "only its motion between the stops and the ground tell its pose"
 # Snapshots that differ by more on a LiDAR, which then fits at two places, see places that look alike.
 _LARGEST_KNOCK_M, _LARGEST_KNOCK_DEG = 0.5, 10.0
 
@@ -87,6 +88,7 @@ def join(
     links: Sequence[ViewPair] = (),
     contradiction_at: ContradictionAt | None = None,
     motions: Sequence[ViewPair] = (),
+    levels: Mapping[str, RigidTransform] = MappingProxyType({}),
 ) -> CalibrationResult:
     """Place every LiDAR of a rig from all its snapshots.
 
@@ -100,6 +102,7 @@ def join(
         links: registrations between snapshots that are stops of one drive.
         contradiction_at: tests the poses of LiDARs that only links connect; None: they are not tested.
         motions: of LiDARs between these snapshots, by odometry.
+        levels: poses of LiDARs over the ground, of use where only motions tell a pose.
 
     Returns:
         One placement per LiDAR of any snapshot; `snapshots` has the contribution of each. `pairs` and `health` are
@@ -124,7 +127,17 @@ def join(
     moved = [DriveView(conflict.lidars[0], name) for name, own in inconsistent.items() for conflict in own]
     alike = any(each.distance_m > _LARGEST_KNOCK_M or each.angle_deg > _LARGEST_KNOCK_DEG for each in conflicts)
     linked = _rig(
-        refine_linked(target, kept, links, config.refine, contradiction_at, moved, looks_alike=alike, motions=motions),
+        refine_linked(
+            target,
+            kept,
+            links,
+            config.refine,
+            contradiction_at,
+            moved,
+            looks_alike=alike,
+            motions=motions,
+            levels=levels,
+        ),
     )
     if linked.conflicts or linked.knocks:
         left = {id(pair.registration) for pair in linked.within}
@@ -273,9 +286,10 @@ class _JointRig:
     def placement(self, lidar: str) -> LidarPlacement:
         if lidar == self.target:
             return place_target(lidar)
+        if (told := self.linked.by_motions.get(lidar)) is not None:
+            return self._by_motions(told)
         if lidar not in self.rig.covariances:
-            told = self.linked.by_motions.get(lidar)
-            return LidarPlacement(lidar, self._why_unplaced(lidar)) if told is None else self._by_motions(told)
+            return LidarPlacement(lidar, self._why_unplaced(lidar))
         estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
         ratio = scatter_ratio(estimates)
         of_links = [link.registration for link in self.linked.linked.links]

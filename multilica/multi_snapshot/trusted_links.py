@@ -4,6 +4,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from types import MappingProxyType
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
@@ -56,7 +57,7 @@ class LinkedRig:
         within: pairs within stops that its poses rest on.
         conflicts: poses of LiDARs that beams contradicted.
         knocks: LiDARs that moved between stops; the stops on one side of that do not count for them.
-        by_motions: poses of LiDARs that only their motions between the stops tell.
+        by_motions: poses of LiDARs that only their motions between the stops tell, or but for the ground.
         motions: all that were measured.
     """
 
@@ -95,6 +96,7 @@ def refine_linked(
     *,
     looks_alike: bool = False,
     motions: Sequence[ViewPair] = (),
+    levels: Mapping[str, RigidTransform] = MappingProxyType({}),
 ) -> LinkedRig:
     """Refine a rig over all stops, with the links that others confirm and none contradicts.
 
@@ -111,6 +113,7 @@ def refine_linked(
         looks_alike: the place is known to look like another.
         motions: of LiDARs between stops by odometry. They refuse links, confirm others, and place LiDARs that nothing
             else places; poses that rest on links and pairs do not depend on them.
+        levels: poses of LiDARs over the ground.
     """
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
     refused: dict[ViewPair, str] = {}
@@ -168,9 +171,13 @@ def refine_linked(
         within,
         tuple(contradicted),
         tuple(knocks),
-        poses_by_motions(root, [*within, *left], agreeing, rig.poses.keys()),
+        poses_by_motions(root, [*within, *left], agreeing, _known(rig), levels),
         tuple(described(each, used=each in agreeing) for each in motions),
     )
+
+
+def _known(rig: RefinedRig) -> dict[str, MotionPose]:
+    return {name: MotionPose(rig.poses[name], covariance) for name, covariance in rig.covariances.items()}
 
 
 def _contradicted(

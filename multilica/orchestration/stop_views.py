@@ -59,6 +59,13 @@ def prepare_views(
     return found
 
 
+def levels_of(stops: Sequence[DriveStop], config: CalibrationConfig) -> dict[str, RigidTransform]:
+    """Return the pose of each LiDAR over the ground that it sees at its first stop, if it sees any."""
+    points_m = {name: prepared.cloud.points_m for stop in reversed(stops) for name, prepared in stop.lidars.items()}
+    levels = {name: estimate_level(name, {name: points_m[name]}, {}, config) for name in sorted(points_m)}
+    return {name: level for name, level in levels.items() if level is not None}
+
+
 def contradiction_at(
     stops: Sequence[DriveStop], config: CalibrationConfig, pose: RigidTransform, apart_from: Collection[str]
 ) -> str:

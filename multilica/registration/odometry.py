@@ -26,6 +26,8 @@ _LOST_SHARE = 0.3
 # Fitted to the errors on simulated drives: variance per frame and matched point, and share of the way.
 _FRAME_VARIANCE = 0.025**2
 _WAY_SHARE, _LEAST_M, _LEAST_RAD = 0.003, 0.01, float(np.deg2rad(0.15))
+# The same where points have no times, so that frames are as skewed as the vehicle is fast.
+_SKEWED_SHARE, _SKEWED_RAD = 0.03, float(np.deg2rad(1.0))
 
 
 class Odometer:
@@ -42,7 +44,7 @@ class Odometer:
         self._covariance = np.zeros((6, 6))
         self._stamp_ns, self._taken_ns, self._begun_ns = 0, 0, 0
         self._way_m, self._frames = 0.0, 0
-        self._is_lost = False
+        self._is_lost, self._is_timed = False, True
 
     def needs(self, log_time_ns: int) -> bool:
         """Return whether a frame of that time is worth reading: the LiDAR has moved since the last one."""
@@ -80,7 +82,8 @@ class Odometer:
         rotation = self._pose[:3, :3]
         along_target = np.kron(np.eye(2), rotation)
         covariance = along_target @ self._covariance @ along_target.T
-        covariance += np.diag(np.repeat([_LEAST_RAD**2, _LEAST_M**2 + (_WAY_SHARE * self._way_m) ** 2], 3))
+        share, least_rad = (_WAY_SHARE, _LEAST_RAD) if self._is_timed else (_SKEWED_SHARE, _SKEWED_RAD)
+        covariance += np.diag(np.repeat([least_rad**2, _LEAST_M**2 + (share * self._way_m) ** 2], 3))
         pose = RigidTransform.from_rotation_translation(lidar, lidar, rotation, self._pose[:3, 3])
         return LidarMotion(lidar, pose, covariance, self._way_m, self._frames)
 
@@ -89,6 +92,7 @@ class Odometer:
         range_m = lengths(scan.points_m)
         kept = (range_m > _NEAR_M) & (range_m < _FAR_M)
         points_m = scan.points_m[kept].astype(np.float64)
+        self._is_timed &= scan.times_ns is not None
         if scan.times_ns is not None and len(points_m):
             since_s = scan.times_ns[kept] / _NS_PER_S
             since_s -= 0.5 * (scan.times_ns.min() + float(scan.times_ns.max())) / _NS_PER_S

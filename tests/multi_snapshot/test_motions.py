@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from multilica.config import RefineConfig
+from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.registration.motions import motion_pairs
 from multilica.registration.poses import moved
@@ -34,9 +35,11 @@ def _motions(lidars, rng=None, stops=STOPS, off=None):
     return motion_pairs(found, {*names})
 
 
-def _refined(every, motions):
+def _refined(every, motions, levels=None):
     within = {stop: tuple(each.registration for each in every if each.stops == {stop}) for stop in STOPS}
-    return refine_linked("A", within, [each for each in every if each.is_link], RefineConfig(), motions=motions)
+    return refine_linked(
+        "A", within, [each for each in every if each.is_link], RefineConfig(), motions=motions, levels=levels or {}
+    )
 
 
 def test_motions_tell_a_lidar_that_nothing_else_tells():
@@ -53,6 +56,27 @@ def test_motions_tell_a_lidar_that_nothing_else_tells():
         assert abs(open_directions[2, -1]) > 0.95
     # The covariance is for errors that are alike on all three ways, and so larger than independent ones need.
     assert 0.2 < np.mean(normalised) < 6.0
+
+
+def test_the_ground_tells_the_height():
+    over_ground = RigidTransform.from_xyz_rpy("ground", "A", [0.0, 0.0, 1.8], [0.0, 0.0, 0.0])
+    levels = {name: over_ground @ LIDARS[name] for name in "AB"}
+    for seed in range(3):
+        told = _refined([], _motions("AB", np.random.default_rng(seed)), levels).by_motions["B"]
+        error = told.T_root_lidar.offset_from(LIDARS["B"])
+        assert error @ np.linalg.solve(told.covariance, error) < 16.0
+        assert np.sqrt(np.linalg.eigvalsh(told.covariance[3:, 3:])[-1]) < 0.3
+
+
+def test_the_ground_tells_the_height_that_links_leave_free():
+    over_ground = RigidTransform.from_xyz_rpy("ground", "A", [0.0, 0.0, 1.8], [0.0, 0.0, 0.0])
+    levels = {name: over_ground @ LIDARS[name] for name in "AB"}
+    every = pairs("A1-A2 A2-A3 A1-A3 B1-B2 B2-B3 B1-B3", np.random.default_rng(8))
+    found = _refined(every, _motions("AB", np.random.default_rng(9)), levels)
+    assert np.sqrt(np.linalg.eigvalsh(found.rig.covariances["B"][3:, 3:])[-1]) > 0.5
+    told = found.by_motions["B"]
+    assert np.linalg.norm(told.T_root_lidar.offset_from(LIDARS["B"])[3:]) < 0.1
+    assert np.sqrt(np.linalg.eigvalsh(told.covariance[3:, 3:])[-1]) < 0.15
 
 
 def test_a_straight_drive_leaves_the_pose_open():
@@ -96,6 +120,14 @@ def test_a_motion_that_contradicts_the_others_is_left_out():
     found = _refined([*pairs("A1-B1 B2-C2 A3-C3 A1-A2"), pair("B1", "B2")], motions)
     assert {each.lidar for each in found.motions if not each.used} == {"C"}
     assert len(found.linked.links) == 2
+
+
+def test_lidars_that_turn_differently_prove_nothing():
+    """Nothing tells which of two is wrong, so none refuses a link."""
+    motions = _motions("AB", np.random.default_rng(6), off=np.array([0.0, 0.0, 0.25, 1.3, 0.0, 0.0]))
+    found = _refined(pairs("A1-A2 A2-A3 A1-A3 A1-B3 A3-B1", np.random.default_rng(0)), motions)
+    assert not any(each.used for each in found.motions)
+    assert len(found.linked.links) == 5
 
 
 def test_motions_over_an_unused_stop_are_chained():

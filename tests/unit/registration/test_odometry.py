@@ -66,7 +66,7 @@ def test_odometry_follows_a_turn(timed, limit_m, limit_deg):
     assert distance_m < limit_m
     assert np.rad2deg(angle_rad) < limit_deg
     error = motion.T_before_now.offset_from(truth)
-    assert error @ np.linalg.solve(motion.covariance, error) < 22.0 or not timed
+    assert error @ np.linalg.solve(motion.covariance, error) < 22.0
     assert motion.way_m == pytest.approx(6.0, abs=0.3)
     assert odometer.covers(1, 20 * _FRAME_NS)
     assert not odometer.covers(0, 20 * _FRAME_NS)
