@@ -32,30 +32,36 @@ class MotionPose:
     covariance: FloatArray
 
 
-def agreeing_motions(root: str, within: Sequence[ViewPair], motions: Sequence[ViewPair]) -> list[ViewPair]:
+def agreeing_motions(
+    root: str, within: Sequence[ViewPair], motions: Sequence[ViewPair]
+) -> tuple[list[ViewPair], ViewSolution | None]:
     """Leave out motions that contradict the others: a LiDAR may have seen too little, or have followed a lorry.
 
     On one vehicle all LiDARs turn by the same angle, and go as far, but for what their distance makes of the turn.
     Then those go that contradict the others and the pairs, the least probable first.
+
+    Returns:
+        The others, and the poses by them and the pairs; None if all go.
     """
     left = [one for one in motions if not _is_odd(one, [each for each in motions if each is not one])]
     while left:
         solution = solve_views(root, [*within, *left])
         chances = [(_chance(solution, pair), number) for number, pair in enumerate(left) if _is_told(solution, pair)]
         if not chances or min(chances)[0] >= _LEAST_PROBABILITY:
-            break
+            return left, solution
         del left[min(chances)[1]]
-    return left
+    return left, None
 
 
-def links_off_course(
-    root: str, within: Sequence[ViewPair], links: Sequence[ViewPair], motions: Sequence[ViewPair]
-) -> list[ViewPair]:
-    """Return the links that are farther from where the motions put them than the errors of both allow."""
-    if not motions:
+def links_off_course(course: ViewSolution | None, links: Sequence[ViewPair]) -> list[ViewPair]:
+    """Return the links that are farther from where the motions put them than the errors of both allow.
+
+    Args:
+        course: poses by motions and pairs within stops; None: there are no motions.
+    """
+    if course is None:
         return []
-    solution = solve_views(root, [*within, *motions])
-    return [link for link in links if _is_told(solution, link) and _is_elsewhere(solution, link)]
+    return [link for link in links if _is_told(course, link) and _is_elsewhere(course, link)]
 
 
 def poses_by_motions(

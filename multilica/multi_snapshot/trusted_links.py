@@ -124,8 +124,8 @@ def refine_linked(
     refused.update(dict.fromkeys(elsewhere, _ELSEWHERE))
     links = [link for link in links if link not in elsewhere]
     left = [link for link in links if link.registration.information is not None]
-    agreeing = agreeing_motions(root, within, motions)
-    refused.update(dict.fromkeys(links_off_course(root, within, left, agreeing), _OFF_COURSE))
+    agreeing, course = agreeing_motions(root, within, motions)
+    refused.update(dict.fromkeys(links_off_course(course, left), _OFF_COURSE))
     left = [link for link in left if link not in refused]
     if looks_alike or _are_far_apart(within, left):
         refused.update(dict.fromkeys(left, _ALIKE))
