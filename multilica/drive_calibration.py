@@ -1,26 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration of a rig from several stops of one drive."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
+from typing import Literal
 
 from threadpoolctl import threadpool_limits
 
 from multilica import events
 from multilica.config import CalibrationConfig
-from multilica.errors import UnfitSnapshotError
+from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
-from multilica.orchestration.stop_views import DriveStop, contradiction_at, levels_of
+from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
-from multilica.results import CalibrationResult
-from multilica.snapshot import Snapshot
+from multilica.results import CalibrationResult, TimeLimit, ViewPair
+from multilica.snapshot import ReadMotions, Snapshot
 from multilica.workers import Workers
+
+CalibrateAlone = Callable[[dict[str, PreparedLidar] | None, EarlierStops], SnapshotRun]
+"""Calibrates one stop; called with a dictionary to keep its prepared LiDARs in, or None, and the earlier stops."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DriveCalibration:
+    """A joint result, the stops between which links were sought, and the links that were found."""
+
+    result: CalibrationResult
+    stops: tuple[DriveStop, ...]
+    links: tuple[ViewPair, ...]
+
+
+def wanted_stops(config: CalibrationConfig) -> int | Literal["auto"]:
+    """Return `drive.stops`, or 1 in place of "auto" if no joint result is possible with this configuration."""
+    if config.drive.stops == "auto":
+        try:
+            require_joinable(config)
+        except UsageError:
+            return 1
+    return config.drive.stops
 
 
 def calibrate_stops(
@@ -32,8 +58,9 @@ def calibrate_stops(
 ) -> CalibrationResult:
     """Find the pose of every LiDAR from several stops of one vehicle.
 
-    Each stop is calibrated alone. Then views of different stops are registered, so that a LiDAR may be placed by what
-    another one saw of the same place at another stop. All stops count in one estimate at the end.
+    Each stop is calibrated, from the poses of earlier ones where they hold. Then views of different stops are
+    registered, so that a LiDAR may be placed by what another one saw of the same place at another stop. All stops count
+    in one estimate at the end.
 
     Args:
         snapshots: with the same LiDARs; those of different places are joined without links.
@@ -45,22 +72,64 @@ def calibrate_stops(
     if workers is None:
         with open_calibration_workers(config) as opened:
             return calibrate_stops(snapshots, config, observe, opened, deadline_s)
+    alone = {
+        f"stop {number}": partial(calibrate_alone, f"stop {number}", snapshot, config, observe, workers, deadline_s)
+        for number, snapshot in enumerate(snapshots, start=1)
+    }
+    ways = {f"stop {number}": snapshot.read_motions for number, snapshot in enumerate(snapshots, start=1)}
+    return calibrate_jointly(alone, config, workers, deadline_s, ways).result
+
+
+def calibrate_jointly(
+    alone: Mapping[str, CalibrateAlone],
+    config: CalibrationConfig,
+    workers: Workers,
+    deadline_s: float,
+    ways: Mapping[str, ReadMotions] = MappingProxyType({}),
+) -> DriveCalibration:
+    """Calibrate each stop, register views of different stops, and join all of it.
+
+    Args:
+        alone: by the name of the stop, in the order of the drive.
+        ways: by the name of the stop, to read the motions since the one before; read only if a pose is open.
+    """
+
+    def read_motions() -> tuple[ViewPair, ...]:
+        legs = [(run.name, ways[run.name]() if run.name in ways else ()) for run in runs]
+        return motion_pairs(legs, {stop.name for stop in stops})
+
     runs: list[SnapshotRun] = []
     stops: list[DriveStop] = []
-    for number, snapshot in enumerate(snapshots):
-        name = f"stop {number + 1}"
-        prepared: dict[str, PreparedLidar] = {}
-        own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
-        try:
-            result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared)
-        except UnfitSnapshotError as refusal:
-            runs.append(SnapshotRun(name, None, snapshot.source, refusal=str(refusal)))
-            continue
-        runs.append(SnapshotRun(name, result, snapshot.source, snapshot.source_sha256))
-        stops.append(DriveStop(name, prepared, result.trusted))
+    for name, calibrate_stop in alone.items():
+        prepared: dict[str, PreparedLidar] | None = {} if len(stops) < MAX_LINKED_STOPS else None
+        earlier = EarlierStops.of([run.result for run in runs if run.result is not None])
+        runs.append(calibrate_stop(prepared, earlier))
+        if prepared and (own := runs[-1].result) is not None:
+            stops.append(DriveStop(name, prepared, own.trusted))
     with threadpool_limits(1):
-        names = {stop.name for stop in stops[:MAX_LINKED_STOPS]}
-        on_way = motion_pairs([(run.name, each.motions) for run, each in zip(runs, snapshots, strict=True)], names)
-        levels = levels_of(stops, config) if on_way else {}
-        links = search_links(stops, config, workers, deadline_s, on_way)
-        return join(runs, config, links, partial(contradiction_at, stops, config), on_way, levels)
+        found = search_links(stops, config, workers, deadline_s, read_motions)
+        against = partial(contradiction_at, stops, config)
+        result = join(runs, config, found.links, against, found.motions, found.levels)
+    if found.not_reached:
+        limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
+        result = replace(result, time_limit=replace(limit, unlinked_stops=found.not_reached))
+    return DriveCalibration(result, tuple(stops), found.links)
+
+
+def calibrate_alone(
+    name: str,
+    snapshot: Snapshot,
+    config: CalibrationConfig,
+    observe: Observer,
+    workers: Workers,
+    deadline_s: float,
+    prepared: dict[str, PreparedLidar] | None,
+    earlier: EarlierStops,
+) -> SnapshotRun:
+    """Calibrate one stop, from the poses that earlier ones found; a refused one is only a run."""
+    own = config if config.target in snapshot.names else config.model_copy(update={"target": ""})
+    try:
+        result = calibrate(snapshot, own, observe, None, workers, None, deadline_s, prepared, earlier)
+    except UnfitSnapshotError as refusal:
+        return SnapshotRun(name, None, snapshot.source, refusal=str(refusal))
+    return SnapshotRun(name, result, snapshot.source, snapshot.source_sha256)

@@ -3,6 +3,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Literal
 
 from multilica import results
 from multilica.config import CalibrationConfig, Stage
@@ -202,6 +203,15 @@ class SnapshotStarted:
 
 
 @dataclass(frozen=True, slots=True)
+class StopsProgressed:
+    """So many of the samples in which the stops of a log are sought, or of the stops to read, are done."""
+
+    doing: Literal["find stops", "read stops"]
+    done: int
+    total: int
+
+
+@dataclass(frozen=True, slots=True)
 class InputNoted:
     """A sentence about the recording or the prior that the user should know."""
 
@@ -216,7 +226,7 @@ class SnapshotRefused:
     reason: str
 
 
-RunEvent = Event | SnapshotStarted | InputNoted | SnapshotRefused
+RunEvent = Event | SnapshotStarted | StopsProgressed | InputNoted | SnapshotRefused
 """Reports of `run_calibration`: the events of each calibration, and those of reading its input."""
 RunObserver = Callable[[RunEvent], None]
 

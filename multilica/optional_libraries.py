@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Libraries that are imported when they are used: what each is for, and the command that installs it."""
 
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import NoReturn
@@ -85,6 +86,33 @@ def is_found(module: str) -> bool:
         return find_spec(module) is not None
     except (ModuleNotFoundError, ValueError):  # no parent package, or a module without a spec
         return False
+
+
+class _RefusingPandas:
+    """A finder of modules that finds no pandas, wherever it may be."""
+
+    @staticmethod
+    def find_spec(name: str, *_: object) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError(name=name)
+
+
+def leave_out_pandas() -> None:
+    """Have pyarrow take pandas for missing in this process; it would import it with the first text of a recording.
+
+    That takes longer than the recording. Only for processes of multilica: in others, conversions to pandas may be
+    wanted. Nothing else is affected.
+    """
+    if "pandas" in sys.modules:
+        return
+    with suppress(ImportError):  # told by what needs pyarrow
+        import pyarrow as pa
+
+        sys.meta_path.insert(0, _RefusingPandas)
+        try:
+            pa.array([""])
+        finally:
+            sys.meta_path.remove(_RefusingPandas)
 
 
 @contextmanager

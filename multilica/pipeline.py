@@ -13,6 +13,7 @@ from multilica.errors import UnfitSnapshotError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.orchestration import clouds, open_calibration_workers
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.pairs import PAIR_STAGES, PreparedLidar
 from multilica.orchestration.rig import compare_surfaces, fit_ground, merge_pairs, refine_rig, refused, result_of
 from multilica.orchestration.search import search_pairs
@@ -45,6 +46,7 @@ def calibrate(
     rig: Extrinsics | None = None,
     deadline_s: float | None = None,
     prepared: dict[str, PreparedLidar] | None = None,
+    earlier: EarlierStops | None = None,
 ) -> CalibrationResult:
     """Find the pose of every LiDAR of the snapshot relative to the target LiDAR, like `multilica.calibrate`.
 
@@ -54,6 +56,7 @@ def calibrate(
         rig: has the target in the base frame, by name or frame id.
         deadline_s: on `time.monotonic`, after which no pair is searched; by default `runtime.max_time_s` from now.
         prepared: receives the prepared LiDARs, for links to other stops.
+        earlier: stops of the same drive, whose poses are tested before anything is searched.
 
     Raises:
         UnfitSnapshotError: fewer than two LiDARs have returns in range, the target has none, or the vehicle moves.
@@ -71,7 +74,9 @@ def calibrate(
     if rig is not None:
         require_usable_rig(rig, snapshot, config)
     deadline_s = deadline_of(config) if deadline_s is None else deadline_s
-    state = CalibrationState(snapshot, config, observe, prior, rig=rig, deadline_s=deadline_s)
+    state = CalibrationState(
+        snapshot, config, observe, prior, rig=rig, earlier=earlier or EarlierStops(), deadline_s=deadline_s
+    )
     observe(events.CalibrationStarted(snapshot, config, prior))
     if workers is not None:
         workers.forget()

@@ -8,38 +8,39 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-
-from threadpoolctl import threadpool_limits
+from typing import Literal
 
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
+from multilica.drive_calibration import calibrate_jointly, wanted_stops
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
 from multilica.ingest import (
+    Stop,
     TakenSnapshot,
     find_snapshots,
     listen,
     live_address,
-    read_drive,
+    read_log,
     read_prior,
     read_snapshot,
     require_calibratable,
     require_lidar,
+    stops_of_log,
 )
 from multilica.ingest.locate import PathLike, locate, names_of, without_folders
 from multilica.ingest.metadata import config_for
+from multilica.ingest.recording import ProgressObserver
 from multilica.ingest.remote.address import local_output, stem_of
 from multilica.ingest.remote.remote_file import SourceFile
-from multilica.multi_snapshot import SnapshotRun, join, replay, require_joinable, shown_snapshot
+from multilica.multi_snapshot import SnapshotRun, replay, require_joinable, shown_snapshot
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.clouds import require_libraries
-from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
-from multilica.orchestration.stop_views import DriveStop, contradiction_at, levels_of
 from multilica.pipeline import calibrate
-from multilica.registration.motions import motion_pairs
 from multilica.results import CalibrationResult
 from multilica.sinks.aside import pass_aside
 from multilica.sinks.run_directory import open_run
@@ -109,6 +110,7 @@ def run_calibration(
     *,
     prior: str | Extrinsics | None = None,
     rig: Extrinsics | None = None,
+    stops: Sequence[Stop] | None = None,
     mcap_encoding: str = "foxglove",
     observe: RunObserver = events.ignore,
     workers: Workers | None = None,
@@ -117,7 +119,7 @@ def run_calibration(
 
     Several recordings with the same LiDARs are several snapshots of one rig: each is calibrated into a directory of its
     own below `out`, then all of them jointly into `out`, with links between those that saw the same. So are the stops
-    of one log, if `drive.stops` asks for several. Every file is written under a temporary name and renamed when it is
+    of one log, as many as `drive.stops` asks for. Every file is written under a temporary name and renamed when it is
     complete. An exception that ends the run carries a note on the files that are left in the directory.
 
     Args:
@@ -126,6 +128,7 @@ def run_calibration(
         config: None: the default preset, with all frames of what `multilica record` took.
         prior: poses to test in addition, as for `read_prior`.
         rig: as for `calibrate`.
+        stops: of the log, as `stops_of_log` found them; None: those that `drive.stops` asks for.
         mcap_encoding: of `result.mcap`: ``foxglove`` or ``ros2``.
         observe: called with each event as it happens; not with those of the joint result.
         workers: an open pool, as for `calibrate`.
@@ -146,9 +149,9 @@ def run_calibration(
     config = config or CalibrationConfig(ingest=config_for(files))
     require_libraries(config)
     deadline_s = deadline_of(config)
-    if address and config.drive.stops != 1:
+    if address and config.drive.stops not in (1, "auto"):
         raise UsageError(f"Found drive.stops={config.drive.stops} and a running vehicle; only a log has stops.")
-    found = [_Given("", "", (), address=address)] if address else _find(files, config)
+    found = [_Given("", "", (), address=address)] if address else _find(files, config, observe, stops)
     with nullcontext(workers) if workers else open_calibration_workers(config) as pool:
         request = _Request(config, prior, rig, mcap_encoding, observe, pool, deadline_s)
         if len(found) > 1:
@@ -160,8 +163,10 @@ def run_calibration(
         return replace(run, silent=taken.silent)
 
 
-def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
-    """Find the snapshots of recordings, and the stops of a log if the configuration asks for several."""
+def _find(
+    files: Sequence[PathLike], config: CalibrationConfig, observe: RunObserver, stops: Sequence[Stop] | None
+) -> list[_Given]:
+    """Find the snapshots of recordings, or read the stops of a log, if it is to give several."""
     found = find_snapshots(files, config=config.ingest)
     if len(found) > 1:
         if config.target:
@@ -169,9 +174,16 @@ def _find(files: Sequence[PathLike], config: CalibrationConfig) -> list[_Given]:
         names = names_of([source.paths[0] for source in found])
         return [_Given(source.name, name, source.paths) for source, name in zip(found, names, strict=True)]
     (only,) = found
-    if config.drive.stops == 1:
+    wanted = wanted_stops(config)
+
+    def told(doing: Literal["find stops", "read stops"]) -> ProgressObserver:
+        return lambda done, total: observe(events.StopsProgressed(doing, done, total))
+
+    if stops is None:
+        stops = stops_of_log(only.paths, wanted, config=config.ingest, observe=told("find stops"))
+    if not stops:
         return [_Given(only.name, only.name, only.paths)]
-    snapshots = read_drive(files, config.drive.stops, config=config.ingest)
+    snapshots = read_log(stops, wanted, config=config.ingest, observe=told("read stops"))
     lidars = {name for snapshot in snapshots for name in snapshot.names}
     if config.target and config.target not in lidars:
         raise UnknownNameError("LiDAR", config.target, lidars, only.name)
@@ -212,7 +224,11 @@ def _read(given: _Given, config: CalibrationConfig, observe: RunObserver) -> Tak
 
 
 def _run_one(
-    snapshot: Snapshot, directory: Path, request: _Request, prepared: dict[str, PreparedLidar] | None = None
+    snapshot: Snapshot,
+    directory: Path,
+    request: _Request,
+    prepared: dict[str, PreparedLidar] | None = None,
+    earlier: EarlierStops | None = None,
 ) -> CalibrationRun:
     prior: Extrinsics | None = None
     if request.prior is not None:
@@ -229,7 +245,15 @@ def _run_one(
         beside(_told_when_written(run, request.observe)) as observe,
     ):
         result = calibrate(
-            snapshot, request.config, observe, prior, request.workers, request.rig, request.deadline_s, prepared
+            snapshot,
+            request.config,
+            observe,
+            prior,
+            request.workers,
+            request.rig,
+            request.deadline_s,
+            prepared,
+            earlier,
         )
     return CalibrationRun(result, request.config, directory, run.written)
 
@@ -259,27 +283,21 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
     require_joinable(config)
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
-        alone: list[SnapshotRun] = []
-        stops: list[DriveStop] = []
-        for given in found:
-            prepared: dict[str, PreparedLidar] | None = {} if len(stops) < MAX_LINKED_STOPS else None
-            alone.append(_run_alone(given, run.place / given.name, request, prepared))
-            if prepared and (own := alone[-1].result) is not None:
-                stops.append(DriveStop(given.name, prepared, own.trusted))
-        with threadpool_limits(1):
-            ways = [(given.name, given.snapshot.motions if given.snapshot else ()) for given in found]
-            motions = motion_pairs(ways, {stop.name for stop in stops})
-            levels = levels_of(stops, config) if motions else {}
-            links = search_links(stops, config, request.workers, request.deadline_s, motions)
-            result = join(alone, config, links, partial(contradiction_at, stops, config), motions, levels)
-        shown = next(given for given in found if given.name == shown_snapshot(result))
-        result = replay(shown.read(config).snapshot, result, config, run, request.rig, stops)
+        alone = {given.name: partial(_run_alone, given, run.place / given.name, request) for given in found}
+        ways = {given.name: given.snapshot.read_motions for given in found if given.snapshot is not None}
+        joint = calibrate_jointly(alone, config, request.workers, request.deadline_s, ways)
+        shown = next(given for given in found if given.name == shown_snapshot(joint.result))
+        result = replay(shown.read(config).snapshot, joint.result, config, run, request.rig, joint.stops)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())
     return CalibrationRun(result, config, directory, run.written + directories)
 
 
 def _run_alone(
-    given: _Given, directory: Path, request: _Request, prepared: dict[str, PreparedLidar] | None
+    given: _Given,
+    directory: Path,
+    request: _Request,
+    prepared: dict[str, PreparedLidar] | None,
+    earlier: EarlierStops,
 ) -> SnapshotRun:
     """Calibrate one of several snapshots; the others can do without one that is refused."""
     request.observe(events.SnapshotStarted(given.name))
@@ -291,7 +309,7 @@ def _run_alone(
             ground = config.ground.model_copy(update={"enabled": False})
             config = config.model_copy(update={"target": "", "ground": ground})
             request = replace(request, rig=None)
-        result = _run_one(snapshot, directory, replace(request, config=config), prepared).result
+        result = _run_one(snapshot, directory, replace(request, config=config), prepared, earlier).result
     except UnfitSnapshotError as refusal:
         request.observe(events.SnapshotRefused(given.name, str(refusal)))
         (told,) = without_folders([str(refusal)], given.paths)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans of a rig that stands still."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -118,6 +119,10 @@ class LidarMotion:
     frames: int
 
 
+ReadMotions = Callable[[], tuple[LidarMotion, ...]]
+"""Reads the motions of LiDARs from one stop to the next, as far as frames on the way show them."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
     """A rig's LiDARs over one stationary window.
@@ -129,7 +134,7 @@ class Snapshot:
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
         notes: findings of the reader that the user should know ("12 of 20 scans, then the file ends").
         reading_s: duration of reading in seconds; 0 if the snapshot was made in memory.
-        motions: of LiDARs since the previous stop of a drive, as far as frames on the way show them.
+        read_motions: of the LiDARs since the previous stop of a drive.
     """
 
     lidars: tuple[LidarScans, ...]
@@ -138,7 +143,7 @@ class Snapshot:
     static_transforms: tuple[RigidTransform, ...] = ()
     notes: tuple[str, ...] = ()
     reading_s: float = 0.0
-    motions: tuple[LidarMotion, ...] = ()
+    read_motions: ReadMotions = tuple
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lidars", tuple(sorted(self.lidars, key=lambda lidar: lidar.name)))

@@ -2,14 +2,15 @@
 """A calibration of what a recording or a snapshot holds, without files."""
 
 from collections.abc import Sequence
+from typing import Literal
 
 from multilica import events, pipeline
 from multilica.config import CalibrationConfig
-from multilica.drive_calibration import calibrate_stops
+from multilica.drive_calibration import calibrate_stops, wanted_stops
 from multilica.errors import UsageError
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
-from multilica.ingest import read_drive, read_snapshot, require_calibratable
+from multilica.ingest import read_drive, require_calibratable
 from multilica.ingest.locate import PathLike
 from multilica.orchestration.state import deadline_of
 from multilica.results import CalibrationResult
@@ -24,6 +25,7 @@ def calibrate(
     prior: Extrinsics | None = None,
     workers: Workers | None = None,
     rig: Extrinsics | None = None,
+    stops: int | Literal["auto"] | None = None,
 ) -> CalibrationResult:
     """Find the pose of every LiDAR of a snapshot or a recording relative to the target LiDAR.
 
@@ -31,12 +33,13 @@ def calibrate(
 
     Args:
         source: a snapshot with at least two LiDARs, several of one vehicle at different stops, or a source as for
-            `read_snapshot`; of a log, the stops that `drive.stops` asks for.
+            `read_snapshot`.
         config: the default preset if None.
         observe: called with each event of `multilica.events` as it happens.
         prior: known poses in metres and radians, by the LiDARs' names; tested like other hypotheses.
         rig: contains the target in the base frame `config.ground.frame`, for x, y and yaw of that frame.
         workers: an open pool, to start it once for several calibrations; None: a pool of its own.
+        stops: standstills of a log to use, in place of `drive.stops`; with a prior or a rig, "auto" uses one.
 
     Returns:
         A pose `T_target_source` or a reason per LiDAR; a LiDAR that cannot be placed is a normal outcome.
@@ -47,13 +50,17 @@ def calibrate(
         MissingDependencyError: the source or the configuration needs a library that is not installed.
         WorkerDiedError: a worker process was killed or crashed.
     """
-    deadline_s = deadline_of(config or CalibrationConfig())
+    ingest = None if config is None else config.ingest
+    config = config or CalibrationConfig()
+    if stops is not None:
+        config = config.model_copy(update={"drive": config.drive.model_copy(update={"stops": stops})})
+    deadline_s = deadline_of(config)
     snapshots = _as_snapshots(source)
     is_read = not snapshots
-    if is_read and config is not None and config.drive.stops != 1:
-        snapshots = [*read_drive(source, config.drive.stops, config=config.ingest)]  # type: ignore[arg-type]
-    elif is_read:
-        snapshots = [read_snapshot(source, config=config.ingest if config else None)]  # type: ignore[arg-type]
+    if is_read:
+        wanted = wanted_stops(config)
+        alone = wanted == "auto" and (prior is not None or rig is not None)
+        snapshots = [*read_drive(source, 1 if alone else wanted, config=ingest)]  # type: ignore[arg-type]
     if len(snapshots) > 1:
         if prior is not None or rig is not None:
             raise UsageError(f"A prior or a rig is for one snapshot, and {len(snapshots)} were given; leave it out.")

@@ -96,6 +96,15 @@ MaxTime = Annotated[
     float | None,
     option("--max-time S", "Start no pair of LiDARs later than this, then finish with the pairs found."),
 ]
+Stops = Annotated[
+    str | None,
+    option(
+        "--stops auto|N",
+        "Standstills of a log to use, each as a snapshot; auto: up to four that differ in place and see much. "
+        "It is 1 if --start, --window or --duration choose the frames.",
+        "auto",
+    ),
+]
 WithinM = Annotated[float, option("--within-m M", "Largest position error of a success.")]
 WithinDeg = Annotated[float, option("--within-deg DEG", "Largest rotation error of a success.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
@@ -202,6 +211,11 @@ def sigma_limits(text: str | None) -> dict[str, object]:
             "for example --max-sigma 50,0.5."
         )
     return {"acceptance.max_sigma_m": millimetres / 1000.0, "acceptance.max_sigma_deg": degrees}
+
+
+def stops_value(text: str | None) -> int | str | None:
+    """Return the value of `--stops auto|N`, as `Parameters.resolve` takes it."""
+    return int(text) if text is not None and text.isdecimal() else text
 
 
 def topic_names(texts: Sequence[str]) -> dict[str, str] | None:

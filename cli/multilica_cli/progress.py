@@ -53,6 +53,8 @@ def _print_event(event: events.RunEvent, console: Console) -> None:
             console.print(f"{stage:<10} {elapsed_s:7.2f} s")
         case events.SnapshotStarted(name):
             console.print(f"snapshot {name}")
+        case events.StopsProgressed("read stops" as doing, done, total) if done == total:
+            console.print(f"{doing}: {total}")
         case events.InputNoted(note):
             console.print(f"note: {note}")
         case events.SnapshotRefused(_, reason):
@@ -88,6 +90,10 @@ class _StageBars:
             case events.SnapshotStarted():
                 self.stop()
                 _print_event(event, self._console)
+            case events.StopsProgressed(doing, done, total):
+                if doing not in self._tasks:
+                    self._tasks[doing] = self._started().add_task(f"{doing:<10}", total=total)
+                self._started().update(self._tasks[doing], total=total, completed=done)
             case events.InputNoted() | events.SnapshotRefused():
                 _print_event(event, self._console)
             case events.CalibrationStarted() | events.CalibrationFinished():

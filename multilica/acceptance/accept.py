@@ -9,6 +9,7 @@ import numpy as np
 from multilica.acceptance.placement import imprecision
 from multilica.config import AcceptanceConfig, MergeConfig
 from multilica.geometry import FloatArray, largest_index
+from multilica.registration.poses import is_distinct
 from multilica.results import PairRegistration, Reason, Registration, Stability, Verdict, VisibilityScore
 from multilica.results.hypotheses import REPEATED
 from multilica.results.visibility_score import DISTANCE_WEIGHT, DISTINCTIVE_WEIGHT, HIDDEN_WEIGHT
@@ -18,6 +19,8 @@ _SLID_RAD = float(np.deg2rad(5.0))
 _SLID_SHARE = 0.9
 # The fine registration changes the evidence of a rough one by less.
 _ROUGH_MARGIN = 2.0
+# The fine registration does not bring poses together that are farther apart, in metres or radians.
+_ELSEWHERE = (1.0, float(np.deg2rad(10.0)))
 # Figures of usual true poses, with which those of a refused pose are compared to name its weakness.
 _USUAL_DISTINCTIVE = 400.0
 _USUAL_SHARE = 0.85
@@ -60,6 +63,18 @@ def is_well_constrained(score: VisibilityScore, config: AcceptanceConfig) -> boo
 def cannot_be_accepted(evidence: float, config: AcceptanceConfig) -> bool:
     """Return whether a roughly registered pose has too little evidence to be accepted after the fine registration."""
     return evidence < config.min_evidence - _ROUGH_MARGIN
+
+
+def may_be_accepted(roughly: Sequence[Registration], config: AcceptanceConfig) -> bool:
+    """Return whether the first of a pair's roughly registered poses may be accepted after the fine registration.
+
+    Poses near each other may still end at one.
+    """
+    if not roughly or cannot_be_accepted(roughly[0].evidence, config):
+        return False
+    best, *others = roughly
+    elsewhere = [each for each in others if is_distinct(each.T_target_source, [best.T_target_source], *_ELSEWHERE)]
+    return all(best.lead_over(other) >= config.min_log_odds_margin - 2.0 * _ROUGH_MARGIN for other in elsewhere)
 
 
 def min_competing_evidence(best_evidence: float, config: AcceptanceConfig) -> float:

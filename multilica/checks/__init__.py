@@ -12,6 +12,7 @@ from multilica.checks.comparison import (
     verify_snapshot,
 )
 from multilica.checks.reference import accept_run, poses_of, read_reference, require_reference
+from multilica.checks.stops import settle_stops, verify_stops
 from multilica.checks.tolerances import RigTolerances, Tolerance, read_tolerances
 
 __all__ = [
@@ -29,5 +30,7 @@ __all__ = [
     "read_tolerances",
     "relative_covariance",
     "require_reference",
+    "settle_stops",
     "verify_snapshot",
+    "verify_stops",
 ]

@@ -112,6 +112,12 @@ class CheckDocument(Entry):
     reference: str
     rigs: tuple[RigCheck, ...]
 
+    @property
+    def sentence(self) -> str:
+        """The outcome of all, for people."""
+        told = [f"{rig.name}: {rig.sentence}" for rig in self.rigs if rig.verdict == self.verdict]
+        return "All LiDARs agree with the reference." if self.verdict == "within" else " ".join(told)
+
 
 def check_document(rigs: Sequence[RigCheck], reference: str) -> CheckDocument:
     """Return the document of several checks."""

@@ -270,7 +270,9 @@ class DriveConfig(Section):
     """Stops of one drive, which what the LiDARs see at several of them links."""
 
     stops: Stops = Field(
-        1, description="standstills of a log that are used; auto: up to four that differ in place and see much"
+        "auto",
+        description="standstills of a log that are used; auto: up to four that differ in place and see much, "
+        "or the frames that ingest chooses if it sets start_s, start_at, window or window_s",
     )
     max_distance_m: Metres = Field(
         40.0, description="largest distance between LiDARs at two stops that are linked; 0: no links are sought"

@@ -17,8 +17,9 @@ _SENSOR_FAULTS = ("dead_sensor", "no_returns_in_range")
 
 def explained_by_stop(document: ResultDocument, missing: Missing) -> Missing:
     """Add which stops see the LiDAR linked with others, and what helps; unchanged where no drive was calibrated."""
-    is_drive = bool(document.links) or (bool(document.snapshots) and document.config.drive.stops != 1)
-    if not is_drive or missing.cause in _SENSOR_FAULTS:
+    sources = {each.sha256 for each in document.snapshots}
+    of_one_log = document.config.drive.stops != 1 and len(sources) == 1 and "" not in sources
+    if not (document.links or of_one_log) or missing.cause in _SENSOR_FAULTS:
         return missing
     own = [link for link in document.links if missing.lidar in (link.target, link.source)]
     turn_deg = _largest_turn_deg(document.stops)

@@ -246,7 +246,7 @@ def _missing(document: ResultDocument, name: str) -> Missing:
     codes = () if decisive is None else decisive.codes
     fault, next_best = _sensor_fault(document, name), next_best_sentence(pairs)
     limit = document.time_limit
-    out_of_time = limit is not None and any(name in pair for pair in limit.not_reached)
+    out_of_time = limit is not None and (bool(limit.unlinked_stops) or any(name in pair for pair in limit.not_reached))
     if document.snapshots and not codes:
         # The pairs are those of one snapshot, so an accepted one decides nothing.
         disputed = any(snapshot.disputed for snapshot in document.snapshots)
@@ -320,6 +320,8 @@ def _time_warnings(document: ResultDocument) -> Iterator[str]:
             f"the time limit (--max-time {document.time_limit.max_time_s:g} s) ended the search. Pairs that "
             f"were not reached: {not_reached}. Another run on the same input may reach more or fewer."
         )
+        if unlinked := ", ".join(f"{one} - {other}" for one, other in document.time_limit.unlinked_stops):
+            yield f"there was no time for further links between stops: {unlinked}."
 
 
 def _ground_warnings(document: ResultDocument) -> Iterator[str]:

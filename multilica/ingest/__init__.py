@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Readers of recordings of every format as snapshots."""
 
+from multilica.ingest.drive_reader import read_drive, read_log, stops_of_log
+from multilica.ingest.drive_recorder import StopAdvice, take_stops
 from multilica.ingest.metadata import frames_recorded
 from multilica.ingest.snapshot_reader import (
     TakenSnapshot,
@@ -11,7 +13,7 @@ from multilica.ingest.snapshot_reader import (
     take_snapshot,
 )
 from multilica.ingest.snapshot_sources import SnapshotSource, find_snapshots, require_lidar
-from multilica.ingest.stops import Stop, find_stops, read_drive, read_stops
+from multilica.ingest.stops import Stop, find_stops, read_stops
 from multilica.ingest.summary import SourceSummary, inspect_source
 from multilica.ingest.transforms import read_prior
 
@@ -19,6 +21,7 @@ __all__ = [
     "SnapshotSource",
     "SourceSummary",
     "Stop",
+    "StopAdvice",
     "TakenSnapshot",
     "find_snapshots",
     "find_stops",
@@ -27,10 +30,13 @@ __all__ = [
     "listen",
     "live_address",
     "read_drive",
+    "read_log",
     "read_prior",
     "read_snapshot",
     "read_stops",
     "require_calibratable",
     "require_lidar",
+    "stops_of_log",
     "take_snapshot",
+    "take_stops",
 ]

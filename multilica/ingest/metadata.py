@@ -16,7 +16,7 @@ from multilica.ingest.containers.mcap_file import mcap_metadata
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.opening import open_source
-from multilica.ingest.recording import DamagedRecordingError, Recording, sanitize_text
+from multilica.ingest.recording import DamagedRecordingError, Recording, Span, sanitize_text
 from multilica.ingest.remote.address import is_live
 from multilica.ingest.remote.remote_file import ConnectionLostError, SourceFile
 from multilica.pointcloud2 import SNAPSHOT_METADATA_NAME
@@ -44,6 +44,17 @@ def frames_recorded(sources: Sequence[PathLike]) -> int | None:
         return None
     counts = [_frames(_snapshot_metadata(locate(source))) for source in sources]
     return max(counts) if counts and all(counts) else None
+
+
+def stops_recorded(sources: Sequence[SourceFile]) -> tuple[Span, ...]:
+    """Return the log times of the stops that `multilica record` saved in a file, oldest first; none for others."""
+    if len(sources) != 1:
+        return ()
+    try:
+        spans = parse_json(_snapshot_metadata(sources[0]).get("stops", "[]"))
+        return tuple(sorted((int(first_ns), int(last_ns)) for first_ns, last_ns in spans if first_ns <= last_ns))
+    except (DocumentError, TypeError, ValueError):
+        return ()
 
 
 def with_recorded_notes(snapshot: Snapshot, recording: Recording, files: Sequence[SourceFile]) -> Snapshot:

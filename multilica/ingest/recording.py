@@ -14,6 +14,8 @@ from multilica.errors import MultilicaError, UnreadableSourceError, escape_contr
 
 Span = tuple[int, int]
 """Log times of the first and the last message, in nanoseconds."""
+ProgressObserver = Callable[[int, int], None]
+"""Called with how many parts of a long read are done, and of how many."""
 MessageObserver = Callable[[str, int], None]
 """Called with a topic of a running vehicle and the number of its messages so far."""
 

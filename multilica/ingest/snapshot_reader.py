@@ -22,8 +22,9 @@ from multilica.ingest.memory import limited_memory
 from multilica.ingest.metadata import config_for, with_recorded_notes
 from multilica.ingest.opening import open_source
 from multilica.ingest.plausibility import plausibility_notes
-from multilica.ingest.recording import MessageObserver, sanitize_text
+from multilica.ingest.recording import MessageObserver, ProgressObserver, sanitize_text
 from multilica.ingest.remote.address import is_live, require_valid, without_secrets
+from multilica.ingest.selection.standstill import untold
 from multilica.ingest.selection.time_range import TimeRange
 from multilica.ingest.selection.window import Window, choose_topics, collect_frames, require_frames, unread_notes
 from multilica.ingest.transforms import StaticTransforms, read_static_transforms
@@ -108,11 +109,15 @@ def read_snapshot(source: PathLike | Sequence[PathLike], *, config: IngestConfig
 
 
 def read_ranges(
-    sources: Sequence[PathLike], ranges: Sequence[TimeRange | None], *, config: IngestConfig | None = None
+    sources: Sequence[PathLike],
+    ranges: Sequence[TimeRange | None],
+    *,
+    config: IngestConfig | None = None,
+    observe: ProgressObserver = untold,
 ) -> tuple[Snapshot, ...]:
     """Read a snapshot of each time range of one recording, None for the configured one; arguments as `read_snapshot`.
 
-    The limit of memory is that of all together.
+    The limit of memory is that of all together. `observe` is called with each range.
     """
     start_s = time.perf_counter()
     paths = [locate(each) for each in sources]
@@ -135,6 +140,7 @@ def read_ranges(
             end_s = time.perf_counter()
             name = sanitize_text(listed_names(paths))
             snapshots.append(replace(noted, source=name, notes=notes, reading_s=end_s - start_s))
+            observe(len(snapshots), len(ranges))
             start_s = end_s
     return tuple(snapshots)
 

@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from statistics import median
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from multilica.geometry import LEVER_ARM_M, lengths
 from multilica.ingest.locate import PathLike, find_source, locate
 from multilica.ingest.memory import limited_memory
 from multilica.ingest.message_types import decode_cloud, is_cloud
-from multilica.ingest.metadata import config_for
+from multilica.ingest.metadata import config_for, stops_recorded
 from multilica.ingest.opening import open_source
-from multilica.ingest.recording import DamagedRecordingError, Recording, Span
+from multilica.ingest.recording import DamagedRecordingError, ProgressObserver, Recording, Span
 from multilica.ingest.remote.remote_file import SourceFile
 from multilica.ingest.selection.sampling import sampled
 from multilica.ingest.selection.standstill import (
@@ -28,11 +28,11 @@ from multilica.ingest.selection.standstill import (
     find_standstills,
     has_single_frames,
     richest_topics,
+    untold,
 )
 from multilica.ingest.selection.time_range import TimeRange, require_standstill, start_of, still_range
 from multilica.ingest.snapshot_reader import read_ranges
 from multilica.ingest.snapshot_sources import find_snapshots
-from multilica.ingest.ways import read_motions
 from multilica.snapshot import Scan, Snapshot
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ MOST_STOPS = 4
 _NS_PER_S = 1_000_000_000
 _MOST_CANDIDATES = 16
 _MOST_TOPICS = 2
-_NEW_PLACE_M = 2.0
+NEW_PLACE_M = 2.0
 """Way, or turn as a way at the lever arm, beyond which a stop shows something new."""
 _NEW_PLACE_S = 3.0
 """Driving time beyond which a vehicle is elsewhere, where no LiDAR can tell."""
@@ -88,12 +88,19 @@ def find_stops(
         MultilicaError: as `read_snapshot` with the window "auto": the source cannot be read, or never stands still.
         UsageError: less than one stop is asked for.
     """
-    if most < 1:
-        raise UsageError(f"Found {most} stops asked for; expected one or more.")
     paths = [locate(each) for each in ([sources] if isinstance(sources, PathLike) else sources)]
     snapshots = find_snapshots(paths, config=config)
     if len(snapshots) > 1:
         return tuple(Stop(each.paths, "The source is one of several snapshots of one rig.") for each in snapshots)
+    return search_log(paths, config, most)
+
+
+def search_log(
+    paths: Sequence[SourceFile], config: IngestConfig | None, most: int, observe: ProgressObserver = untold
+) -> tuple[Stop, ...]:
+    """Find the stops of a log, as `find_stops`; `observe` is called with each sample."""
+    if most < 1:
+        raise UsageError(f"Found {most} stops asked for; expected one or more.")
     found = find_source(paths)
     config = config or config_for(found.files)
     with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
@@ -102,14 +109,23 @@ def find_stops(
             why = "It has no time." if span is None else "There is one frame per LiDAR, so no standstill to choose."
             return (Stop(tuple(paths), why),)
         start_ns = start_of(span, config, found.label)
-        standstills = find_standstills(recording, (start_ns, span[1]))
+        recorded = tuple(each for each in stops_recorded(found.files) if each[0] >= start_ns)
+        if recorded and most >= len(recorded):
+            told = "`multilica record`"
+            return tuple(_stop(tuple(paths), each, "It was recorded.", span, config, told) for each in recorded)
+        standstills = find_standstills(recording, (start_ns, span[1]), observe)
         require_standstill(standstills, found.label)
         chosen = _choose(recording, standstills, most)
     return tuple(_stop(tuple(paths), each, why, span, config, standstills.evidence) for each, why in chosen)
 
 
-def read_stops(stops: Sequence[Stop], *, config: IngestConfig | None = None) -> tuple[Snapshot, ...]:
+def read_stops(
+    stops: Sequence[Stop], *, config: IngestConfig | None = None, observe: ProgressObserver = untold
+) -> tuple[Snapshot, ...]:
     """Read the snapshot of each stop; its source tells which of several it is.
+
+    Args:
+        observe: called with each stop of a log.
 
     Raises:
         MultilicaError: as `read_snapshot`.
@@ -119,44 +135,11 @@ def read_stops(stops: Sequence[Stop], *, config: IngestConfig | None = None) -> 
         if index < len(snapshots):
             continue
         together = [each for each in stops[index:] if each.paths == stop.paths]
-        read = read_ranges(stop.paths, [each.times for each in together], config=config)
+        read = read_ranges(stop.paths, [each.times for each in together], config=config, observe=observe)
         if len(stops) > 1 and stop.times is not None:
             read = tuple(replace(each, source=f"{each.source}, stop {number + 1}") for number, each in enumerate(read))
         snapshots += read
     return tuple(snapshots)
-
-
-def read_drive(
-    sources: PathLike | Sequence[PathLike], wanted: int | Literal["auto"], *, config: IngestConfig | None = None
-) -> tuple[Snapshot, ...]:
-    """Find stops as `drive.stops` asks for them and read their snapshots, with notes on why each was chosen.
-
-    Raises:
-        MultilicaError: as `find_stops`.
-    """
-    stops = find_stops(sources, config=config, most=MOST_STOPS if wanted == "auto" else wanted)
-    snapshots = [
-        replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times is not None else snapshot
-        for snapshot, stop in zip(read_stops(stops, config=config), stops, strict=True)
-    ]
-    snapshots = _with_motions(snapshots, stops, config)
-    if wanted != "auto" and len(stops) < wanted:
-        told = f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."
-        snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
-    return tuple(snapshots)
-
-
-def _with_motions(snapshots: list[Snapshot], stops: Sequence[Stop], config: IngestConfig | None) -> list[Snapshot]:
-    """Add the motions of the LiDARs since the previous stop of the log."""
-    spans = [stop.span_ns for stop in stops if stop.span_ns is not None]
-    if len(spans) < 2 or len(spans) < len(stops):
-        return snapshots
-    found = find_source(stops[0].paths)
-    config = config or config_for(found.files)
-    lidars = {lidar.topic: lidar.name for snapshot in snapshots for lidar in snapshot.lidars}
-    with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
-        motions = read_motions(recording, lidars, spans)
-    return [replace(each, motions=own) for each, own in zip(snapshots, motions, strict=True)]
 
 
 def standstills_of(recording: Recording) -> Standstills | None:
@@ -206,7 +189,7 @@ def _choose(recording: Recording, standstills: Standstills, most: int) -> list[t
         rest.sort(key=lambda each: (-each.seen * _closeness(each, chosen), each.span))
         added = rest.pop(0)
         offsets = [_offset(each, added) for each in chosen]
-        if any(offset is not None and offset < _NEW_PLACE_M for offset in offsets):
+        if any(offset is not None and offset < NEW_PLACE_M for offset in offsets):
             continue
         known = [offset for offset in offsets if offset is not None]
         away = f"{min(known):.1f} m or more from the others" if len(known) == len(offsets) else "elsewhere"
@@ -258,20 +241,25 @@ def _gap_s(one: Span, other: Span) -> float:
 
 def _offset(one: _Candidate, other: _Candidate) -> float | None:
     """Return how far apart two standstills are in metres, turns at the lever arm; None: elsewhere."""
+    is_told, offset_m = offset_between(one.scans, other.scans)
+    if is_told or _gap_s(one.span, other.span) >= _NEW_PLACE_S:
+        return offset_m
+    return 0.0
+
+
+def offset_between(one: Mapping[str, Scan], other: Mapping[str, Scan]) -> tuple[bool, float | None]:
+    """Return whether scans of the same LiDARs tell how far apart they are, and how far; None: elsewhere, or untold."""
     from multilica.stages.stillness import detect_motion
 
     config = StillnessConfig()
     motions = [
-        detect_motion([one.scans[topic], other.scans[topic]], config)
-        for topic in sorted(one.scans.keys() & other.scans.keys())
+        detect_motion([one[name], other[name]], config, track=False) for name in sorted(one.keys() & other.keys())
     ]
     telling = [motion for motion in motions if motion.observable]
     followed = [motion for motion in telling if not motion.at_least]
     if followed and 2 * len(followed) >= len(telling):
-        return float(median(map(_size_m, followed)))
-    if telling or _gap_s(one.span, other.span) >= _NEW_PLACE_S:
-        return None
-    return 0.0
+        return True, float(median(map(_size_m, followed)))
+    return bool(telling), None
 
 
 def _size_m(motion: Motion) -> float:

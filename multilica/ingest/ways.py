@@ -6,11 +6,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
-from itertools import pairwise
 
+from multilica.config import IngestConfig
 from multilica.errors import UnreadableSourceError
+from multilica.ingest.locate import find_source
+from multilica.ingest.memory import limited_memory
 from multilica.ingest.message_types import decode_cloud
+from multilica.ingest.metadata import config_for
+from multilica.ingest.opening import open_source
 from multilica.ingest.recording import DamagedRecordingError, Recording, Span
+from multilica.ingest.remote.remote_file import SourceFile
 from multilica.snapshot import LidarMotion
 
 LONGEST_WAY_S = 60.0
@@ -21,25 +26,30 @@ _STANDING_NS = 300_000_000
 
 
 def read_motions(
-    recording: Recording, lidars: Mapping[str, str], stops: Sequence[Span]
-) -> tuple[tuple[LidarMotion, ...], ...]:
-    """Follow each LiDAR from stop to stop.
+    paths: Sequence[SourceFile],
+    lidars: Mapping[str, str],
+    before: Span,
+    after: Span,
+    *,
+    config: IngestConfig | None = None,
+) -> tuple[LidarMotion, ...]:
+    """Follow each LiDAR from one stop of a log to the next.
 
     One frame is held at a time, and none is decoded in which a LiDAR has hardly moved.
 
     Args:
         lidars: topic -> name.
-        stops: log times, in order.
+        before, after: log times of the stops.
 
     Returns:
-        Per stop, the motions since the previous one. There are none at the first stop, none after a way that takes
-        longer than `LONGEST_WAY_S`, and none of a LiDAR that lost its track.
+        None of a LiDAR that lost its track, and none at all of a way that takes longer than `LONGEST_WAY_S`.
     """
-    ways = [
-        _follow(recording, lidars, before, after) if after[0] - before[1] <= LONGEST_WAY_S * _NS_PER_S else ()
-        for before, after in pairwise(stops)
-    ]
-    return ((), *ways)
+    if after[0] - before[1] > LONGEST_WAY_S * _NS_PER_S:
+        return ()
+    found = find_source(paths)
+    config = config or config_for(found.files)
+    with limited_memory(config.max_memory_mb, found.label), closing(open_source(found)) as recording:
+        return _follow(recording, lidars, before, after)
 
 
 def _follow(recording: Recording, lidars: Mapping[str, str], before: Span, after: Span) -> tuple[LidarMotion, ...]:

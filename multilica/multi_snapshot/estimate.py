@@ -3,6 +3,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.special import chdtrc
@@ -47,6 +48,18 @@ def estimate_pairs(pairs: Sequence[PairRegistration], config: RefineConfig) -> M
     for root in sorted({name for pair in pairs for name in pair.lidars}):
         rigs.append(refine(root, _rooted_at(root, rigs) or chained(root, pairs), pairs, config))
         found |= {(root, name): estimate for name, estimate in _estimates(rigs[-1]).items() if root < name}
+    return found
+
+
+def pair_poses(pairs: Sequence[PairRegistration], config: RefineConfig) -> dict[PairKey, RigidTransform]:
+    """Return the pose of every pair of connected LiDARs, in name order, as `estimate_pairs` without covariances."""
+    found: dict[PairKey, RigidTransform] = {}
+    left = {name for pair in pairs for name in pair.lidars}
+    while left:
+        root = min(left)
+        poses = refine(root, chained(root, pairs), pairs, config).poses
+        found |= {(one, other): poses[one].inverse() @ poses[other] for one, other in combinations(sorted(poses), 2)}
+        left -= poses.keys()
     return found
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Snapshots that contradict each other on the pose of a pair."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -9,7 +9,8 @@ from itertools import combinations
 import numpy as np
 
 from multilica.config import CalibrationConfig
-from multilica.multi_snapshot.estimate import Estimate, estimate_pairs
+from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.estimate import Estimate, estimate_pairs, pair_poses
 from multilica.results import PairKey, PairRegistration, PoseConflict, connected
 
 SnapshotPairs = Mapping[str, tuple[PairRegistration, ...]]
@@ -26,6 +27,8 @@ def resolve_conflicts(
     the disputed LiDARs only through others drops all registrations connected to them.
     """
     conflicts: tuple[PoseConflict, ...] = ()
+    if not _differ(pairs, config):
+        return pairs, ()
     estimates = {name: estimate_pairs(own, config.refine) for name, own in pairs.items()}
     while found := tuple(_conflicts(estimates, config)):
         conflicts += found
@@ -50,6 +53,15 @@ def inconsistent_lidars(conflicts: Sequence[PoseConflict], target: str) -> tuple
         found.append(replace(shown, lidars=(worst, other)))
         left = [conflict for conflict in left if worst not in conflict.lidars]
     return tuple(found)
+
+
+def _differ(pairs: SnapshotPairs, config: CalibrationConfig) -> bool:
+    """Return whether any two snapshots differ by enough to contradict each other, if their covariances are small."""
+    poses: defaultdict[PairKey, list[RigidTransform]] = defaultdict(list)
+    for own in pairs.values():
+        for lidars, pose in pair_poses(own, config.refine).items():
+            poses[lidars].append(pose)
+    return any(_is_far(one, other, config) for own in poses.values() for one, other in combinations(own, 2))
 
 
 def _conflicts(
@@ -81,13 +93,17 @@ def _vote(lidars: PairKey, voters: Mapping[str, Estimate], config: CalibrationCo
 
 
 def _contradict(one: Estimate, other: Estimate, config: CalibrationConfig) -> bool:
-    distance_m, angle_rad = one.pose.distance_to(other.pose)
-    limits = config.joint
-    if distance_m <= limits.max_disagreement_m and np.rad2deg(angle_rad) <= limits.max_disagreement_deg:
+    if not _is_far(one.pose, other.pose, config):
         return False
     offset = one.pose.offset_from(other.pose)
     squared = float(offset @ np.linalg.solve(one.covariance + other.covariance, offset))
     return squared > offset.size * config.refine.outlier_sigma**2
+
+
+def _is_far(one: RigidTransform, other: RigidTransform, config: CalibrationConfig) -> bool:
+    distance_m, angle_rad = one.distance_to(other)
+    limits = config.joint
+    return bool(distance_m > limits.max_disagreement_m or np.rad2deg(angle_rad) > limits.max_disagreement_deg)
 
 
 def _without(pairs: tuple[PairRegistration, ...], conflicts: Sequence[PoseConflict]) -> tuple[PairRegistration, ...]:

@@ -2,7 +2,7 @@
 """Search for registrations between the stops of a drive."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.acceptance.view_graph import ViewGraph
@@ -16,7 +16,7 @@ from multilica.orchestration.pairs import (
     score_roughly,
     search_pair,
 )
-from multilica.orchestration.stop_views import DriveStop, prepare_views
+from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views, with_movable
 from multilica.registration.poses import is_distinct
 from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, Registration, ViewPair
 from multilica.stages.pair_choice import choose_loops, next_round
@@ -30,8 +30,26 @@ _LEAST_PRIORITY = 6.0
 # As many searches per view in a row that find nothing are enough; so are half as many the second time.
 _FAILURES_PER_VIEW = 1.0
 _RETRIES_PER_VIEW = 0.5
-# Each link needs another that confirms it; more hardly improve the poses.
-_LOOPS_PER_VIEW = 2
+# Half as many are enough, too, once the poses of all LiDARs follow and further links only confirm them.
+_FAILURES_IF_DETERMINED = 0.5
+# Each link needs another that confirms it. More improve poses that nothing but links tells.
+_LOOPS_PER_VIEW, _LOOPS_IF_DETERMINED = 2, 1
+
+
+@dataclass(frozen=True, slots=True)
+class FoundLinks:
+    """Registrations between stops, accepted or uncertain.
+
+    Args:
+        not_reached: pairs of stops whose views there was no time to search.
+        motions: that were read for it.
+        levels: poses of LiDARs over the ground.
+    """
+
+    links: tuple[ViewPair, ...] = ()
+    not_reached: tuple[tuple[str, str], ...] = ()
+    motions: Sequence[ViewPair] = ()
+    levels: Mapping[str, RigidTransform] = field(default_factory=dict)
 
 
 def search_links(
@@ -39,27 +57,28 @@ def search_links(
     config: CalibrationConfig,
     workers: Workers,
     deadline_s: float = float("inf"),
-    motions: Sequence[ViewPair] = (),
-) -> tuple[ViewPair, ...]:
+    read_motions: Callable[[], Sequence[ViewPair]] = tuple,
+) -> FoundLinks:
     """Register views of different stops, the most promising first, until they are linked or nothing promising is left.
 
     A pair whose pose follows from others is not searched: the beams test that pose, and it is registered from there.
     So most links have others that confirm them.
 
     Args:
-        motions: of LiDARs between the stops by odometry. Pairs whose pose follows from them are tested first.
+        read_motions: returns the motions of LiDARs between the stops by odometry. It is called only if pairs within
+            the stops leave the pose of a LiDAR open. Pairs whose pose follows from motions are tested first.
 
     Returns:
-        The accepted and the uncertain registrations, none of which is confirmed.
+        The accepted and the uncertain registrations, none of which is confirmed, and what there was no time for.
     """
     if config.drive.max_distance_m == 0.0 or not config.verify.enabled or len(stops) < 2:
-        return ()
-    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, motions)
+        return FoundLinks()
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, read_motions)
     try:
         search.run()
     finally:
         workers.forget()
-    return tuple(search.links.values())
+    return FoundLinks(tuple(search.links.values()), tuple(sorted(search.not_reached)), search.motions, search.levels)
 
 
 @dataclass(slots=True, eq=False)
@@ -68,9 +87,15 @@ class _LinkSearch:
     config: CalibrationConfig
     workers: Workers
     deadline_s: float
+    read_motions: Callable[[], Sequence[ViewPair]]
     motions: Sequence[ViewPair] = ()
+    levels: Mapping[str, RigidTransform] = field(default_factory=dict)
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
+    not_reached: set[tuple[str, str]] = field(default_factory=set)
+    left_out: set[PairKey] = field(default_factory=set)
+    searched: dict[PairKey, PairRegistration | None] = field(default_factory=dict)
+    loops_per_view: int = _LOOPS_PER_VIEW
 
     @property
     def views(self) -> list[DriveView]:
@@ -97,38 +122,55 @@ class _LinkSearch:
 
     def run(self) -> None:
         """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
-        self._share(movable=False)
-        self._start_from_motions()
+        self.levels = levels_of(self.stops, self.config)
+        views = prepare_views(self.stops, self.levels, self.config)
+        for view, prepared in views.items():
+            self.workers.share(view.label, prepared)
+        if self.graph().is_determined:
+            self.loops_per_view = _LOOPS_IF_DETERMINED
+        elif time.monotonic() < self.deadline_s:
+            self.motions = self.read_motions()
+            self._start_from_motions()
         pairs = self.between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
         self._search(priority, _FAILURES_PER_VIEW)
-        if not self.graph().is_determined:
-            self._share(movable=True)
+        if not self.graph().is_determined and (freed := with_movable(views, self.levels)):
+            labels = {view.label for view in freed}
+            self.workers.forget(labels)
+            for view, prepared in freed.items():
+                self.workers.share(view.label, prepared)
+            self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
             self.tested.clear()
             self._start_from_motions()
             self._close_loops()
             self._search(priority, _RETRIES_PER_VIEW)
-
-    def _share(self, *, movable: bool) -> None:
-        self.workers.forget()
-        for view, prepared in prepare_views(self.stops, self.config, movable=movable).items():
-            self.workers.share(view.label, prepared)
+        if self.loops_per_view > _LOOPS_IF_DETERMINED:
+            self.tested -= self.left_out
+            self._close_loops()
 
     def _search(self, priority: Mapping[PairKey, float], per_view: float) -> None:
         labels = [view.label for view in self.views]
-        tried: set[PairKey] = {*self.links}
+        tried: set[PairKey] = {*self.links, *self.searched}
         failures = 0
-        while failures < per_view * len(labels) and time.monotonic() < self.deadline_s:
+        while True:
             graph = self.graph()
+            most = min(per_view, _FAILURES_IF_DETERMINED) if graph.is_determined else per_view
+            if failures >= most * len(labels):
+                break
             linked = [(graph.group_of(view).label, view.label) for view in self.views]
             pairs = next_round(labels, linked, tried, priority)
+            if pairs and time.monotonic() >= self.deadline_s:
+                of_label = self.of_label
+                self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
+                break
             if not pairs:
                 break
             tried.update(pairs)
             requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
             before = len(self.links)
             for pair, search in zip(pairs, self.workers.map(search_pair, requests), strict=True):
+                self.searched[pair] = search.registration
                 self._keep(pair, search.registration)
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
@@ -142,7 +184,7 @@ class _LinkSearch:
         """Register pairs of views from the poses that other pairs imply."""
         implied = {pair: pose for pair, pose in self._implied(self.graph()).items() if pair not in self.tested}
         self.tested.update(implied)
-        self._register(implied, score_implied)
+        self.left_out |= self._register(implied, score_implied)
 
     def _implied(self, graph: ViewGraph) -> dict[PairKey, RigidTransform]:
         of_label = self.of_label
@@ -155,13 +197,16 @@ class _LinkSearch:
 
     def _register(
         self, implied: Mapping[PairKey, RigidTransform], score: Callable[[Shared, RigidTransform], Registration]
-    ) -> None:
+    ) -> set[PairKey]:
+        """Register the most promising pairs from their poses; return the others that have enough evidence."""
         scores = dict(zip(implied, self.workers.map(score, list(implied.values())), strict=True))
-        chosen = choose_loops(scores, self.config.acceptance.min_evidence, _LOOPS_PER_VIEW)
+        least = self.config.acceptance.min_evidence
+        chosen = choose_loops(scores, least, self.loops_per_view)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
         for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
                 self._keep(pair, found)
+        return {pair for pair in scores.keys() - chosen if scores[pair].evidence >= least}
 
     def _keep(self, pair: PairKey, found: PairRegistration | None) -> None:
         if found is None or found.verdict.outcome not in ("accept", "uncertain") or found.information is None:
@@ -170,3 +215,14 @@ class _LinkSearch:
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
         self.links[pair] = ViewPair(of_lidars, target.stop, source.stop)
+
+
+def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:
+    """Return whether another search may find the pair once beams through movable objects of some views prove nothing.
+
+    Only beams that found its space empty depend on these objects. A pose that was undecided has enough evidence, and
+    fewer beams against its competitors do not decide it.
+    """
+    if found is None or found.verdict.outcome != "reject" or "empty_space_violated" not in found.verdict.codes:
+        return False
+    return any(label in freed for label in pair)

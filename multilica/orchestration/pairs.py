@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from multilica.acceptance.accept import accept, accept_by_fitness
+from multilica.acceptance.accept import accept, accept_by_fitness, may_be_accepted
 from multilica.config import CalibrationConfig, Stage
 from multilica.geometry import RigidTransform
 from multilica.registration.gicp import prepare_gicp_cloud
@@ -122,12 +122,15 @@ class SearchRequest:
         voxel_size_m: of the descriptors.
         prior: a pose that is known beforehand.
         until: the last stage to run, one of `PAIR_STAGES`.
+        refused: poses of an earlier search of the pair. Then only an accepted registration counts, and the search ends
+            where there will be none.
     """
 
     pair: PairKey
     voxel_size_m: float
     prior: RigidTransform | None = None
     until: Stage = "fine"
+    refused: tuple[RigidTransform, ...] | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -172,8 +175,15 @@ def search_pair(lidars: Shared | Mapping[str, PreparedLidar], request: SearchReq
         found.coarse = find_hypotheses(found.matches, *limits, request.prior)
         finish("coarse")
     if "verify" in stages and found.coarse is not None and config.verify.enabled:
-        found.verified = verify_hypotheses(target.verification_cloud, source.verification_cloud, found.coarse, config)
+        sides = target.verification_cloud, source.verification_cloud
+        found.verified = verify_hypotheses(*sides, found.coarse, config, request.refused)
         finish("verify")
+    if (
+        request.refused is not None
+        and found.verified is not None
+        and not may_be_accepted(found.verified, config.acceptance)
+    ):
+        return found
     if "fine" in stages and found.coarse is not None:
         hypotheses = found.coarse.hypotheses
         if found.verified is not None:

@@ -3,12 +3,13 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from multilica import events
 from multilica.acceptance.pair_graph import PairGraph
 from multilica.acceptance.rig import check_ambiguous_chains, check_cycles, check_scene_symmetry
 from multilica.config import Stage
+from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import (
     PAIR_STAGES,
     SearchRequest,
@@ -63,11 +64,13 @@ def _search_all(state: CalibrationState, until: Stage) -> None:
     start_s = time.perf_counter()
     priority = dict(zip(state.pairs, state.workers.map(priority_of, state.pairs), strict=True))
     state.timing_s["correspond"] = time.perf_counter() - start_s
+    _try_earlier(state)
     for voxel_size_m in (usual, *state.config.features.retry_voxel_sizes_m):
         tried: set[PairKey] = set()
         if voxel_size_m != usual:
             # Other descriptors cannot help where a pose was found and others fit as well.
             tried = {pair for pair, found in state.registrations.items() if found.verdict.outcome != "reject"}
+            tried.update(state.earlier.vain)
         while True:
             accepted = [(pair.target, pair.source) for pair in state.accepted]
             pairs = next_round(list(state.clouds), accepted, tried, priority)
@@ -79,6 +82,13 @@ def _search_all(state: CalibrationState, until: Stage) -> None:
                 state.observe(events.SearchWidened(tuple(pairs), voxel_size_m))
             tried.update(pairs)
             _search(state, pairs, voxel_size_m)
+
+
+def _try_earlier(state: CalibrationState) -> None:
+    """Register pairs from the poses that earlier stops of the drive found, where the beams do not contradict them."""
+    names = {*state.clouds}
+    poses = {pair: pose for pair, pose in state.earlier.poses.items() if {*pair} <= names}
+    _register_implied(state, poses, dict.fromkeys(poses, "earlier stop"))
 
 
 def _search(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
@@ -93,7 +103,10 @@ def _search(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: flo
 
 def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m: float, until: Stage = "fine") -> None:
     """Search pairs; a pair that was searched before with other descriptors is replaced only if it is accepted now."""
-    requests = [SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until) for pair in pairs]
+    requests = [
+        SearchRequest(pair, voxel_size_m, known_between(state.prior, *pair), until, _refused(state, pair))
+        for pair in pairs
+    ]
     for pair, found in zip(pairs, state.workers.map(search_pair, requests), strict=True):
         for stage in PAIR_STAGES:
             state.timing_s[stage] = state.timing_s.get(stage, 0.0) + found.elapsed_s.get(stage, 0.0)
@@ -111,6 +124,15 @@ def _search_now(state: CalibrationState, pairs: Sequence[PairKey], voxel_size_m:
             state.observe(events.PairRegistered(found.registration))
 
 
+def _refused(state: CalibrationState, pair: PairKey) -> tuple[RigidTransform, ...] | None:
+    """Return the poses of an earlier search of the pair; None if there was none."""
+    if pair not in state.coarse:
+        return None
+    found = state.registrations.get(pair)
+    poses = () if found is None else (each.T_target_source for each in found.registrations)
+    return tuple(pose.with_target(pair[0]) for pose in poses)
+
+
 def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     """Test the poses of pairs that accepted pairs link, and check the accepted pairs against each other.
 
@@ -123,6 +145,23 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
         if pair not in state.tested_loops and is_open(state.registrations.get(pair), pose)
     }
     state.tested_loops.update(poses)
+    graph = PairGraph.of(state.clouds, state.accepted)
+    contradicted = _register_implied(state, poses, {pair: "-".join(graph.lidars_between(*pair)) for pair in poses})
+    pairs = sorted(contradicted - searched)
+    searched.update(pairs)
+    # Whatever the time: without them, a wrong pair could pass.
+    _search_now(state, pairs, state.config.features.voxel_size_m)
+    return _check_pairs(state)
+
+
+def _register_implied(
+    state: CalibrationState, poses: Mapping[PairKey, RigidTransform], derivations: Mapping[PairKey, str]
+) -> set[PairKey]:
+    """Register pairs from poses that other pairs or stops imply, those with the most common surfaces.
+
+    Returns:
+        The pairs whose beams contradict that pose, or whose registration moved away from it.
+    """
     limits = state.config.acceptance
     scores = dict(zip(poses, state.workers.map(score_implied, list(poses.values())), strict=True))
     state.remember(scores.values())
@@ -134,8 +173,7 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
     )
     if chosen and state.out_of_time:
         state.cut_short, chosen = True, []
-    graph = PairGraph.of(state.clouds, state.accepted)
-    starts = [Hypothesis(poses[pair], derivation="-".join(graph.lidars_between(*pair))) for pair in chosen]
+    starts = [Hypothesis(poses[pair], derivation=derivations[pair]) for pair in chosen]
     registered = state.workers.map(register_implied, starts)
     for pair, found in zip(chosen, registered, strict=True):
         if is_distinct(poses[pair], [found.T_target_source.with_target(pair[0])]):  # it moved away from it
@@ -144,11 +182,7 @@ def _close_loops(state: CalibrationState, searched: set[PairKey]) -> bool:
         state.observe(events.LoopRegistered(found))
         if found.verdict.accepted:
             state.registrations[pair] = found
-    pairs = sorted(contradicted - searched)
-    searched.update(pairs)
-    # Whatever the time: without them, a wrong pair could pass.
-    _search_now(state, pairs, state.config.features.voxel_size_m)
-    return _check_pairs(state)
+    return contradicted
 
 
 def _check_pairs(state: CalibrationState) -> bool:

@@ -11,6 +11,7 @@ from multilica.config import CalibrationConfig
 from multilica.events import Observer
 from multilica.extrinsics import Extrinsics
 from multilica.geometry import FloatArray, RigidTransform
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.results import (
     CoarseResult,
@@ -70,6 +71,7 @@ class CalibrationState:
     held: Mapping[str, Reason] = field(default_factory=dict)
     fixed_pairs: Mapping[PairKey, PairRegistration] = field(default_factory=dict)
     rig: Extrinsics | None = None
+    earlier: EarlierStops = field(default_factory=EarlierStops)
     ground: GroundPlane | None = None
     ground_refusal: str = ""
     deadline_s: float = float("inf")

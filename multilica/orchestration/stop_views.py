@@ -33,37 +33,49 @@ class DriveStop:
     pairs: tuple[PairRegistration, ...]
 
 
-def prepare_views(
-    stops: Sequence[DriveStop], config: CalibrationConfig, *, movable: bool
-) -> dict[DriveView, PreparedLidar]:
-    """Prepare the LiDARs of all stops with the limits that hold between stops.
-
-    The vehicle's own body, which is in the same place of a LiDAR's frame at every stop, is left out. Objects of the
-    size of vehicles and people may have left or come.
-
-    Args:
-        movable: beams through such objects prove nothing. More poses are then possible, the wrong ones among them.
-    """
-    found: dict[DriveView, PreparedLidar] = {}
-    for lidar in sorted({name for stop in stops for name in stop.lidars}):
-        at_stops = {stop.name: stop.lidars[lidar] for stop in stops if lidar in stop.lidars}
-        points_m = [each.cloud.points_m for each in at_stops.values()]
-        level = estimate_level(lidar, {lidar: points_m[0]}, {}, config)
-        rotation = np.eye(3) if level is None else level.rotation
-        body = find_own_body(points_m, rotation)
-        for stop, prepared in at_stops.items():
-            view = DriveView(lidar, stop)
-            outside = _without_body(prepared, body)
-            chosen = _with_movable(outside, rotation) if movable else outside
-            found[view] = chosen.as_view(view.label, _limits(view, config))
-    return found
-
-
 def levels_of(stops: Sequence[DriveStop], config: CalibrationConfig) -> dict[str, RigidTransform]:
     """Return the pose of each LiDAR over the ground that it sees at its first stop, if it sees any."""
     points_m = {name: prepared.cloud.points_m for stop in reversed(stops) for name, prepared in stop.lidars.items()}
     levels = {name: estimate_level(name, {name: points_m[name]}, {}, config) for name in sorted(points_m)}
     return {name: level for name, level in levels.items() if level is not None}
+
+
+def prepare_views(
+    stops: Sequence[DriveStop], levels: Mapping[str, RigidTransform], config: CalibrationConfig
+) -> dict[DriveView, PreparedLidar]:
+    """Prepare the LiDARs of all stops with the limits that hold between stops.
+
+    The vehicle's own body, which is in the same place of a LiDAR's frame at every stop, is left out.
+
+    Args:
+        levels: as `levels_of` finds them.
+    """
+    found: dict[DriveView, PreparedLidar] = {}
+    for lidar in sorted({name for stop in stops for name in stop.lidars}):
+        at_stops = {stop.name: stop.lidars[lidar] for stop in stops if lidar in stop.lidars}
+        body = find_own_body([each.cloud.points_m for each in at_stops.values()], _to_level(lidar, levels))
+        for stop, prepared in at_stops.items():
+            view = DriveView(lidar, stop)
+            found[view] = _without_body(prepared, body).as_view(view.label, _limits(view, config))
+    return found
+
+
+def with_movable(
+    views: Mapping[DriveView, PreparedLidar], levels: Mapping[str, RigidTransform]
+) -> dict[DriveView, PreparedLidar]:
+    """Return the views that see objects of the size of vehicles and people, which may have left or come.
+
+    Beams through such objects prove nothing then. More poses are possible, the wrong ones among them.
+    """
+    found: dict[DriveView, PreparedLidar] = {}
+    for name, prepared in views.items():
+        if prepared.view is None:
+            continue
+        cells = find_movable(prepared.cloud.points_m, np.zeros((1, 3)), _to_level(name.lidar, levels))
+        movable = cells.contain(prepared.view.probes_m)
+        if movable.any():
+            found[name] = prepared.with_view(replace(prepared.view, movable=movable))
+    return found
 
 
 def contradiction_at(
@@ -83,6 +95,11 @@ def contradiction_at(
             if score.contradiction > _FIRM * config.acceptance.min_log_odds_margin:
                 return stop.name
     return ""
+
+
+def _to_level(lidar: str, levels: Mapping[str, RigidTransform]) -> FloatArray:
+    """Return the rotation (3, 3) from the frame of a LiDAR to one with z up, the identity if it sees no ground."""
+    return levels[lidar].rotation if lidar in levels else np.eye(3)
 
 
 def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:
@@ -108,15 +125,6 @@ def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:
             spanned=view.spanned[probed],
         )
     return PreparedLidar(replace(cloud, points_m=cloud.points_m[kept]), features, view, prepared.config)
-
-
-def _with_movable(prepared: PreparedLidar, rotation: FloatArray) -> PreparedLidar:
-    """Let points on objects that can move violate no beam."""
-    view = prepared.view
-    if view is None:
-        return prepared
-    cells = find_movable(prepared.cloud.points_m, np.zeros((1, 3)), rotation)
-    return prepared.with_view(replace(view, movable=cells.contain(view.probes_m)))
 
 
 def _limits(view: DriveView, config: CalibrationConfig) -> CalibrationConfig:

@@ -21,6 +21,8 @@ _GROUND_M = 0.3
 _MIN_POINTS = 30
 _MAX_SHARE = 0.7
 _OFFSET = 1 << 20
+# From a cell to itself and to those that it touches.
+_STEPS = [(x * _OFFSET + y) * _OFFSET + z for x, y, z in product((-1, 0, 1), repeat=3)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,13 +49,14 @@ def find_own_body(stops: Sequence[FloatArray], rotation: FloatArray) -> BodyCell
         return nothing
     first_m = near[0]
     first_m = first_m[above_ground(first_m @ rotation.T) > _GROUND_M]
-    same = np.ones(len(first_m), dtype=np.bool_)
+    keys = _keys(first_m)
+    same = np.unique(keys)
     for points_m in near[1:]:
-        same &= np.isin(_keys(first_m), _grown(np.unique(_keys(points_m))))
-    count = np.count_nonzero(same)
+        same = same[_touch(same, np.unique(_keys(points_m)))]
+    count = np.count_nonzero(np.isin(keys, same))
     if count < _MIN_POINTS or count > _MAX_SHARE * len(first_m):
         return nothing
-    return BodyCells(_grown(np.unique(_keys(first_m[same]))))
+    return BodyCells(np.unique(np.concatenate([same + step for step in _STEPS])))
 
 
 def _keys(points_m: FloatArray) -> IndexArray:
@@ -62,7 +65,10 @@ def _keys(points_m: FloatArray) -> IndexArray:
     return np.asarray((x * _OFFSET + y) * _OFFSET + z)
 
 
-def _grown(keys: IndexArray) -> IndexArray:
-    """Add the cells that touch those."""
-    steps = [(x * _OFFSET + y) * _OFFSET + z for x, y, z in product((-1, 0, 1), repeat=3)]
-    return np.unique(np.concatenate([keys + step for step in steps]))
+def _touch(keys: IndexArray, others: IndexArray) -> BoolArray:
+    """Return which cells are among others, which are sorted, or next to one of them."""
+    found = np.zeros(len(keys), dtype=np.bool_)
+    for step in _STEPS:
+        places = np.minimum(np.searchsorted(others, keys + step), len(others) - 1)
+        found |= others[places] == keys + step
+    return found

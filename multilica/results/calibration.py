@@ -129,6 +129,9 @@ class TimeLimit:
 
     max_time_s: Annotated[float, Field(description="The limit, `runtime.max_time_s`.")]
     not_reached: Annotated[tuple[tuple[str, str], ...], Field(description="Pairs that could have placed a LiDAR.")]
+    unlinked_stops: Annotated[
+        tuple[tuple[str, str], ...], Field(description="Pairs of stops between which further links could be.")
+    ] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

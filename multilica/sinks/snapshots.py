@@ -56,8 +56,8 @@ def write_snapshot_mcap(snapshot: Snapshot, path: Path, *, metadata: Mapping[str
         writer.add_metadata(SNAPSHOT_METADATA_NAME, _origin(snapshot) | dict(metadata or {}))
 
 
-def window_metadata(config: IngestConfig, vehicle: str = "") -> dict[str, str]:
-    """Return the options with which a snapshot was taken."""
+def window_metadata(config: IngestConfig, vehicle: str = "", stops: Sequence[tuple[int, int]] = ()) -> dict[str, str]:
+    """Return the options with which a snapshot was taken, and the log times of the stops that it has."""
     window = {
         "frames": str(config.frames),
         "start_s": f"{config.start_s:g}",
@@ -65,7 +65,8 @@ def window_metadata(config: IngestConfig, vehicle: str = "") -> dict[str, str]:
         "window": config.window,
         "window_s": f"{config.window_s:g}",
     }
-    return window | ({"vehicle": vehicle} if vehicle else {})
+    of_stops = {"stops": json.dumps(stops)} if len(stops) > 1 else {}
+    return window | of_stops | ({"vehicle": vehicle} if vehicle else {})
 
 
 def _origin(snapshot: Snapshot) -> dict[str, str]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -75,13 +75,14 @@ class Motion:
     at_least: bool = False
 
 
-def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
+def detect_motion(scans: Sequence[Scan], config: StillnessConfig, *, track: bool = True) -> Motion:
     """Detect motion by registering the last frame of a LiDAR to its first, through the middle one.
 
     If too few surfaces in common are left, the LiDAR is tracked from frame to frame.
 
     Args:
         scans: frames of one LiDAR, oldest first.
+        track: False if it is enough to know that too few surfaces are left.
 
     Returns:
         The motion in the directions that surfaces constrain; along a tunnel or over a plane it is not observable.
@@ -104,8 +105,22 @@ def detect_motion(scans: Sequence[Scan], config: StillnessConfig) -> Motion:
         suggested = found.moving and found.shift_m > _SEEN_SHIFT_M
         at_rest = suggested and explained_share(first, later[-1], np.eye(4))[0] >= _TRACKED_BELOW
         return replace(found, moving=False, observable=False) if at_rest else found
+    if not track:
+        return replace(found, observable=True, moving=True, at_least=True)
     between = {index: Structure(cloud_m) for index, cloud_m in zip(chosen, clouds_m, strict=True)}
     return _tracked(scans, between, config) or found
+
+
+def leaves_its_place(scans: Iterable[Scan]) -> bool:
+    """Return whether a LiDAR is half a metre or more away from where its first frame was taken, in any later one.
+
+    Nothing is registered, so that a look at a few frames of a log costs little.
+    """
+    structures = (Structure(cloud_m) for cloud_m in map(_surroundings, scans) if len(cloud_m) >= _MIN_POINTS)
+    first = next(structures, None)
+    return first is not None and any(
+        explained_share(first, later, np.eye(4))[0] < _TRACKED_BELOW for later in structures
+    )
 
 
 def _tracked(scans: Sequence[Scan], known: Mapping[int, Structure], config: StillnessConfig) -> Motion | None:

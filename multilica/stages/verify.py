@@ -14,6 +14,7 @@ from multilica.acceptance.accept import (
     min_competing_evidence,
 )
 from multilica.config import CalibrationConfig, FineConfig
+from multilica.geometry import RigidTransform
 from multilica.registration.gicp import SHORT_ITERATIONS, GicpCloud, register_narrower
 from multilica.registration.poses import SLIDE_STEP_M, is_distinct, slid_hypotheses, within_baseline
 from multilica.results import PRIOR, CoarseResult, Hypothesis, Registration
@@ -69,7 +70,11 @@ def short_gicp(fine: FineConfig) -> FineConfig:
 
 
 def verify_hypotheses(
-    target: VerificationCloud, source: VerificationCloud, coarse: CoarseResult, config: CalibrationConfig
+    target: VerificationCloud,
+    source: VerificationCloud,
+    coarse: CoarseResult,
+    config: CalibrationConfig,
+    refused: Sequence[RigidTransform] | None = None,
 ) -> tuple[Registration, ...]:
     """Score the hypotheses by the beams of both sensors, and register the promising ones by a short GICP.
 
@@ -82,13 +87,42 @@ def verify_hypotheses(
     The prior does not influence which hypotheses are tested: in a symmetric scene a wrong prior could otherwise end
     the search before the true pose is tested.
 
+    Args:
+        refused: poses of an earlier search with other descriptors. Then only poses that may be accepted are registered,
+            and none if all of them were refused before.
+
     Returns:
         The distinct poses, the one with the most evidence first.
     """
     gicp = short_gicp(config.fine)
+    hypotheses = _promising(target, source, coarse.hypotheses, config, even_the_best=refused is not None)
+    found = _registered_in_turn(target, source, hypotheses, gicp, config)
+    if refused is not None and not any(
+        is_distinct(each.T_target_source, refused)
+        for each in found
+        if not cannot_be_accepted(each.evidence, config.acceptance)
+    ):
+        return ()
+    for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
+        found = _with_competing(target, source, found, hypothesis, settings, config)
+    for hypothesis in _far_slides(found, config):
+        if len(competing_poses(_ranked(found, config), config.acceptance)) > 0:
+            break
+        found = _with_competing(target, source, found, hypothesis, gicp, config)
+    return tuple(_ranked(found, config))
+
+
+def _registered_in_turn(
+    target: VerificationCloud,
+    source: VerificationCloud,
+    hypotheses: Sequence[Hypothesis],
+    gicp: FineConfig,
+    config: CalibrationConfig,
+) -> list[Registration]:
+    """Register the hypotheses that are not near an earlier result, until one pose is clearly correct."""
     from_prior: list[Registration] = []
     found: list[Registration] = []
-    for hypothesis in _promising(target, source, coarse.hypotheses, config):
+    for hypothesis in hypotheses:
         known = from_prior if hypothesis.origin == PRIOR else found
         if known is found and _is_settled(found, config):
             continue
@@ -99,13 +133,7 @@ def verify_hypotheses(
                 known.append(registration)
     for registration in from_prior:
         found = _joined(found, registration)
-    for hypothesis, settings in _competing_hypotheses(target.view, source.view, found, gicp, config):
-        found = _with_competing(target, source, found, hypothesis, settings, config)
-    for hypothesis in _far_slides(found, config):
-        if len(competing_poses(_ranked(found, config), config.acceptance)) > 0:
-            break
-        found = _with_competing(target, source, found, hypothesis, gicp, config)
-    return tuple(_ranked(found, config))
+    return found
 
 
 def _ranked(found: Sequence[Registration], config: CalibrationConfig) -> list[Registration]:
@@ -132,11 +160,16 @@ def _with_competing(
 
 
 def _promising(
-    target: VerificationCloud, source: VerificationCloud, hypotheses: Sequence[Hypothesis], config: CalibrationConfig
+    target: VerificationCloud,
+    source: VerificationCloud,
+    hypotheses: Sequence[Hypothesis],
+    config: CalibrationConfig,
+    *,
+    even_the_best: bool,
 ) -> list[Hypothesis]:
     """Select the hypotheses that beams do not contradict as they are, the one with the most evidence first.
 
-    The hypothesis of the prior is always one of them.
+    The hypothesis of the prior is always one of them, and so is the best unless `even_the_best` has to be promising.
     """
     score = partial(score_visibility, target.view.alone, source.view.alone)
     poses = [each.T_target_source for each in hypotheses]
@@ -148,7 +181,9 @@ def _promising(
     if not ranked:
         return []
     best = max((each for each, one in zip(evidence, hypotheses, strict=True) if one.origin != PRIOR), default=0.0)
-    needed = min(best, max(best - _COARSE_LEAD, config.acceptance.min_evidence - _COARSE_MARGIN))
+    needed = max(best - _COARSE_LEAD, config.acceptance.min_evidence - _COARSE_MARGIN)
+    if not even_the_best:
+        needed = min(best, needed)
     return [hypotheses[index] for index in ranked if evidence[index] >= needed or hypotheses[index].origin == PRIOR]
 
 

@@ -29,7 +29,7 @@ MEASUREMENTS = (
     "ingest",
     "recording",
 )
-ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale")
+ON_REQUEST = ("paper", "peers", "tables", "fuzz", "soak", "evidence", "fleet_scale", "drives")
 ROBUSTNESS = ("crash", "fuzz", "hard", "longest", "soak")
 FLEET = ("fleet_drift", "fleet_scale", "fleet_year", "knocks")
 
@@ -52,6 +52,8 @@ def module_of(name: str) -> str:
     """The module of a measurement."""
     if name in FLEET:
         return f"tests.bench.fleet.{name}"
+    if name == "drives":
+        return "tests.bench.drives.drives"
     return f"tests.bench.robustness.{name}" if name in ROBUSTNESS else f"tests.bench.{name}"
 
 

@@ -180,7 +180,7 @@ def _once(function):
 def test_commands_on_runs_fit(shown, calibrated, arguments, monkeypatch):
     """The work of a command is done once for all widths."""
     given = [calibrated.directory if each == "RUN" else each for each in arguments]
-    for module, name in ((checks, "verify_snapshot"), (run_report, "contents_of_run"), (page, "report_html")):
+    for module, name in ((checks, "verify_stops"), (run_report, "contents_of_run"), (page, "report_html")):
         monkeypatch.setattr(module, name, _once(getattr(module, name)))
     if arguments[0] == "accept":
         shown(80, *given)  # it compares with the file that it wrote before

@@ -20,7 +20,8 @@ LIMIT_M = CalibrationConfig().drive.max_distance_m
 TURN = "turn by 60 degrees or more between two stops"
 SIGHT = f"add a stop where rear sees what another LiDAR saw at another stop, at most {LIMIT_M:g} m away"
 ALONE = "no other link confirms it"
-SNAPSHOTS = tuple(SnapshotReport(name, "", "") for name in (FIRST, "stop_2", "stop_3", "stop_4"))
+SNAPSHOTS = tuple(SnapshotReport(name, "", f"hash of {name}") for name in (FIRST, "stop_2", "stop_3", "stop_4"))
+OF_ONE_LOG = tuple(replace(each, sha256="hash of the log") for each in SNAPSHOTS)
 STRAIGHT = tuple(
     replace(stop, T_first_stop=RigidTransform.from_xyz_rpy(FIRST, stop.name, (6.0 * number, 0.0, 0.0), (0.0, 0.0, 0.1)))
     for number, stop in enumerate(STOPS)
@@ -28,11 +29,11 @@ STRAIGHT = tuple(
 OF_OTHERS = LINKS[:2]
 
 
-def document_of(links=OF_OTHERS, stops=STOPS, outcome="partial", config=(), **changes):
+def document_of(links=OF_OTHERS, stops=STOPS, outcome="partial", snapshots=SNAPSHOTS, **changes):
     state = RunState()
-    for event in made_events(outcome, **dict(config)):
+    for event in made_events(outcome):
         state(event)
-    result = replace(state.result, links=links, stops=stops, snapshots=SNAPSHOTS, **changes)
+    result = replace(state.result, links=links, stops=stops, snapshots=snapshots, **changes)
     return result_document(result, state.config, state.provenance)
 
 
@@ -85,7 +86,7 @@ def test_a_link_that_nothing_confirms_needs_a_stop_nearby():
 
 
 def test_a_log_whose_stops_nothing_links_is_a_drive():
-    missing = missing_of((), (), config={"drive": {"stops": 4}})
+    missing = missing_of((), (), snapshots=OF_ONE_LOG)
     assert missing.by_stop == "none of 4 stops sees it linked with another stop."
     assert missing.advice[:2] == (TURN, SIGHT)
 

@@ -10,8 +10,10 @@ import pytest
 
 from multilica import calibrate
 from multilica.config import CalibrationConfig, with_overrides
+from multilica.diagnosis import explain
+from multilica.drive_calibration import calibrate_stops
 from multilica.geometry import RigidTransform
-from multilica.results import Knock
+from multilica.results import Knock, TimeLimit
 from multilica.results.building import provenance_of, result_document
 from multilica.results.document import parse_result
 from multilica.run import run_calibration
@@ -69,6 +71,7 @@ def _error(result, lidar, seed=3):
 
 def test_a_drive_that_turns_places_lidars_without_a_common_view():
     result = _calibrated(_TURNING)
+    assert result.time_limit is None
     (other,) = {*_LIDARS} - {result.target}
     metres, radians = _error(result, other)
     assert metres < 0.02
@@ -93,6 +96,17 @@ def test_the_document_and_the_map_have_the_stops():
     assert "Map of the stops from above" in page
     assert "rear moved by 21 mm, 0.10 deg between stop 1 and stop 2" in page
     assert min(links_of(document)[stop.name] for stop in result.stops) > 0
+
+
+def test_links_that_there_is_no_time_for_are_told():
+    stops = [_stop(place, 3) for place in _TURNING[:2]]
+    config = with_overrides(_CONFIG, ["runtime.max_time_s=600.0"])
+    result = calibrate_stops(stops, config, deadline_s=0.0)
+    assert result.links == ()
+    assert result.time_limit == TimeLimit(600.0, (("front", "rear"),), (("stop 1", "stop 2"),))
+    explanation = explain(result_document(result, config, provenance_of(stops[0])))
+    assert [missing.cause for missing in explanation.missing] == ["out_of_time"]
+    assert any("no time for further links between stops: stop 1 - stop 2" in each for each in explanation.warnings)
 
 
 @pytest.mark.nightly

@@ -13,11 +13,13 @@ from multilica.config import CalibrationConfig, preset, with_overrides
 from multilica.diagnosis import explain
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
-from multilica.multi_snapshot import SnapshotRun, join, require_joinable, shown_snapshot
+from multilica.multi_snapshot import SnapshotRun, estimate, join, require_joinable, shown_snapshot
 from multilica.multi_snapshot.join import choose_target
+from multilica.multi_snapshot.pose_conflicts import resolve_conflicts
 from multilica.results import CalibrationResult, LidarPlacement, PairRegistration, TimeLimit
 from multilica.results.building import provenance_of, result_document
 from multilica.snapshot import Snapshot
+from multilica.stages.refine import refine
 
 _SIGMA = np.array([1e-4] * 3 + [2e-3] * 3)
 _TRUTH = {
@@ -328,3 +330,18 @@ def test_a_joint_result_has_the_time_limit_of_its_snapshots():
     assert {missing.lidar: missing.cause for missing in explanation.missing} == {"C": "out_of_time"}
     assert "A - C, C - T" in " ".join(explanation.warnings)
     assert _joined(_cut(_run("one", 1), ("C", "T")), _run("two", 2)).time_limit == TimeLimit(5.0, ())
+
+
+@pytest.mark.parametrize(("tampered", "roots"), [("", {"A"}), ("B", {"A", "B", "C", "T"})])
+def test_snapshots_that_agree_are_compared_without_covariances(monkeypatch, tampered, roots):
+    asked = []
+
+    def refined(root, *rest):
+        asked.append(root)
+        return refine(root, *rest)
+
+    monkeypatch.setattr(estimate, "refine", refined)
+    pairs = {run.name: run.result.trusted for run in (_run("a", 1), _run("b", 2), _run("c", 3, tampered=tampered))}
+    _, conflicts = resolve_conflicts(pairs, CalibrationConfig())
+    assert {*asked} == roots
+    assert bool(conflicts) is bool(tampered)

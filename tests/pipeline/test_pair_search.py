@@ -12,6 +12,7 @@ from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration import pairs as pair_steps
 from multilica.orchestration import search
+from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.pipeline import calibrate
 from multilica.results import Reason, Verdict
 from multilica.simulate import simulate_snapshot
@@ -79,6 +80,21 @@ def test_a_pair_that_leaves_its_implied_pose_is_searched(monkeypatch):
     assert_true(result, sides().truth)
 
 
+def test_a_pose_that_an_earlier_stop_found_is_tested_first():
+    result, seen = watched(_half(), earlier=EarlierStops.of([_found()[0]]))
+    assert _searched(seen) == []
+    assert {*_registered_as_loops(seen)} == _PAIRS
+    assert_true(result, sides().truth)
+
+
+def test_a_wrong_pose_of_an_earlier_stop_is_searched():
+    found, _ = _found()
+    wrong = {(pair.target, pair.source): _shifted(pair.T_target_source) for pair in found.pairs}
+    result, seen = watched(_half(), earlier=EarlierStops(wrong))
+    assert len(_searched(seen)) == 2
+    assert_true(result, sides().truth)
+
+
 def test_without_links_all_pairs_are_searched(monkeypatch):
     monkeypatch.setattr(pair_steps, "accept", lambda *_: Verdict("undecided", (Reason("ambiguous", 0.0, 1.0, "made"),)))
     result, seen = watched(_half(), "features.retry_voxel_sizes_m=[]")
@@ -136,8 +152,11 @@ def test_unconnected_lidars_are_searched_again(monkeypatch, further):
 def test_only_a_rejected_pair_is_searched_again(monkeypatch, outcome, searched):
     verdict = Verdict(outcome, (Reason("made", 0.0, 1.0, "made"),))
     monkeypatch.setattr(pair_steps, "accept", lambda *_: verdict)
-    _, seen = watched(only(sides().snapshot, "left", "top", every=5), "until=fine")
+    snapshot = only(sides().snapshot, "left", "top", every=5)
+    result, seen = watched(snapshot, "until=fine")
     assert bool(of(events.SearchWidened, seen)) == searched
+    _, seen = watched(snapshot, "until=fine", earlier=EarlierStops.of([result]))
+    assert of(events.SearchWidened, seen) == []
 
 
 def test_a_doubted_pair_is_not_searched_again(monkeypatch):

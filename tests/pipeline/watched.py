@@ -24,9 +24,9 @@ def only(snapshot, *names, every=1):
     return Snapshot(tuple(LidarScans(name, (Scan(points),)) for name, points in scans.items()))
 
 
-def watched(snapshot, *settings, base=None):
+def watched(snapshot, *settings, base=None, earlier=None):
     seen = []
-    result = calibrate(snapshot, with_overrides(base or CalibrationConfig(), settings), seen.append)
+    result = calibrate(snapshot, with_overrides(base or CalibrationConfig(), settings), seen.append, earlier=earlier)
     return result, seen
 
 

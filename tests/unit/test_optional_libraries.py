@@ -110,3 +110,14 @@ def test_open3d_without_libgl_names_the_command(kind: str, tmp_path: Path) -> No
     )
     told = rf"MissingDependencyError: A simulation needs the library open3d, .*{LIBGL}.* `sudo apt-get install lib"
     assert re.search(told, ended.stderr.splitlines()[-1])
+
+
+def test_pandas_is_left_out_of_pyarrow_alone(tmp_path: Path) -> None:
+    (tmp_path / "pandas.py").write_text("__version__ = '3.0.0'\n", encoding="utf-8")
+    code = (
+        "import sys; from multilica.optional_libraries import is_found, leave_out_pandas; leave_out_pandas(); "
+        "import pyarrow; pyarrow.array(['text']); assert 'pandas' not in sys.modules; "
+        "assert is_found('pandas'); import pandas"
+    )
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": paths})

@@ -23,6 +23,7 @@ from multilica_cli.options import (
     Parameters,
     Quiet,
     Reading,
+    Stops,
     Timeout,
     Workers,
     argument,
@@ -30,6 +31,7 @@ from multilica_cli.options import (
     option,
     output,
     sigma_limits,
+    stops_value,
 )
 from multilica_cli.terminal import POSE_COLUMNS, FoldingTable, number_cells, pose_cells, size_cells, stdout_console
 
@@ -65,14 +67,7 @@ def calibrate(
         ),
     ] = None,
     reading: Reading,
-    stops: Annotated[
-        str | None,
-        option(
-            "--stops auto|N",
-            "Standstills of a log to use, each as a snapshot; auto: up to four that differ in place and see much.",
-            "1",
-        ),
-    ] = None,
+    stops: Stops = None,
     timeout_s: Timeout = None,
     parameters: Parameters,
     max_sigma: Annotated[
@@ -129,7 +124,7 @@ def calibrate(
         **reading.values,
         "ingest.timeout_s": timeout_s,
         **sigma_limits(max_sigma),
-        "drive.stops": int(stops) if stops is not None and stops.isdecimal() else stops,
+        "drive.stops": stops_value(stops),
         "ground.enabled": ground or base is not None or None,
         "ground.frame": base,
         "runtime.workers": workers,
@@ -140,9 +135,11 @@ def calibrate(
     with open_calibration_workers(resolve()) as pool:
         # Imported while the workers start.
         from multilica.ingest import frames_recorded
+        from multilica.optional_libraries import leave_out_pandas
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress, tell_listening
 
+        leave_out_pandas()
         files = located(sources)
         config = resolve(frames_recorded(files))
         tell_listening(files, config.ingest, quiet=quiet)
@@ -175,9 +172,11 @@ def demo(
     """Calibrate the embedded sample and compare the result with the ground truth."""
     from multilica.config import preset
     from multilica.exports import read_extrinsics
+    from multilica.optional_libraries import leave_out_pandas
     from multilica.run import run_calibration
     from multilica_cli.progress import show_progress
 
+    leave_out_pandas()
     sample = find_sample()
     with show_progress(quiet=quiet) as observe:
         run = run_calibration(sample.recording, out, preset("default"), observe=observe)

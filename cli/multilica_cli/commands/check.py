@@ -68,13 +68,18 @@ class Compared:
     max_time_s: options.MaxTime = None
 
     def resolve(
-        self, workers: int | None = None, recorded_frames: int | None = None, timeout_s: float | None = None
+        self,
+        workers: int | None = None,
+        recorded_frames: int | None = None,
+        timeout_s: float | None = None,
+        stops: str | None = None,
     ) -> CalibrationConfig:
         """Build the configuration."""
         given = options.Reading(self.topics, self.frames).values | {
             "runtime.workers": workers,
             "runtime.max_time_s": self.max_time_s,
             "ingest.timeout_s": timeout_s,
+            "drive.stops": options.stops_value(stops),
         }
         return options.Parameters(None, self.config_file, self.settings).resolve(given, recorded_frames)
 
@@ -88,6 +93,7 @@ def check(
     gate: Gate,
     out: Annotated[Path | None, output("--out DIR", "Directory of the calibration.", options.NEW_RUN_DIRECTORY)] = None,
     recording: Compared,
+    stops: options.Stops = None,
     workers: options.Workers = None,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
@@ -96,7 +102,7 @@ def check(
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import check_rig, decide_unplaced, read_reference
+    from multilica.checks import check_rig, decide_unplaced, read_reference, settle_stops, verify_stops
     from multilica.runs.run_documents import is_run, read_run_document, saved_run
 
     limits = gate.limits(against)
@@ -109,27 +115,37 @@ def check(
     directories = [Path(source) for source in sources]
     if not all(runs):
         from multilica.ingest.locate import locate
+        from multilica.optional_libraries import leave_out_pandas
         from multilica.orchestration.state import deadline_of
         from multilica.run import run_calibration
         from multilica_cli.progress import show_progress
 
+        leave_out_pandas()
         files = [locate(source) for source in sources]
-        config = recording.resolve(workers)
+        config = recording.resolve(workers, stops=stops)
         deadline_s = deadline_of(config)
         with show_progress(quiet=quiet or as_json) as observe:
             run = run_calibration(files, out, config, observe=observe)
         directories = [run.directory, *(path for path in run.written if path.is_dir())]
-    checks = []
+    checks, names = [], dict[str, str]()
     for path in directories:
         read = read_run_document(path)
         frame_ids = {name: entry.frame_id for name, entry in read.document.input.lidars.items()}
+        names |= frame_ids
         known = read_reference(against, frame_ids)
         checks.append(check_rig(saved_run(read, str(path)), known, limits))
-        if not all(runs) and len(directories) == 1:
-            from multilica.ingest import read_snapshot
+    if not all(runs):
+        from multilica.ingest import read_drive
 
-            snapshot = read_snapshot(files, config=config.ingest)
-            checks = [decide_unplaced(checks[0], snapshot, known, limits, config, deadline_s)]
+        checks = [*settle_stops(checks)]
+        if any(check.verdict == "undecided" for check in checks):
+            snapshots = read_drive(files, config.drive.stops if len(directories) > 1 else 1, config=config.ingest)
+            if len(checks) == 1:
+                checks = [decide_unplaced(checks[0], snapshots[0], known, limits, config, deadline_s)]
+            else:
+                known = read_reference(against, names)
+                near = verify_stops(snapshots, known, limits, config, deadline_s)
+                checks = [*settle_stops([*checks, *near])]
     return _finish(checks, against, gate, quiet=quiet, as_json=as_json)
 
 
@@ -139,28 +155,31 @@ def verify(
     calibration: Annotated[Path, option("--calibration FILE", "A calibration.toml, a run, or another file of poses.")],
     gate: Gate,
     recording: Compared,
+    stops: options.Stops = None,
     quiet: options.Quiet = False,
     as_json: options.Json = False,
 ) -> int:
-    """Test known extrinsics on a recording, without a search, and name a LiDAR that has moved.
+    """Test known extrinsics on a recording, without a search, and name a LiDAR that has moved, by stop.
 
     Exits with 0 if all are within their tolerance, 5 if one is outside, 4 if one cannot be decided.
     """
-    from multilica.checks import read_reference, verify_snapshot
-    from multilica.ingest import frames_recorded, read_snapshot
+    from multilica.checks import read_reference, verify_stops
+    from multilica.ingest import frames_recorded, read_drive
     from multilica.ingest.locate import locate
     from multilica.orchestration.state import deadline_of
 
     limits = gate.limits(calibration)
     files = [locate(source) for source in sources]
-    config = recording.resolve(recorded_frames=frames_recorded(files))
+    config = recording.resolve(recorded_frames=frames_recorded(files), stops=stops)
     deadline_s = deadline_of(config)
-    snapshot = read_snapshot(files, config=config.ingest)
-    known = read_reference(calibration, {lidar.name: lidar.frame_id for lidar in snapshot.lidars})
-    found = verify_snapshot(snapshot, known, limits, config, deadline_s)
-    for note in () if quiet or as_json else snapshot.notes:
-        stdout_console().print(f"note: {note}")
-    return _finish([found], calibration, gate, quiet=quiet, as_json=as_json)
+    snapshots = read_drive(files, config.drive.stops, config=config.ingest)
+    lidars = (lidar for snapshot in snapshots for lidar in snapshot.lidars)
+    known = read_reference(calibration, {lidar.name: lidar.frame_id for lidar in lidars})
+    found = verify_stops(snapshots, known, limits, config, deadline_s)
+    for snapshot in () if quiet or as_json else snapshots:
+        for note in snapshot.notes:
+            stdout_console().print(f"note: {note}")
+    return _finish(found, calibration, gate, quiet=quiet, as_json=as_json)
 
 
 def accept(
@@ -207,6 +226,8 @@ def _finish(checks: Sequence[RigCheck], reference: Path, gate: Gate, *, quiet: b
         typer.echo(document.model_dump_json(indent=2))
     else:
         _print_check(checks, written, stdout_console(quiet=quiet))
+        if len(checks) > 1:
+            stdout_console(quiet=quiet).print(f"result of all {len(checks)}: {document.sentence}")
         if os.environ.get("GITHUB_ACTIONS") == "true":
             for line in github_annotations(checks):
                 typer.echo(line)

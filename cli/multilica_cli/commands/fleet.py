@@ -83,10 +83,22 @@ def run(
     newest_first: Annotated[bool, option("--newest-first", "Begin with the newest logs.")] = False,
     topics: options.Topics = None,
     frames: options.Frames = None,
+    stops: Annotated[
+        str | None,
+        option(
+            "--stops auto|N",
+            "Standstills of a log to use, each as a snapshot; auto: up to four that differ in place and see much.",
+            "auto; 1 with --window",
+        ),
+    ] = None,
     window: Annotated[
-        Literal["start", "auto"],
-        option("--window start|auto", "auto: use the longest standstill of a log; start: its first frames."),
-    ] = "auto",
+        Literal["start", "auto"] | None,
+        option(
+            "--window start|auto",
+            "If a log has not several stops, auto: use its longest standstill; start: its first frames.",
+            "auto",
+        ),
+    ] = None,
     config_file: options.ConfigFile = None,
     settings: options.Settings = None,
     quiet: options.Quiet = False,
@@ -103,7 +115,11 @@ def run(
     from multilica.fleet.tasks.guard import LogTaskLimits
     from multilica_cli.progress import show_fleet
 
-    given = {**options.Reading(topics, frames, window=window).values, "target": target}
+    given = {
+        **options.Reading(topics, frames, window=window or "auto").values,
+        "target": target,
+        "drive.stops": options.stops_value(stops if window is None else stops or "1"),
+    }
     config = options.Parameters(None, config_file, settings).resolve({**given, "runtime.workers": 1})
     chosen = FleetOptions(
         config,

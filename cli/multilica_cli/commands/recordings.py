@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
@@ -23,6 +24,7 @@ from multilica_cli.options import (
     located,
     mcap_name,
     option,
+    stops_value,
 )
 from multilica_cli.terminal import (
     POSE_COLUMNS,
@@ -35,7 +37,8 @@ from multilica_cli.terminal import (
 )
 
 if TYPE_CHECKING:
-    from multilica.ingest import SourceSummary, TakenSnapshot
+    from multilica.ingest import SourceSummary, StopAdvice, TakenSnapshot
+    from multilica.snapshot import Snapshot
 
 _NS_PER_S = 1_000_000_000
 
@@ -69,11 +72,23 @@ def record(
     out: Annotated[Path, option("--out FILE.mcap", "File to write.", callback=mcap_name)],
     vehicle: Annotated[str, option("--vehicle NAME", "Name of the vehicle, stored in the file.")] = "",
     reading: Reading,
+    stops: Annotated[
+        str | None,
+        option(
+            "--stops auto|N",
+            "Stops of a drive to save: of a log, as for calibrate, or of a running vehicle, whose driver is told "
+            "where to stop and when to drive on; auto: up to four.",
+            "1",
+        ),
+    ] = None,
     timeout_s: Timeout = None,
     quiet: Quiet = False,
     as_json: Json = False,
 ) -> int:
-    """Save the snapshot that calibrate would use as a small MCAP file; calibrating that file gives the same result."""
+    """Save the snapshot that calibrate would use as a small MCAP file; calibrating that file gives the same result.
+
+    With --stops N, the driver of a running vehicle is told when a stop is good; each good stop is saved at once.
+    """
     from multilica.ingest import frames_recorded, take_snapshot
     from multilica.sinks.snapshots import window_metadata, write_snapshot_mcap
     from multilica_cli.progress import show_listening, tell_listening
@@ -82,13 +97,24 @@ def record(
     if out.exists() and any(out.resolve().is_relative_to(Path(source).resolve()) for source in sources):
         raise UsageError(f"Found --out {out}, which belongs to the source itself; expected another place.")
     files = located(sources)
-    given = reading.values | {"ingest.timeout_s": timeout_s}
-    config = Parameters().resolve(given, frames_recorded(files)).ingest
-    tell_listening(files, config, quiet=quiet)
-    with show_listening(config.frames, quiet=quiet) as observe:
-        taken = take_snapshot(files, config=config, observe=observe)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_snapshot_mcap(taken.snapshot, out, metadata=window_metadata(config, vehicle))
+    given = reading.values | {"ingest.timeout_s": timeout_s, "drive.stops": stops_value(stops or "1")}
+    resolved = Parameters().resolve(given, frames_recorded(files))
+    config = resolved.ingest
+    if resolved.drive.stops == 1:
+        tell_listening(files, config, quiet=quiet)
+        with show_listening(config.frames, quiet=quiet) as observe:
+            taken = take_snapshot(files, config=config, observe=observe)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_snapshot_mcap(taken.snapshot, out, metadata=window_metadata(config, vehicle))
+    else:
+        from multilica.ingest import take_stops
+
+        def save(snapshot: Snapshot, spans: Sequence[tuple[int, int]]) -> None:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            write_snapshot_mcap(snapshot, out, metadata=window_metadata(config, vehicle, spans))
+
+        told = _Advice(stderr_console(quiet=quiet))
+        taken = take_stops(files, resolved.drive.stops, save, told, config=config)
     if as_json:
         print_json(_recorded_document(taken, out))
     else:
@@ -100,6 +126,18 @@ def record(
         f"{out} holds only the other LiDARs."
     )
     return ExitCode.NOT_PLACED
+
+
+class _Advice:
+    """A line per advice to the driver that differs from the one before."""
+
+    def __init__(self, console: Console) -> None:
+        self._console, self._before = console, ""
+
+    def __call__(self, advice: StopAdvice) -> None:
+        if advice.text != self._before:
+            self._console.print(advice.text, soft_wrap=True)
+        self._before = advice.text
 
 
 def _summary_document(summary: SourceSummary) -> dict[str, Any]:

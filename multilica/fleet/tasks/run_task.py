@@ -23,24 +23,32 @@ from typing import Any, Literal
 import numpy as np
 import tomli_w
 
-from multilica.checks import RigTolerances, check_found, relative_covariance
+from multilica.checks import RigTolerances, check_found, relative_covariance, settle_stops
+from multilica.config import CalibrationConfig
 from multilica.diagnosis import explain
+from multilica.drive_calibration import wanted_stops
 from multilica.errors import InputError, MultilicaError, SourceNotFoundError, StorageError, UnfitSnapshotError
+from multilica.events import CalibrationStarted, Event
 from multilica.exports import read_extrinsics
 from multilica.extrinsics import Extrinsics, extrinsics_table
 from multilica.fleet.store.records import LidarRow, LogRow, with_pose
 from multilica.fleet.store.store import Store, open_store
 from multilica.fleet.tasks.guard import LogTask, LogTaskFailure, failed_row
 from multilica.geometry import FloatArray, RigidTransform
-from multilica.ingest import read_snapshot, require_calibratable
+from multilica.ingest import Stop, read_log, read_snapshot, require_calibratable, stops_of_log
+from multilica.ingest.locate import locate
 from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.metadata import LogIdentity, identify_log
 from multilica.ingest.remote.remote_file import ConnectionLostError
+from multilica.optional_libraries import leave_out_pandas
+from multilica.pipeline import calibrate
+from multilica.results import CalibrationResult
 from multilica.results.document import ResultDocument
 from multilica.run import run_calibration
 from multilica.runs.pose_error import PoseError
 from multilica.runs.run_documents import read_run_document
 from multilica.scratch import scratch_folder
+from multilica.sinks.run_directory import open_run
 from multilica.snapshot import Snapshot
 from multilica.verification import register_from_known
 
@@ -103,44 +111,80 @@ def _require_space(failure: BaseException) -> None:
 
 
 def _outcome(request: LogTask, store: Store) -> tuple[LogRow, Sequence[LidarRow]]:
-    config, row = request.config, request.row()
-    snapshot = read_snapshot(request.address, config=config.ingest)
-    row = replace(row, source_sha256=snapshot.source_sha256, lidars=len(snapshot.names))
+    request, stops, snapshots = _read(request)
+    row, snapshot = request.row(), snapshots[0]
+    names = {name for each in snapshots for name in each.names}
+    row = replace(row, source_sha256=snapshot.source_sha256, lidars=len(names))
     if not request.ahead:
         first = store.first_with(row.source_sha256, request.vehicle, request.config_sha256, request.source)
         if first != request.source:
             return row.as_duplicate(first), []
-    require_calibratable(snapshot)
+    if not stops:
+        require_calibratable(snapshot)
     known = None
     if request.reference:
         with scratch_folder() as folder:
             path = folder / _REFERENCE
             path.write_bytes(store.read(request.reference))
             known = read_extrinsics(path)
-    if known is not None and request.calibrate == "when-needed" and {*snapshot.names} <= known.members:
-        rows = _verified_rows(request, snapshot, known)
+    if known is not None and request.calibrate == "when-needed" and names <= known.members:
+        rows = _verified_rows(request, snapshots, known)
         if rows:
             return replace(row, state="verified", placed=len(rows)), rows
-    return _calibrated(request, store, row, known, snapshot)
+    return _calibrated(request, store, row, known, snapshots, stops)
+
+
+def _read(request: LogTask) -> tuple[LogTask, tuple[Stop, ...], tuple[Snapshot, ...]]:
+    """Read the stops of a log, or else one snapshot; with the request whose configuration says so."""
+    config = request.config
+    wanted = wanted_stops(config)
+    # Several stops come before the longest standstill.
+    of_stops = config.ingest.model_copy(update={"window": "start"})
+    stops = stops_of_log([locate(request.address)], wanted, config=of_stops)
+    if len(stops) > 1:
+        found = config.model_copy(update={"ingest": of_stops})
+        return replace(request, config=found), stops, read_log(stops, wanted, config=of_stops)
+    return request, (), (read_snapshot(request.address, config=config.ingest),)
 
 
 def _calibrated(
-    request: LogTask, store: Store, row: LogRow, known: Extrinsics | None, snapshot: Snapshot
+    request: LogTask,
+    store: Store,
+    row: LogRow,
+    known: Extrinsics | None,
+    snapshots: Sequence[Snapshot],
+    stops: Sequence[Stop],
 ) -> tuple[LogRow, Sequence[LidarRow]]:
     config = request.config
-    if known is not None and not config.target and known.target in snapshot.names:
+    if known is not None and not config.target and any(known.target in each.names for each in snapshots):
         config = config.model_copy(update={"target": known.target})
     prior = known if request.calibrate == "when-needed" else None
     with scratch_folder() as folder:
         out = folder / "run"
-        for detail in ("slim", "full"):  # a recording in full says why LiDARs are not placed
-            record = config.record.model_copy(update={"detail": detail})
-            run_calibration(request.address, out, config.model_copy(update={"record": record}), prior=prior)
-            document = read_run_document(out).document
-            if document.status == "complete":
-                break
+        if stops:
+            run_calibration(request.address, out, _recorded(config, "slim"), prior=prior, stops=stops)
+        else:
+            _calibrate_into(out, snapshots[0], config, prior)
+        document = read_run_document(out).document
         row = _stored(request, store, replace(row, state="calibrated"), out, document, known)
     return row, _calibrated_rows(request, document)
+
+
+def _calibrate_into(out: Path, snapshot: Snapshot, config: CalibrationConfig, prior: Extrinsics | None) -> None:
+    """Calibrate a snapshot, and write a run with a slim recording if all LiDARs are placed, else with one in full.
+
+    A recording in full says why LiDARs are not placed. The events wait for the outcome, so that none is needed twice.
+    """
+    heard: list[Event] = []
+    result = calibrate(snapshot, _recorded(config, "slim"), heard.append, prior)
+    config = _recorded(config, "slim" if result.status == "complete" else "full")
+    with open_run(out, config) as run:
+        for event in heard:
+            run(replace(event, config=config) if isinstance(event, CalibrationStarted) else event)
+
+
+def _recorded(config: CalibrationConfig, detail: Literal["slim", "full"]) -> CalibrationConfig:
+    return config.model_copy(update={"record": config.record.model_copy(update={"detail": detail})})
 
 
 def _stored(
@@ -178,18 +222,34 @@ def _cpu_s() -> float:
     return own.ru_utime + own.ru_stime + below.ru_utime + below.ru_stime
 
 
-def _verified_rows(request: LogTask, snapshot: Snapshot, known: Extrinsics) -> list[LidarRow]:
-    """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were."""
-    found = register_from_known(snapshot, known, request.config)
-    if known.target not in found.poses or check_found(found, snapshot, known, request.tolerances).verdict != "within":
+def _verified_rows(request: LogTask, snapshots: Sequence[Snapshot], known: Extrinsics) -> list[LidarRow]:
+    """Return the poses near the known ones, relative to their target; none unless all LiDARs are where they were.
+
+    The stop with the smallest covariance tells the pose of a LiDAR.
+    """
+    try:
+        found = [register_from_known(snapshot, known, request.config) for snapshot in snapshots]
+    except UnfitSnapshotError:
+        if len(snapshots) == 1:
+            raise
+        return []  # a calibration can do without one of several stops
+    at_stops = zip(found, snapshots, strict=True)
+    checks = settle_stops([check_found(rig, snapshot, known, request.tolerances) for rig, snapshot in at_stops])
+    if any(check.verdict != "within" for check in checks):
         return []
-    target, T_target_root = found[known.target], found.poses[known.target].inverse()
     rows = []
-    for name in snapshot.names:
-        covariance = None if name == known.target else relative_covariance(target, found[name], found.target)
-        pose = T_target_root @ found.poses[name]
+    for name in dict.fromkeys(name for snapshot in snapshots for name in snapshot.names):
+        poses = [_pose_near_known(rig, name, known.target) for rig in found if {name, known.target} <= rig.poses.keys()]
+        if not poses:
+            return []
+        pose, covariance = min(poses, key=lambda each: 0.0 if each[1] is None else float(np.trace(each[1])))
         rows.append(_row(request, name, known.target, "verified", "placed", pose, covariance))
     return rows
+
+
+def _pose_near_known(found: CalibrationResult, name: str, target: str) -> tuple[RigidTransform, FloatArray | None]:
+    covariance = None if name == target else relative_covariance(found[target], found[name], found.target)
+    return found.poses[target].inverse() @ found.poses[name], covariance
 
 
 def _calibrated_rows(request: LogTask, document: ResultDocument) -> list[LidarRow]:
@@ -229,6 +289,7 @@ def main() -> None:
     """Answer requests until stdin ends: a LogTask with its row, the address of a log with its LogIdentity."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the driver ends it
     threading.Thread(target=_end_with_stdin, daemon=True).start()
+    leave_out_pandas()
     _limit_memory(float(sys.argv[2]))
     with Connection(int(sys.argv[1])) as requests:
         while True:

@@ -16,7 +16,7 @@ from multilica.errors import UnreadableSourceError
 from multilica.geometry import FloatArray
 from multilica.ingest.message_types import decode_cloud, is_cloud
 from multilica.ingest.messages.ros import WireReader
-from multilica.ingest.recording import DamagedRecordingError, RawMessage, Recording, Span
+from multilica.ingest.recording import DamagedRecordingError, ProgressObserver, RawMessage, Recording, Span
 from multilica.ingest.selection.sampling import PATIENCE_NS, evenly, sampled
 from multilica.snapshot import Scan
 
@@ -33,7 +33,7 @@ _Samples: TypeAlias = Sequence[tuple[int, bool | None]]
 _Evidence: TypeAlias = tuple[str, _Samples] | None
 """Name and samples; None if the recording has no such topic."""
 
-_Look: TypeAlias = Callable[[Recording, Span], _Evidence]
+_Look: TypeAlias = Callable[[Recording, Span, ProgressObserver], _Evidence]
 
 _ODOMETRY, _IMU = "nav_msgs/msg/Odometry", "sensor_msgs/msg/Imu"
 
@@ -69,15 +69,25 @@ class Standstills:
     is_whole: bool = False
 
 
-def find_standstills(recording: Recording, span: Span) -> Standstills:
+def untold(done: int, total: int) -> None:
+    """Tell nobody about the progress."""
+    del done, total
+
+
+def find_standstills(recording: Recording, span: Span, observe: ProgressObserver = untold) -> Standstills:
     """Find all times of at least a second, or the whole span, of standstill.
 
     Only a few hundred samples are read, whatever the length of the recording. Motion between two of them is left to
     the check of the frames. In a damaged recording, samples end where it cannot be read.
+
+    Args:
+        observe: called with each sample; from the beginning again if other messages are looked at.
     """
     # The most direct evidence first.
     look, (name, samples) = next(
-        (look, found) for look in (_by_odometry, _by_imu, _by_clouds) if (found := look(recording, span)) is not None
+        (look, found)
+        for look in (_by_odometry, _by_imu, _by_clouds)
+        if (found := look(recording, span, observe)) is not None
     )
     if (samples and all(still for _, still in samples)) or (not samples and has_single_frames(recording)):
         return Standstills(name, (span,), is_known=bool(samples), is_whole=True)
@@ -98,7 +108,7 @@ def _runs(samples: _Samples) -> Iterator[Span]:
 def _around(recording: Recording, look: _Look, run: Span, span: Span) -> list[Span]:
     """Return the standstill about a lone sample."""
     near = (max(span[0], run[0] - _BESIDE_NS), min(span[1], run[1] + _BESIDE_NS))
-    found = look(recording, near)
+    found = look(recording, near, untold)
     return [each for each in _runs(found[1] if found else ()) if each[0] <= run[1] and run[0] <= each[1]]
 
 
@@ -110,9 +120,9 @@ def has_single_frames(recording: Recording) -> bool:
     return max(counts.values(), default=0) == 1
 
 
-def _by_odometry(recording: Recording, span: Span) -> _Evidence:
+def _by_odometry(recording: Recording, span: Span, observe: ProgressObserver) -> _Evidence:
     """Sample speed, turning rate and position of odometry."""
-    samples = _ros_samples(recording, _ODOMETRY, span, 1)
+    samples = _ros_samples(recording, _ODOMETRY, span, 1, observe)
     if samples is None:
         return None
     topic, times_ns, bursts = samples
@@ -123,9 +133,9 @@ def _by_odometry(recording: Recording, span: Span) -> _Evidence:
     return f"odometry on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
 
 
-def _by_imu(recording: Recording, span: Span) -> _Evidence:
+def _by_imu(recording: Recording, span: Span, observe: ProgressObserver) -> _Evidence:
     """Sample the spread of accelerations and the turning rate within bursts of IMU messages."""
-    samples = _ros_samples(recording, _IMU, span, 20)
+    samples = _ros_samples(recording, _IMU, span, 20, observe)
     if samples is None:
         return None
     topic, times_ns, bursts = samples
@@ -137,14 +147,14 @@ def _by_imu(recording: Recording, span: Span) -> _Evidence:
     return f"the IMU on '{topic}'", list(zip(times_ns, still.tolist(), strict=True))
 
 
-def _by_clouds(recording: Recording, span: Span) -> _Evidence:
+def _by_clouds(recording: Recording, span: Span, observe: ProgressObserver) -> _Evidence:
     """Compare each sampled cloud of one LiDAR with the next frame and with the next sample.
 
     The LiDAR is the one with the largest clouds that show enough at all times, else at most times.
     """
     found: list[tuple[float, str, _Samples]] = []
     for topic in richest_topics(recording, span)[:4]:
-        samples = _cloud_samples(recording, topic, span)
+        samples = _cloud_samples(recording, topic, span, observe)
         known = np.mean([still is not None for _, still in samples]) if samples else 0.0
         found.append((float(known), topic, samples))
         if known == 1.0:
@@ -153,13 +163,15 @@ def _by_clouds(recording: Recording, span: Span) -> _Evidence:
     return f"the clouds on '{topic}'", samples
 
 
-def _cloud_samples(recording: Recording, topic: str, span: Span) -> _Samples:
-    dense = _cloud_samples_at(recording, topic, span, 0.5) if span[1] - span[0] <= _SHORT_NS else ()
+def _cloud_samples(recording: Recording, topic: str, span: Span, observe: ProgressObserver) -> _Samples:
+    dense = _cloud_samples_at(recording, topic, span, 0.5, observe) if span[1] - span[0] <= _SHORT_NS else ()
     # Slow LiDARs have no two frames in half a second.
-    return dense or _cloud_samples_at(recording, topic, span, 1.0)
+    return dense or _cloud_samples_at(recording, topic, span, 1.0, observe)
 
 
-def _cloud_samples_at(recording: Recording, topic: str, span: Span, step_s: float) -> _Samples:
+def _cloud_samples_at(
+    recording: Recording, topic: str, span: Span, step_s: float, observe: ProgressObserver
+) -> _Samples:
     from multilica.stages.stillness import detect_motion
 
     times_ns = _times_ns(span, 90, step_s)
@@ -170,6 +182,7 @@ def _cloud_samples_at(recording: Recording, topic: str, span: Span, step_s: floa
     previous: Scan | None = None
     # Clouds fill chunks fast, so even jumps within a second save reading.
     for index, message in _readable(sampled(recording, [topic], times_ns, span[1] + 1, most=2, jump_ns=0)):
+        observe(index + 1, len(times_ns))
         try:
             scans[index].append(decode_cloud(message).scan)
         except UnreadableSourceError:
@@ -199,7 +212,7 @@ def _stands(motion: Motion) -> bool | None:
 
 
 def _ros_samples(
-    recording: Recording, message_type: str, span: Span, most: int
+    recording: Recording, message_type: str, span: Span, most: int, observe: ProgressObserver
 ) -> tuple[str, list[int], list[list[FloatArray]]] | None:
     """Return the topic with the most messages of a type, and log time and the messages' numbers of each sample."""
     topics = [
@@ -211,7 +224,9 @@ def _ros_samples(
         return None
     name = max(topics, key=lambda topic: (topic.count, topic.name)).name
     bursts: dict[int, tuple[int, list[FloatArray]]] = {}
-    for index, message in _readable(sampled(recording, [name], _times_ns(span, 240, 0.25), span[1] + 1, most)):
+    times_ns = _times_ns(span, 240, 0.25)
+    for index, message in _readable(sampled(recording, [name], times_ns, span[1] + 1, most)):
+        observe(index + 1, len(times_ns))
         if message.message_type != message_type:
             continue
         try:

@@ -29,14 +29,14 @@ CHECKING = dict.fromkeys(
 )
 DEFAULTS = {
     "check": {
-        **dict.fromkeys(("RUN|SOURCE", "--against", "--out", "--workers")),
+        **dict.fromkeys(("RUN|SOURCE", "--against", "--out", "--workers", "--stops")),
         **TOLERANCES,
         **CHECKING,
         "--quiet": False,
         "--json": False,
     },
     "verify": {
-        **dict.fromkeys(("SOURCE", "--calibration")),
+        **dict.fromkeys(("SOURCE", "--calibration", "--stops")),
         **TOLERANCES,
         **CHECKING,
         "--quiet": False,
@@ -55,7 +55,7 @@ DEFAULTS = {
     },
     "inspect": {"SOURCE": None, "--timeout": None, **READING, "--json": False},
     "record": {
-        **dict.fromkeys(("SOURCE", "--out", "--timeout")),
+        **dict.fromkeys(("SOURCE", "--out", "--timeout", "--stops")),
         **READING,
         "--vehicle": "",
         "--quiet": False,
@@ -120,6 +120,7 @@ DEFAULTS = {
         **dict.fromkeys(
             ("LOGS", "--out", "--pattern", "--target", "--workers", "--topic", "--frames", "--config", "--set")
         ),
+        **dict.fromkeys(("--stops", "--window")),
         "--calibrate": "when-needed",
         "--max-translation": 0.03,
         "--max-rotation": 0.3,
@@ -128,7 +129,6 @@ DEFAULTS = {
         "--max-log-memory": 4000.0,
         "--retries": 5,
         "--newest-first": False,
-        "--window": "auto",
         "--quiet": False,
         "--json": False,
     },

@@ -11,7 +11,7 @@ from multilica.fleet.store.records import MEASURED
 from multilica.simulate import plan_fleet, simulate_snapshot
 from tests.selection import NIGHTLY
 
-# Its LiDARs are placed in all logs in which they return something: others cost two calibrations.
+# Its LiDARs are placed in all logs in which they return something.
 PLAN = plan_fleet(2, 8, 398, frames=2, keep_every=12, jumps=0, creeps=0, dead=1, broken=2, duplicates=1)
 
 

@@ -12,12 +12,26 @@ import numpy as np
 import pytest
 
 import multilica
-from multilica.config import CalibrationConfig, IngestConfig, with_overrides
+from multilica import events
+from multilica.config import CalibrationConfig, IngestConfig, preset, with_overrides
+from multilica.drive_calibration import wanted_stops
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.geometry import RigidTransform
-from multilica.ingest import find_stops, inspect_source, read_drive, read_stops, ways
+from multilica.ingest import (
+    Stop,
+    drive_reader,
+    find_stops,
+    inspect_source,
+    read_drive,
+    read_log,
+    read_snapshot,
+    read_stops,
+    stops_of_log,
+    ways,
+)
 from multilica.ingest import stops as stops_module
 from multilica.ingest.locate import find_source
+from multilica.ingest.memory import MemoryLimitError
 from multilica.ingest.opening import open_source
 from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic
 from multilica.ingest.selection import standstill
@@ -26,7 +40,7 @@ from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
 from multilica.simulate.rigs import FRONT_BACK
 from multilica.simulate.sensors import RasterPattern
 from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
-from multilica.snapshot import Snapshot
+from multilica.snapshot import LidarScans, Snapshot
 from tests.ingest.support.processes import served
 
 pytestmark = pytest.mark.slow
@@ -61,7 +75,7 @@ def log(drive: SimulatedDrive, tmp_path: Path) -> Path:
 
 
 def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, log: Path, tmp_path: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=auto", "runtime.workers=1"])
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
     run = run_calibration(log, tmp_path / "run", config)
     assert [each.name for each in run.result.snapshots] == ["stop_1", "stop_2", "stop_3"]
     assert {each.lidar for each in run.result.motions} == {"front", "rear"}
@@ -78,21 +92,22 @@ def test_the_motion_from_stop_to_stop_is_read(tmp_path: Path, monkeypatch: pytes
     straight = simulate_drive("small", "yard", 4, route="straight", **options)
     write_ros2_mcap(straight.log, tmp_path / "drive.mcap")
     first, second = read_drive(tmp_path / "drive.mcap", 2, config=FEW)
-    assert not first.motions
-    assert [motion.lidar for motion in second.motions] == ["front", "rear"]
-    _, rear = second.motions  # the front LiDAR has hardly anything in sight
+    assert not first.read_motions()
+    motions = second.read_motions()
+    assert [motion.lidar for motion in motions] == ["front", "rear"]
+    rear = motions[1]  # the front LiDAR has hardly anything in sight
     mount = straight.truth.T_target_source["rear"].matrix
     truth = np.linalg.inv(mount) @ straight.T_first_stop_base[1].matrix @ mount
     error = rear.T_before_now.offset_from(RigidTransform("rear", "rear", truth))
     assert np.linalg.norm(error[3:]) < 0.01 * rear.way_m
     assert rear.frames < STAND_FRAMES + 12
     monkeypatch.setattr(ways, "LONGEST_WAY_S", 1.0)
-    assert not any(snapshot.motions for snapshot in read_drive(tmp_path / "drive.mcap", 2, config=FEW))
+    assert not second.read_motions()
 
 
 def test_the_library_takes_the_stops_of_a_log(log: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=2", "runtime.workers=1"])
-    assert len(multilica.calibrate(log, config).snapshots) == 2
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
+    assert len(multilica.calibrate(log, config, stops=2).snapshots) == 2
 
 
 def test_a_log_with_one_standstill_is_read_there(drive: SimulatedDrive, tmp_path: Path) -> None:
@@ -103,22 +118,98 @@ def test_a_log_with_one_standstill_is_read_there(drive: SimulatedDrive, tmp_path
     assert drive.spans_ns[1][0] - SLOW_NS <= snapshot["front"].scans[0].stamp_ns <= drive.spans_ns[1][1]
     assert snapshot.notes[-1] == "3 stops of different place or heading were asked for, and 1 found."
     config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=3", "runtime.workers=1"])
-    told: list[str] = []
-    run_calibration(path, tmp_path / "run", config, observe=lambda event: told.append(getattr(event, "note", "")))
-    assert {*snapshot.notes} <= {*told}
+    told: list[events.RunEvent] = []
+    run_calibration(path, tmp_path / "run", config, observe=told.append)
+    assert {*snapshot.notes} <= {getattr(event, "note", "") for event in told}
+    progress = [event for event in told if isinstance(event, events.StopsProgressed)]
+    assert {event.doing for event in progress} == {"find stops", "read stops"}
+    assert told[: len(progress)] == progress
+    assert progress[-2].done == progress[-2].total > 1
+    assert progress[-1] == events.StopsProgressed("read stops", 1, 1)
 
 
 def test_a_target_that_no_stop_has_is_told_before_calibration(log: Path, tmp_path: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "drive.stops=auto", "target=nose"])
+    config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "target=nose"])
     with pytest.raises(UnknownNameError, match="nose"):
         run_calibration(log, tmp_path / "run", config)
     assert not (tmp_path / "run").exists()
 
 
 def test_a_running_vehicle_has_no_stops(tmp_path: Path) -> None:
-    config = with_overrides(CalibrationConfig(), ["drive.stops=auto"])
+    config = with_overrides(CalibrationConfig(), ["drive.stops=2"])
     with pytest.raises(UsageError, match="only a log has stops"):
         run_calibration("ros2://", tmp_path / "run", config)
+
+
+def longer(lidar: LidarScans, frames: int) -> LidarScans:
+    """Repeat the first frames of a LiDAR, a tenth of a second after each other."""
+    first, *_ = lidar.scans
+    scans = (
+        replace(lidar.scans[number % STAND_FRAMES], stamp_ns=first.stamp_ns + number * 100_000_000)
+        for number in range(frames)
+    )
+    return replace(lidar, scans=tuple(scans))
+
+
+def assert_read_as_one(path: Path, config: IngestConfig = FEW) -> None:
+    """Nothing tells that stops were looked for."""
+    assert stops_of_log([path], "auto", config=config) == ()
+    (found,), usual = read_drive(path, "auto", config=config), read_snapshot(path, config=config)
+    assert (found.notes, found.source) == (usual.notes, usual.source)
+    for one, other in zip(found.lidars, usual.lidars, strict=True):
+        for scan, same in zip(one.scans, other.scans, strict=True):
+            assert (scan.stamp_ns, scan.points_m.tobytes()) == (same.stamp_ns, same.points_m.tobytes())
+
+
+def test_a_vehicle_that_stays_costs_a_look(
+    drive: SimulatedDrive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, decoded = tmp_path / "a.mcap", list[int]()
+    write_ros2_mcap(Snapshot(tuple(longer(lidar, 60) for lidar in drive.log.lidars)), path)
+    decode = drive_reader.decode_cloud
+    monkeypatch.setattr(drive_reader, "decode_cloud", lambda message: decoded.append(1) or decode(message))
+    monkeypatch.setattr(drive_reader, "search_log", lambda *_: pytest.fail("a search"))
+    assert_read_as_one(path)
+    assert 1 < len(decoded) <= 10  # by `assert_read_as_one`, twice
+
+
+def test_a_drive_with_one_standstill_is_read_as_before(drive: SimulatedDrive, tmp_path: Path) -> None:
+    write_ros2_mcap(part(drive, slice(0, STAND_FRAMES + 20)), tmp_path / "a.mcap")
+    assert_read_as_one(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("chosen", [{"start_s": 1.0}, {"window": "auto"}, {"window_s": 0.5}])
+def test_chosen_frames_come_before_stops(log: Path, chosen: dict[str, object]) -> None:
+    assert_read_as_one(log, FEW.model_copy(update=chosen))
+
+
+def test_a_log_without_index_is_searched_only_on_demand(log: Path) -> None:
+    log.write_bytes(log.read_bytes()[:-1000])
+    assert_read_as_one(log)
+    assert len(stops_of_log([log], 3, config=FEW)) == 3
+
+
+def test_stops_that_take_too_much_memory_are_left_out(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = drive_reader.read_stops
+
+    def read(stops: list[Stop], **options: object) -> tuple[Snapshot, ...]:
+        if len(stops) > 1:
+            raise MemoryLimitError("too much")
+        return whole(stops, **options)
+
+    monkeypatch.setattr(drive_reader, "read_stops", read)
+    stops = stops_of_log([log], 3, config=FEW)
+    (snapshot,) = read_log(stops, "auto", config=FEW)
+    assert snapshot.notes[-2] == stops[0].why
+    assert snapshot.notes[-1].startswith("1 of 3 stops are used")
+    with pytest.raises(MemoryLimitError):
+        read_log(stops, 3, config=FEW)
+
+
+def test_what_gives_no_joint_result_has_no_stops() -> None:
+    assert wanted_stops(CalibrationConfig()) == "auto"
+    assert wanted_stops(preset("paper")) == wanted_stops(CalibrationConfig(until="coarse")) == 1
+    assert wanted_stops(with_overrides(preset("paper"), ["drive.stops=3"])) == 3
 
 
 def test_one_stop_is_the_single_snapshot(log: Path, tmp_path: Path) -> None:
@@ -282,7 +373,7 @@ def test_a_short_standstill_of_a_long_log_is_found(monkeypatch: pytest.MonkeyPat
     """Samples every 15 s meet it once; those about it tell its length."""
     asked: list[Span] = []
 
-    def look(_: Recording, span: Span) -> tuple[str, list[tuple[int, bool | None]]]:
+    def look(_: Recording, span: Span, __: object) -> tuple[str, list[tuple[int, bool | None]]]:
         asked.append(span)
         times_ns = standstill._times_ns(span, 240, 0.25)
         return "a clock", [(time_ns, 1499e9 <= time_ns < 1503e9 or 2000e9 <= time_ns < 2060e9) for time_ns in times_ns]

@@ -10,6 +10,7 @@ from multilica.acceptance.accept import (
     cannot_be_accepted,
     competing_poses,
     is_well_constrained,
+    may_be_accepted,
     min_competing_evidence,
 )
 from multilica.acceptance.placement import imprecision, place
@@ -267,6 +268,25 @@ def test_a_rough_pose_is_dropped_only_with_a_margin():
     assert [cannot_be_accepted(evidence, _CONFIG) for evidence in (0.2, 0.4, 3.0)] == [True, False, False]
     assert min_competing_evidence(10.0, _CONFIG) == pytest.approx(3.4)
     assert min_competing_evidence(-5.0, _CONFIG) == -5.0
+
+
+@pytest.mark.parametrize(
+    ("distinctive", "apart_m", "possible"),
+    [
+        ((), 2.0, False),
+        ((20,), 2.0, False),
+        ((400,), 2.0, True),
+        ((400, 390), 2.0, False),
+        ((400, 390), 0.5, True),
+        ((400, 100), 2.0, True),
+    ],
+)
+def test_what_may_be_accepted_has_no_equal_elsewhere(distinctive, apart_m, possible):
+    found = [
+        _registration(pose("t", "s", (side * 0.5 * apart_m, 0, 0)), distinctive=count)
+        for side, count in zip((1.0, -1.0), distinctive, strict=False)
+    ]
+    assert may_be_accepted(found, _CONFIG) is possible
 
 
 @pytest.mark.parametrize(

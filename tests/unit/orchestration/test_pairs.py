@@ -6,6 +6,7 @@ import pytest
 
 from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
+from multilica.orchestration import pairs
 from multilica.orchestration.pairs import (
     PAIR_STAGES,
     SearchRequest,
@@ -78,6 +79,13 @@ def test_without_a_hypothesis_there_is_no_registration():
     assert found.coarse.hypotheses == ()
     assert found.verified == ()
     assert found.registration is None
+
+
+def test_a_search_again_ends_where_nothing_can_be_accepted(lidars, monkeypatch):
+    assert _search(lidars, refused=()).registration.verdict.accepted
+    monkeypatch.setattr(pairs, "may_be_accepted", lambda *_: False)
+    assert _search(lidars, refused=()).registration is None
+    assert _search(lidars).registration is not None
 
 
 def test_an_implied_pose_is_scored_and_registered_from_there(lidars):

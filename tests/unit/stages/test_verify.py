@@ -47,7 +47,7 @@ def hall():
     return _prepared(HALL)
 
 
-def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, far=False, **changed):
+def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, far=False, refused=None, **changed):
     """Verify without symmetric and repeated poses and far slides, and with constants of the stage changed."""
     origins = [(pose, "test") for pose in poses] + ([] if prior is None else [(prior, PRIOR)])
     hypotheses = tuple(Hypothesis(pose, origin=origin, index=index) for index, (pose, origin) in enumerate(origins))
@@ -58,7 +58,7 @@ def _verified(lidars, *poses, limits=_LIMITS, prior=None, max_repeated=0, far=Fa
         for name, value in ({"max_symmetric_poses": 0} | changed).items():
             patch.setattr(verify, f"_{name.upper()}", value)
         config = CalibrationConfig(acceptance=limits)
-        return verify_hypotheses(*lidars, CoarseResult("t", "s", hypotheses), config)
+        return verify_hypotheses(*lidars, CoarseResult("t", "s", hypotheses), config, refused)
 
 
 def test_the_true_pose_wins_over_one_with_more_matches(hall):
@@ -109,6 +109,17 @@ def test_what_beams_contradict_before_gicp_is_not_registered(hall, monkeypatch):
 def test_the_best_hypothesis_is_registered_however_bad(hall):
     (found,) = _verified(hall, _near(_TRUTH, (0, 0, 0), 0.8), near_slide_m=0.0)
     assert found.evidence < _LIMITS.min_evidence
+
+
+def test_a_search_again_registers_only_promising_hypotheses(hall):
+    wrong = _near(_TRUTH, (0, 0, 0), 0.8)
+    assert _verified(hall, wrong, refused=()) == ()
+    (best,) = _verified(hall, wrong, _near(_TRUTH), refused=(wrong,))
+    assert best.hypothesis == 1
+
+
+def test_a_search_again_ends_where_it_finds_what_was_refused(hall):
+    assert _verified(hall, _near(_TRUTH), refused=(_TRUTH,)) == ()
 
 
 @pytest.mark.usefixtures("all_promising")

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks of one vehicle at several stops, as one verdict."""
+
+from collections.abc import Mapping, Sequence
+
+from multilica.checks.comparison import LidarCheck, RigCheck, verify_snapshot
+from multilica.checks.tolerances import RigTolerances
+from multilica.config import CalibrationConfig
+from multilica.errors import UnfitSnapshotError
+from multilica.extrinsics import Extrinsics
+from multilica.snapshot import Snapshot
+
+
+def verify_stops(
+    snapshots: Sequence[Snapshot],
+    known: Extrinsics,
+    tolerances: RigTolerances,
+    config: CalibrationConfig | None = None,
+    deadline_s: float | None = None,
+) -> tuple[RigCheck, ...]:
+    """Test at each stop of a vehicle which LiDARs are still at their known poses; arguments as `verify_snapshot`.
+
+    Stops that cannot be used are left out with a note, if there are others.
+
+    Raises:
+        UnfitSnapshotError: as `verify_snapshot`, for the first of the stops, none of which can be used.
+        UsageError: as `verify_snapshot`.
+    """
+    checks: list[RigCheck] = []
+    refusals: list[UnfitSnapshotError] = []
+    for snapshot in snapshots:
+        try:
+            checks.append(verify_snapshot(snapshot, known, tolerances, config, deadline_s))
+        except UnfitSnapshotError as refusal:
+            refusals.append(refusal)
+    if not checks:
+        raise refusals[0]
+    notes = tuple(f"a stop is left out: {str(refusal).rstrip('.')}" for refusal in refusals)
+    checks[0] = checks[0].model_copy(update={"notes": (*checks[0].notes, *notes)})
+    return settle_stops(checks)
+
+
+def settle_stops(checks: Sequence[RigCheck]) -> tuple[RigCheck, ...]:
+    """Let a LiDAR that one stop cannot decide be within where another stop finds it within.
+
+    A LiDAR outside at any stop stays so there.
+    """
+    within: dict[str, tuple[RigCheck, LidarCheck | None]] = {}
+    for check in checks:
+        for each in check.lidars:
+            if each.verdict == "within":
+                within.setdefault(each.lidar, (check, each))
+                within.setdefault(check.root, (check, None))
+    return tuple(
+        check.model_copy(update={"lidars": tuple(_settled(each, within) for each in check.lidars)}) for check in checks
+    )
+
+
+def _settled(each: LidarCheck, within: Mapping[str, tuple[RigCheck, LidarCheck | None]]) -> LidarCheck:
+    if each.verdict != "undecided" or each.lidar not in within:
+        return each
+    check, found = within[each.lidar]
+    told = f"others are compared to it at {check.name}" if found is None else f"{found.reason} at {check.name}"
+    return each.model_copy(update={"verdict": "within", "reason": f"{told}; here: {each.reason}"})

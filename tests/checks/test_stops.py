@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One verdict over the stops of a vehicle."""
+
+from __future__ import annotations
+
+from multilica.checks import LidarCheck, RigCheck, check_document, settle_stops
+
+
+def stop(name: str, root: str = "top", **verdicts: str) -> RigCheck:
+    lidars = tuple(
+        LidarCheck(lidar=lidar, verdict=verdict, reason="so it is", max_translation_m=0.03, max_rotation_deg=0.3)
+        for lidar, verdict in verdicts.items()
+    )
+    return RigCheck(name=name, root=root, lidars=lidars)
+
+
+def verdicts_of(checks: tuple[RigCheck, ...]) -> list[dict[str, str]]:
+    return [{each.lidar: each.verdict for each in check.lidars} for check in checks]
+
+
+def test_a_stop_that_decides_settles_the_others() -> None:
+    checks = settle_stops([stop("one", left="undecided", right="within"), stop("two", left="within", right="within")])
+    assert verdicts_of(checks) == [{"left": "within", "right": "within"}] * 2
+    assert checks[0].lidars[0].reason == "so it is at two; here: so it is"
+    assert check_document(checks, "reference").sentence == "All LiDARs agree with the reference."
+
+
+def test_the_root_of_a_stop_is_within_there() -> None:
+    checks = settle_stops([stop("one", "left", top="within"), stop("two", left="undecided")])
+    assert verdicts_of(checks)[1] == {"left": "within"}
+    assert "others are compared to it at one" in checks[1].lidars[0].reason
+
+
+def test_what_moved_later_stays_outside() -> None:
+    checks = settle_stops([stop("one", left="within"), stop("two", left="outside"), stop("three", left="undecided")])
+    assert verdicts_of(checks) == [{"left": "within"}, {"left": "outside"}, {"left": "within"}]
+    document = check_document(checks, "reference")
+    assert (document.verdict, document.sentence) == ("outside", "two: left is outside.")
+
+
+def test_what_no_stop_decides_is_undecided() -> None:
+    checks = settle_stops([stop("one", left="undecided", right="undecided"), stop("two", left="undecided")])
+    assert check_document(checks, "reference").verdict == "undecided"

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A vehicle that drives on after every second look at it: ``drive_server.py STOP1.mcap STOP2.mcap ...``."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import foxglove
+from foxglove import Channel, ServerListener
+
+from multilica import read_snapshot
+from tests.ingest.support.bridge_server import PERIOD_S, encoded, schema_of
+
+LOOKS = 2
+
+
+class Looks(ServerListener):
+    """Counts the subscriptions to a topic."""
+
+    def __init__(self, topic: str) -> None:
+        self.topic, self.count = topic, 0
+
+    def on_subscribe(self, client: object, channel: object) -> None:
+        del client
+        self.count += channel.topic == self.topic
+
+
+def main(paths: list[str]) -> None:
+    stops = [read_snapshot(path) for path in paths]
+    topics = {lidar.name: lidar.topic for lidar in stops[0].lidars}
+    looks = Looks(topics[stops[0].names[0]])
+    server = foxglove.start_server(port=0, server_listener=looks)
+    channels = {name: Channel(topic, message_encoding="cdr", schema=schema_of("cdr")) for name, topic in topics.items()}
+    print(server.port, flush=True)
+    while True:
+        stop = stops[min(max(0, looks.count - 1) // LOOKS, len(stops) - 1)]
+        for lidar in stop.lidars:
+            stamped = replace(lidar.scans[0], stamp_ns=time.time_ns())
+            channels[lidar.name].log(encoded("cdr", lidar, stamped), log_time=stamped.stamp_ns)
+        time.sleep(PERIOD_S)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
