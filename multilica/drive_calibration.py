@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration of a rig from several stops of one drive."""
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +17,7 @@ from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
-from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, follow_motions, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
@@ -91,7 +92,8 @@ def calibrate_jointly(
 
     Args:
         alone: by the name of the stop, in the order of the drive.
-        ways: by the name of the stop, to read the motions since the one before; read only if a pose is open.
+        ways: by the name of the stop, to read the motions since the one before. They are read only if links leave the
+            pose of a LiDAR open.
     """
 
     def read_motions() -> tuple[ViewPair, ...]:
@@ -107,9 +109,13 @@ def calibrate_jointly(
         if prepared and (own := runs[-1].result) is not None:
             stops.append(DriveStop(name, prepared, own.trusted))
     with threadpool_limits(1):
-        found = search_links(stops, config, workers, deadline_s, read_motions)
+        found = search_links(stops, config, workers, deadline_s)
         against = partial(contradiction_at, stops, config)
-        result = join(runs, config, found.links, against, found.motions, found.levels)
+        result = join(runs, config, found.links, against)
+        if any(each.T_target_source is None for each in result.placements) and time.monotonic() < deadline_s:
+            found = follow_motions(stops, config, workers, found, read_motions)
+            if found.motions:
+                result = join(runs, config, found.links, against, found.motions, found.levels)
     if found.not_reached:
         limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
         result = replace(result, time_limit=replace(limit, unlinked_stops=found.not_reached))

@@ -313,7 +313,12 @@ class _JointRig:
         found = place(told.T_root_lidar, told.covariance, self.limits, fitness=0.0, rmse_m=float("inf"))
         if found.T_target_source is None:
             return replace(found, reason=f"{self._why_unplaced(lidar)} Its motion between the stops: {found.reason}")
-        return replace(found, status="uncertain", reason=f"{_BY_MOTIONS}: {found.reason}")
+        sigma_mm = 1e3 * np.sqrt(np.diag(told.covariance)[3:])
+        along = ", ".join(f"{axis} {sigma:.0f} mm" for axis, sigma in zip("xyz", sigma_mm, strict=True))
+        reason = (
+            f"{_BY_MOTIONS}: sigma along the axes of {self.target} {along}, limit {1e3 * self.limits.max_sigma_m:g} mm"
+        )
+        return replace(found, status="uncertain", reason=reason)
 
     def _why_unplaced(self, lidar: str) -> str:
         against = next((each for each in self.linked.conflicts if lidar in (each.target, each.source)), None)

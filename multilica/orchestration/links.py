@@ -9,6 +9,7 @@ from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import (
+    PreparedLidar,
     SearchRequest,
     priority_of,
     register_implied,
@@ -42,8 +43,8 @@ class FoundLinks:
 
     Args:
         not_reached: pairs of stops whose views there was no time to search.
-        motions: that were read for it.
-        levels: poses of LiDARs over the ground.
+        motions: of LiDARs between the stops, if they were read.
+        levels: poses of LiDARs over the ground, with motions.
     """
 
     links: tuple[ViewPair, ...] = ()
@@ -53,32 +54,52 @@ class FoundLinks:
 
 
 def search_links(
-    stops: Sequence[DriveStop],
-    config: CalibrationConfig,
-    workers: Workers,
-    deadline_s: float = float("inf"),
-    read_motions: Callable[[], Sequence[ViewPair]] = tuple,
+    stops: Sequence[DriveStop], config: CalibrationConfig, workers: Workers, deadline_s: float = float("inf")
 ) -> FoundLinks:
     """Register views of different stops, the most promising first, until they are linked or nothing promising is left.
 
     A pair whose pose follows from others is not searched: the beams test that pose, and it is registered from there.
     So most links have others that confirm them.
 
-    Args:
-        read_motions: returns the motions of LiDARs between the stops by odometry. It is called only if pairs within
-            the stops leave the pose of a LiDAR open. Pairs whose pose follows from motions are tested first.
-
     Returns:
         The accepted and the uncertain registrations, none of which is confirmed, and what there was no time for.
     """
-    if config.drive.max_distance_m == 0.0 or not config.verify.enabled or len(stops) < 2:
+    if not _may_link(stops, config):
         return FoundLinks()
-    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s, read_motions)
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
     try:
         search.run()
     finally:
         workers.forget()
-    return FoundLinks(tuple(search.links.values()), tuple(sorted(search.not_reached)), search.motions, search.levels)
+    return FoundLinks(tuple(search.links.values()), tuple(sorted(search.not_reached)))
+
+
+def follow_motions(
+    stops: Sequence[DriveStop],
+    config: CalibrationConfig,
+    workers: Workers,
+    found: FoundLinks,
+    read_motions: Callable[[], Sequence[ViewPair]],
+) -> FoundLinks:
+    """Register views of different stops from the poses that motions of their LiDARs tell, where links leave some open.
+
+    Args:
+        found: by `search_links`; these links are kept.
+        read_motions: returns the motions of LiDARs between the stops by odometry.
+
+    Returns:
+        The links, with the motions and what tells the height that they leave free.
+    """
+    motions = read_motions() if _may_link(stops, config) else ()
+    if not motions:
+        return found
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, float("inf"))
+    try:
+        search.follow(motions)
+    finally:
+        workers.forget()
+    kept = [link for pair, link in search.links.items() if not any(_same_views(link, each) for each in found.links)]
+    return replace(found, links=(*found.links, *kept), motions=motions, levels=search.levels)
 
 
 @dataclass(slots=True, eq=False)
@@ -87,8 +108,6 @@ class _LinkSearch:
     config: CalibrationConfig
     workers: Workers
     deadline_s: float
-    read_motions: Callable[[], Sequence[ViewPair]]
-    motions: Sequence[ViewPair] = ()
     levels: Mapping[str, RigidTransform] = field(default_factory=dict)
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
@@ -122,15 +141,9 @@ class _LinkSearch:
 
     def run(self) -> None:
         """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
-        self.levels = levels_of(self.stops, self.config)
-        views = prepare_views(self.stops, self.levels, self.config)
-        for view, prepared in views.items():
-            self.workers.share(view.label, prepared)
+        views = self._share()
         if self.graph().is_determined:
             self.loops_per_view = _LOOPS_IF_DETERMINED
-        elif time.monotonic() < self.deadline_s:
-            self.motions = self.read_motions()
-            self._start_from_motions()
         pairs = self.between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
@@ -142,12 +155,24 @@ class _LinkSearch:
                 self.workers.share(view.label, prepared)
             self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
             self.tested.clear()
-            self._start_from_motions()
             self._close_loops()
             self._search(priority, _RETRIES_PER_VIEW)
         if self.loops_per_view > _LOOPS_IF_DETERMINED:
             self.tested -= self.left_out
             self._close_loops()
+
+    def follow(self, motions: Sequence[ViewPair]) -> None:
+        """Register pairs of views from the poses that motions imply, then from those that these links imply."""
+        self._share()
+        self._register(self._implied(self.graph(motions)), score_roughly)
+        self._close_loops()
+
+    def _share(self) -> dict[DriveView, PreparedLidar]:
+        self.levels = levels_of(self.stops, self.config)
+        views = prepare_views(self.stops, self.levels, self.config)
+        for view, prepared in views.items():
+            self.workers.share(view.label, prepared)
+        return views
 
     def _search(self, priority: Mapping[PairKey, float], per_view: float) -> None:
         labels = [view.label for view in self.views]
@@ -174,11 +199,6 @@ class _LinkSearch:
                 self._keep(pair, search.registration)
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
-
-    def _start_from_motions(self) -> None:
-        """Register pairs of views from the poses that motions imply; what does not fit there is searched later."""
-        if self.motions:
-            self._register(self._implied(self.graph(self.motions)), score_roughly)
 
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""
@@ -215,6 +235,14 @@ class _LinkSearch:
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
         self.links[pair] = ViewPair(of_lidars, target.stop, source.stop)
+
+
+def _may_link(stops: Sequence[DriveStop], config: CalibrationConfig) -> bool:
+    return config.drive.max_distance_m > 0.0 and config.verify.enabled and len(stops) > 1
+
+
+def _same_views(one: ViewPair, other: ViewPair) -> bool:
+    return one.views == other.views
 
 
 def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:

@@ -3,16 +3,22 @@
 
 import itertools
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from multilica.config import RefineConfig
+from multilica import drive_calibration
+from multilica.config import CalibrationConfig, RefineConfig
 from multilica.geometry import RigidTransform
+from multilica.multi_snapshot.join import SnapshotRun
 from multilica.multi_snapshot.trusted_links import refine_linked
+from multilica.orchestration.links import FoundLinks
 from multilica.registration.motions import motion_pairs
 from multilica.registration.poses import moved
 from multilica.snapshot import LidarMotion
+from multilica.workers import Workers
 from tests.multi_snapshot.made_drive import LIDARS, STOPS, STRAIGHT, pair, pairs
 
 _SIGMA = np.array([3e-3] * 3 + [0.03] * 3)
@@ -153,3 +159,37 @@ def test_motions_over_an_unused_stop_are_chained():
 
 def view_pose_of(stop):
     return STOPS[stop] @ LIDARS["B"]
+
+
+@pytest.mark.parametrize("is_open", [False, True])
+def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, is_open):
+    given = []
+
+    def joined(*args):
+        given.append(args[4:])
+        pose = None if is_open else LIDARS["B"]
+        return SimpleNamespace(placements=[SimpleNamespace(T_target_source=pose)], time_limit=None)
+
+    stops = [name for name, _ in itertools.islice(STOPS.items(), 2)]
+    truth = (STOPS[stops[0]] @ LIDARS["A"]).inverse() @ STOPS[stops[1]] @ LIDARS["A"]
+    motion = LidarMotion("A", truth, np.diag(_SIGMA**2), 6.0, 30)
+    reads = []
+    ways = {stops[1]: lambda: (reads.append(stops[1]), (motion,))[1]}
+    alone = {name: partial(_alone, name) for name in stops}
+    monkeypatch.setattr(drive_calibration, "search_links", lambda *_: FoundLinks())
+    monkeypatch.setattr(drive_calibration, "join", joined)
+    monkeypatch.setattr(
+        drive_calibration, "follow_motions", lambda *args: replace(args[3], motions=args[4](), levels=LIDARS)
+    )
+    drive_calibration.calibrate_jointly(alone, CalibrationConfig(), Workers(), np.inf, ways)
+    assert reads == (stops[1:] if is_open else [])
+    assert len(given) == 1 + is_open
+    if is_open:
+        motions, levels = given[-1]
+        assert [(each.target_stop, each.source_stop) for each in motions] == [(stops[0], stops[1])]
+        assert levels is LIDARS
+
+
+def _alone(name, prepared, _):
+    prepared["A"] = object()
+    return SnapshotRun(name, SimpleNamespace(trusted=(), placements=(), pairs=(), time_limit=None))
