@@ -312,7 +312,8 @@ class _JointRig:
         lidar = told.T_root_lidar.source
         found = place(told.T_root_lidar, told.covariance, self.limits, fitness=0.0, rmse_m=float("inf"))
         if found.T_target_source is None:
-            return replace(found, reason=f"{self._why_unplaced(lidar)} Its motion between the stops: {found.reason}")
+            why = self._why_unplaced(lidar).removesuffix(".")
+            return replace(found, reason=f"{why}. Its motion between the stops: {found.reason}")
         sigma_mm = 1e3 * np.sqrt(np.diag(told.covariance)[3:])
         along = ", ".join(f"{axis} {sigma:.0f} mm" for axis, sigma in zip("xyz", sigma_mm, strict=True))
         reason = (
