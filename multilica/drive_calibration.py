@@ -15,6 +15,7 @@ from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
+from multilica.multi_snapshot.motions import OPEN_M
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
 from multilica.orchestration.links import MAX_LINKED_STOPS, follow_motions, search_links
@@ -23,7 +24,8 @@ from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
-from multilica.results import CalibrationResult, TimeLimit, ViewPair
+from multilica.results import CalibrationResult, LidarPlacement, TimeLimit, ViewPair
+from multilica.results.registrations import weakest_deviations
 from multilica.snapshot import ReadMotions, Snapshot
 from multilica.workers import Workers
 
@@ -112,7 +114,7 @@ def calibrate_jointly(
         found = search_links(stops, config, workers, deadline_s)
         against = partial(contradiction_at, stops, config)
         result = join(runs, config, found.links, against)
-        if any(each.T_target_source is None for each in result.placements) and time.monotonic() < deadline_s:
+        if any(_is_open(each) for each in result.placements) and time.monotonic() < deadline_s:
             found = follow_motions(stops, config, workers, found, read_motions)
             if found.motions:
                 result = join(runs, config, found.links, against, found.motions, found.levels)
@@ -120,6 +122,13 @@ def calibrate_jointly(
         limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
         result = replace(result, time_limit=replace(limit, unlinked_stops=found.not_reached))
     return DriveCalibration(result, tuple(stops), found.links)
+
+
+def _is_open(placement: LidarPlacement) -> bool:
+    """Return whether motions or the ground may tell more of a pose than links do."""
+    if placement.covariance is None:
+        return placement.T_target_source is None
+    return weakest_deviations(placement.covariance)[0] > OPEN_M
 
 
 def calibrate_alone(

@@ -15,8 +15,8 @@ from multilica.results import StopMotion, ViewPair
 _FREEDOM = 6
 # A correct link or motion differs as much less often.
 _LEAST_PROBABILITY = 1e-6
-# The height that a drive on a plane leaves free has a larger standard deviation.
-_OPEN_M = 0.5
+OPEN_M = 0.5
+"""The height that a drive on a plane leaves free has a larger standard deviation."""
 # Motions of LiDARs on one vehicle differ by more hardly ever; these are not farther from each other.
 _SIGMAS, _APART_M = 4.0, 12.0
 # The ground that two LiDARs see is no common plane: by so much it differs in slope and height, with room for kerbs.
@@ -84,7 +84,7 @@ def poses_by_motions(
     found = {
         lidar: _on_one_ground(told, levels[root], levels[lidar])
         for lidar, told in known.items()
-        if {root, lidar} <= levels.keys() and np.linalg.eigvalsh(told.covariance[3:, 3:])[-1] > _OPEN_M**2
+        if {root, lidar} <= levels.keys() and np.linalg.eigvalsh(told.covariance[3:, 3:])[-1] > OPEN_M**2
     }
     if {motion.target.lidar for motion in motions} <= {root, *known}:
         return found

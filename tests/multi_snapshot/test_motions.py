@@ -161,14 +161,15 @@ def view_pose_of(stop):
     return STOPS[stop] @ LIDARS["B"]
 
 
-@pytest.mark.parametrize("is_open", [False, True])
-def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, is_open):
+@pytest.mark.parametrize(("sigma_m", "is_open"), [(0.1, False), (0.8, True), (None, True)])
+def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, sigma_m, is_open):
     given = []
 
     def joined(*args):
         given.append(args[4:])
-        pose = None if is_open else LIDARS["B"]
-        return SimpleNamespace(placements=[SimpleNamespace(T_target_source=pose)], time_limit=None)
+        pose, covariance = (None, None) if sigma_m is None else (LIDARS["B"], sigma_m**2 * np.eye(6))
+        placement = SimpleNamespace(T_target_source=pose, covariance=covariance)
+        return SimpleNamespace(placements=[placement], time_limit=None)
 
     stops = [name for name, _ in itertools.islice(STOPS.items(), 2)]
     truth = (STOPS[stops[0]] @ LIDARS["A"]).inverse() @ STOPS[stops[1]] @ LIDARS["A"]
