@@ -104,7 +104,7 @@ def _by_few_surfaces(rows, surfaces):
     whitening = lengths_m[:, None] * directions / np.sqrt(values)
     shares = _summed((rows @ whitening) ** 2, surfaces)
     assert np.allclose(shares.sum(axis=0), 1.0)
-    return np.linalg.inv(whitening.T) @ np.diag(np.sqrt(1.0 + 3.0 * np.sum(shares**2, axis=0))) @ whitening.T
+    return np.linalg.inv(whitening.T) @ np.diag(np.sqrt(1.0 + np.sum(shares**2, axis=0))) @ whitening.T
 
 
 def _on_pose(spread, change):
@@ -119,7 +119,8 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
 
     B is over cells of 6 m with the main axis, half by their own sums and half by the usual one, and over rings of both
-    LiDARs, 0.2 of each; its random part is over patches of 1 m. Directions of n surfaces have 1 + 3 / n times as much.
+    LiDARs, 0.2 of each, and over patches of 1 m, 0.6 of them. These patches are its random part. Directions of n
+    surfaces have 1 + 1 / n times as much.
     """
     target, source, pose = _rooms(turn_rad)
     overlap = plane_matches.find_overlap(target, source, pose)
@@ -140,7 +141,6 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     remaining = plane_fit._remaining_hessian(overlap, pose, _BIASES, here.sigma_m, hessian)
     assert np.linalg.eigvalsh(hessian[:6, :6] - remaining[:6, :6]).min() > -1e-6 * np.abs(hessian).max()
     remaining, _ = plane_fit._floored(remaining, noise)
-    weights = _summed(here.weight, surfaces)
     alike = squared(surfaces, np.ones(len(pulls)))
     uneven = plane_fit._SURFACE_SIGMA_M**2 * alike
     by_surfaces = (squared(surfaces) + uneven + noise)[:6, :6]
@@ -153,12 +153,13 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
 
     left_m = here.residual_m + jacobian @ first.step
     sums_m = _summed(here.weight * left_m, surfaces)
-    usual = np.sum(sums_m**2) / np.sum(weights**2) * alike
+    usual = np.sum(sums_m**2) / np.sum(_summed(here.weight, surfaces) ** 2) * alike
     systematic = 0.5 * (squared(surfaces, left_m) + usual) + uneven
-    systematic += 0.2 * sum(squared(_clusters(each), left_m) for each in bands)
+    patches = squared(_clusters(np.floor(here.points_m)), left_m)
+    systematic += 0.2 * sum(squared(_clusters(each), left_m) for each in bands) + 0.6 * patches
     wider = _by_few_surfaces(jacobian[:, :6] * np.sqrt(here.weight)[:, None], surfaces)
     few = _on_pose(systematic, wider) - systematic
-    random = squared(_clusters(np.floor(here.points_m)), left_m) + noise
+    random = patches + noise
     spreads = [each / variance**2 for each in (systematic + few + noise, random, few)]
     information, gradient, spread, random, few = plane_fit._weighted(information, gradient, *spreads)
     found = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS).biases

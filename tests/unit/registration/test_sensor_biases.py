@@ -89,7 +89,13 @@ def one_kind(monkeypatch):
     monkeypatch.setattr(sensor_biases, "BIAS_COUNT", 1)
 
 
-@pytest.mark.usefixtures("many_shares")
+@pytest.fixture
+def as_drawn(monkeypatch):
+    """Leave out what counts more because a rig has few LiDARs."""
+    monkeypatch.setattr(sensor_biases, "_OF_FEW_LIDARS", 0.0)
+
+
+@pytest.mark.usefixtures("many_shares", "as_drawn")
 @pytest.mark.parametrize("size", [0.1, 1.0, 2.5], ids=["smaller", "as allowed", "larger"])
 @pytest.mark.parametrize("strength", [0.5, 5.0], ids=["weak data", "strong data"])
 def test_the_posterior_is_that_of_an_integration(size, strength):
@@ -116,7 +122,7 @@ def test_the_posterior_is_that_of_an_integration(size, strength):
     np.testing.assert_allclose([np.sqrt(found.covariance[0, 0]), *found.bias_sigmas], deviation, rtol=0.02)
 
 
-@pytest.mark.usefixtures("one_kind")
+@pytest.mark.usefixtures("one_kind", "as_drawn")
 def test_the_grid_of_shares_is_fine_enough():
     """Against a uniform share from 0 to 1 in steps of 0.5 %: a fifth of a sigma, and a third wider at most.
 
@@ -174,12 +180,37 @@ def test_the_solution_does_not_depend_on_the_linearisation():
     np.testing.assert_allclose(elsewhere.covariance, found.covariance, rtol=1e-6)
 
 
+@pytest.mark.usefixtures("as_drawn")
 def test_biases_that_the_data_do_not_show_are_those_of_the_prior():
     """No more than what datasheets allow, and in the mean over the shares less."""
     information = np.diag([1e4, *np.full(BIAS_COUNT, 1e-6)])
     found = posterior(information, np.zeros(1 + BIAS_COUNT), np.zeros(BIAS_COUNT), _SIGMAS)
     assert np.all(found.bias_sigmas < _SIGMAS)
     np.testing.assert_allclose(found.bias_sigmas / _SIGMAS, np.sqrt(1.0 / 3.0), rtol=0.3)
+
+
+def test_the_prior_of_lidars_counts_three_times(monkeypatch):
+    """What it adds to the variance of a pose, not that of their rings."""
+    information = np.eye(1 + BIAS_COUNT + 3) + 0.2
+    gradient, sigmas = np.zeros(len(information)), np.ones(BIAS_COUNT + 3)
+
+    def variance(spread):
+        return posterior(information, gradient, 0.0 * sigmas, sigmas, spread, rings=(1,)).covariance[0, 0]
+
+    def of_prior():
+        return variance(0.0 * information)
+
+    counted, all_counted = of_prior(), variance(information)
+    monkeypatch.setattr(sensor_biases, "_OF_FEW_LIDARS", 0.0)
+    once = of_prior()
+    prior = posterior(information, gradient, 0.0 * sigmas, sigmas, rings=(1,)).prior
+    of_rings = np.zeros_like(information)
+    of_rings[-3:, -3:] = (prior.information + prior.uncertain)[-3:, -3:]
+    total = information.copy()
+    total[1:, 1:] += prior.information
+    rings = (np.linalg.inv(total) @ of_rings @ np.linalg.inv(total))[0, 0]
+    assert counted == pytest.approx(rings + 3.0 * (once - rings))
+    assert all_counted - counted == pytest.approx(variance(information) - once)
 
 
 def test_lidars_that_agree_are_better_than_their_datasheets():
@@ -200,7 +231,7 @@ def test_the_mean_azimuth_of_the_rings_is_no_bias():
     """Rings that turn a LiDAR as one rotate its frame, which is what a pose is of."""
     sigmas = np.tile([0.02, 2e-3, 2e-3], 40)
     gradient, information = np.zeros(1 + len(sigmas)), np.zeros((1 + len(sigmas), 1 + len(sigmas)))
-    for kind, share in ((1, 1.0), (2, 0.2)):
+    for kind, share in ((1, 1.0), (2, 1.0 / 13.0)):
         row = np.zeros(1 + len(sigmas))
         row[0], row[1 + kind :: 3] = 1.0, 1.0 / 40
         turned = information + 1e12 * np.outer(row, row)
