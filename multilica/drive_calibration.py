@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Calibration of a rig from several stops of one drive."""
 
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from types import MappingProxyType
 from typing import Literal
 
 from threadpoolctl import threadpool_limits
@@ -13,15 +15,18 @@ from multilica.config import CalibrationConfig
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
+from multilica.multi_snapshot.motions import OPEN_M
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
-from multilica.orchestration.links import MAX_LINKED_STOPS, search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, follow_motions, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
 from multilica.pipeline import calibrate
-from multilica.results import CalibrationResult, TimeLimit, ViewPair
-from multilica.snapshot import Snapshot
+from multilica.registration.motions import motion_pairs
+from multilica.results import CalibrationResult, LidarPlacement, TimeLimit, ViewPair
+from multilica.results.registrations import weakest_deviations
+from multilica.snapshot import ReadMotions, Snapshot
 from multilica.workers import Workers
 
 CalibrateAlone = Callable[[dict[str, PreparedLidar] | None, EarlierStops], SnapshotRun]
@@ -74,17 +79,29 @@ def calibrate_stops(
         f"stop {number}": partial(calibrate_alone, f"stop {number}", snapshot, config, observe, workers, deadline_s)
         for number, snapshot in enumerate(snapshots, start=1)
     }
-    return calibrate_jointly(alone, config, workers, deadline_s).result
+    ways = {f"stop {number}": snapshot.read_motions for number, snapshot in enumerate(snapshots, start=1)}
+    return calibrate_jointly(alone, config, workers, deadline_s, ways).result
 
 
 def calibrate_jointly(
-    alone: Mapping[str, CalibrateAlone], config: CalibrationConfig, workers: Workers, deadline_s: float
+    alone: Mapping[str, CalibrateAlone],
+    config: CalibrationConfig,
+    workers: Workers,
+    deadline_s: float,
+    ways: Mapping[str, ReadMotions] = MappingProxyType({}),
 ) -> DriveCalibration:
     """Calibrate each stop, register views of different stops, and join all of it.
 
     Args:
         alone: by the name of the stop, in the order of the drive.
+        ways: by the name of the stop, to read the motions since the one before. They are read only if links leave the
+            pose of a LiDAR open.
     """
+
+    def read_motions() -> tuple[ViewPair, ...]:
+        legs = [(run.name, ways[run.name]() if run.name in ways else ()) for run in runs]
+        return motion_pairs(legs, {stop.name for stop in stops})
+
     runs: list[SnapshotRun] = []
     stops: list[DriveStop] = []
     for name, calibrate_stop in alone.items():
@@ -95,11 +112,23 @@ def calibrate_jointly(
             stops.append(DriveStop(name, prepared, own.trusted))
     with threadpool_limits(1):
         found = search_links(stops, config, workers, deadline_s)
-        result = join(runs, config, found.links, partial(contradiction_at, stops, config))
+        against = partial(contradiction_at, stops, config)
+        result = join(runs, config, found.links, against)
+        if any(_is_open(each) for each in result.placements) and time.monotonic() < deadline_s:
+            found = follow_motions(stops, config, workers, found, read_motions)
+            if found.motions:
+                result = join(runs, config, found.links, against, found.motions, found.levels)
     if found.not_reached:
         limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
         result = replace(result, time_limit=replace(limit, unlinked_stops=found.not_reached))
     return DriveCalibration(result, tuple(stops), found.links)
+
+
+def _is_open(placement: LidarPlacement) -> bool:
+    """Return whether motions or the ground may tell more of a pose than links do."""
+    if placement.covariance is None:
+        return placement.T_target_source is None
+    return weakest_deviations(placement.covariance)[0] > OPEN_M
 
 
 def calibrate_alone(

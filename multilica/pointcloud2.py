@@ -26,6 +26,10 @@ _INTENSITY = "intensity"
 _RING = "ring"
 _RING_NAMES = (_RING, "channel", "line", "laser_id")
 """Names of drivers for the number of a point's laser; the first that a cloud has is read."""
+_TIME = "time"
+_TIME_NAMES = ("t", _TIME, "timestamp", "time_stamp", "offset_time")
+"""Names of drivers for the time of a point: nanoseconds as whole numbers, else seconds, or nanoseconds as well."""
+_LONGEST_FRAME_NS = 1_000_000_000
 _UINT16, _UINT32, _FLOAT32 = 4, 6, 7
 
 
@@ -64,19 +68,23 @@ class PointCloud2:
 
 
 class Points(NamedTuple):
-    """Finite points (N, 3) in the order of the data, with intensities (N,) and rings (N,), or None."""
+    """Finite points (N, 3) in the order of the data, with intensities (N,), rings (N,) and times (N,), or None."""
 
     points_m: Float32Array
     intensity: Float32Array | None = None
     rings: Uint16Array | None = None
+    times_ns: Uint32Array | None = None
 
     def as_scan(self, stamp_ns: int) -> Scan:
         """Return them as one frame."""
-        return Scan(self.points_m, stamp_ns, self.intensity, rings=self.rings)
+        return Scan(self.points_m, stamp_ns, self.intensity, rings=self.rings, times_ns=self.times_ns)
 
 
-def decode_points(cloud: PointCloud2) -> Points:
+def decode_points(cloud: PointCloud2, *, timed: bool = False) -> Points:
     """Return the finite points of a message.
+
+    Args:
+        timed: also read the time of each point after the earliest one.
 
     Raises:
         ValueError: the message contradicts itself; the text is a predicate, such as "has no field z".
@@ -84,19 +92,21 @@ def decode_points(cloud: PointCloud2) -> Points:
     if cloud.width * cloud.height == 0:
         return Points(np.empty((0, 3), np.float32))
     row_step = _checked_row_step(cloud)
-    dtype = point_dtype(cloud.fields, cloud.point_step, big_endian=cloud.big_endian)
+    dtype = point_dtype(cloud.fields, cloud.point_step, big_endian=cloud.big_endian, timed=timed)
     shape, strides = (cloud.height, cloud.width), (row_step, cloud.point_step)
     return finite_records(np.ndarray(shape, dtype, cloud.data, 0, strides))
 
 
 @lru_cache(maxsize=64)
-def point_dtype(fields: tuple[PointField, ...], point_step: int, *, big_endian: bool) -> np.dtype[np.void]:
+def point_dtype(
+    fields: tuple[PointField, ...], point_step: int, *, big_endian: bool, timed: bool = False
+) -> np.dtype[np.void]:
     """Return the structured type of the fields of `read_fields`, by their names there; all others are padding.
 
     Raises:
         ValueError: a coordinate is missing, of unknown type, or outside the point.
     """
-    chosen = read_fields(fields, point_step)
+    chosen = read_fields(fields, point_step, timed=timed)
     return np.dtype(
         {
             "names": list(chosen),
@@ -107,10 +117,10 @@ def point_dtype(fields: tuple[PointField, ...], point_step: int, *, big_endian: 
     )
 
 
-def read_fields(fields: tuple[PointField, ...], point_step: int) -> dict[str, PointField]:
-    """Return x, y, z and, if there are any, intensity and ring, by these names; errors as of `point_dtype`.
+def read_fields(fields: tuple[PointField, ...], point_step: int, *, timed: bool = False) -> dict[str, PointField]:
+    """Return x, y, z and, if there are any, intensity, ring and, if wanted, time, by these names.
 
-    A ring that cannot be read counts as missing.
+    A ring or a time that cannot be read counts as missing. Other errors are those of `point_dtype`.
     """
     found = {field.name: field for field in reversed(fields)}
     missing = [name for name in _COORDINATES if name not in found]
@@ -120,8 +130,10 @@ def read_fields(fields: tuple[PointField, ...], point_step: int) -> dict[str, Po
     if len({found[name].offset for name in _COORDINATES}) < len(_COORDINATES):
         raise ValueError("has two coordinates at the same bytes of each point")
     chosen = {name: found[name] for name in (*_COORDINATES, _INTENSITY) if name in found}
-    rings = [found[name] for name in _RING_NAMES if name in found and _is_inside(found[name], point_step)]
-    return chosen | dict(zip((_RING,), rings, strict=False))
+    for key, names in ((_RING, _RING_NAMES), *([(_TIME, _TIME_NAMES)] if timed else [])):
+        known = [found[name] for name in names if name in found and _is_inside(found[name], point_step)]
+        chosen |= dict(zip((key,), known, strict=False))
+    return chosen
 
 
 def _is_inside(field: PointField, point_step: int) -> bool:
@@ -160,11 +172,16 @@ def finite_records(records: npt.NDArray[np.void]) -> Points:
 
 
 def finite_points(
-    x: Column, y: Column, z: Column, intensity: Column | None = None, ring: Column | None = None
+    x: Column,
+    y: Column,
+    z: Column,
+    intensity: Column | None = None,
+    ring: Column | None = None,
+    time: Column | None = None,
 ) -> Points:
     """Convert columns (N,) of any number type to read-only points (K, 3), finite ones only, in order.
 
-    Rings that are no whole numbers from 0 to 65,535 are left out.
+    Rings that are no whole numbers from 0 to 65,535 are left out, and so are times that are none of one frame.
     """
     points_m = np.empty((len(x), 3), np.float32)
     with np.errstate(over="ignore"):
@@ -181,12 +198,24 @@ def finite_points(
         keep = finite[:, 0] & finite[:, 1] & finite[:, 2]
         points_m, values = points_m[keep], None if values is None else values[keep]
         ring = None if ring is None else ring[keep]
+        time = None if time is None else time[keep]
     rings = None if ring is None else _whole(ring)
-    for array in (points_m, values, rings):
+    times_ns = None if time is None else _since_first_ns(time)
+    for array in (points_m, values, rings, times_ns):
         if array is not None:
             # A scan then keeps it without a copy.
             array.setflags(write=False)
-    return Points(points_m, values, rings)
+    return Points(points_m, values, rings, times_ns)
+
+
+def _since_first_ns(times: Column) -> Uint32Array | None:
+    """Return nanoseconds after the earliest time (N,); None if they differ by more than a frame lasts."""
+    if not len(times) or not np.isfinite(times).all():
+        return None
+    since = times - times.min() if times.dtype.kind == "f" else times.astype(np.int64) - int(times.min())
+    if times.dtype.kind == "f" and since.max() <= 1.0:
+        since = since * np.float64(_LONGEST_FRAME_NS)
+    return since.astype(np.uint32) if since.max() <= _LONGEST_FRAME_NS else None
 
 
 def _whole(numbers: Column) -> Uint16Array | None:

@@ -284,7 +284,8 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
         alone = {given.name: partial(_run_alone, given, run.place / given.name, request) for given in found}
-        joint = calibrate_jointly(alone, config, request.workers, request.deadline_s)
+        ways = {given.name: given.snapshot.read_motions for given in found if given.snapshot is not None}
+        joint = calibrate_jointly(alone, config, request.workers, request.deadline_s, ways)
         shown = next(given for given in found if given.name == shown_snapshot(joint.result))
         result = replay(shown.read(config).snapshot, joint.result, config, run, request.rig, joint.stops)
     directories = tuple(path for given in found if (path := directory / given.name).is_dir())

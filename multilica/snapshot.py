@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scans of a rig that stands still."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,6 +101,29 @@ class LidarScans:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LidarMotion:
+    """Motion of one LiDAR from the previous stop of a drive to this one, by its own frames on the way.
+
+    Args:
+        T_before_now: the LiDAR at this stop in its own frame at the previous one; both frames have its name.
+        covariance: (6, 6) rotation (rad), translation (m) along the axes at the previous stop, the rotation about the
+            LiDAR's origin at this stop.
+        way_m: length of the way of the LiDAR.
+        frames: number of frames that were registered.
+    """
+
+    lidar: str
+    T_before_now: RigidTransform
+    covariance: FloatArray
+    way_m: float
+    frames: int
+
+
+ReadMotions = Callable[[], tuple[LidarMotion, ...]]
+"""Reads the motions of LiDARs from one stop to the next, as far as frames on the way show them."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
     """A rig's LiDARs over one stationary window.
 
@@ -110,6 +134,7 @@ class Snapshot:
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
         notes: findings of the reader that the user should know ("12 of 20 scans, then the file ends").
         reading_s: duration of reading in seconds; 0 if the snapshot was made in memory.
+        read_motions: of the LiDARs since the previous stop of a drive.
     """
 
     lidars: tuple[LidarScans, ...]
@@ -118,6 +143,7 @@ class Snapshot:
     static_transforms: tuple[RigidTransform, ...] = ()
     notes: tuple[str, ...] = ()
     reading_s: float = 0.0
+    read_motions: ReadMotions = tuple
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lidars", tuple(sorted(self.lidars, key=lambda lidar: lidar.name)))

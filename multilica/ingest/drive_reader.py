@@ -6,6 +6,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
+from functools import partial
+from itertools import pairwise
 from typing import Literal
 
 from multilica.config import IngestConfig
@@ -22,6 +24,7 @@ from multilica.ingest.selection.standstill import has_single_frames, richest_top
 from multilica.ingest.snapshot_reader import read_snapshot
 from multilica.ingest.snapshot_sources import find_snapshots
 from multilica.ingest.stops import MOST_STOPS, Stop, cloud_span, read_stops, search_log
+from multilica.ingest.ways import read_motions
 from multilica.snapshot import Scan, Snapshot
 
 _LEAST_DRIVE_NS = 4 * 10**9
@@ -115,6 +118,7 @@ def read_log(
         replace(snapshot, notes=(*snapshot.notes, stop.why)) if stop.times is not None else snapshot
         for snapshot, stop in zip(read, kept, strict=True)
     ]
+    snapshots = _with_ways(snapshots, kept, config)
     if len(kept) < len(stops):
         told = f"{len(kept)} of {len(stops)} stops are used: more take more memory than ingest.max_memory_mb allows."
         snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
@@ -122,6 +126,17 @@ def read_log(
         told = f"{wanted} stops of different place or heading were asked for, and {len(stops)} found."
         snapshots[0] = replace(snapshots[0], notes=(*snapshots[0].notes, told))
     return tuple(snapshots)
+
+
+def _with_ways(snapshots: list[Snapshot], stops: Sequence[Stop], config: IngestConfig | None) -> list[Snapshot]:
+    """Add what reads the motions of the LiDARs since the previous stop of the log."""
+    spans = [stop.span_ns for stop in stops if stop.span_ns is not None]
+    if len(spans) < len(stops):
+        return snapshots
+    lidars = {lidar.topic: lidar.name for snapshot in snapshots for lidar in snapshot.lidars}
+    paths = stops[0].paths
+    ways = [partial(read_motions, paths, lidars, *way, config=config) for way in pairwise(spans)]
+    return [snapshots[0], *(replace(each, read_motions=way) for each, way in zip(snapshots[1:], ways, strict=True))]
 
 
 def _drives(paths: Sequence[SourceFile], config: IngestConfig | None) -> bool:

@@ -65,6 +65,7 @@ class RawMessage:
         origin: start of a sentence about this message, for instance its file.
         lidar: as in `Topic`.
         fault: why its data cannot be read, as a predicate; empty if they can.
+        timed: the times of its points are wanted, too.
     """
 
     topic: str
@@ -75,6 +76,7 @@ class RawMessage:
     origin: str
     lidar: str = ""
     fault: str = ""
+    timed: bool = False
 
 
 Messages: TypeAlias = Generator[RawMessage, None, None]

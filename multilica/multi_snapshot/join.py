@@ -5,6 +5,7 @@ from collections import Counter, defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import fsum
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from multilica.multi_snapshot.estimate import (
     scatter_ratio,
     spread_of,
 )
+from multilica.multi_snapshot.motions import MotionPose
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs, inconsistent_lidars, resolve_conflicts
 from multilica.multi_snapshot.replay import shown_snapshot
 from multilica.multi_snapshot.trusted_links import ContradictionAt, LinkedRig, refine_linked
@@ -38,6 +40,7 @@ from multilica.results import (
 from multilica.results.placements import LEAST_PROBABILITY
 from multilica.stages.refine import RefinedRig
 
+_BY_MOTIONS = "only its motion between the stops and the ground tell its pose"
 # Snapshots that differ by more on a LiDAR, which then fits at two places, see places that look alike.
 _LARGEST_KNOCK_M, _LARGEST_KNOCK_DEG = 0.5, 10.0
 
@@ -84,6 +87,8 @@ def join(
     config: CalibrationConfig | None = None,
     links: Sequence[ViewPair] = (),
     contradiction_at: ContradictionAt | None = None,
+    motions: Sequence[ViewPair] = (),
+    levels: Mapping[str, RigidTransform] = MappingProxyType({}),
 ) -> CalibrationResult:
     """Place every LiDAR of a rig from all its snapshots.
 
@@ -96,6 +101,8 @@ def join(
         config: the default preset if None.
         links: registrations between snapshots that are stops of one drive.
         contradiction_at: tests the poses of LiDARs that only links connect; None: they are not tested.
+        motions: of LiDARs between these snapshots, by odometry.
+        levels: poses of LiDARs over the ground, of use where only motions tell a pose.
 
     Returns:
         One placement per LiDAR of any snapshot; `snapshots` has the contribution of each. `pairs` and `health` are
@@ -120,7 +127,17 @@ def join(
     moved = [DriveView(conflict.lidars[0], name) for name, own in inconsistent.items() for conflict in own]
     alike = any(each.distance_m > _LARGEST_KNOCK_M or each.angle_deg > _LARGEST_KNOCK_DEG for each in conflicts)
     linked = _rig(
-        refine_linked(target, kept, links, config.refine, contradiction_at, moved, looks_alike=alike),
+        refine_linked(
+            target,
+            kept,
+            links,
+            config.refine,
+            contradiction_at,
+            moved,
+            looks_alike=alike,
+            motions=motions,
+            levels=levels,
+        ),
     )
     if linked.conflicts or linked.knocks:
         left = {id(pair.registration) for pair in linked.within}
@@ -146,6 +163,7 @@ def join(
         stops=joint.stops(),
         links=joint.linked.links,
         knocks=joint.linked.knocks,
+        motions=joint.linked.motions,
         time_limit=_time_limit(results.values(), joint.rig.poses),
         snapshots=tuple(joint.report(run) for run in runs),
     )
@@ -268,6 +286,8 @@ class _JointRig:
     def placement(self, lidar: str) -> LidarPlacement:
         if lidar == self.target:
             return place_target(lidar)
+        if (told := self.linked.by_motions.get(lidar)) is not None:
+            return self._by_motions(told)
         if lidar not in self.rig.covariances:
             return LidarPlacement(lidar, self._why_unplaced(lidar))
         estimates = [own[lidar] for own in self.agreed.values() if lidar in own]
@@ -286,6 +306,20 @@ class _JointRig:
             sigma_from="snapshots" if np.any(ratio > 1.0) else "residuals",
             spread=spread_of(estimates),
         )
+
+    def _by_motions(self, told: MotionPose) -> LidarPlacement:
+        """Return the pose that motions tell, which is uncertain at best."""
+        lidar = told.T_root_lidar.source
+        found = place(told.T_root_lidar, told.covariance, self.limits, fitness=0.0, rmse_m=float("inf"))
+        if found.T_target_source is None:
+            why = self._why_unplaced(lidar).removesuffix(".")
+            return replace(found, reason=f"{why}. Its motion between the stops: {found.reason}")
+        sigma_mm = 1e3 * np.sqrt(np.diag(told.covariance)[3:])
+        along = ", ".join(f"{axis} {sigma:.0f} mm" for axis, sigma in zip("xyz", sigma_mm, strict=True))
+        reason = (
+            f"{_BY_MOTIONS}: sigma along the axes of {self.target} {along}, limit {1e3 * self.limits.max_sigma_m:g} mm"
+        )
+        return replace(found, status="uncertain", reason=reason)
 
     def _why_unplaced(self, lidar: str) -> str:
         against = next((each for each in self.linked.conflicts if lidar in (each.target, each.source)), None)

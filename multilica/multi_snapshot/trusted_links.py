@@ -2,17 +2,25 @@
 """Choice of the links between stops that poses may rest on."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
+from types import MappingProxyType
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.multi_snapshot.knocks import find_knock, spares
+from multilica.multi_snapshot.motions import (
+    MotionPose,
+    agreeing_motions,
+    described,
+    links_off_course,
+    poses_by_motions,
+)
 from multilica.multi_snapshot.pose_conflicts import SnapshotPairs
 from multilica.multi_snapshot.view_solution import solve_views
 from multilica.registration.poses import is_distinct
-from multilica.results import DriveView, Knock, LinkedStops, StopLink, ViewPair, connected
+from multilica.results import DriveView, Knock, LinkedStops, StopLink, StopMotion, ViewPair, connected
 from multilica.stages.refine import RefinedRig, refine
 
 ContradictionAt = Callable[[RigidTransform, Collection[str]], str]
@@ -22,6 +30,7 @@ _ALONE = "no other link confirms it"
 _ELSEWHERE = "other stops put one of its LiDARs elsewhere on the vehicle"
 _ALIKE = "links contradict each other, so the place looks like another one"
 _CONTRADICTED = "it contradicts other links and pairs"
+_OFF_COURSE = "the motion of the LiDARs between the stops contradicts it, so the place looks like another one"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +57,8 @@ class LinkedRig:
         within: pairs within stops that its poses rest on.
         conflicts: poses of LiDARs that beams contradicted.
         knocks: LiDARs that moved between stops; the stops on one side of that do not count for them.
+        by_motions: poses of LiDARs that only their motions between the stops tell, or but for the ground.
+        motions: all that were measured.
     """
 
     rig: RefinedRig
@@ -56,6 +67,8 @@ class LinkedRig:
     within: Sequence[ViewPair]
     conflicts: tuple[BeamConflict, ...]
     knocks: tuple[Knock, ...]
+    by_motions: Mapping[str, MotionPose] = field(default_factory=dict)
+    motions: tuple[StopMotion, ...] = ()
 
     @property
     def links(self) -> tuple[StopLink, ...]:
@@ -82,6 +95,8 @@ def refine_linked(
     inconsistent: Collection[DriveView] = (),
     *,
     looks_alike: bool = False,
+    motions: Sequence[ViewPair] = (),
+    levels: Mapping[str, RigidTransform] = MappingProxyType({}),
 ) -> LinkedRig:
     """Refine a rig over all stops, with the links that others confirm and none contradicts.
 
@@ -96,6 +111,9 @@ def refine_linked(
     Args:
         inconsistent: views of LiDARs that are elsewhere on the vehicle than at other stops.
         looks_alike: the place is known to look like another.
+        motions: of LiDARs between stops by odometry. They refuse links, confirm others, and place LiDARs that nothing
+            else places; poses that rest on links and pairs do not depend on them.
+        levels: poses of LiDARs over the ground.
     """
     within = [ViewPair(pair, name, name) for name, own in pairs.items() for pair in own if pair.information is not None]
     refused: dict[ViewPair, str] = {}
@@ -106,12 +124,16 @@ def refine_linked(
     refused.update(dict.fromkeys(elsewhere, _ELSEWHERE))
     links = [link for link in links if link not in elsewhere]
     left = [link for link in links if link.registration.information is not None]
+    agreeing, course = agreeing_motions(root, within, motions)
+    refused.update(dict.fromkeys(links_off_course(course, left), _OFF_COURSE))
+    left = [link for link in left if link not in refused]
     if looks_alike or _are_far_apart(within, left):
         refused.update(dict.fromkeys(left, _ALIKE))
         left = []
     while True:
         solution = solve_views(root, [*within, *left])
-        alone = [link for link in solution.linked.links if not solution.is_confirmed(link)]
+        followed = solve_views(root, [*within, *left, *agreeing]) if agreeing and left else solution
+        alone = [link for link in solution.linked.links if not followed.is_confirmed(link)]
         if alone:
             refused.update(dict.fromkeys(alone, _ALONE))
             left = [link for link in left if link not in alone]
@@ -142,7 +164,20 @@ def refine_linked(
         left = [link for link in left if link is not worst]
     apart = [link for link in left if link not in linked.links]
     refused.update(dict.fromkeys(apart, f"nothing connects it to {root}"))
-    return LinkedRig(rig, linked, refused, within, tuple(contradicted), tuple(knocks))
+    return LinkedRig(
+        rig,
+        linked,
+        refused,
+        within,
+        tuple(contradicted),
+        tuple(knocks),
+        poses_by_motions(root, [*within, *left], agreeing, _known(rig), levels),
+        tuple(described(each, used=each in agreeing) for each in motions),
+    )
+
+
+def _known(rig: RefinedRig) -> dict[str, MotionPose]:
+    return {name: MotionPose(rig.poses[name], covariance) for name, covariance in rig.covariances.items()}
 
 
 def _contradicted(

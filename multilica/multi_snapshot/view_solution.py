@@ -51,6 +51,18 @@ class ViewSolution:
         """The links with the poses of the stops."""
         return LinkedStops([pair for pair in self.pairs if pair.is_link], self.poses.stops, self.first)
 
+    @property
+    def covariance(self) -> FloatArray:
+        """(N, N) of the unknowns; what nothing determines is wide."""
+        return np.asarray(np.linalg.inv(self.information + _prior(len(self.information))), dtype=np.float64)
+
+    def leaves_open(self, pose: RigidTransform) -> bool:
+        """Return whether another pose of a LiDAR differs only along directions that nothing determines."""
+        number = 6 * self.poses.free.index(pose.source)
+        block = slice(number, number + 6)
+        offset = pose.offset_from(self.poses.poses[pose.source])
+        return bool(offset @ np.linalg.solve(self.covariance[block, block], offset) < _OUTLIER)
+
     def is_confirmed(self, link: ViewPair) -> bool:
         """Return whether the others tell where the link has to be, but for a height that no drive on a plane tells."""
         jacobian, columns = self.poses.jacobian(link)
@@ -111,12 +123,19 @@ def _next_lidar(
             continue
         starts = [_assumed(root, lidar, anchors[0], known, heading) for heading in range(_HEADINGS)]
         found = [_solved(root, views, pairs, [*assumed, start]) for start in starts]
-        best, *others = sorted(found, key=lambda each: each.squared)
+        near = [each for each in found if not _is_afar(each, lidar)]
+        if not near:
+            continue
+        best, *others = sorted(near, key=lambda each: each.squared)
         poses = [each.poses.poses[lidar] for each in (best, *others) if lidar in each.poses.poses]
         if len(poses) <= len(others) or len(best.pairs) == len(known.pairs):
             continue
         lead = min(
-            (each.squared for each, pose in zip(others, poses[1:], strict=True) if is_distinct(pose, [poses[0]])),
+            (
+                each.squared
+                for each, pose in zip(others, poses[1:], strict=True)
+                if is_distinct(pose, [poses[0]]) and not best.leaves_open(pose)
+            ),
             default=np.inf,
         )
         freedom = 6 * len(best.pairs) - best.poses.columns
@@ -125,6 +144,12 @@ def _next_lidar(
             pose = best.poses.poses[anchor].inverse() @ best.poses.poses[lidar]
             return _pseudo(pose, anchors[0].stop)
     return None
+
+
+def _is_afar(solution: ViewSolution, lidar: str) -> bool:
+    """Return whether a LiDAR came to lie beyond any vehicle, along a direction that nothing determines."""
+    pose = solution.poses.poses.get(lidar)
+    return pose is not None and float(np.linalg.norm(pose.xyz_m)) > _UNKNOWN_M
 
 
 def _assumed(root: str, lidar: str, anchor: DriveView, known: ViewSolution, heading: int) -> ViewPair:

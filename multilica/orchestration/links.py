@@ -2,24 +2,26 @@
 """Search for registrations between the stops of a drive."""
 
 import time
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.acceptance.view_graph import ViewGraph
 from multilica.config import CalibrationConfig
 from multilica.geometry import RigidTransform
 from multilica.orchestration.pairs import (
+    PreparedLidar,
     SearchRequest,
     priority_of,
     register_implied,
     score_implied,
+    score_roughly,
     search_pair,
 )
 from multilica.orchestration.stop_views import DriveStop, levels_of, prepare_views, with_movable
 from multilica.registration.poses import is_distinct
-from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, ViewPair
+from multilica.results import DriveView, Hypothesis, PairKey, PairRegistration, Registration, ViewPair
 from multilica.stages.pair_choice import choose_loops, next_round
-from multilica.workers import Workers
+from multilica.workers import Shared, Workers
 
 MAX_LINKED_STOPS = 8
 """Prepared clouds of more stops take much memory, and all their pairs much time."""
@@ -41,10 +43,14 @@ class FoundLinks:
 
     Args:
         not_reached: pairs of stops whose views there was no time to search.
+        motions: of LiDARs between the stops, if they were read.
+        levels: poses of LiDARs over the ground, with motions.
     """
 
     links: tuple[ViewPair, ...] = ()
     not_reached: tuple[tuple[str, str], ...] = ()
+    motions: Sequence[ViewPair] = ()
+    levels: Mapping[str, RigidTransform] = field(default_factory=dict)
 
 
 def search_links(
@@ -58,7 +64,7 @@ def search_links(
     Returns:
         The accepted and the uncertain registrations, none of which is confirmed, and what there was no time for.
     """
-    if config.drive.max_distance_m == 0.0 or not config.verify.enabled or len(stops) < 2:
+    if not _may_link(stops, config):
         return FoundLinks()
     search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
     try:
@@ -68,12 +74,41 @@ def search_links(
     return FoundLinks(tuple(search.links.values()), tuple(sorted(search.not_reached)))
 
 
+def follow_motions(
+    stops: Sequence[DriveStop],
+    config: CalibrationConfig,
+    workers: Workers,
+    found: FoundLinks,
+    read_motions: Callable[[], Sequence[ViewPair]],
+) -> FoundLinks:
+    """Register views of different stops from the poses that motions of their LiDARs tell, where links leave some open.
+
+    Args:
+        found: by `search_links`; these links are kept.
+        read_motions: returns the motions of LiDARs between the stops by odometry.
+
+    Returns:
+        The links, with the motions and what tells the height that they leave free.
+    """
+    motions = read_motions() if _may_link(stops, config) else ()
+    if not motions:
+        return found
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, float("inf"))
+    try:
+        search.follow(motions)
+    finally:
+        workers.forget()
+    kept = [link for pair, link in search.links.items() if not any(_same_views(link, each) for each in found.links)]
+    return replace(found, links=(*found.links, *kept), motions=motions, levels=search.levels)
+
+
 @dataclass(slots=True, eq=False)
 class _LinkSearch:
     stops: Sequence[DriveStop]
     config: CalibrationConfig
     workers: Workers
     deadline_s: float
+    levels: Mapping[str, RigidTransform] = field(default_factory=dict)
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
     not_reached: set[tuple[str, str]] = field(default_factory=set)
@@ -100,23 +135,20 @@ class _LinkSearch:
             if one.stop != other.stop
         ]
 
-    def graph(self) -> ViewGraph:
+    def graph(self, motions: Sequence[ViewPair] = ()) -> ViewGraph:
         within = [ViewPair(pair, stop.name, stop.name) for stop in self.stops for pair in stop.pairs]
-        return ViewGraph.of(self.views, [*within, *self.links.values()])
+        return ViewGraph.of(self.views, [*within, *self.links.values(), *motions])
 
     def run(self) -> None:
         """Search, then once more without what beams through movable objects prove, if the pose of a LiDAR is open."""
-        levels = levels_of(self.stops, self.config)
-        views = prepare_views(self.stops, levels, self.config)
-        for view, prepared in views.items():
-            self.workers.share(view.label, prepared)
+        views = self._share()
         if self.graph().is_determined:
             self.loops_per_view = _LOOPS_IF_DETERMINED
         pairs = self.between_stops
         found = zip(pairs, self.workers.map(priority_of, pairs), strict=True)
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
         self._search(priority, _FAILURES_PER_VIEW)
-        if not self.graph().is_determined and (freed := with_movable(views, levels)):
+        if not self.graph().is_determined and (freed := with_movable(views, self.levels)):
             labels = {view.label for view in freed}
             self.workers.forget(labels)
             for view, prepared in freed.items():
@@ -128,6 +160,19 @@ class _LinkSearch:
         if self.loops_per_view > _LOOPS_IF_DETERMINED:
             self.tested -= self.left_out
             self._close_loops()
+
+    def follow(self, motions: Sequence[ViewPair]) -> None:
+        """Register pairs of views from the poses that motions imply, then from those that these links imply."""
+        self._share()
+        self._register(self._implied(self.graph(motions)), score_roughly)
+        self._close_loops()
+
+    def _share(self) -> dict[DriveView, PreparedLidar]:
+        self.levels = levels_of(self.stops, self.config)
+        views = prepare_views(self.stops, self.levels, self.config)
+        for view, prepared in views.items():
+            self.workers.share(view.label, prepared)
+        return views
 
     def _search(self, priority: Mapping[PairKey, float], per_view: float) -> None:
         labels = [view.label for view in self.views]
@@ -157,22 +202,31 @@ class _LinkSearch:
 
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""
-        graph, of_label = self.graph(), self.of_label
-        implied = {
+        implied = {pair: pose for pair, pose in self._implied(self.graph()).items() if pair not in self.tested}
+        self.tested.update(implied)
+        self.left_out |= self._register(implied, score_implied)
+
+    def _implied(self, graph: ViewGraph) -> dict[PairKey, RigidTransform]:
+        of_label = self.of_label
+        return {
             (target, source): pose
             for target, source in self.between_stops
-            if (target, source) not in self.tested and (target, source) not in self.links
+            if (target, source) not in self.links
             if (pose := graph.implied(of_label[target], of_label[source])) is not None
         }
-        self.tested.update(implied)
-        scores = dict(zip(implied, self.workers.map(score_implied, list(implied.values())), strict=True))
-        chosen = choose_loops(scores, self.config.acceptance.min_evidence, self.loops_per_view)
+
+    def _register(
+        self, implied: Mapping[PairKey, RigidTransform], score: Callable[[Shared, RigidTransform], Registration]
+    ) -> set[PairKey]:
+        """Register the most promising pairs from their poses; return the others that have enough evidence."""
+        scores = dict(zip(implied, self.workers.map(score, list(implied.values())), strict=True))
         least = self.config.acceptance.min_evidence
-        self.left_out.update(pair for pair in scores.keys() - chosen if scores[pair].evidence >= least)
+        chosen = choose_loops(scores, least, self.loops_per_view)
         starts = [Hypothesis(implied[pair]) for pair in chosen]
         for pair, found in zip(chosen, self.workers.map(register_implied, starts), strict=True):
             if not is_distinct(implied[pair], [found.T_target_source.with_target(pair[0])]):
                 self._keep(pair, found)
+        return {pair for pair in scores.keys() - chosen if scores[pair].evidence >= least}
 
     def _keep(self, pair: PairKey, found: PairRegistration | None) -> None:
         if found is None or found.verdict.outcome not in ("accept", "uncertain") or found.information is None:
@@ -181,6 +235,14 @@ class _LinkSearch:
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
         self.links[pair] = ViewPair(of_lidars, target.stop, source.stop)
+
+
+def _may_link(stops: Sequence[DriveStop], config: CalibrationConfig) -> bool:
+    return config.drive.max_distance_m > 0.0 and config.verify.enabled and len(stops) > 1
+
+
+def _same_views(one: ViewPair, other: ViewPair) -> bool:
+    return one.views == other.views
 
 
 def _may_change(pair: PairKey, found: PairRegistration | None, freed: Collection[str]) -> bool:

@@ -27,7 +27,13 @@ from multilica.stages.correspond import match_features, pair_priority
 from multilica.stages.features import compute_features
 from multilica.stages.fine import RegistrationCloud, prepare_registration_cloud, register_best
 from multilica.stages.verify import VerificationCloud, short_gicp, verify_hypotheses
-from multilica.visibility.sensor_view import FINE_TOLERANCES, SensorView, prepare_sensor_view, score_pose
+from multilica.visibility.sensor_view import (
+    FINE_TOLERANCES,
+    ROUGH_TOLERANCES,
+    SensorView,
+    prepare_sensor_view,
+    score_pose,
+)
 from multilica.workers import Shared
 
 PAIR_STAGES: tuple[Stage, ...] = ("correspond", "coarse", "verify", "fine")
@@ -199,6 +205,12 @@ def score_implied(lidars: Shared, pose: RigidTransform) -> Registration:
     """Score a pose between two LiDARs by their beams."""
     target, source = (lidars[name].view for name in (pose.target, pose.source))
     return score_pose(target, source, pose, *FINE_TOLERANCES)
+
+
+def score_roughly(lidars: Shared, pose: RigidTransform) -> Registration:
+    """Score a pose between two LiDARs that may be some centimetres off by their beams."""
+    target, source = (lidars[name].view for name in (pose.target, pose.source))
+    return score_pose(target, source, pose, *ROUGH_TOLERANCES)
 
 
 def register_sides(

@@ -33,19 +33,15 @@ class DriveStop:
     pairs: tuple[PairRegistration, ...]
 
 
-def levels_of(stops: Sequence[DriveStop], config: CalibrationConfig) -> dict[str, FloatArray]:
-    """Return per LiDAR the rotation (3, 3) from its frame to one with z up, the identity if it sees no ground."""
-    found: dict[str, FloatArray] = {}
-    for stop in stops:
-        for name, prepared in stop.lidars.items():
-            if name not in found:
-                level = estimate_level(name, {name: prepared.cloud.points_m}, {}, config)
-                found[name] = np.eye(3) if level is None else level.rotation
-    return found
+def levels_of(stops: Sequence[DriveStop], config: CalibrationConfig) -> dict[str, RigidTransform]:
+    """Return the pose of each LiDAR over the ground that it sees at its first stop, if it sees any."""
+    points_m = {name: prepared.cloud.points_m for stop in reversed(stops) for name, prepared in stop.lidars.items()}
+    levels = {name: estimate_level(name, {name: points_m[name]}, {}, config) for name in sorted(points_m)}
+    return {name: level for name, level in levels.items() if level is not None}
 
 
 def prepare_views(
-    stops: Sequence[DriveStop], levels: Mapping[str, FloatArray], config: CalibrationConfig
+    stops: Sequence[DriveStop], levels: Mapping[str, RigidTransform], config: CalibrationConfig
 ) -> dict[DriveView, PreparedLidar]:
     """Prepare the LiDARs of all stops with the limits that hold between stops.
 
@@ -55,9 +51,9 @@ def prepare_views(
         levels: as `levels_of` finds them.
     """
     found: dict[DriveView, PreparedLidar] = {}
-    for lidar, rotation in sorted(levels.items()):
+    for lidar in sorted({name for stop in stops for name in stop.lidars}):
         at_stops = {stop.name: stop.lidars[lidar] for stop in stops if lidar in stop.lidars}
-        body = find_own_body([each.cloud.points_m for each in at_stops.values()], rotation)
+        body = find_own_body([each.cloud.points_m for each in at_stops.values()], _to_level(lidar, levels))
         for stop, prepared in at_stops.items():
             view = DriveView(lidar, stop)
             found[view] = _without_body(prepared, body).as_view(view.label, _limits(view, config))
@@ -65,7 +61,7 @@ def prepare_views(
 
 
 def with_movable(
-    views: Mapping[DriveView, PreparedLidar], levels: Mapping[str, FloatArray]
+    views: Mapping[DriveView, PreparedLidar], levels: Mapping[str, RigidTransform]
 ) -> dict[DriveView, PreparedLidar]:
     """Return the views that see objects of the size of vehicles and people, which may have left or come.
 
@@ -75,7 +71,7 @@ def with_movable(
     for name, prepared in views.items():
         if prepared.view is None:
             continue
-        cells = find_movable(prepared.cloud.points_m, np.zeros((1, 3)), levels[name.lidar])
+        cells = find_movable(prepared.cloud.points_m, np.zeros((1, 3)), _to_level(name.lidar, levels))
         movable = cells.contain(prepared.view.probes_m)
         if movable.any():
             found[name] = prepared.with_view(replace(prepared.view, movable=movable))
@@ -99,6 +95,11 @@ def contradiction_at(
             if score.contradiction > _FIRM * config.acceptance.min_log_odds_margin:
                 return stop.name
     return ""
+
+
+def _to_level(lidar: str, levels: Mapping[str, RigidTransform]) -> FloatArray:
+    """Return the rotation (3, 3) from the frame of a LiDAR to one with z up, the identity if it sees no ground."""
+    return levels[lidar].rotation if lidar in levels else np.eye(3)
 
 
 def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:

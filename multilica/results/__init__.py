@@ -45,7 +45,7 @@ from multilica.results.registrations import (
     Verdict,
     connected,
 )
-from multilica.results.stops import DriveView, Knock, LinkedStops, StopLink, StopPose, ViewPair
+from multilica.results.stops import DriveView, Knock, LinkedStops, StopLink, StopMotion, StopPose, ViewPair
 from multilica.results.visibility_score import BeamLabel, VisibilityScore
 
 __all__ = [
@@ -88,6 +88,7 @@ __all__ = [
     "Spread",
     "Stability",
     "StopLink",
+    "StopMotion",
     "StopPose",
     "SurfaceMatches",
     "SurfaceResiduals",

@@ -15,7 +15,7 @@ from multilica.optional_libraries import needed_for
 from multilica.results.clouds import SensorHealth
 from multilica.results.placements import GroundPlane, LidarPlacement, MergeDecision, Refinement
 from multilica.results.registrations import PairRegistration
-from multilica.results.stops import Knock, StopLink, StopPose
+from multilica.results.stops import Knock, StopLink, StopMotion, StopPose
 from multilica.results.values import Figure
 
 if TYPE_CHECKING:
@@ -146,6 +146,7 @@ class CalibrationResult:
         stops: the vehicle at each stop that links connect with others; empty without links.
         links: registrations between stops, also those that are not used.
         knocks: LiDARs that moved on the vehicle between two stops.
+        motions: of LiDARs between stops by odometry, also those that are not used.
         level: pose of the target in a frame with z up, for pictures; None without a ground plane.
     """
 
@@ -164,6 +165,7 @@ class CalibrationResult:
     stops: tuple[StopPose, ...] = ()
     links: tuple[StopLink, ...] = ()
     knocks: tuple[Knock, ...] = ()
+    motions: tuple[StopMotion, ...] = ()
     level: RigidTransform | None = None
     ground_refusal: str = ""
     time_limit: TimeLimit | None = None

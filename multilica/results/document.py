@@ -25,7 +25,7 @@ from multilica.results.placements import (
 )
 from multilica.results.registrations import Stability, Verdict
 from multilica.results.stages import StageFigures
-from multilica.results.stops import Knock, StopLink
+from multilica.results.stops import Knock, StopLink, StopMotion
 from multilica.results.values import Entry, Matrix4, Matrix6, Number, PairNames, PoseEntry, Quaternion, Vector3
 
 RESULT_SCHEMA: Literal["multilica/result/1"] = "multilica/result/1"
@@ -228,6 +228,7 @@ class ResultDocument(Entry):
     stops: tuple[StopEntry, ...] = Field((), description="Stops of a drive that links connect, else empty.")
     links: tuple[StopLink, ...] = Field((), description="Registrations between stops, also those that are not used.")
     knocks: tuple[Knock, ...] = Field((), description="LiDARs that moved on the vehicle between two stops of a drive.")
+    motions: tuple[StopMotion, ...] = Field((), description="Motions of LiDARs between two stops, by odometry.")
     refinement: Refinement | None = Field(description="The joint refinement; null if it did not run.")
     ground: GroundEntry | None = Field(description="The ground plane; null if none was asked for or found.")
     ground_refusal: str = Field("", description="Reason why a requested ground plane is missing; else empty.")

@@ -135,6 +135,25 @@ class Knock:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class StopMotion:
+    """The motion of a LiDAR between two stops, by odometry."""
+
+    lidar: Annotated[str, Field(description="Name of the LiDAR.")]
+    before: Annotated[str, Field(description="The earlier stop.")]
+    after: Annotated[str, Field(description="The next stop.")]
+    distance_m: Annotated[float, Field(description="Distance between the positions of the LiDAR at both stops.")]
+    angle_deg: Annotated[float, Field(description="Angle by which it turned.")]
+    sigma_m: Annotated[float, Field(description="Standard deviation along the direction that is known worst.")]
+    sigma_deg: Annotated[float, Field(description="Standard deviation about the axis that is known worst.")]
+    used: Annotated[bool, Field(description="False if it contradicts the other motions.")]
+
+    @property
+    def stops(self) -> frozenset[str]:
+        """Both stops, without order."""
+        return frozenset((self.before, self.after))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StopPose:
     """The vehicle at one stop of a drive.

@@ -174,7 +174,7 @@ def test_clouds_of_foxglove_keep_the_rings() -> None:
         "data": format_writers.base64.b64encode(bytes(cloud.data)).decode(),
     }
     data = format_writers.json.dumps(table).encode()
-    message = SimpleNamespace(encoding="json", data=data, log_time_ns=1)
+    message = SimpleNamespace(encoding="json", data=data, log_time_ns=1, timed=False)
     np.testing.assert_array_equal(foxglove.decode_cloud(message).scan.rings, [4, 3, 2, 1])
 
 

@@ -84,7 +84,7 @@ def expected_rings(case: Case) -> np.ndarray | None:
 @settings(max_examples=300, deadline=None)
 @given(clouds())
 def test_any_layout_gives_its_points_back(case: Case) -> None:
-    points, intensity, rings = decode_points(case.cloud)
+    points, intensity, rings, _ = decode_points(case.cloud)
     expected_points, expected_intensity = expected(case)
     assert points.dtype == np.float32
     np.testing.assert_array_equal(points, expected_points)
@@ -114,7 +114,7 @@ def test_lying_sizes_are_refused_or_read_inside_the_data(case: Case, data: st.Da
 def test_encoding_and_decoding_is_exact(rows: list[tuple[float, ...]], with_intensity: bool) -> None:
     table = np.array(rows, np.float32).reshape(-1, 4)
     given_intensity = table[:, 3] if with_intensity else None
-    points, intensity, _ = decode_points(encode_points(table[:, :3], given_intensity))
+    points, intensity, *_ = decode_points(encode_points(table[:, :3], given_intensity))
     np.testing.assert_array_equal(points, table[:, :3])
     if with_intensity and len(table):
         np.testing.assert_array_equal(intensity, table[:, 3])

@@ -31,7 +31,7 @@ def decode_cloud(message: RawMessage) -> Cloud:
     width, rest = divmod(len(data), stride) if stride else (0, len(data))
     if rest:
         raise ValueError(f"holds {len(data)} bytes of points of {stride} bytes each")
-    points = decode_points(PointCloud2(fields, width, 1, stride, len(data), data))
+    points = decode_points(PointCloud2(fields, width, 1, stride, len(data), data), timed=message.timed)
     frame_id = frame_id.strip("/")
     scan = points.as_scan(stamp_ns if stamp_ns > 0 else message.log_time_ns)
     x, y, z, qx, qy, qz, qw = pose

@@ -20,6 +20,7 @@ _LIVOX_FIELDS = (
     *(PointField(name, 4 + 4 * index, 7) for index, name in enumerate("xyz")),
     PointField("intensity", 16, 2),
     PointField("line", 18, 2),
+    PointField("offset_time", 0, 6),
 )
 _LIVOX_BYTES = 19
 """offset_time, x, y, z, reflectivity, tag, line."""
@@ -33,7 +34,7 @@ def decode_cloud(message: RawMessage) -> Cloud:
     reader = WireReader.of_message(message)
     stamp_ns, frame_id = reader.header()
     if message.message_type.endswith("/CustomMsg"):
-        timebase_ns, points = _livox_points(reader)
+        timebase_ns, points = _livox_points(reader, timed=message.timed)
         return Cloud(points.as_scan(stamp_ns if stamp_ns > 0 else timebase_ns or message.log_time_ns), frame_id)
     reader.align(4)
     height, width = reader.numbers("II")
@@ -45,11 +46,11 @@ def decode_cloud(message: RawMessage) -> Cloud:
     reader.align(4)
     point_step, row_step = reader.numbers("II")
     layout = PointCloud2(fields, width, height, point_step, row_step, reader.octets(), big_endian=bool(is_big_endian))
-    scan = decode_points(layout).as_scan(stamp_ns if stamp_ns > 0 else message.log_time_ns)
+    scan = decode_points(layout, timed=message.timed).as_scan(stamp_ns if stamp_ns > 0 else message.log_time_ns)
     return Cloud(scan, frame_id)
 
 
-def _livox_points(reader: WireReader) -> tuple[int, Points]:
+def _livox_points(reader: WireReader, *, timed: bool) -> tuple[int, Points]:
     """Read the time base in nanoseconds, then the points."""
     reader.align(8)
     (timebase_ns,) = reader.numbers("Q")
@@ -60,7 +61,7 @@ def _livox_points(reader: WireReader) -> tuple[int, Points]:
     needed = (count - 1) * step + _LIVOX_BYTES if count else 0
     if needed > reader.remaining:
         raise ValueError(f"claims {count} points, which need {needed} bytes, but holds {reader.remaining}")
-    dtype = point_dtype(_LIVOX_FIELDS, _LIVOX_BYTES, big_endian=reader.order == ">")
+    dtype = point_dtype(_LIVOX_FIELDS, _LIVOX_BYTES, big_endian=reader.order == ">", timed=timed)
     points = np.ndarray((count,), dtype, reader.data, reader.place, (step,)) if count else np.empty(0, dtype)
     return timebase_ns, finite_records(points)
 

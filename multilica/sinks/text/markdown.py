@@ -235,6 +235,9 @@ def _result_parts(document: ResultDocument) -> Iterator[str]:
         used = sum(link.used for link in document.links)
         names = ", ".join(escaped(each.name) for each in document.stops)
         yield f"Stops: {names}, with {used} of {len(document.links)} links between them used."
+    if document.motions:
+        used = sum(motion.used for motion in document.motions)
+        yield f"Motions of LiDARs between stops, by odometry: {used} of {len(document.motions)} used."
     if document.ground is not None:
         yield f"Ground, frame {escaped(document.ground.frame)}: {escaped(document.ground.text)}."
 

@@ -8,6 +8,7 @@ from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import multilica
@@ -15,6 +16,7 @@ from multilica import events
 from multilica.config import CalibrationConfig, IngestConfig, preset, with_overrides
 from multilica.drive_calibration import wanted_stops
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
+from multilica.geometry import RigidTransform
 from multilica.ingest import (
     Stop,
     drive_reader,
@@ -25,6 +27,7 @@ from multilica.ingest import (
     read_snapshot,
     read_stops,
     stops_of_log,
+    ways,
 )
 from multilica.ingest import stops as stops_module
 from multilica.ingest.locate import find_source
@@ -75,11 +78,31 @@ def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, l
     config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
     run = run_calibration(log, tmp_path / "run", config)
     assert [each.name for each in run.result.snapshots] == ["stop_1", "stop_2", "stop_3"]
+    assert {each.lidar for each in run.result.motions} == {"front", "rear"}
     assert {path.name for path in run.written} > {"result.json", "stop_1", "stop_2", "stop_3"}
     for each in run.result.placements:
         if each.placed and each.lidar != run.result.target:
             truth = drive.truth.between(run.result.target, each.lidar)
             assert each.T_target_source.distance_to(truth)[0] < 0.05
+
+
+def test_the_motion_from_stop_to_stop_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the times of points as ROS 2 has them, which snapshots leave out."""
+    options = {"stops": 2, "frames": STAND_FRAMES, "sensors": "ideal", "with_log": True}
+    straight = simulate_drive("small", "yard", 4, route="straight", **options)
+    write_ros2_mcap(straight.log, tmp_path / "drive.mcap")
+    first, second = read_drive(tmp_path / "drive.mcap", 2, config=FEW)
+    assert not first.read_motions()
+    motions = second.read_motions()
+    assert [motion.lidar for motion in motions] == ["front", "rear"]
+    rear = motions[1]  # the front LiDAR has hardly anything in sight
+    mount = straight.truth.T_target_source["rear"].matrix
+    truth = np.linalg.inv(mount) @ straight.T_first_stop_base[1].matrix @ mount
+    error = rear.T_before_now.offset_from(RigidTransform("rear", "rear", truth))
+    assert np.linalg.norm(error[3:]) < 0.01 * rear.way_m
+    assert rear.frames < STAND_FRAMES + 12
+    monkeypatch.setattr(ways, "LONGEST_WAY_S", 1.0)
+    assert not second.read_motions()
 
 
 def test_the_library_takes_the_stops_of_a_log(log: Path) -> None:

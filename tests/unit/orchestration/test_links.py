@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Links between stops are searched a second time only where that may end differently."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from multilica.config import CalibrationConfig
+from multilica.config import CalibrationConfig, with_overrides
 from multilica.geometry import RigidTransform
 from multilica.orchestration import links
 from multilica.orchestration.stop_views import DriveStop
-from multilica.results import DriveView, PairRegistration, Reason, Verdict
+from multilica.results import DriveView, PairRegistration, Reason, Verdict, ViewPair
 from multilica.workers import Workers
 
 _STOPS = [DriveStop(name, {"front": object(), "rear": object()}, ()) for name in ("stop 1", "stop 2")]
@@ -61,3 +63,40 @@ def test_refused_pairs_of_views_with_such_objects_are(search):
 )
 def test_pairs_that_fewer_beams_do_not_decide_are_not(search, outcome, code):
     assert len(search(outcome, [_FRONT], code)) == 4
+
+
+def test_motions_tell_where_links_between_stops_are(monkeypatch):
+    """A link that was found before is kept, and not registered again."""
+    here = RigidTransform.from_xyz_rpy("front", "front", [3.0, 0.0, 0.0], [0.0, 0.0, 0.0])
+    asked, made = [], Verdict("accept")
+
+    def registered(_, start):
+        pose = start.T_target_source
+        asked.append(pose)
+        return PairRegistration(
+            pose.target, pose.source, pose, 0.9, 0.1, 99, None, None, "", information=np.eye(6), verdict=made
+        )
+
+    monkeypatch.setattr(links, "levels_of", lambda *_: {"front": here})
+    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(links, "score_roughly", lambda *_: SimpleNamespace(evidence=9.0))
+    monkeypatch.setattr(links, "choose_loops", lambda scores, *_: [*scores])
+    monkeypatch.setattr(links, "register_implied", registered)
+    pose = PairRegistration("front", "front", here, 0.0, 0.0, 0, None, None, "", information=np.eye(6), verdict=made)
+    motion = ViewPair(pose, "stop 1", "stop 2")
+    rear = ViewPair(replace(pose, target="rear", source="rear"), "stop 1", "stop 2")
+    found = links.follow_motions(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks((rear,)), lambda: [motion])
+    assert [(link.target.label, link.source.label) for link in found.links] == [
+        ("rear at stop 1", "rear at stop 2"),
+        ("front at stop 1", "front at stop 2"),
+    ]
+    assert len(asked) == 1
+    assert np.array_equal(asked[0].matrix, here.matrix)
+    assert found.motions == [motion]
+    assert found.levels == {"front": here}
+
+
+def test_motions_are_not_read_where_links_are_not_wanted():
+    config = with_overrides(CalibrationConfig(), ["drive.max_distance_m=0"])
+    nothing = links.FoundLinks()
+    assert links.follow_motions(_STOPS, config, Workers(), nothing, lambda: pytest.fail("read")) is nothing

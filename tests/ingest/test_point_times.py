@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Times of points, as drivers write them; they are read for odometry only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from multilica.ingest.locate import find_source
+from multilica.ingest.message_types import decode_cloud
+from multilica.ingest.opening import open_source
+from multilica.pointcloud2 import PointCloud2, PointField, decode_points, encode_points
+from tests.ingest.support.format_writers import livox_messages, write_raw_mcap
+from tests.ingest.support.recording_writers import make_snapshot
+
+_XYZ = tuple(PointField(name, 4 * at, 7) for at, name in enumerate("xyz"))
+_SECONDS = np.array([0.0, 0.025, 0.0999, 0.05])
+_NANOSECONDS = np.array([0, 25_000_000, 99_900_000, 50_000_000])
+
+
+def _decoded(name, datatype, code, times, *, timed=True):
+    table = np.zeros(len(times), [("xyz", "<f4", 3), ("time", code)])
+    table["xyz"], table["time"] = 1.0, times
+    fields = (*_XYZ, PointField(name, 12, datatype))
+    step = table.itemsize
+    return decode_points(PointCloud2(fields, len(times), 1, step, step * len(times), table.tobytes()), timed=timed)
+
+
+@pytest.mark.parametrize(
+    ("name", "datatype", "code", "times"),
+    [
+        ("t", 6, "<u4", _NANOSECONDS),
+        ("time", 7, "<f4", _SECONDS),
+        ("time", 7, "<f4", _SECONDS - 0.0999),
+        ("timestamp", 8, "<f8", 1.7e9 + _SECONDS),
+        ("timestamp", 8, "<f8", 1.7e18 + _NANOSECONDS),
+        ("time_stamp", 6, "<u4", 4_000_000_000 + _NANOSECONDS),
+    ],
+)
+def test_times_begin_with_the_earliest_point(name, datatype, code, times):
+    found = _decoded(name, datatype, code, times).times_ns
+    np.testing.assert_allclose(found, _NANOSECONDS, atol=2_000)
+    assert _decoded(name, datatype, code, times, timed=False).times_ns is None
+
+
+@pytest.mark.parametrize("times", [np.array([0.0, np.nan]), np.array([0.0, 2e9])])
+def test_times_that_are_none_of_a_frame_are_left_out(times):
+    found = _decoded("timestamp", 8, "<f8", times)
+    assert found.times_ns is None
+    assert len(found.points_m) == 2
+
+
+def test_points_without_times_have_none():
+    assert decode_points(encode_points(np.ones((3, 3), np.float32)), timed=True).times_ns is None
+
+
+def test_times_of_livox_are_read_if_wanted(tmp_path: Path):
+    path = tmp_path / "livox.mcap"
+    write_raw_mcap(livox_messages(make_snapshot(1), "livox_ros_driver2", "cdr"), path, "cdr")
+    recording = open_source(find_source(path))
+    message = next(recording.messages({topic.name for topic in recording.topics}))
+    assert decode_cloud(message).scan.times_ns is None
+    timed = decode_cloud(replace(message, timed=True)).scan
+    np.testing.assert_array_equal(timed.times_ns, np.arange(len(timed.points_m)))
+    recording.close()
