@@ -48,6 +48,7 @@ def _refined(every, motions, levels=None):
     )
 
 
+@pytest.mark.slow
 def test_motions_tell_a_lidar_that_nothing_else_tells():
     normalised = []
     for seed in range(5):
@@ -64,6 +65,7 @@ def test_motions_tell_a_lidar_that_nothing_else_tells():
     assert 0.2 < np.mean(normalised) < 6.0
 
 
+@pytest.mark.slow
 def test_the_ground_tells_the_height():
     over_ground = RigidTransform.from_xyz_rpy("ground", "A", [0.0, 0.0, 1.8], [0.0, 0.0, 0.0])
     levels = {name: over_ground @ LIDARS[name] for name in "AB"}
