@@ -5,20 +5,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from multilica.config import IngestConfig
 from multilica.ingest import frames_recorded, read_drive
-from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
-from multilica.simulate.rigs import FRONT_BACK
-from multilica.simulate.sensors import RasterPattern
+from multilica.simulate import SimulatedDrive, simulate_drive
 from multilica.sinks.snapshots import write_ros2_mcap, write_snapshot_mcap
 from multilica_cli.exit_codes import ExitCode
 from tests.cli.support import Invoke
-from tests.ingest.support.drive_logs import log_of_stops
+from tests.ingest.support.drive_logs import log_of_stops, small_rig
 from tests.ingest.support.processes import served
 
 pytestmark = pytest.mark.slow
@@ -27,10 +24,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def drive() -> Iterator[SimulatedDrive]:
     """Three stops of a vehicle with two small LiDARs."""
-    coarse = RasterPattern(36, 160, 120.0, 25.0)
-    mounts = tuple(replace(mount, sensor=replace(mount.sensor, pattern=coarse)) for mount in FRONT_BACK.mounts)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setitem(RIGS, "small", replace(FRONT_BACK, name="small", mounts=mounts))
+    with small_rig():
         yield simulate_drive("small", "yard", 4, stops=3, frames=1, sensors="ideal")
 
 

@@ -13,10 +13,9 @@ from multilica.config import IngestConfig
 from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.ingest import TakenSnapshot
 from multilica.ingest.drive_recorder import join_stops, record_stops, take_stops
-from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
-from multilica.simulate.rigs import FRONT_BACK
-from multilica.simulate.sensors import RasterPattern
+from multilica.simulate import SimulatedDrive, simulate_drive
 from multilica.snapshot import Snapshot
+from tests.ingest.support.drive_logs import small_rig
 
 pytestmark = pytest.mark.slow
 
@@ -26,10 +25,7 @@ FRAMES, ON_WAY = 3, slice(16, 19)
 @pytest.fixture(scope="module")
 def drive() -> Iterator[SimulatedDrive]:
     """Two stops of a vehicle with two small LiDARs, and the way between them."""
-    coarse = RasterPattern(36, 160, 120.0, 25.0)
-    mounts = tuple(replace(mount, sensor=replace(mount.sensor, pattern=coarse)) for mount in FRONT_BACK.mounts)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setitem(RIGS, "small", replace(FRONT_BACK, name="small", mounts=mounts))
+    with small_rig():
         yield simulate_drive("small", "yard", 4, stops=2, frames=FRAMES, sensors="ideal", with_log=True)
 
 

@@ -36,11 +36,10 @@ from multilica.ingest.opening import open_source
 from multilica.ingest.recording import DamagedRecordingError, Messages, Recording, Span, Topic
 from multilica.ingest.selection import standstill
 from multilica.run import run_calibration
-from multilica.simulate import RIGS, SimulatedDrive, simulate_drive
-from multilica.simulate.rigs import FRONT_BACK
-from multilica.simulate.sensors import RasterPattern
+from multilica.simulate import SimulatedDrive, simulate_drive
 from multilica.sinks.snapshots import write_ros1_bag, write_ros2_bag, write_ros2_mcap
 from multilica.snapshot import LidarScans, Snapshot
+from tests.ingest.support.drive_logs import small_rig
 from tests.ingest.support.processes import served
 
 pytestmark = pytest.mark.slow
@@ -54,10 +53,7 @@ FEW = IngestConfig(frames=3)
 @pytest.fixture(scope="module", autouse=True)
 def _small_rig() -> Iterator[None]:
     """Two LiDARs of a few thousand beams."""
-    coarse = RasterPattern(36, 160, 120.0, 25.0)
-    mounts = tuple(replace(mount, sensor=replace(mount.sensor, pattern=coarse)) for mount in FRONT_BACK.mounts)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setitem(RIGS, "small", replace(FRONT_BACK, name="small", mounts=mounts))
+    with small_rig():
         yield
 
 
