@@ -26,7 +26,7 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        temporary.replace(path)
+            temporary.replace(path)  # while the lock keeps other writers from removing it
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -89,3 +90,18 @@ def test_what_another_process_writes_is_left_alone(tmp_path):
     (begun,) = tmp_path.iterdir()
     write_text_atomically(tmp_path / "out.txt", "new")
     assert sorted(tmp_path.iterdir()) == sorted([begun, tmp_path / "out.txt"])
+
+
+def test_a_writer_leaves_what_another_has_just_finished(tmp_path, monkeypatch):
+    path = tmp_path / "out.txt"
+    replace = Path.replace
+
+    def another_writes_first(temporary: Path, target: Path) -> Path:
+        monkeypatch.setattr(Path, "replace", replace)
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(write_text_atomically, path, "other").result()
+        return replace(temporary, target)
+
+    monkeypatch.setattr(Path, "replace", another_writes_first)
+    write_text_atomically(path, "own")
+    assert path.read_text() == "own"
