@@ -2,7 +2,7 @@
 """Point-to-plane fit of a registered pose, with the information of the result."""
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -35,9 +35,9 @@ _RELAXATION = 1.5
 # Size of a car door, a window, a kerb stone: random errors of its points are not independent.
 _PATCH_M = 1.0
 # Patches of one surface are not independent either, measured on simulated vehicles: their sums count so much more.
-_OF_PATCHES = 0.6
+_OF_PATCHES = 0.4
 # A surface is not known better: its reflectivity changes a range by millimetres.
-_SURFACE_SIGMA_M = 0.0015
+_SURFACE_SIGMA_M = 0.00125
 # The variance of a direction that n surfaces constrain is larger by this over n.
 _OF_FEW = 1.0
 # Share of the sums of rings that counts, measured on simulated vehicles: their biases and the noise count already.
@@ -129,7 +129,8 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     """Estimate the biases of the rings too, and shift the pose accordingly.
 
     The spread is that of the residuals which these leave. With it, directions in which the surfaces contradict each
-    other lose weight, so that other pairs and snapshots decide them.
+    other lose weight, so that other pairs and snapshots decide them. The pair as a whole loses weight if its variance
+    is larger than its information says.
     """
     residuals = find_residuals(overlap, pose, biases)
     if residuals is None:
@@ -161,11 +162,23 @@ def _with_information(overlap: Overlap, pose: RigidTransform, biases: FloatArray
     information, gradient, spread, random, few = _weighted(
         hessian / variance, gradient, *(each / variance**2 for each in (spread, random, few))
     )
-    known = posterior(information, gradient, biases, sigmas, spread, random, counts, first.prior)
+    solved = partial(posterior, biases=biases, sigmas=sigmas, rings=counts, prior=first.prior)
+    excess = _excess(solved(information, gradient).covariance, solved(information, gradient, spread=spread).covariance)
+    information, gradient = information / excess, gradient / excess
+    spread, random, few = (each / excess**2 for each in (spread, random, few))
+    known = solved(information, gradient, spread=spread, random_spread=random)
     gradient, biases = gradient + information @ known.step, biases + known.step[6:]
     of_biases = BiasInformation(information, gradient, spread, random, biases, target_rings, source_rings, few)
     pose = moved(pose, known.step[:3], known.step[3:6])
     return PlaneFit(pose, np.asarray(np.linalg.pinv(known.covariance, hermitian=True)), of_biases)
+
+
+def _excess(expected: FloatArray, found: FloatArray) -> float:
+    """Return how many times larger the variance of a pose is than its information says, in the mean over six directions.
+
+    The surfaces can contradict each other in what they say of the biases too. At least 1.
+    """
+    return max(1.0, float(np.trace(np.linalg.solve(expected, found))) / len(expected))
 
 
 def _weighted(

@@ -24,15 +24,19 @@ _RING_DEG = 1.0
 _RING_ANGLE = 8.0
 
 # The mean of all azimuths defines the frame of a LiDAR, so it is no bias. Pairs do not see all rings: the variance of
-# the mean of those that they see is a thirteenth of that of independent ones.
-_MEAN_AZIMUTH = 12.0
+# the mean of those that they see is a thirteenth of that of independent ones, and less over several snapshots.
+_MEAN_AZIMUTH = 30.0
 # The biases of a rig are this share of what its datasheets allow: nothing to all of it, each value as likely.
 _SHARES = np.array([0.03, 0.1, 0.2, 0.35, 0.6, 1.0])
 # A rig has few LiDARs, which show little of the share of what their datasheets allow. So much more does the prior of
 # their biases add to the variance of a pose, measured on simulated vehicles.
 _OF_FEW_LIDARS = 1.5
+# Steps and reflectivities leave an error of this size in the mean of a LiDAR's ranges: no position is known better.
+_LEAST_SIGMA_M = 0.00035
 # The shares depend on each other; further sweeps change sigma by less than a hundredth.
 _SWEEPS = 3
+# The unknowns of a pose that are lengths.
+_POSITION = np.repeat([0.0, 1.0], 3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,8 +177,9 @@ def posterior(
     bread = solved[:, 1:].T
     full = bread @ ((information if spread is None else spread) + known) @ bread.T
     repeated = full if random_spread is None else bread @ random_spread @ bread.T
+    covariance = full[:poses, :poses] + _LEAST_SIGMA_M**2 * np.diag(np.resize(_POSITION, poses))
     bias_sigmas = np.minimum(np.sqrt(np.diag(full)[poses:]), sigmas[: shown - poses])
-    return BiasPosterior(solved[:, 0], full[:poses, :poses], repeated[:poses, :poses], bias_sigmas, prior)
+    return BiasPosterior(solved[:, 0], covariance, repeated[:poses, :poses], bias_sigmas, prior)
 
 
 def _groups(biases: int, rings: Sequence[int]) -> tuple[list[IndexArray], list[IndexArray]]:

@@ -119,8 +119,8 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     """H / v of pose and biases, and B / v^2; v is the median variance with which H would be the information.
 
     B is over cells of 6 m with the main axis, half by their own sums and half by the usual one, and over rings of both
-    LiDARs, 0.2 of each, and over patches of 1 m, 0.6 of them. These patches are its random part. Directions of n
-    surfaces have 1 + 1 / n times as much.
+    LiDARs, 0.2 of each, and over patches of 1 m, 0.4 of them. These patches are its random part. Directions of n
+    surfaces have 1 + 1 / n times as much. A pair whose variance is larger than its information says loses weight.
     """
     target, source, pose = _rooms(turn_rad)
     overlap = plane_matches.find_overlap(target, source, pose)
@@ -156,12 +156,17 @@ def test_information_is_that_of_gradients_by_surface_and_ring(turn_rad):
     usual = np.sum(sums_m**2) / np.sum(_summed(here.weight, surfaces) ** 2) * alike
     systematic = 0.5 * (squared(surfaces, left_m) + usual) + uneven
     patches = squared(_clusters(np.floor(here.points_m)), left_m)
-    systematic += 0.2 * sum(squared(_clusters(each), left_m) for each in bands) + 0.6 * patches
+    systematic += 0.2 * sum(squared(_clusters(each), left_m) for each in bands) + 0.4 * patches
     wider = _by_few_surfaces(jacobian[:, :6] * np.sqrt(here.weight)[:, None], surfaces)
     few = _on_pose(systematic, wider) - systematic
     random = patches + noise
     spreads = [each / variance**2 for each in (systematic + few + noise, random, few)]
     information, gradient, spread, random, few = plane_fit._weighted(information, gradient, *spreads)
+    of_pair = posterior(information, gradient, state, sigmas, spread, rings=counts, prior=first.prior).covariance
+    expected = posterior(information, gradient, state, sigmas, rings=counts, prior=first.prior).covariance
+    excess = max(1.0, np.mean(eigh(of_pair, expected, eigvals_only=True)))
+    information, gradient = information / excess, gradient / excess
+    spread, random, few = (each / excess**2 for each in (spread, random, few))
     found = plane_fit._with_information(overlap, pose, _BIASES, _BIAS_SIGMAS).biases
     assert all(map(np.array_equal, (found.target_rings, found.source_rings), rings))
     assert_alike(found.information, information, 1e-5)
