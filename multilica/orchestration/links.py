@@ -2,7 +2,7 @@
 """Search for registrations between the stops of a drive."""
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.acceptance.view_graph import ViewGraph
@@ -80,6 +80,7 @@ def follow_motions(
     workers: Workers,
     found: FoundLinks,
     read_motions: Callable[[], Sequence[ViewPair]],
+    deadline_s: float = float("inf"),
 ) -> FoundLinks:
     """Register views of different stops from the poses that motions of their LiDARs tell, where links leave some open.
 
@@ -93,13 +94,14 @@ def follow_motions(
     motions = read_motions() if _may_link(stops, config) else ()
     if not motions:
         return found
-    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, float("inf"))
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
     try:
         search.follow(motions)
     finally:
         workers.forget()
     kept = [link for pair, link in search.links.items() if not any(_same_views(link, each) for each in found.links)]
-    return replace(found, links=(*found.links, *kept), motions=motions, levels=search.levels)
+    not_reached = tuple(sorted({*found.not_reached, *search.not_reached}))
+    return FoundLinks((*found.links, *kept), not_reached, motions, search.levels)
 
 
 @dataclass(slots=True, eq=False)
@@ -164,7 +166,10 @@ class _LinkSearch:
     def follow(self, motions: Sequence[ViewPair]) -> None:
         """Register pairs of views from the poses that motions imply, then from those that these links imply."""
         self._share()
-        self._register(self._implied(self.graph(motions)), score_roughly)
+        implied = self._implied(self.graph(motions))
+        if self._is_late(implied):
+            return
+        self._register(implied, score_roughly)
         self._close_loops()
 
     def _share(self) -> dict[DriveView, PreparedLidar]:
@@ -185,11 +190,7 @@ class _LinkSearch:
                 break
             linked = [(graph.group_of(view).label, view.label) for view in self.views]
             pairs = next_round(labels, linked, tried, priority)
-            if pairs and time.monotonic() >= self.deadline_s:
-                of_label = self.of_label
-                self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
-                break
-            if not pairs:
+            if not pairs or self._is_late(pairs):
                 break
             tried.update(pairs)
             requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
@@ -199,6 +200,14 @@ class _LinkSearch:
                 self._keep(pair, search.registration)
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
+
+    def _is_late(self, pairs: Iterable[PairKey]) -> bool:
+        """Return whether there is no time for pairs, and remember their stops then."""
+        if time.monotonic() < self.deadline_s:
+            return False
+        of_label = self.of_label
+        self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
+        return True
 
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""

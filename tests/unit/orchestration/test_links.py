@@ -96,6 +96,20 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
     assert found.levels == {"front": here}
 
 
+def test_nothing_is_registered_after_the_time_limit(monkeypatch):
+    """The motions, which are read by then, are kept."""
+    monkeypatch.setattr(links, "levels_of", lambda *_: {})
+    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(links, "score_roughly", lambda *_: pytest.fail("scored"))
+    here = RigidTransform.identity("front", "front")
+    pose = PairRegistration("front", "front", here, 0.0, 0.0, 0, None, None, "", information=np.eye(6))
+    motion = ViewPair(pose, "stop 1", "stop 2")
+    found = links.follow_motions(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), lambda: [motion], 0.0)
+    assert found.motions == [motion]
+    assert not found.links
+    assert found.not_reached == (("stop 1", "stop 2"),)
+
+
 def test_motions_are_not_read_where_links_are_not_wanted():
     config = with_overrides(CalibrationConfig(), ["drive.max_distance_m=0"])
     nothing = links.FoundLinks()
