@@ -16,9 +16,10 @@ from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.multi_snapshot.motions import OPEN_M
+from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
-from multilica.orchestration.links import MAX_LINKED_STOPS, follow_motions, search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, FoundLinks, follow_motions, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
@@ -121,6 +122,9 @@ def calibrate_jointly(
         found = search_links(stops, config, workers, deadline_s)
         against = partial(contradiction_at, stops, config)
         result = join(runs, config, found.links, against)
+        if confirmed := _confirmed(stops, found, result):
+            found = replace(found, links=(*found.links, *confirmed))
+            result = join(runs, config, found.links, against)
         if any(_is_open(each) for each in result.placements):
             found = follow_motions(stops, config, workers, found, read_motions, deadline_s)
             if found.motions:
@@ -134,6 +138,14 @@ def calibrate_jointly(
 def ways_of(snapshots: Mapping[str, Snapshot]) -> dict[str, ReadMotions]:
     """Return what reads the motions since the stop before, by the name of each snapshot with frames on the way."""
     return {name: each.read_motions for name, each in snapshots.items() if each.read_motions is not None}
+
+
+def _confirmed(stops: Sequence[DriveStop], found: FoundLinks, result: CalibrationResult) -> list[ViewPair]:
+    """Return the weak links that count, if LiDARs are not placed without them."""
+    if not found.weak or all(each.placed for each in result.placements):
+        return []
+    within = [ViewPair(pair, stop.name, stop.name) for stop in stops for pair in stop.pairs]
+    return confirmed_links(result.target, within, found.links, found.weak)
 
 
 def _is_open(placement: LidarPlacement) -> bool:

@@ -42,12 +42,14 @@ class FoundLinks:
     """Registrations between stops, accepted or uncertain.
 
     Args:
+        weak: others, which have too little evidence to count without links that confirm them.
         not_reached: pairs of stops whose views there was no time to search.
         motions: of LiDARs between the stops, if they were read.
         levels: poses of LiDARs over the ground, with motions.
     """
 
     links: tuple[ViewPair, ...] = ()
+    weak: tuple[ViewPair, ...] = ()
     not_reached: tuple[tuple[str, str], ...] = ()
     motions: Sequence[ViewPair] = ()
     levels: Mapping[str, RigidTransform] = field(default_factory=dict)
@@ -62,7 +64,8 @@ def search_links(
     So most links have others that confirm them.
 
     Returns:
-        The accepted and the uncertain registrations, none of which is confirmed, and what there was no time for.
+        The accepted and the uncertain registrations, none of which is confirmed, those with less evidence, and what
+        there was no time for.
     """
     if not _may_link(stops, config):
         return FoundLinks()
@@ -71,7 +74,8 @@ def search_links(
         search.run()
     finally:
         workers.forget()
-    return FoundLinks(tuple(search.links.values()), tuple(sorted(search.not_reached)))
+    weak = tuple(link for pair, link in search.weak.items() if pair not in search.links)
+    return FoundLinks(tuple(search.links.values()), weak, tuple(sorted(search.not_reached)))
 
 
 def follow_motions(
@@ -101,7 +105,7 @@ def follow_motions(
         workers.forget()
     kept = [link for pair, link in search.links.items() if not any(_same_views(link, each) for each in found.links)]
     not_reached = tuple(sorted({*found.not_reached, *search.not_reached}))
-    return FoundLinks((*found.links, *kept), not_reached, motions, search.levels)
+    return FoundLinks((*found.links, *kept), found.weak, not_reached, motions, search.levels)
 
 
 @dataclass(slots=True, eq=False)
@@ -112,6 +116,7 @@ class _LinkSearch:
     deadline_s: float
     levels: Mapping[str, RigidTransform] = field(default_factory=dict)
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
+    weak: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
     not_reached: set[tuple[str, str]] = field(default_factory=set)
     left_out: set[PairKey] = field(default_factory=set)
@@ -243,7 +248,8 @@ class _LinkSearch:
         target, source = self.of_label[found.target], self.of_label[found.source]
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
-        self.links[pair] = ViewPair(of_lidars, target.stop, source.stop)
+        is_weak = found.evidence < self.config.acceptance.min_evidence
+        (self.weak if is_weak else self.links)[pair] = ViewPair(of_lidars, target.stop, source.stop)
 
 
 def _may_link(stops: Sequence[DriveStop], config: CalibrationConfig) -> bool:

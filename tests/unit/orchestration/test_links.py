@@ -65,6 +65,31 @@ def test_pairs_that_fewer_beams_do_not_decide_are_not(search, outcome, code):
     assert len(search(outcome, [_FRONT], code)) == 4
 
 
+def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
+    """They connect no views, so that all pairs are searched."""
+    searched = []
+
+    def made(_, request):
+        searched.append(request.pair)
+        fitness = 9.0 if len(searched) == 1 else 0.1  # without beams, it stands for the evidence
+        pose, verdict = RigidTransform.identity(*request.pair), Verdict("uncertain")
+        return SimpleNamespace(
+            registration=PairRegistration(
+                *request.pair, pose, fitness, 0.1, 1, None, None, "", information=np.eye(6), verdict=verdict
+            )
+        )
+
+    monkeypatch.setattr(links, "levels_of", lambda *_: {})
+    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(links, "with_movable", lambda *_: {})
+    monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
+    monkeypatch.setattr(links, "search_pair", made)
+    found = links.search_links(_STOPS, CalibrationConfig(), Workers())
+    assert len(found.links) == 1
+    assert len(found.weak) == 3
+    assert len(searched) == 4
+
+
 def test_motions_tell_where_links_between_stops_are(monkeypatch):
     """A link that was found before is kept, and not registered again."""
     here = RigidTransform.from_xyz_rpy("front", "front", [3.0, 0.0, 0.0], [0.0, 0.0, 0.0])
@@ -74,7 +99,7 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
         pose = start.T_target_source
         asked.append(pose)
         return PairRegistration(
-            pose.target, pose.source, pose, 0.9, 0.1, 99, None, None, "", information=np.eye(6), verdict=made
+            pose.target, pose.source, pose, 9.0, 0.1, 99, None, None, "", information=np.eye(6), verdict=made
         )
 
     monkeypatch.setattr(links, "levels_of", lambda *_: {"front": here})
