@@ -156,17 +156,27 @@ class _LinkSearch:
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
         self._search(priority, _FAILURES_PER_VIEW)
         if not self.graph().is_determined and (freed := with_movable(views, self.levels)):
-            labels = {view.label for view in freed}
-            self.workers.forget(labels)
-            for view, prepared in freed.items():
-                self.workers.share(view.label, prepared)
-            self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
-            self.tested.clear()
-            self._close_loops()
-            self._search(priority, _RETRIES_PER_VIEW)
+            self._search_again(freed, priority)
         if self.loops_per_view > _LOOPS_IF_DETERMINED:
             self.tested -= self.left_out
             self._close_loops()
+
+    def _search_again(self, freed: Mapping[DriveView, PreparedLidar], priority: Mapping[PairKey, float]) -> None:
+        """Search once more if beams through movable objects refused a pair: they prove nothing now.
+
+        Args:
+            freed: views whose beams through such objects prove nothing.
+        """
+        labels = {view.label for view in freed}
+        self.workers.forget(labels)
+        for view, prepared in freed.items():
+            self.workers.share(view.label, prepared)
+        before = len(self.searched), len(self.links)
+        self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
+        self.tested.clear()
+        self._close_loops()
+        if (len(self.searched), len(self.links)) != before:
+            self._search(priority, _RETRIES_PER_VIEW)
 
     def follow(self, motions: Sequence[ViewPair]) -> None:
         """Register pairs of views from the poses that motions imply, then from those that these links imply."""

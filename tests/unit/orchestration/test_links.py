@@ -17,13 +17,14 @@ from multilica.workers import Workers
 _STOPS = [DriveStop(name, {"front": object(), "rear": object()}, ()) for name in ("stop 1", "stop 2")]
 _VIEWS = {DriveView(lidar, stop.name): object() for stop in _STOPS for lidar in stop.lidars}
 _FRONT = DriveView("front", "stop 1")
+_FURTHER = [*_STOPS, replace(_STOPS[0], name="stop 3")]
 
 
 @pytest.fixture
 def search(monkeypatch):
     """Search with made outcomes; returns the searched pairs, each as often as it was searched."""
 
-    def run(outcome, freed, code="empty_space_violated"):
+    def run(outcome, freed, code="empty_space_violated", stops=_STOPS):
         searched = []
 
         def made(_, request):
@@ -38,7 +39,7 @@ def search(monkeypatch):
         monkeypatch.setattr(links, "with_movable", lambda *_: {view: object() for view in freed})
         monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
         monkeypatch.setattr(links, "search_pair", made)
-        assert links.search_links(_STOPS, CalibrationConfig(), Workers()).links == ()
+        assert links.search_links(stops, CalibrationConfig(), Workers()).links == ()
         return searched
 
     return run
@@ -63,6 +64,14 @@ def test_refused_pairs_of_views_with_such_objects_are(search):
 )
 def test_pairs_that_fewer_beams_do_not_decide_are_not(search, outcome, code):
     assert len(search(outcome, [_FRONT], code)) == 4
+
+
+def test_pairs_left_by_a_vain_search_stay_unsearched(search):
+    """Objects that may have left are no reason to go on where no beam through one refused a pair."""
+    searched = search("undecided", [_FRONT], stops=_FURTHER)
+    assert 6 <= len(searched) < 12
+    assert searched == search("undecided", [], stops=_FURTHER)
+    assert len(search("reject", [_FRONT], stops=_FURTHER)) > len(searched)
 
 
 def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
