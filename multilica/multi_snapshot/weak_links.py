@@ -9,8 +9,8 @@ import numpy as np
 from multilica.multi_snapshot.view_solution import LARGEST_RESIDUAL, ViewSolution, solve_views
 from multilica.results import ViewPair
 
-# Narrow views of few stops need two more links at most; each of the likeliest ones is tried with each.
-_MOST, _AT_ONCE = 5, 2
+# Narrow views of few stops need two more links at most. Each of the likeliest is tried with each, which takes seconds.
+_MOST, _AT_ONCE = 3, 2
 
 
 def confirmed_links(
