@@ -16,9 +16,10 @@ from multilica.errors import UnfitSnapshotError, UsageError
 from multilica.events import Observer
 from multilica.multi_snapshot.join import SnapshotRun, join, require_joinable
 from multilica.multi_snapshot.motions import OPEN_M
+from multilica.multi_snapshot.weak_links import confirmed_links
 from multilica.orchestration import open_calibration_workers
 from multilica.orchestration.earlier_stops import EarlierStops
-from multilica.orchestration.links import MAX_LINKED_STOPS, follow_motions, search_links
+from multilica.orchestration.links import MAX_LINKED_STOPS, FoundLinks, follow_motions, search_links
 from multilica.orchestration.pairs import PreparedLidar
 from multilica.orchestration.state import deadline_of
 from multilica.orchestration.stop_views import DriveStop, contradiction_at
@@ -26,7 +27,7 @@ from multilica.pipeline import calibrate
 from multilica.registration.motions import motion_pairs
 from multilica.results import CalibrationResult, LidarPlacement, TimeLimit, ViewPair
 from multilica.results.registrations import weakest_deviations
-from multilica.snapshot import ReadMotions, Snapshot
+from multilica.snapshot import LidarMotion, ReadMotions, Snapshot
 from multilica.workers import Workers
 
 CalibrateAlone = Callable[[dict[str, PreparedLidar] | None, EarlierStops], SnapshotRun]
@@ -79,7 +80,7 @@ def calibrate_stops(
         f"stop {number}": partial(calibrate_alone, f"stop {number}", snapshot, config, observe, workers, deadline_s)
         for number, snapshot in enumerate(snapshots, start=1)
     }
-    ways = {f"stop {number}": snapshot.read_motions for number, snapshot in enumerate(snapshots, start=1)}
+    ways = ways_of({f"stop {number}": snapshot for number, snapshot in enumerate(snapshots, start=1)})
     return calibrate_jointly(alone, config, workers, deadline_s, ways).result
 
 
@@ -95,11 +96,18 @@ def calibrate_jointly(
     Args:
         alone: by the name of the stop, in the order of the drive.
         ways: by the name of the stop, to read the motions since the one before. They are read only if links leave the
-            pose of a LiDAR open.
+            pose of a LiDAR open, and none is begun later than the deadline.
     """
+    not_followed: list[tuple[str, str]] = []
 
     def read_motions() -> tuple[ViewPair, ...]:
-        legs = [(run.name, ways[run.name]() if run.name in ways else ()) for run in runs]
+        legs: list[tuple[str, tuple[LidarMotion, ...]]] = []
+        for number, run in enumerate(runs):
+            way = ways.get(run.name)
+            if way is not None and time.monotonic() >= deadline_s:
+                not_followed.append((runs[number - 1].name, run.name))
+                way = None
+            legs.append((run.name, () if way is None else way()))
         return motion_pairs(legs, {stop.name for stop in stops})
 
     runs: list[SnapshotRun] = []
@@ -114,14 +122,30 @@ def calibrate_jointly(
         found = search_links(stops, config, workers, deadline_s)
         against = partial(contradiction_at, stops, config)
         result = join(runs, config, found.links, against)
-        if any(_is_open(each) for each in result.placements) and time.monotonic() < deadline_s:
-            found = follow_motions(stops, config, workers, found, read_motions)
+        if confirmed := _confirmed(stops, found, result):
+            found = replace(found, links=(*found.links, *confirmed))
+            result = join(runs, config, found.links, against)
+        if any(_is_open(each) for each in result.placements):
+            found = follow_motions(stops, config, workers, found, read_motions, deadline_s)
             if found.motions:
                 result = join(runs, config, found.links, against, found.motions, found.levels)
-    if found.not_reached:
+    if not_reached := {*found.not_reached, *not_followed}:
         limit = result.time_limit or TimeLimit(config.runtime.max_time_s, ())
-        result = replace(result, time_limit=replace(limit, unlinked_stops=found.not_reached))
+        result = replace(result, time_limit=replace(limit, unlinked_stops=tuple(sorted(not_reached))))
     return DriveCalibration(result, tuple(stops), found.links)
+
+
+def ways_of(snapshots: Mapping[str, Snapshot]) -> dict[str, ReadMotions]:
+    """Return what reads the motions since the stop before, by the name of each snapshot with frames on the way."""
+    return {name: each.read_motions for name, each in snapshots.items() if each.read_motions is not None}
+
+
+def _confirmed(stops: Sequence[DriveStop], found: FoundLinks, result: CalibrationResult) -> list[ViewPair]:
+    """Return the weak links that count, if LiDARs are not placed without them."""
+    if not found.weak or all(each.placed for each in result.placements):
+        return []
+    within = [ViewPair(pair, stop.name, stop.name) for stop in stops for pair in stop.pairs]
+    return confirmed_links(result.target, within, found.links, found.weak)
 
 
 def _is_open(placement: LidarPlacement) -> bool:

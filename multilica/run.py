@@ -12,7 +12,7 @@ from typing import Literal
 
 from multilica import events
 from multilica.config import CalibrationConfig, Stage
-from multilica.drive_calibration import calibrate_jointly, wanted_stops
+from multilica.drive_calibration import calibrate_jointly, wanted_stops, ways_of
 from multilica.errors import UnfitSnapshotError, UnknownNameError, UsageError
 from multilica.events import Event, Observer, RunObserver
 from multilica.extrinsics import Extrinsics
@@ -284,7 +284,7 @@ def _run_jointly(found: Sequence[_Given], directory: Path, request: _Request) ->
     with open_run(directory, request.config, request.mcap_encoding) as run:
         run.start()
         alone = {given.name: partial(_run_alone, given, run.place / given.name, request) for given in found}
-        ways = {given.name: given.snapshot.read_motions for given in found if given.snapshot is not None}
+        ways = ways_of({given.name: given.snapshot for given in found if given.snapshot is not None})
         joint = calibrate_jointly(alone, config, request.workers, request.deadline_s, ways)
         shown = next(given for given in found if given.name == shown_snapshot(joint.result))
         result = replay(shown.read(config).snapshot, joint.result, config, run, request.rig, joint.stops)

@@ -134,7 +134,7 @@ class Snapshot:
         static_transforms: `/tf_static` of the recording, parent frame as target, child frame as source.
         notes: findings of the reader that the user should know ("12 of 20 scans, then the file ends").
         reading_s: duration of reading in seconds; 0 if the snapshot was made in memory.
-        read_motions: of the LiDARs since the previous stop of a drive.
+        read_motions: of the LiDARs since the previous stop of a drive; None without frames on the way.
     """
 
     lidars: tuple[LidarScans, ...]
@@ -143,7 +143,7 @@ class Snapshot:
     static_transforms: tuple[RigidTransform, ...] = ()
     notes: tuple[str, ...] = ()
     reading_s: float = 0.0
-    read_motions: ReadMotions = tuple
+    read_motions: ReadMotions | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lidars", tuple(sorted(self.lidars, key=lambda lidar: lidar.name)))

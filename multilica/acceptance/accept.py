@@ -12,7 +12,7 @@ from multilica.geometry import FloatArray, largest_index
 from multilica.registration.poses import is_distinct
 from multilica.results import PairRegistration, Reason, Registration, Stability, Verdict, VisibilityScore
 from multilica.results.hypotheses import REPEATED
-from multilica.results.visibility_score import DISTANCE_WEIGHT, DISTINCTIVE_WEIGHT, HIDDEN_WEIGHT
+from multilica.results.visibility_score import DISTINCTIVE_WEIGHT, HIDDEN_WEIGHT
 
 # A competing pose with the same attitude, this much of whose offset lies along the slide, is the end of a slide.
 _SLID_RAD = float(np.deg2rad(5.0))
@@ -105,7 +105,7 @@ def _weaknesses(best: Registration, distance_m: float, config: AcceptanceConfig)
         "too_little_evidence": DISTINCTIVE_WEIGHT * (log1p(_USUAL_DISTINCTIVE) - log1p(max(0.0, score.distinctive))),
         "empty_space_violated": score.contradiction,
         "structure_unexplained": HIDDEN_WEIGHT * (log(_USUAL_SHARE) - log(score.shared_share)),
-        "too_far_apart": DISTANCE_WEIGHT * (log1p(distance_m) - log1p(_USUAL_DISTANCE_M)),
+        "too_far_apart": score.against_distance(distance_m) - score.against_distance(_USUAL_DISTANCE_M),
     }
     worst = max(losses.values())
     hidden, seen = score.structure_occluded, score.structure_agree + score.structure_occluded

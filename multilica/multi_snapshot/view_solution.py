@@ -14,8 +14,8 @@ from multilica.results import DriveView, LinkedStops, PairRegistration, Verdict,
 
 _ITERATIONS = 40
 _EPSILON = 1e-6
-# Squared residuals beyond this, of 6 degrees of freedom, lose weight (Cauchy).
-_OUTLIER = 6.0 * 3.0**2
+LARGEST_RESIDUAL = 6.0 * 3.0**2
+"""Squared residuals beyond this, of 6 degrees of freedom, lose weight (Cauchy)."""
 # Standard deviation of poses that nothing determines.
 _UNKNOWN_RAD, _UNKNOWN_M = 3.0, 30.0
 # Headings from which the pose of a LiDAR is sought that no chain of pairs tells.
@@ -61,7 +61,7 @@ class ViewSolution:
         number = 6 * self.poses.free.index(pose.source)
         block = slice(number, number + 6)
         offset = pose.offset_from(self.poses.poses[pose.source])
-        return bool(offset @ np.linalg.solve(self.covariance[block, block], offset) < _OUTLIER)
+        return bool(offset @ np.linalg.solve(self.covariance[block, block], offset) < LARGEST_RESIDUAL)
 
     def is_confirmed(self, link: ViewPair) -> bool:
         """Return whether the others tell where the link has to be, but for a height that no drive on a plane tells."""
@@ -205,8 +205,8 @@ def _equations(poses: ViewPoses, pairs: Sequence[ViewPair]) -> tuple[float, Floa
     for pair in pairs:
         offset, weights = poses.offset(pair), np.asarray(pair.registration.information)
         squared = float(offset @ weights @ offset)
-        weight = 1.0 / (1.0 + squared / _OUTLIER)
-        total += _OUTLIER * float(np.log1p(squared / _OUTLIER))
+        weight = 1.0 / (1.0 + squared / LARGEST_RESIDUAL)
+        total += LARGEST_RESIDUAL * float(np.log1p(squared / LARGEST_RESIDUAL))
         jacobian, columns = poses.jacobian(pair)
         information[np.ix_(columns, columns)] += weight * jacobian.T @ weights @ jacobian
         gradient[columns] += weight * jacobian.T @ weights @ offset

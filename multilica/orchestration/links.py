@@ -2,7 +2,7 @@
 """Search for registrations between the stops of a drive."""
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from multilica.acceptance.view_graph import ViewGraph
@@ -42,12 +42,14 @@ class FoundLinks:
     """Registrations between stops, accepted or uncertain.
 
     Args:
+        weak: others, which have too little evidence to count without links that confirm them.
         not_reached: pairs of stops whose views there was no time to search.
         motions: of LiDARs between the stops, if they were read.
         levels: poses of LiDARs over the ground, with motions.
     """
 
     links: tuple[ViewPair, ...] = ()
+    weak: tuple[ViewPair, ...] = ()
     not_reached: tuple[tuple[str, str], ...] = ()
     motions: Sequence[ViewPair] = ()
     levels: Mapping[str, RigidTransform] = field(default_factory=dict)
@@ -62,7 +64,8 @@ def search_links(
     So most links have others that confirm them.
 
     Returns:
-        The accepted and the uncertain registrations, none of which is confirmed, and what there was no time for.
+        The accepted and the uncertain registrations, none of which is confirmed, those with less evidence, and what
+        there was no time for.
     """
     if not _may_link(stops, config):
         return FoundLinks()
@@ -71,7 +74,8 @@ def search_links(
         search.run()
     finally:
         workers.forget()
-    return FoundLinks(tuple(search.links.values()), tuple(sorted(search.not_reached)))
+    weak = tuple(link for pair, link in search.weak.items() if pair not in search.links)
+    return FoundLinks(tuple(search.links.values()), weak, tuple(sorted(search.not_reached)))
 
 
 def follow_motions(
@@ -80,6 +84,7 @@ def follow_motions(
     workers: Workers,
     found: FoundLinks,
     read_motions: Callable[[], Sequence[ViewPair]],
+    deadline_s: float = float("inf"),
 ) -> FoundLinks:
     """Register views of different stops from the poses that motions of their LiDARs tell, where links leave some open.
 
@@ -93,13 +98,14 @@ def follow_motions(
     motions = read_motions() if _may_link(stops, config) else ()
     if not motions:
         return found
-    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, float("inf"))
+    search = _LinkSearch(stops[:MAX_LINKED_STOPS], config, workers, deadline_s)
     try:
         search.follow(motions)
     finally:
         workers.forget()
     kept = [link for pair, link in search.links.items() if not any(_same_views(link, each) for each in found.links)]
-    return replace(found, links=(*found.links, *kept), motions=motions, levels=search.levels)
+    not_reached = tuple(sorted({*found.not_reached, *search.not_reached}))
+    return FoundLinks((*found.links, *kept), found.weak, not_reached, motions, search.levels)
 
 
 @dataclass(slots=True, eq=False)
@@ -110,6 +116,7 @@ class _LinkSearch:
     deadline_s: float
     levels: Mapping[str, RigidTransform] = field(default_factory=dict)
     links: dict[PairKey, ViewPair] = field(default_factory=dict)
+    weak: dict[PairKey, ViewPair] = field(default_factory=dict)
     tested: set[PairKey] = field(default_factory=set)
     not_reached: set[tuple[str, str]] = field(default_factory=set)
     left_out: set[PairKey] = field(default_factory=set)
@@ -149,22 +156,35 @@ class _LinkSearch:
         priority = {pair: likely for pair, likely in found if likely >= _LEAST_PRIORITY}
         self._search(priority, _FAILURES_PER_VIEW)
         if not self.graph().is_determined and (freed := with_movable(views, self.levels)):
-            labels = {view.label for view in freed}
-            self.workers.forget(labels)
-            for view, prepared in freed.items():
-                self.workers.share(view.label, prepared)
-            self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
-            self.tested.clear()
-            self._close_loops()
-            self._search(priority, _RETRIES_PER_VIEW)
+            self._search_again(freed, priority)
         if self.loops_per_view > _LOOPS_IF_DETERMINED:
             self.tested -= self.left_out
             self._close_loops()
 
+    def _search_again(self, freed: Mapping[DriveView, PreparedLidar], priority: Mapping[PairKey, float]) -> None:
+        """Search once more if beams through movable objects refused a pair: they prove nothing now.
+
+        Args:
+            freed: views whose beams through such objects prove nothing.
+        """
+        labels = {view.label for view in freed}
+        self.workers.forget(labels)
+        for view, prepared in freed.items():
+            self.workers.share(view.label, prepared)
+        before = len(self.searched), len(self.links)
+        self.searched = {pair: each for pair, each in self.searched.items() if not _may_change(pair, each, labels)}
+        self.tested.clear()
+        self._close_loops()
+        if (len(self.searched), len(self.links)) != before:
+            self._search(priority, _RETRIES_PER_VIEW)
+
     def follow(self, motions: Sequence[ViewPair]) -> None:
         """Register pairs of views from the poses that motions imply, then from those that these links imply."""
         self._share()
-        self._register(self._implied(self.graph(motions)), score_roughly)
+        implied = self._implied(self.graph(motions))
+        if self._is_late(implied):
+            return
+        self._register(implied, score_roughly)
         self._close_loops()
 
     def _share(self) -> dict[DriveView, PreparedLidar]:
@@ -185,11 +205,7 @@ class _LinkSearch:
                 break
             linked = [(graph.group_of(view).label, view.label) for view in self.views]
             pairs = next_round(labels, linked, tried, priority)
-            if pairs and time.monotonic() >= self.deadline_s:
-                of_label = self.of_label
-                self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
-                break
-            if not pairs:
+            if not pairs or self._is_late(pairs):
                 break
             tried.update(pairs)
             requests = [SearchRequest(pair, self.config.features.voxel_size_m) for pair in pairs]
@@ -199,6 +215,14 @@ class _LinkSearch:
                 self._keep(pair, search.registration)
             self._close_loops()
             failures = 0 if len(self.links) > before else failures + len(pairs)
+
+    def _is_late(self, pairs: Iterable[PairKey]) -> bool:
+        """Return whether there is no time for pairs, and remember their stops then."""
+        if time.monotonic() < self.deadline_s:
+            return False
+        of_label = self.of_label
+        self.not_reached |= {(of_label[one].stop, of_label[other].stop) for one, other in pairs}
+        return True
 
     def _close_loops(self) -> None:
         """Register pairs of views from the poses that other pairs imply."""
@@ -234,7 +258,8 @@ class _LinkSearch:
         target, source = self.of_label[found.target], self.of_label[found.source]
         pose = RigidTransform(target.lidar, source.lidar, found.T_target_source.matrix)
         of_lidars = replace(found, target=target.lidar, source=source.lidar, T_target_source=pose)
-        self.links[pair] = ViewPair(of_lidars, target.stop, source.stop)
+        is_weak = found.evidence < self.config.acceptance.min_evidence
+        (self.weak if is_weak else self.links)[pair] = ViewPair(of_lidars, target.stop, source.stop)
 
 
 def _may_link(stops: Sequence[DriveStop], config: CalibrationConfig) -> bool:

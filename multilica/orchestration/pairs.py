@@ -88,8 +88,8 @@ class PreparedLidar:
         return found
 
     def as_view(self, label: str, config: CalibrationConfig) -> "PreparedLidar":
-        """Return the LiDAR under another name, with the clouds that were built so far."""
-        view = None if self.view is None else replace(self.view, lidar=label)
+        """Return the LiDAR as a view at a stop, under another name, with the clouds that were built so far."""
+        view = None if self.view is None else replace(self.view, lidar=label, at_stop=True)
         cloud, features = replace(self.cloud, lidar=label), replace(self.features, lidar=label)
         found = PreparedLidar(cloud, features, view, config)
         if view is not None and "verification_cloud" in self.__dict__:

@@ -17,6 +17,8 @@ from multilica.visibility.sensor_view import ROUGH_TOLERANCES, score_pose
 
 # Margins of log-odds against a pose that is a few centimetres off: a handful of points in empty space is none.
 _FIRM = 2.0
+# Such a share of the margin of log-odds is less than what links that confirm each other add to their evidence.
+_WEAKER = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,8 +130,12 @@ def _without_body(prepared: PreparedLidar, body: BodyCells) -> PreparedLidar:
 
 
 def _limits(view: DriveView, config: CalibrationConfig) -> CalibrationConfig:
-    """Return the configuration with the limit of distance between stops, and with the sigmas of the LiDAR."""
-    acceptance = config.acceptance.model_copy(update={"max_baseline_m": config.drive.max_distance_m})
+    """Return the configuration with the limits of links, also of weak ones, and with the sigmas of the LiDAR."""
+    limits = {
+        "max_baseline_m": config.drive.max_distance_m,
+        "min_evidence": config.acceptance.min_evidence - _WEAKER * config.acceptance.min_log_odds_margin,
+    }
+    acceptance = config.acceptance.model_copy(update=limits)
     sigmas_m = config.refine.range_bias_sigmas_m
     own = {view.label: sigmas_m[view.lidar]} if view.lidar in sigmas_m else {}
     refine = config.refine.model_copy(update={"range_bias_sigmas_m": own | sigmas_m})

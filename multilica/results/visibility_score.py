@@ -26,6 +26,10 @@ HIDDEN_WEIGHT = 1.5
 DISTANCE_WEIGHT = 2.1
 """Weight of the logarithm of the distance between the sensors: chance agreements are anywhere, vehicles are short."""
 
+STOP_DISTANCE_M = 6.0
+"""Between stops, each distance counts as this one. A vehicle drives on by any distance, so that a near pose is no
+likelier than a far one, which may be a house or a bay away; see docs/decisions/0006-one-model-accepts.md."""
+
 STRAY_SHARE = 0.003
 """Share of points in empty space, of all that agree, that occurs by chance: foliage, glass, moving things."""
 
@@ -65,6 +69,7 @@ class VisibilityScore:
         target_labels: (M,) `BeamLabel` of each probe of the target, by the source's beams.
         violating: (K,) which of all labelled points are in empty space, of all members of both sides, in the same order
             for each pose; empty where unknown.
+        between_stops: whether the vehicle has driven on between the measurements of both sides.
     """
 
     agree: int
@@ -78,6 +83,7 @@ class VisibilityScore:
     structure_occluded: int = 0
     target_labels: npt.NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, dtype=np.uint8))
     violating: npt.NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=bool))
+    between_stops: bool = False
 
     @property
     def weakest_direction(self) -> FloatArray:
@@ -120,8 +126,12 @@ class VisibilityScore:
             distance_m: between the two sensors.
         """
         for_it = DISTINCTIVE_WEIGHT * log1p(max(0.0, self.distinctive))
-        against = DISTANCE_WEIGHT * log1p(distance_m) - HIDDEN_WEIGHT * log(self.shared_share) + self.contradiction
+        against = self.against_distance(distance_m) - HIDDEN_WEIGHT * log(self.shared_share) + self.contradiction
         return round(PRIOR_LOG_ODDS + for_it - against, 6) + 0.0
+
+    def against_distance(self, distance_m: float) -> float:
+        """Return the log-odds that the distance between the sensors takes from the pose, at least 0."""
+        return DISTANCE_WEIGHT * log1p(STOP_DISTANCE_M if self.between_stops else distance_m)
 
     def evidence_beside(self, best: "VisibilityScore", distance_m: float) -> float:
         """Return the evidence, with points in empty space counted against another pose: see `contradiction_against`."""

@@ -60,6 +60,7 @@ class SensorView:
             are none in range.
         movable: (N,) which probes lie on objects that may have stood elsewhere when the others were measured: their
             points cannot violate. None: no probe does.
+        at_stop: whether the views that it is scored with are of other stops of the vehicle's drive.
     """
 
     lidar: str
@@ -70,6 +71,7 @@ class SensorView:
     spanned: BoolArray
     returns: cKDTree | None
     movable: BoolArray | None = None
+    at_stop: bool = False
 
     @property
     def alone(self) -> "list[PlacedView]":
@@ -149,6 +151,7 @@ def score_visibility(
         structure_occluded=structure[BeamLabel.OCCLUDED],
         target_labels=target_labels,
         violating=all_labels == BeamLabel.VIOLATE,
+        between_stops=any(view.at_stop for _, view in (*targets, *sources)),
     )
 
 

@@ -17,6 +17,7 @@ from multilica.multi_snapshot.trusted_links import refine_linked
 from multilica.orchestration.links import FoundLinks
 from multilica.registration.motions import motion_pairs
 from multilica.registration.poses import moved
+from multilica.results import CalibrationResult, LidarPlacement
 from multilica.snapshot import LidarMotion
 from multilica.workers import Workers
 from tests.multi_snapshot.made_drive import LIDARS, STOPS, STRAIGHT, pair, pairs
@@ -191,6 +192,32 @@ def test_motions_are_read_only_if_a_pose_is_open(monkeypatch, sigma_m, is_open):
         motions, levels = given[-1]
         assert [(each.target_stop, each.source_stop) for each in motions] == [(stops[0], stops[1])]
         assert levels is LIDARS
+
+
+def test_no_way_is_followed_after_the_time_limit(monkeypatch):
+    """The first way takes all the time that is left; the other ways are named instead, and nothing is registered."""
+    clock_s = [0.0]
+
+    def follow():
+        clock_s[0] = 10.0
+        return (LidarMotion("A", STOPS["stop 2"], np.diag(_SIGMA**2), 6.0, 30),)
+
+    monkeypatch.setattr(drive_calibration.time, "monotonic", lambda: clock_s[0])
+    result = CalibrationResult("A", "made", (LidarPlacement("B", "made"),))
+    monkeypatch.setattr(drive_calibration, "search_links", lambda *_: FoundLinks())
+    monkeypatch.setattr(drive_calibration, "join", lambda *_: result)
+    given = []
+    monkeypatch.setattr(
+        drive_calibration,
+        "follow_motions",
+        lambda *args: (given.append(args[5]), replace(args[3], motions=args[4]()))[1],
+    )
+    first, *later = STOPS
+    ways = {later[0]: follow, later[1]: lambda: pytest.fail("read"), later[2]: lambda: pytest.fail("read")}
+    alone = {name: partial(_alone, name) for name in (first, *later)}
+    found = drive_calibration.calibrate_jointly(alone, CalibrationConfig(), Workers(), 5.0, ways)
+    assert found.result.time_limit.unlinked_stops == ((later[0], later[1]), (later[1], later[2]))
+    assert given == [5.0]
 
 
 def _alone(name, prepared, _):

@@ -17,13 +17,14 @@ from multilica.workers import Workers
 _STOPS = [DriveStop(name, {"front": object(), "rear": object()}, ()) for name in ("stop 1", "stop 2")]
 _VIEWS = {DriveView(lidar, stop.name): object() for stop in _STOPS for lidar in stop.lidars}
 _FRONT = DriveView("front", "stop 1")
+_FURTHER = [*_STOPS, replace(_STOPS[0], name="stop 3")]
 
 
 @pytest.fixture
 def search(monkeypatch):
     """Search with made outcomes; returns the searched pairs, each as often as it was searched."""
 
-    def run(outcome, freed, code="empty_space_violated"):
+    def run(outcome, freed, code="empty_space_violated", stops=_STOPS):
         searched = []
 
         def made(_, request):
@@ -38,7 +39,7 @@ def search(monkeypatch):
         monkeypatch.setattr(links, "with_movable", lambda *_: {view: object() for view in freed})
         monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
         monkeypatch.setattr(links, "search_pair", made)
-        assert links.search_links(_STOPS, CalibrationConfig(), Workers()).links == ()
+        assert links.search_links(stops, CalibrationConfig(), Workers()).links == ()
         return searched
 
     return run
@@ -65,6 +66,39 @@ def test_pairs_that_fewer_beams_do_not_decide_are_not(search, outcome, code):
     assert len(search(outcome, [_FRONT], code)) == 4
 
 
+def test_pairs_left_by_a_vain_search_stay_unsearched(search):
+    """Objects that may have left are no reason to go on where no beam through one refused a pair."""
+    searched = search("undecided", [_FRONT], stops=_FURTHER)
+    assert 6 <= len(searched) < 12
+    assert searched == search("undecided", [], stops=_FURTHER)
+    assert len(search("reject", [_FRONT], stops=_FURTHER)) > len(searched)
+
+
+def test_registrations_with_less_evidence_are_weak_links(monkeypatch):
+    """They connect no views, so that all pairs are searched."""
+    searched = []
+
+    def made(_, request):
+        searched.append(request.pair)
+        fitness = 9.0 if len(searched) == 1 else 0.1  # without beams, it stands for the evidence
+        pose, verdict = RigidTransform.identity(*request.pair), Verdict("uncertain")
+        return SimpleNamespace(
+            registration=PairRegistration(
+                *request.pair, pose, fitness, 0.1, 1, None, None, "", information=np.eye(6), verdict=verdict
+            )
+        )
+
+    monkeypatch.setattr(links, "levels_of", lambda *_: {})
+    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(links, "with_movable", lambda *_: {})
+    monkeypatch.setattr(links, "priority_of", lambda *_: 10.0)
+    monkeypatch.setattr(links, "search_pair", made)
+    found = links.search_links(_STOPS, CalibrationConfig(), Workers())
+    assert len(found.links) == 1
+    assert len(found.weak) == 3
+    assert len(searched) == 4
+
+
 def test_motions_tell_where_links_between_stops_are(monkeypatch):
     """A link that was found before is kept, and not registered again."""
     here = RigidTransform.from_xyz_rpy("front", "front", [3.0, 0.0, 0.0], [0.0, 0.0, 0.0])
@@ -74,7 +108,7 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
         pose = start.T_target_source
         asked.append(pose)
         return PairRegistration(
-            pose.target, pose.source, pose, 0.9, 0.1, 99, None, None, "", information=np.eye(6), verdict=made
+            pose.target, pose.source, pose, 9.0, 0.1, 99, None, None, "", information=np.eye(6), verdict=made
         )
 
     monkeypatch.setattr(links, "levels_of", lambda *_: {"front": here})
@@ -94,6 +128,20 @@ def test_motions_tell_where_links_between_stops_are(monkeypatch):
     assert np.array_equal(asked[0].matrix, here.matrix)
     assert found.motions == [motion]
     assert found.levels == {"front": here}
+
+
+def test_nothing_is_registered_after_the_time_limit(monkeypatch):
+    """The motions, which are read by then, are kept."""
+    monkeypatch.setattr(links, "levels_of", lambda *_: {})
+    monkeypatch.setattr(links, "prepare_views", lambda *_: _VIEWS)
+    monkeypatch.setattr(links, "score_roughly", lambda *_: pytest.fail("scored"))
+    here = RigidTransform.identity("front", "front")
+    pose = PairRegistration("front", "front", here, 0.0, 0.0, 0, None, None, "", information=np.eye(6))
+    motion = ViewPair(pose, "stop 1", "stop 2")
+    found = links.follow_motions(_STOPS, CalibrationConfig(), Workers(), links.FoundLinks(), lambda: [motion], 0.0)
+    assert found.motions == [motion]
+    assert not found.links
+    assert found.not_reached == (("stop 1", "stop 2"),)
 
 
 def test_motions_are_not_read_where_links_are_not_wanted():

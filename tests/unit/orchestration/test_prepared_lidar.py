@@ -78,3 +78,19 @@ def test_without_verification_there_is_no_view():
 def test_the_returns_are_left_out(lidars):
     assert len(lidars[0].cloud.returns_m) == 0
     assert len(lidars[0].cloud.points_m) > 1000
+
+
+def test_views_at_stops_are_scored_as_such(lidars):
+    for lidar in lidars:
+        assert lidar.side.views
+        assert lidar.verification_cloud.view is lidar.view
+    views = [lidar.as_view(f"{lidar.cloud.lidar} at stop 1", _CONFIG) for lidar in lidars]
+    for found, at_stops in ((lidars, False), (views, True)):
+        sides = (
+            [each.view for each in found],
+            [each.verification_cloud.view for each in found],
+            [each.side.views[0][1] for each in found],
+        )
+        for target, source in sides:
+            pose = RigidTransform(target.lidar, source.lidar, _TRUTH.matrix)
+            assert score_pose(target, source, pose, 0.15, 0.5).visibility.between_stops == at_stops

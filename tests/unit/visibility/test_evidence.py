@@ -16,6 +16,7 @@ from multilica.results.visibility_score import (
     HIDDEN_WEIGHT,
     MOVED_POINTS,
     PRIOR_LOG_ODDS,
+    STOP_DISTANCE_M,
     STRAY_SHARE,
     VIOLATION_WEIGHT,
     VisibilityScore,
@@ -65,6 +66,19 @@ def test_lidars_far_apart_need_more_evidence():
     evidence = [_score().evidence(distance_m) for distance_m in (0.0, 1.0, 3.0, 12.0)]
     assert evidence == sorted(evidence, reverse=True)
     assert evidence[0] - evidence[3] == pytest.approx(DISTANCE_WEIGHT * log(13))
+
+
+def test_between_stops_a_distance_says_nothing():
+    """Of two houses that look alike, the nearer one is no likelier: the vehicle has driven on."""
+    score = _score(between_stops=True)
+    assert score.evidence(0.0) == score.evidence(11.0) == _score().evidence(STOP_DISTANCE_M)
+    here, there = (
+        Registration(0, pose("t", "s", xyz_m), score, 0.9, 0.03, 1.0, np.zeros((0, 3)))
+        for xyz_m in ((0.0, 0.0, 0.0), (11.0, 0.0, 0.0))
+    )
+    assert here.lead_over(there) == 0.0
+    within = [replace(each, visibility=_score()) for each in (here, there)]
+    assert within[0].lead_over(within[1]) > AcceptanceConfig().min_log_odds_margin
 
 
 def test_stray_points_in_empty_space_cost_nothing():
