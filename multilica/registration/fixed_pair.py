@@ -8,7 +8,7 @@ import numpy as np
 
 from multilica.config import FineConfig
 from multilica.geometry import LEVER_ARM_M, FloatArray, RigidTransform
-from multilica.registration.gicp import GicpCloud, prepare_gicp_cloud, register
+from multilica.registration.gicp import GicpCloud, fitness_and_rmse, prepare_gicp_cloud, register
 from multilica.registration.plane_fit import fit_planes
 from multilica.registration.poses import arc_between_m, is_distinct, moved
 from multilica.registration.widening import widened, widened_with_biases
@@ -27,6 +27,9 @@ _HELD_SHARE = 0.5
 _STEPS_M = (0.75, 1.5, 2.25, 3.0)
 # Poses whose shares of matched points differ by less fit as well.
 _ALIKE = 0.01
+# So few points, and steps that may still be so long, show where a registration ends.
+_ROUGH_POINTS = 4000
+_ROUGH_STEP = 1e-3
 # A pose that fixed objects do not hold at all keeps as much of its information.
 _NOTHING_LEFT = 1e-4
 # With a larger standard deviation, what is left does not hold the pose.
@@ -68,46 +71,54 @@ def without_movable(
     target, source = (
         prepare_gicp_cloud(each.name, each.points_m[kept], config) for each, kept in zip(clouds, fixed, strict=True)
     )
-    best, *others = _registered_along(target, source, pair.T_target_source, direction, share, config)
-    fit = fit_planes(target, source, best, bias_sigmas)
+    first = register(target, source, pair.T_target_source, config)
+    fit = fit_planes(target, source, first.T_target_source, bias_sigmas)
     if fit.information is None or arc_between_m(fit.pose, pair.T_target_source) > _FARTHEST_M:
         return _free(nothing)
     of_biases = None if pair.bias_information is None else fit.biases
     found = replace(pair, T_target_source=fit.pose, information=fit.information, bias_information=of_biases)
-    for other in others:
-        off = other.offset_from(fit.pose) / _SCALE
-        found = _widened(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
+    if share >= _HELD_SHARE and _sigma_along(fit.information, direction) < _FREE_M:
+        other = _other_end(target, source, pair.T_target_source, first, direction, config)
+        if other is not None:
+            off = other.offset_from(fit.pose) / _SCALE
+            found = _widened(found, off / np.linalg.norm(off), float(np.linalg.norm(off)))
     return _free(found)
 
 
-def _registered_along(
+def _other_end(
     target: GicpCloud,
     source: GicpCloud,
     pose: RigidTransform,
+    first: PairRegistration,
     direction: FloatArray,
-    share: float,
     config: FineConfig,
-) -> list[RigidTransform]:
-    """Register from the pose, and from where a car that holds it could have been; return the poses that fit as well.
+) -> RigidTransform | None:
+    """Register from where a car that holds the pose could have been; return a pose that fits as well, if there is one.
 
     A registration reaches a metre, and an object may have moved farther: the pose of what stands still is then beyond.
-    Few points decide between them, so the pose stays with what is found from it.
+    Few points decide between them, so the pose stays with what is found from it. One other is enough: the direction is
+    then free. Some of the source's points are enough to find it.
 
     Args:
+        first: the registration from the pose.
         direction: (6,) that movable objects hold, as arcs at 10 m.
-        share: of the information in that direction which they give.
-
-    Returns:
-        The one that is found from the pose first.
     """
-    steps_m = [0.0] if share < _HELD_SHARE else [0.0, *(side * metres for metres in _STEPS_M for side in (1.0, -1.0))]
-    starts = (moved(pose, *np.split(metres * _SCALE * direction, 2)) for metres in steps_m)
-    ends = [register(target, source, start, config) for start in starts]
-    found = [ends[0].T_target_source]
-    for end in ends[1:]:
-        if end.fitness > (1.0 - _ALIKE) * ends[0].fitness and is_distinct(end.T_target_source, found):
-            found.append(end.T_target_source)
-    return found
+    rough = config.model_copy(update=dict.fromkeys(("translation_epsilon_m", "rotation_epsilon_rad"), _ROUGH_STEP))
+    some = prepare_gicp_cloud(source.name, source.points_m, config.model_copy(update={"max_points": _ROUGH_POINTS}))
+    for metres in (side * step_m for step_m in _STEPS_M for side in (1.0, -1.0)):
+        start = moved(pose, *np.split(metres * _SCALE * direction, 2))
+        end = register(target, some, start, rough).T_target_source
+        if is_distinct(end, [first.T_target_source]):
+            fitness, *_ = fitness_and_rmse(target, source, end, config.fitness_distance_m)
+            if fitness > (1.0 - _ALIKE) * first.fitness:
+                return end
+    return None
+
+
+def _sigma_along(information: FloatArray, direction: FloatArray) -> float:
+    """Return the standard deviation along a unit direction (6,), as arcs at 10 m."""
+    covariance = np.linalg.pinv(information * np.outer(_SCALE, _SCALE), hermitian=True)
+    return float(np.sqrt(direction @ covariance @ direction))
 
 
 def _movable_share(

@@ -8,7 +8,7 @@ from multilica.acceptance.placement import have_moved, held_by_movable, place
 from multilica.config import AcceptanceConfig, FineConfig, RefineConfig
 from multilica.geometry import RigidTransform
 from multilica.registration.fixed_pair import without_movable
-from multilica.registration.gicp import prepare_gicp_cloud
+from multilica.registration.gicp import prepare_gicp_cloud, register
 from multilica.registration.plane_fit import fit_planes
 from multilica.registration.sensor_biases import prior_sigmas
 from multilica.results import PairRegistration
@@ -64,6 +64,19 @@ def _fixed_pair(*, crossed):
     return pair, without_movable(pair, clouds, _on_car, FineConfig(), _SIGMAS)
 
 
+@pytest.fixture
+def points_per_start(monkeypatch):
+    """The number of source points of each registration by GICP."""
+    points = []
+
+    def counted(target, source, *rest):
+        points.append(len(source.points_m))
+        return register(target, source, *rest)
+
+    monkeypatch.setattr("multilica.registration.fixed_pair.register", counted)
+    return points
+
+
 def _covariance(pair):
     return np.linalg.pinv(pair.information, hermitian=True)
 
@@ -111,7 +124,7 @@ def test_a_car_that_moved_does_not_choose_the_pose():
 
 
 @pytest.mark.slow
-def test_posts_that_repeat_hold_no_pose_that_a_car_chose():
+def test_posts_that_repeat_hold_no_pose_that_a_car_chose(points_per_start):
     """The car went as far as from post to post: at the pose that follows it, all but the house fits."""
     target, source = _road("t", 1, crossed=True, posts=True), _road("s", 2, crossed=True, moved_m=2.0, posts=True)
     followed = RigidTransform.from_rotation_translation("t", "s", np.eye(3), np.array([-2.0, 0.0, 0.0]))
@@ -126,6 +139,13 @@ def test_posts_that_repeat_hold_no_pose_that_a_car_chose():
     )
     assert np.sqrt(_covariance(fixed)[3, 3]) > 1.0
     assert np.all(np.sqrt(np.diag(_covariance(fixed))[4:]) < 0.1)
+    assert points_per_start[0] > 4000 >= max(points_per_start[1:])
+
+
+@pytest.mark.slow
+def test_a_pose_that_is_free_anyway_is_registered_once(points_per_start):
+    _fixed_pair(crossed=False)
+    assert len(points_per_start) == 1
 
 
 def test_without_fixed_points_no_direction_is_held():
