@@ -70,6 +70,7 @@ def log(drive: SimulatedDrive, tmp_path: Path) -> Path:
     return tmp_path / "drive.mcap"
 
 
+@pytest.mark.in_turn
 def test_the_stops_of_a_log_are_calibrated_as_one_drive(drive: SimulatedDrive, log: Path, tmp_path: Path) -> None:
     config = with_overrides(CalibrationConfig(), ["ingest.frames=3", "runtime.workers=1"])
     run = run_calibration(log, tmp_path / "run", config)
@@ -174,6 +175,7 @@ def test_a_drive_with_one_standstill_is_read_as_before(drive: SimulatedDrive, tm
     assert_read_as_one(tmp_path / "a.mcap")
 
 
+@pytest.mark.in_turn
 @pytest.mark.parametrize("chosen", [{"start_s": 1.0}, {"window": "auto"}, {"window_s": 0.5}])
 def test_chosen_frames_come_before_stops(log: Path, chosen: dict[str, object]) -> None:
     assert_read_as_one(log, FEW.model_copy(update=chosen))
@@ -273,6 +275,7 @@ def test_stops_after_some_time(drive: SimulatedDrive, log: Path) -> None:
     assert stop.why == "It is the longest standstill."
 
 
+@pytest.mark.in_turn
 def test_a_metre_further_is_no_new_stop(tmp_path: Path) -> None:
     options = {"stops": 2, "frames": STAND_FRAMES, "sensors": "ideal", "with_log": True}
     drive = simulate_drive("small", "yard", 4, route="straight", step_m=1.0, **options)
